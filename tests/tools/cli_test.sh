@@ -93,7 +93,7 @@ wrong_usage() {
     bad 2 "unknown command sensor, did you mean sensors\?" list sensor
     bad 2 "unknown option --jso, did you mean --json\? .see .relidar list devices --help" list devices --jso
     bad 3 "--json .: this is a folder" check --json .
-    bad 2 "--run can only be used with --speed" check --run street
+    bad 3 "nowhere: no such folder" check --run nowhere
     absent x
 }
 
@@ -911,8 +911,8 @@ checking() {
     faults=float_swaps,ray_query
     if grep -q '"ray_query": true' devices.json; then wrong+=", tree of ray query"; fi
     # Uses a memory limit, because writing 2 GiB takes a long time.
-    RELIDAR_MEMORY_LIMIT_MIB=512 RELIDAR_FAULTS=$faults bad 4 "checks of .* are wrong: $wrong\$" check --json check.json
-    for row in "subgroups +right" "sort +right" "tree of software +right" "gradients, software +right" "Adam +right" "points on the device +right"; do
+    RELIDAR_MEMORY_LIMIT_MIB=512 RELIDAR_FAULTS=$faults bad 4 "checks of .* are wrong: $wrong\$" check --run run --json check.json
+    for row in "run, software +right" "subgroups +right" "sort +right" "tree of software +right" "gradients, software +right" "Adam +right" "points on the device +right"; do
         says "^$row"
     done
     check "check.json lacks its wrong result" grep -q '"result": "wrong"' check.json
