@@ -11,8 +11,8 @@
 namespace relidar {
 namespace {
 
-/// Returns the settings of the paper. Most are the defaults of the structs. As in the
-/// paper's evaluation, rendered ranges are not divided by the sum of the blending weights.
+/// Returns the settings of the paper, which are mostly the defaults of the structs. As in
+/// the paper's evaluation, ranges are not divided by the sum of the blending weights.
 Config make_paper_config() {
     Config config;
     config.dataset.waymo_intensity = "clamp";
