@@ -108,7 +108,7 @@ int estimate_columns(const Points& scan, const Rings& rings) {
 }
 
 /// Returns S_r(N), the sum of exp(i N azimuth) over the points of ring r, for each ring.
-/// N is the number of columns.
+/// |S_r| is large if the azimuths are on a grid of N columns.
 std::vector<std::complex<double>> compute_phases(const Rings& rings, int columns) {
     std::vector<std::complex<double>> sums;
     for (const Ring& ring : rings) {
@@ -119,8 +119,8 @@ std::vector<std::complex<double>> compute_phases(const Rings& rings, int columns
     return sums;
 }
 
-/// Returns the sum of |S_r(N)| over all rings, for `count` consecutive values of N from
-/// `first` on. Multiplies by exp(i azimuth) from one N to the next.
+/// Returns the sum of |S_r(N)| over all rings r, for `count` consecutive numbers of
+/// columns N, starting with `first`.
 std::vector<double> compute_lengths(const Rings& rings, int first, std::size_t count) {
     std::vector<double> lengths(count, 0.0);
     for (const Ring& ring : rings) {

@@ -17,8 +17,8 @@ namespace relidar::folder {
 struct PoseReading {
     std::string about;             ///< description for notes
     PoseTrack world_from_vehicle;  ///< poses according to this meaning
-    /// True if this meaning is used only if scans confirm it. The motion alone is not
-    /// enough, because a vehicle may also drive backwards.
+    /// True if scans must confirm this interpretation of the pose file. The motion alone
+    /// is not enough, because a vehicle may also drive backwards.
     bool needs_scans = false;
 };
 

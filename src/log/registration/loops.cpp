@@ -19,8 +19,8 @@ constexpr double kKey_m = 4.0;
 // Two passes over the same road must be this far apart along the path. Odometry has
 // already aligned closer passes.
 constexpr double kApart_m = 80.0;
-// Two passes must be closer than this to be joined. The limit grows with the path length
-// between them (by kNearShare), because odometry drifts.
+// Two passes are joined only if they are closer than kNear_m. This limit grows by
+// kNearShare per metre of path between them, up to kFarthest_m, because odometry drifts.
 constexpr double kNear_m = 4.0, kNearShare = 0.01, kFarthest_m = 15.0;
 // The map for a loop closure contains scans within this distance along the earlier path,
 // on both sides of the key pose.
@@ -228,8 +228,8 @@ private:
         return world_from_world * other;
     }
 
-    /// Normal equations for the corrections x of all key poses. add() adds the squared
-    /// error weight * |x_b - (x_a, converted to pose b) - off|^2.
+    /// Least-squares equations for the corrections x of all key poses. add() adds a term
+    /// that pulls x_b to x_a (converted to pose b) plus `off`.
     struct Equations {
         std::vector<Eigen::Triplet<double>> h;
         Eigen::VectorXd g;

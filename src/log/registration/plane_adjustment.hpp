@@ -69,8 +69,8 @@ public:
     /// Returns the share of a scan's points that lie on planes of a map.
     double compute_fraction_on_planes(const PlaneMap& map, std::span<const ThinPoint> points,
                                       double scale_m) const;
-    /// Returns by how many metres the correction of a pose differs from its neighbours:
-    /// the smallest difference from the earlier neighbour, the later one, or their
+    /// Returns the distance in metres between the corrections of a pose and of its
+    /// neighbours: the minimum over the earlier neighbour, the later one, and their
     /// interpolation. Returns 0 at an end of the track.
     /// @param among [poses] poses that count as neighbours
     double compute_deviation_m(std::size_t pose, const std::vector<bool>& among) const;

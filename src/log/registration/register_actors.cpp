@@ -31,9 +31,9 @@ constexpr double kStanding_m = 3.0;  // a box that moves farther than this is no
 constexpr int kNeighbours = 3;       // number of poses on each side that are used to interpolate a pose
 constexpr double kLongestGap_s = 1.0;
 
-/// Returns the prior for corrections of labelled poses. Weights are squared ratios of the
-/// error of a point (0.05 m) to an expected error. `pull`: error of a label (0.15 m, 2
-/// degrees). `link`: its change within 0.1 s (0.05 m, 1 degree).
+/// Returns the prior for corrections of labelled poses. It assumes that labels have
+/// errors of 0.15 m and 2 degrees, which change by 0.05 m and 1 degree within 0.1 s.
+/// Points have errors of 0.05 m.
 CorrectionPrior make_correction_prior() {
     const double pull_m = std::pow(0.05 / 0.15, 2), pull_rad = std::pow(0.05 / 0.035, 2);
     const double link_m = std::pow(0.05 / 0.05, 2), link_rad = std::pow(0.05 / 0.017, 2);

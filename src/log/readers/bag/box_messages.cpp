@@ -94,7 +94,8 @@ BoxList read_detections(MessageReader reader, const DetectionLayout& layout) {
                   read_class(reader, layout),
                   read_pose_numbers(reader),
                   read_vector(reader)};
-        // read_point_cloud() does not read is_dense, the last field of source_cloud.
+        // Also skips is_dense, the last field of source_cloud, which read_point_cloud()
+        // leaves unread.
         if (layout.has_cloud) read_point_cloud(reader), reader.number<std::uint8_t>();
         if (layout.is_flagged) reader.number<std::uint8_t>();
         if (layout.has_identity) box.id = reader.text();

@@ -46,8 +46,8 @@ public:
     bool moves() const;
 
 private:
-    /// Transforms to multiply, from the ancestor frame to the frame. Constant transforms
-    /// have a single sample.
+    /// Transforms along the path in the tree, from the ancestor frame down. A constant
+    /// transform has a single sample.
     std::vector<PoseTrack> links_;
 };
 

@@ -145,8 +145,8 @@ int estimate_mean_steps(const std::vector<const RawScan*>& scans) {
     return std::max(static_cast<int>(std::lround(2.0 * kPi * n / sum)), 1);
 }
 
-/// [beams] encoder ticks of the points of each beam in one scan, without the offsets
-/// between beams
+/// [beams] encoder ticks at which each beam has points in one scan, not yet corrected by
+/// the offset of the beam
 using Ticks = std::vector<std::vector<int>>;
 
 Ticks compute_ticks(const RawScan& scan, const FiringLattice& lattice) {
