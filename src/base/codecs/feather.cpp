@@ -72,8 +72,8 @@ Batch read_batch_at(std::string_view bytes, const arrow::Block& block) {
             part(bytes, block.offset + block.metadata_bytes, block.body_bytes, "a record batch")};
 }
 
-/// Returns a decompressed buffer of a record batch. Throws an error if its stored length
-/// is less than n_bytes, or greater by more than padding.
+/// Decompresses a buffer of a record batch. Throws an error if its size is less than
+/// n_bytes, or larger by more than padding.
 std::string read_buffer(const Batch& batch, std::size_t index, std::size_t n_bytes) {
     const arrow::Buffer& place = batch.layout.buffers.at(index);
     std::string_view stored = part(batch.body, place.offset, place.length, "a buffer");

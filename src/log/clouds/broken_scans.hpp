@@ -46,9 +46,8 @@ public:
     /// @param count  total number of scans
     /// @throws DataError if all scans are broken
     void tell(Sequence& sequence, std::size_t count) const;
-    /// Removes the frames of broken scans, and poses that no other frame uses, from the
-    /// log. Adds a note for the user about each of them. Scan numbers must be indices of
-    /// frames.
+    /// Removes the frames of broken scans, and poses that no other frame uses. Adds a
+    /// note for the user about each broken scan. Scan numbers must be indices of frames.
     /// @throws DataError if all scans are broken
     void leave_out(Sequence& sequence) const;
 

@@ -43,8 +43,8 @@ void visit_cells(const glm::dvec3& from_m, const glm::dvec3& to_m, const Visit& 
     const glm::ivec3 end(glm::floor(a + way));
     const double length_m = glm::distance(from_m, to_m);
     glm::ivec3 step;
-    // For each axis, as fractions of the segment: position of the next cell border, and
-    // distance between two borders.
+    // `next`: where the segment crosses the next cell border along each axis. `pace`:
+    // distance between two borders. Both are fractions of the segment.
     glm::dvec3 next, pace;
     int n_borders = 0;
     for (int axis = 0; axis < 3; ++axis) {

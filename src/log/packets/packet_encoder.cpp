@@ -59,7 +59,7 @@ struct PacketEncoder::Impl {
     };
     std::optional<Anchor> last;         ///< last firing of all scans
     std::optional<Anchor> clock_start;  ///< firing at which the clock with even time steps starts
-    /// number of the pending packet, counted in packets since the first firing
+    /// number of the pending packet, counted from the first firing
     std::int64_t packet = 0;
     std::vector<FiredColumn> pending;  ///< [firings] firings of the pending packet
     std::vector<bool> fired;           ///< [columns] columns of all scans
@@ -122,9 +122,9 @@ struct PacketEncoder::Impl {
         return std::int64_t(steps);
     }
 
-    /// Returns the position of the first firing within its packet. The times in a log
-    /// jump at the start of each packet. If such jumps are found, the new packets start
-    /// at the same firings as the original packets.
+    /// Returns the position of the first firing within its packet. In a log, times jump
+    /// at the start of each packet. These jumps show where the original packets started,
+    /// and the new packets start at the same firings.
     std::int64_t find_first_position(const std::vector<FiredColumn>& firings_of_scan) const {
         if (has_columns()) return column_of(firings_of_scan.front());
         if (!options.times_jitter) return 1;

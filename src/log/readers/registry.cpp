@@ -127,7 +127,7 @@ void check_bare_folder(const fs::path& path) {
 }
 
 /// Returns the largest range of all returns of a LiDAR, rounded up to metres. Returns 80
-/// m without returns.
+/// m if there are no returns.
 double find_farthest_return_m(const Sequence& sequence, int lidar) {
     // Larger ranges are ignored, because no LiDAR on a vehicle measures them.
     constexpr float kFarthest_m = 1000.0f;

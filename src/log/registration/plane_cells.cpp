@@ -18,9 +18,9 @@ constexpr int kFits = 4;
 // Points form a plane only if they spread over the cell. This is the minimum standard
 // deviation along their narrower axis, divided by the cell size. A full cell has 0.29.
 constexpr double kSpread = 0.12;
-// The same minimum, divided by the scale of the robust kernel. With wrong poses, the
-// points of a single beam form a ribbon, which is narrower than this and is not a
-// surface.
+// Minimum standard deviation of points along the narrower axis of a plane, divided by the
+// scale of the robust kernel. With wrong poses, the points of a single beam form a
+// narrower ribbon, which is not a surface.
 constexpr double kSpreadScale = 0.8;
 // minimum share of points that are closer to the plane than the scale of the robust
 // kernel

@@ -33,8 +33,8 @@ std::array<std::pair<std::size_t, double>, 2> list_pose_shares(const ThinPoint& 
     return {{{point.left, 1.0 - double(point.s)}, {point.left + 1, double(point.s)}}};
 }
 
-/// Returns the derivatives of a point's residual by the three parameters of its plane:
-/// offset and two tilts.
+/// Returns the derivatives of a point's residual with respect to the three parameters of
+/// its plane: offset and two tilts.
 Eigen::Vector3d make_row_of_plane(const PlacedPoint& point, const Plane& plane) {
     const glm::dvec3 d = point.point_m - plane.point_m;
     return {1.0, glm::dot(plane.u, d), glm::dot(plane.v, d)};

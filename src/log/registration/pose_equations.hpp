@@ -23,8 +23,8 @@ namespace relidar {
 using Vector6 = Eigen::Matrix<double, 6, 1>;
 using Matrix6 = Eigen::Matrix<double, 6, 6>;
 
-/// Distance of a point from a plane (residual), its weight, and its derivatives by a
-/// pose.
+/// Distance of a point from a plane (residual), its weight, and its derivatives with
+/// respect to a pose.
 struct Row {
     double residual_m, weight;
     Vector6 j;

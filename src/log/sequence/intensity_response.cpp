@@ -116,12 +116,13 @@ struct Layout {
     Eigen::Index size() const { return gain(parts.beams ? n_beams : 0); }
 };
 
-/// Derivatives of the expected intensity of one return by the unknowns, without zeros, in
-/// ascending order of the unknowns.
+/// Nonzero derivatives of the expected intensity of one return with respect to the
+/// unknowns, in ascending order of the unknowns.
 struct Row {
     std::array<std::pair<Eigen::Index, double>, 5> by;
     std::size_t n = 0;
-    /// derivative by the albedo of the place, and measured minus expected intensity
+    /// derivative with respect to the albedo of the place, and measured minus expected
+    /// intensity
     double by_albedo, error;
     void add(Eigen::Index unknown, double derivative) { by[n++] = {unknown, derivative}; }
 };
@@ -155,8 +156,8 @@ struct System {
 /// matrix h is used. Aligned to cache lines, because threads write to neighbouring sums.
 struct alignas(64) Sums {
     System system;
-    // [unknowns] products of the albedo's derivative with those of each unknown, for the
-    // current place; zero between places
+    // [unknowns] sums of products: derivative by the albedo times derivative by the
+    // unknown, for the current place; zero between places
     std::vector<double> coupling;
     std::vector<Eigen::Index> touched;  // unknowns that are coupled to the current place
     double sum = 0.0, squares = 0.0;    // sum and sum of squares of the expected intensities

@@ -265,8 +265,7 @@ WorldRay make_world_ray(const PoseTrack& world_from_sensor, double time_s, const
 
 namespace {
 
-// If a sweep starts at the default time up to this fraction of the period, the default
-// start is used.
+// A sweep has the default start if it differs by at most this fraction of the period.
 constexpr double kUsual = 0.02;
 
 /// Rotation of a LiDAR's head in one sweep, estimated from its rays.

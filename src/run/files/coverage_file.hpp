@@ -9,7 +9,7 @@
 
 namespace relidar::run_detail {
 
-/// Writes which space the log has observed to a file. `place` [blocks,3] i4 contains the
+/// Writes to a file which space the log has observed. `place` [blocks,3] i4 contains the
 /// position of each block of cells, in block sizes. `cells` [blocks,32] u2 contains the
 /// observed cells (Coverage::Cells). Writes no file if the coverage is empty.
 void save_coverage(const std::filesystem::path& path, const Coverage& coverage);

@@ -20,7 +20,7 @@
 
 namespace relidar::bag {
 
-/// A topic of a bag. Topics with the same name but different message types are different.
+/// A topic of a bag. Two topics can have the same name but different message types.
 struct Topic {
     std::string name;
     /// message type without the "/msg/" of ROS 2, for example "sensor_msgs/PointCloud2"

@@ -72,9 +72,9 @@ std::string format_broken_topics(const Bag& bag, const Survey& survey) {
     return text;
 }
 
-/// Returns a score that is higher for raw measurements of a LiDAR. Packets have the
-/// highest score. Clouds with times, rings or return numbers have higher scores than
-/// other clouds, followed by clouds with many points.
+/// Returns a score that is higher for raw measurements of a LiDAR: highest for packets,
+/// then for clouds with times, rings and return numbers, then for clouds with many
+/// points.
 double compute_rawness(const CloudTopic& clouds) {
     if (!clouds.packets.empty()) return 200.0;
     const bool timed = clouds.has_field(folder::PointValue::time);

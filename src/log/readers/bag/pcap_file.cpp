@@ -273,8 +273,8 @@ private:
         /// first datagram. They differ if fragments of several datagrams are interleaved.
         std::uint64_t at = 0, first_at = 0;
         std::int64_t log_ns = 0;
-        /// For messages whose two offsets differ: offset of the first datagram by offset
-        /// of the message.
+        /// Maps the byte offset of a message to the offset of its first datagram, if the
+        /// two differ.
         std::map<std::uint64_t, std::uint64_t> late_runs;
         /// Histogram of datagram sizes in bytes, for streams of unknown products.
         std::map<std::size_t, std::size_t> n_of_bytes;

@@ -21,9 +21,9 @@ constexpr double kMostOfPart = 300.0 * kPi / 180.0;
 // If the clouds together leave a wider azimuth range empty, the LiDAR scans a window
 // instead of rotating.
 constexpr double kLeastGap_rad = kPi / 3.0;
-// Conditions for joining clouds. kTogether: minimum length of the mean of unit vectors at
-// the azimuth steps between clouds; 1 means equal steps. kAbut: maximum difference
-// between a step and the azimuth range of a cloud, relative to the step.
+// Clouds are joined if their azimuth steps are similar. kTogether: minimum length of the
+// mean of the steps as unit vectors; 1 if all steps are equal. kAbut: maximum relative
+// difference between a step and the azimuth range of a cloud.
 constexpr double kTogether = 0.8, kAbut = 0.4;
 // A part of a revolution is missing if a time step is longer than this multiple of the
 // usual step.

@@ -210,7 +210,8 @@ private:
         return split_.empty() || does_path_exist(file) ? file : folder_ / (split_ + sweep.file);
     }
 
-    /// Selects the LiDARs that the user requested, or all LiDARs without a request.
+    /// Selects the LiDARs that the user requested, or all LiDARs if the user requested
+    /// none.
     void choose_lidars() {
         std::vector<std::string> channels, left_out;
         for (const SceneLidar& lidar : scene_.lidars) channels.push_back(lidar.channel);
