@@ -10,8 +10,7 @@
 namespace relidar {
 
 /// Returns the key of the cubic grid cell that contains a point. A key has 21 bits per
-/// axis, so two cells may have the same key if one is more than 2^20 cells from the
-/// origin.
+/// axis. Keys are unique only for cells within 2^20 cells of the origin.
 /// @param point_m [3] metres
 /// @param cell_m edge length of the cells, metres
 inline std::uint64_t make_cell_key(const glm::dvec3& point_m, double cell_m) {

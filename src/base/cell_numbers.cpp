@@ -15,10 +15,11 @@ namespace relidar {
 namespace {
 
 constexpr std::size_t kParts = 32;
-// Number of items that one task distributes to the hash tables.
+// Number of items that one parallel task processes.
 constexpr std::size_t kItemsPerBlock = 1 << 16;
 
-/// Indices of the items of one block. Each part of the keys has a separate list.
+/// Indices of the items of one block, divided into kParts lists by the hash of their
+/// keys.
 using ItemsByPart = std::array<std::vector<std::uint32_t>, kParts>;
 
 std::vector<ItemsByPart> distribute_items(std::span<const std::uint64_t> key) {
@@ -36,8 +37,8 @@ std::vector<ItemsByPart> distribute_items(std::span<const std::uint64_t> key) {
 CellNumbers number_cells(std::span<const std::uint64_t> key) {
     const std::vector<ItemsByPart> blocks = distribute_items(key);
     CellNumbers numbers{std::vector<std::uint32_t>(key.size()), 0};
-    // For each item, the index of the first item in the same cell. Later, the number of
-    // the cell replaces this index.
+    // First stores, for each item, the index of the first item in the same cell. At the
+    // end, this index is replaced by the number of the cell.
     std::vector<std::uint32_t>& first = numbers.of;
     parallel_for(kParts, [&](int part) {
         std::unordered_map<std::uint64_t, std::uint32_t> table;

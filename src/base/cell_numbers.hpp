@@ -11,17 +11,18 @@
 
 namespace relidar {
 
-/// Cell number of each item. Cells are numbered in the order of their first items.
-/// Therefore the numbers do not depend on the number of cores.
+/// For each item, the number of the grid cell that contains it. Cells are numbered in the
+/// order of their first items, so the numbers do not depend on the number of threads.
 struct CellNumbers {
     std::vector<std::uint32_t> of;  ///< Cell number of each item, [items].
     std::size_t n_cells = 0;
 };
-/// Assigns consecutive numbers to the cells that contain items.
-/// @param key [items] key of the cell that contains each item
+/// Numbers the grid cells that contain items: 0, 1, 2, ...
+/// @param key [items] key of the grid cell that contains each item
 CellNumbers number_cells(std::span<const std::uint64_t> key);
-/// Assigns consecutive numbers to the cells that contain `count` items.
-/// @param key_of function that returns the key of the cell that contains an item
+/// Numbers the grid cells that contain items: 0, 1, 2, ...
+/// @param count number of items
+/// @param key_of function that returns the key of an item's grid cell
 template <class KeyOf>
 CellNumbers number_cells(std::size_t count, const KeyOf& key_of) {
     std::vector<std::uint64_t> keys(count);
@@ -40,7 +41,7 @@ public:
     }
 
 private:
-    // Index in items_ at which the items of each cell begin, [cells + 1].
+    // [cells + 1] index in items_ of the first item of each cell.
     std::vector<std::size_t> first_;
     std::vector<std::uint32_t> items_;
 };

@@ -23,14 +23,14 @@ struct ImageRays {
     }
 };
 
-/// Distance in columns between a pixel and the neighbours that compute_incidence_cosine()
-/// uses.
+/// compute_incidence_cosine() compares a pixel with the pixels this many columns to the
+/// left and right.
 inline constexpr std::size_t kIncidenceColumns = 4;
 
 /// Returns the cosine of the angle of incidence at pixel `index`. Uses the points one row
-/// above and below, and the points four columns to the left and right. Four columns are
-/// used because a larger distance reduces the effect of range noise. Returns a negative
-/// value if a point is missing or on another surface.
+/// above and below, and four columns left and right. A distance of four columns reduces
+/// the effect of range noise. Returns a negative value if a point is missing or on
+/// another surface.
 inline double compute_incidence_cosine(const ImageRays& image, std::size_t index) {
     constexpr std::size_t kColumns = kIncidenceColumns;
     // Maximum relative difference between the ranges of two pixels on the same surface.

@@ -23,9 +23,9 @@ std::string describe_value(const nlohmann::json& value) {
     return "found " + (text.size() <= 60 ? text : text.substr(0, 57) + "...");
 }
 
-/// Appends the numbers of nested lists to `numbers`.
-/// @return null if all values are valid. Otherwise the first value that is neither a
-/// number nor a list, or that is nested too deeply
+/// Appends all numbers of nested lists to `numbers`.
+/// @return the first invalid value: neither a number nor a list, or nested too deeply.
+/// Null if all values are valid
 const nlohmann::json* collect_numbers(const nlohmann::json& value, int depth, std::vector<double>& numbers) {
     if (value.is_number()) {
         numbers.push_back(value.get<double>());
@@ -142,8 +142,7 @@ nlohmann::json parse_json(const std::string& text, const std::string& file) {
         std::string why = error.what();
         if (const std::size_t bracket = why.find("] "); bracket != std::string::npos)
             why.erase(0, bracket + 2);
-        // Removes the end of the message, which quotes the file, because it may be very
-        // long.
+        // Removes the end of the message. It quotes the file and can be very long.
         why = why.substr(0, why.find("; last read"));
         for (char& c : why) c = static_cast<unsigned char>(c) < 0x20 ? ' ' : c;
         throw DataError(fmt::format("{}: not valid JSON, truncated or damaged: {}", file, why));

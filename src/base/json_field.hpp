@@ -29,7 +29,7 @@ public:
     bool is_text() const;
     bool is_array() const;
     /// Checks that a JSON object has only known members.
-    /// @throws DataError if the object has an unknown member
+    /// @throws DataError if the object has another member
     void check_members(const std::vector<std::string>& known_names) const;
     double number() const;  ///< Returns a finite number.
     double number(double low, double high) const;

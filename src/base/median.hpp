@@ -8,9 +8,8 @@
 
 namespace relidar {
 
-/// Returns the median of values. For an even number of values, returns the larger of the
-/// two middle values.
-/// @param values at least one value
+/// Returns the median of values, which must not be empty. For an even number of values,
+/// returns the larger of the two middle values.
 template <class Value>
 Value compute_median(std::vector<Value> values) {
     const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);

@@ -19,8 +19,7 @@ class NearestPlace {
 public:
     using Point = glm::vec<3, Scalar>;
 
-    /// Builds the tree.
-    /// @param places points to search, at least one
+    /// Builds the tree from at least one point.
     explicit NearestPlace(std::vector<Point> places)
         : places_{std::move(places)}, tree_(3, places_, nanoflann::KDTreeSingleIndexAdaptorParams(8)) {}
     NearestPlace(const NearestPlace&) = delete;  // Not copyable, because the tree refers to `places_`.

@@ -22,9 +22,9 @@ void parallel_for(int count, const std::function<void(int)>& task) {
     std::exception_ptr failure;
     int failed = count;
     std::atomic<int> next{0};
-    // Reads task indices from a shared counter, so that tasks start in ascending order.
-    // If a task fails, all earlier tasks have already started. The loops of oneTBB do not
-    // guarantee this order, because they split [0, count) in the middle.
+    // Gets the next task index from a shared counter, so that tasks start in ascending
+    // order. The loops of oneTBB do not guarantee this order, because they split [0,
+    // count) in the middle.
     const auto run_tasks = [&] {
         for (int i = next++; i < count; i = next++) {
             try {
@@ -40,9 +40,9 @@ void parallel_for(int count, const std::function<void(int)>& task) {
     if (n_threads == 1) {
         run_tasks();
     } else {
-        // Isolates this loop from other oneTBB loops. While a thread waits for this loop,
-        // it does not run tasks of other loops. If the caller's task group is cancelled,
-        // this loop still continues.
+        // Isolates this loop from other oneTBB loops. A thread that waits for this loop
+        // runs no tasks of other loops. Cancelling the caller's task group does not stop
+        // this loop.
         tbb::task_group_context context(tbb::task_group_context::isolated);
         tbb::this_task_arena::isolate([&] {
             tbb::parallel_for(

@@ -12,8 +12,8 @@
 
 namespace relidar {
 
-/// Returns the number of threads that can run a loop of the calling thread. The number is
-/// at least 1.
+/// Returns the number of threads that can run a parallel loop of the calling thread, at
+/// least 1.
 std::size_t max_concurrency();
 
 /// Runs task(i) for every i in [0, count), on the calling thread and on idle threads of
@@ -25,9 +25,8 @@ std::size_t max_concurrency();
 /// on timing.
 void parallel_for(int count, const std::function<void(int)>& task);
 
-/// Returns the number of consecutive items in a block that one thread processes. Blocks
-/// are large enough to make the cost of starting them negligible. Each thread gets
-/// several blocks.
+/// Returns the number of items in a block, the unit of work of a thread. Blocks are large
+/// enough that the cost of starting them is small. Each thread gets several blocks.
 inline std::size_t compute_block_size(std::size_t count) {
     constexpr std::size_t kSmallest = 128, kLargest = 4096, kBlocksPerThread = 8;
     return std::clamp(count / (kBlocksPerThread * max_concurrency()), kSmallest, kLargest);

@@ -22,8 +22,8 @@ struct PlaneSums {
     glm::dvec3 sum{0.0}, squares{0.0}, products{0.0};
 
     /// Adds a point to the sums.
-    /// @param direction point relative to an origin near all points, because the squares
-    /// of large coordinates would lose precision
+    /// @param direction point minus an origin near all points. Squares of large
+    /// coordinates would lose precision
     void add(const glm::dvec3& direction) {
         n += 1.0;
         sum += direction;
@@ -32,8 +32,8 @@ struct PlaneSums {
             glm::dvec3(direction.y * direction.z, direction.x * direction.z, direction.x * direction.y);
     }
 
-    /// Returns the plane with the smallest squared distances to the points, relative to
-    /// the same origin. Requires at least one point.
+    /// Returns the least-squares plane of the points, relative to the origin of the added
+    /// points. Requires at least one point.
     PlaneFit fit() const {
         const glm::dvec3 mean = sum / n, s = squares / n - mean * mean,
                          p = products / n - glm::dvec3(mean.y * mean.z, mean.x * mean.z, mean.x * mean.y);

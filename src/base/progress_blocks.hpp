@@ -13,10 +13,9 @@
 
 namespace relidar {
 
-/// Runs task(i) for every i in [0, count) in parallel, and reports progress. Before each
-/// of its items, the calling thread calls `progress` with the finished fraction. At the
-/// end, it reports 1, because other threads may process the last items. The loop stops if
-/// `progress` throws.
+/// Runs task(i) for every i in [0, count) in parallel. Only the calling thread reports
+/// progress: the finished fraction before each of its tasks, and 1 at the end. The loop
+/// stops if `progress` throws.
 template <class Task>
 void for_each_with_progress(std::size_t count, const Progress& progress, std::string_view description,
                             const Task& task) {

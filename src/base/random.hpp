@@ -9,7 +9,7 @@
 
 namespace relidar {
 
-/// Returns a 64-bit hash of x, computed with the output function of SplitMix64.
+/// Returns a 64-bit hash of a number, computed with the output function of SplitMix64.
 inline std::uint64_t combine_hashes(std::uint64_t value) {
     value += 0x9E3779B97F4A7C15ull;
     value = (value ^ (value >> 30)) * 0xBF58476D1CE4E5B9ull;
@@ -17,7 +17,7 @@ inline std::uint64_t combine_hashes(std::uint64_t value) {
     return value ^ (value >> 31);
 }
 
-/// Returns a hash of two numbers. The hash depends on their order.
+/// Returns a hash of two numbers. Exchanging the numbers changes the hash.
 inline std::uint64_t combine_hashes(std::uint64_t first, std::uint64_t second) {
     return combine_hashes(combine_hashes(first) ^ (second * 0xD6E8FEB86659FD93ull));
 }
@@ -29,7 +29,8 @@ public:
 
     std::uint64_t next() { return combine_hashes(state_ += 0x9E3779B97F4A7C15ull); }
 
-    /// Returns the state of the generator, so that callers can save and restore it.
+    /// Returns a reference to the generator's state, so that callers can save and restore
+    /// it.
     std::uint64_t& state() { return state_; }
 
     /// Returns a uniformly distributed number in [0, 1) with 53 random bits.

@@ -26,8 +26,7 @@ constexpr std::int8_t kCodecLz4 = 0, kCodecZstd = 1;
     throw DataError(fmt::format("the metadata are malformed ({}), expected an Arrow IPC file", description));
 }
 
-/// Aligned copy of a flatbuffer. The copy is needed because the flatbuffer verifier
-/// checks the alignment.
+/// Aligned copy of a flatbuffer. The flatbuffer verifier rejects unaligned data.
 struct Bytes {
     std::vector<std::uint64_t> words;
     flatbuffers::Verifier verifier;
@@ -76,8 +75,8 @@ public:
             throw_malformed("name");
         return text->str();
     }
-    /// Returns the structs of a vector field. The vector contains its length (4 bytes),
-    /// followed by structs that may be unaligned.
+    /// Returns the structs of a vector field. A vector consists of its length (4 bytes)
+    /// and the structs, which may be unaligned.
     template <class Struct>
     std::vector<Struct> structs(int field) const {
         const std::uint8_t* vector = verify_vector(field, sizeof(Struct));
@@ -104,8 +103,8 @@ private:
     Table(Bytes& bytes, const std::uint8_t* at)
         : bytes_(&bytes), table_(reinterpret_cast<const flatbuffers::Table*>(at)) {
         if (!table_->VerifyTableStart(bytes.verifier)) throw_malformed("table");
-        // Ends the verifier's check of the table immediately, because this parser limits
-        // the nesting depth itself.
+        // Ends the verifier's count of nested tables here, because this parser limits the
+        // nesting depth itself.
         bytes.verifier.EndTable();
     }
 

@@ -42,13 +42,13 @@ struct Field {
 /// body.
 struct Block {
     std::int64_t offset;
-    /// Size of the message in bytes, including its prefix of 8 bytes.
+    /// Size of the message in bytes, with its prefix of 8 bytes.
     std::int32_t metadata_bytes;
     std::int32_t padding;
     std::int64_t body_bytes;
 };
 
-/// Number of rows of a column in a record batch, and number of missing values.
+/// Number of rows and of missing values of one column in a record batch.
 struct Node {
     std::int64_t length;
     std::int64_t null_count;

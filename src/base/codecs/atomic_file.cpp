@@ -42,9 +42,8 @@ struct TemporaryFile {
     }
 };
 
-/// Returns the path of the file to write. For a symbolic link, returns its target, so
-/// that the link stays. Rejects targets that are not regular files, because renaming
-/// would replace a device with a file.
+/// Returns the path of the file to write. Follows a symbolic link, so that writing does
+/// not replace the link. Rejects devices and other targets that are not regular files.
 fs::path resolve_final_path(const fs::path& path) {
     if (!path.has_filename()) fail(path, "the path has no file name");
     std::error_code error;

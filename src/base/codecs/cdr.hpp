@@ -10,8 +10,8 @@
 
 namespace relidar::scan_files {
 
-/// Writes values in little-endian CDR. The offset of each number from the fifth byte is a
-/// multiple of its size.
+/// Writes values in CDR, the binary encoding of ROS 2 messages, little-endian. Each
+/// number is aligned to its size, counted from the end of the 4-byte header.
 class Cdr {
 public:
     template <class T>

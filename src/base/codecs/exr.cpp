@@ -71,8 +71,7 @@ void write_exr(const std::filesystem::path& path, int rows, int columns,
         const std::size_t stride = sizeof(float);
         for (const auto& [name, values] : channels) {
             header.channels().insert(name, imf::Channel(imf::FLOAT));
-            // Removes const, because the interface requires it. OpenEXR only reads the
-            // values.
+            // OpenEXR requires a pointer to non-const values, but only reads them.
             char* base = reinterpret_cast<char*>(const_cast<float*>(values.data()));
             buffer.insert(name, imf::Slice(imf::FLOAT, base, stride, stride * std::size_t(columns)));
         }

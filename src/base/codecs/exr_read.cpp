@@ -31,12 +31,12 @@ constexpr std::uint32_t kExrMagic = 20000630, kVersionBits = 0xFF, kTiles = 0x20
 constexpr std::size_t kMostChannels = 256, kLongestNote = 10000;
 // Maximum compression ratio of deflate. An image with a higher ratio is invalid.
 constexpr std::size_t kMostInflated = 1032;
-// Uncompressed size in bytes up to which the compression ratio is not checked.
+// Images up to this uncompressed size in bytes are accepted at any compression ratio.
 constexpr std::size_t kAlwaysFits = 16 << 20;
 // Number of rows in a compressed block, indexed by compression method.
 constexpr std::int64_t kRowsAtOnce[] = {1, 1, 1, 16, 32, 16, 32, 32, 32, 256};
 
-/// Reads the bytes of a header from start to end.
+/// Reads the header of an OpenEXR file value by value, from start to end.
 class ExrHeader {
 public:
     explicit ExrHeader(const std::string& file) : file_(file) {}
@@ -51,7 +51,7 @@ public:
         at_ += count;
         return std::string_view(file_).substr(at_ - count, count);
     }
-    /// Returns the next name. A zero byte marks the end of a name.
+    /// Reads a text that ends with a zero byte.
     std::string name() {
         const std::size_t end = file_.find('\0', at_);
         if (end == std::string::npos || end - at_ > 255)
@@ -192,8 +192,8 @@ ImageHeader read_header(const std::string& file) {
         const std::string_view bytes = header.bytes(std::size_t(size));
         if (!seen.insert(name).second)
             throw DataError(fmt::format("attribute '{}' occurs twice", make_excerpt(name)));
-        // Rejects attribute types that contain sizes, because this function does not
-        // check these sizes.
+        // Attributes of these types contain further sizes. They are rejected, because
+        // nothing checks these sizes.
         if (type == "idmanifest" || type == "preview" || type == "bytes")
             throw DataError(fmt::format("attribute '{}' has the type '{}', which is not supported",
                                         make_excerpt(name), type));

@@ -24,9 +24,8 @@ using arrow::Kind;
 using Batch = Feather::Batch;
 
 constexpr std::string_view kMagic = "ARROW1";
-// Maximum number of rows, and of text bytes, per byte of the file. These limits prevent
-// huge allocations. lz4 compresses by a factor of at most 255, and zstd compresses equal
-// values even more.
+// Maximum numbers of rows and of text bytes in a table, divided by the file size in
+// bytes. They prevent huge allocations for a damaged file.
 constexpr std::size_t kMostRows = 64, kMostText = 1024;
 constexpr std::size_t kPadding = 64;  // Maximum number of padding bytes at the end of a buffer.
 
@@ -37,8 +36,8 @@ T load(std::string_view bytes, std::size_t offset) {
     return value;
 }
 
-/// Returns `count` bytes from an offset. Throws an error if the range is negative or
-/// exceeds the bytes.
+/// Returns `count` bytes that start at an offset. Throws an error if they are not inside
+/// `bytes`.
 std::string_view part(std::string_view bytes, std::int64_t offset, std::int64_t count,
                       const char* description) {
     if (offset < 0 || count < 0 || std::uint64_t(offset) > bytes.size() ||
@@ -73,9 +72,8 @@ Batch read_batch_at(std::string_view bytes, const arrow::Block& block) {
             part(bytes, block.offset + block.metadata_bytes, block.body_bytes, "a record batch")};
 }
 
-/// Returns a buffer of a record batch, decompressed, with at least n_bytes. Checks the
-/// stored length before it allocates memory. The length may exceed n_bytes only by
-/// padding.
+/// Decompresses a buffer of a record batch. Throws an error if its size is less than
+/// n_bytes, or larger by more than padding.
 std::string read_buffer(const Batch& batch, std::size_t index, std::size_t n_bytes) {
     const arrow::Buffer& place = batch.layout.buffers.at(index);
     std::string_view stored = part(batch.body, place.offset, place.length, "a buffer");
@@ -208,7 +206,8 @@ Feather::Feather(std::string name, std::string bytes) : name_(std::move(name)), 
             at.node += 1;
             at.buffer += n_buffers;
         }
-        // Bytes not used by earlier blocks, because blocks do not overlap.
+        // Number of file bytes that are not part of any block read so far. Blocks do not
+        // overlap.
         std::int64_t left = std::int64_t(bytes_.size());
         const auto read = [&](const std::vector<arrow::Block>& blocks, std::vector<Batch>& batches) {
             for (const arrow::Block& block : blocks) {

@@ -48,8 +48,8 @@ public:
         arrow::RecordBatch layout;
         std::string_view body;
     };
-    /// Column of the table. `node` and `buffer` are the indices of its first node and its
-    /// first buffer in each record batch.
+    /// Column of the table. Every record batch has a list of nodes and a list of buffers.
+    /// `node` and `buffer` are the first indices of this column in these lists.
     struct Column {
         arrow::Field field;
         std::size_t node = 0, buffer = 0;
@@ -62,8 +62,8 @@ private:
     std::size_t rows_ = 0;
 
     const Column& find(const std::string& name) const;
-    /// Runs a task that reads a column. If the task throws a DataError, adds file and
-    /// column to the message.
+    /// Runs a task that reads a column. If the task throws a DataError, adds the names of
+    /// file and column to its message.
     template <class Task>
     auto reading(const std::string& column, const Task& task) const;
 };

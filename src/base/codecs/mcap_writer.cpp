@@ -112,7 +112,7 @@ void McapWriter::add_message(std::uint16_t channel, std::uint64_t time_ns, std::
     chunk_first_ns_ = std::min(chunk_first_ns_, time_ns), chunk_last_ns_ = std::max(chunk_last_ns_, time_ns);
     std::string body;
     append(body, channel), append(body, std::uint32_t(n_messages_.at(channel)++));
-    // The same time is written twice: log time and publish time.
+    // A message has a log time and a publish time. Both get the same value.
     append(body, time_ns), append(body, time_ns);
     body += message;
     chunk_ += record(kMessageRecord, body);
@@ -131,8 +131,8 @@ void McapWriter::end_chunk() {
     put(record(kChunk, body + chunk_));
     const std::uint64_t end = written_;
 
-    // File positions of the message indices of each channel, which the chunk index
-    // contains.
+    // For each channel, its id and the file position of its message index. The chunk
+    // index record contains this list.
     std::string index_positions;
     for (const auto& [channel, messages] : chunk_index_) {
         append(index_positions, channel), append(index_positions, written_);
@@ -184,8 +184,7 @@ std::string McapWriter::summary(std::vector<Group>& groups) const {
 void McapWriter::close() {
     end_chunk();
     std::string end, footer;
-    // Writes 0, which means that the file has no checksum. Each chunk has a separate
-    // checksum.
+    // Checksum 0 means that the file has no checksum. Each chunk has one instead.
     append(end, std::uint32_t(0));
     put(record(kDataEnd, end));
     const std::uint64_t begin = written_;

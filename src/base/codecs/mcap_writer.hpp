@@ -21,12 +21,11 @@ public:
 
     /// Creates an MCAP file.
     /// @param profile "ros2" for messages of ROS 2, otherwise empty
-    /// @throws DataError if the file cannot be written. All other functions that write
-    /// throw the same error
+    /// @throws DataError if the file cannot be written, as do all functions of this class
     McapWriter(std::filesystem::path path, std::string_view profile);
 
-    /// add_schema() and add_channel() write a schema or a channel to the file. Call them
-    /// before the first message.
+    /// Writes a schema (add_schema) or a channel (add_channel) to the file. All schemas
+    /// and channels must be added before the first message.
     /// @return id of the schema or channel
     std::uint16_t add_schema(std::string_view name, std::string_view encoding, std::string_view definition);
     std::uint16_t add_channel(std::uint16_t schema, std::string_view topic, std::string_view encoding,

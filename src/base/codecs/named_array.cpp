@@ -92,8 +92,8 @@ std::vector<Out> convert_values(const NamedArray& array) {
 
 /// Converts UTF-8 to Unicode code points. Replaces each invalid byte with U+FFFD.
 std::u32string decode_code_points(std::string_view utf8) {
-    // Minimum code point for each length of a UTF-8 sequence. A smaller code point in a
-    // longer sequence is invalid (overlong encoding).
+    // Smallest code point for each length of a UTF-8 sequence. A longer sequence for a
+    // smaller code point is invalid (overlong encoding).
     constexpr char32_t kReplacement = 0xFFFD, kLeast[] = {0, 0x80, 0x800, 0x10000};
     std::u32string points;
     for (std::size_t i = 0; i < utf8.size();) {

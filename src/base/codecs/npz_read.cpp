@@ -30,7 +30,7 @@ constexpr std::uint16_t kZip64Extra = 1;
 constexpr std::uint32_t kSee64 = 0xFFFFFFFF;
 // Maximum compression ratio of deflate. An entry with a higher ratio is invalid.
 constexpr std::size_t kMaxExpansion = 1032;
-// Processes at most this many bytes at a time, because zlib counts bytes with 32 bits.
+// Maximum number of bytes in one call of zlib, which counts bytes with 32 bits.
 constexpr std::size_t kPiece = 1 << 30;
 
 /// Bytes of the zip archive. part() checks the bounds.
@@ -105,8 +105,8 @@ struct NpzEntry {
     std::uint64_t packed_size = 0, size = 0, offset = 0;
 };
 
-/// Reads 64-bit values from the zip64 extra field. It contains one value for each field
-/// whose 32-bit value means "see zip64", in the same order.
+/// Reads 64-bit values from the zip64 extra field. This field contains only the values
+/// whose 32-bit value is 0xFFFFFFFF, which means "see zip64".
 void apply_zip64(NpzEntry& entry, std::span<const std::byte> extra) {
     for (std::size_t at = 0; at + 4 <= extra.size();) {
         const std::size_t size = get<std::uint16_t>(extra, at + 2);
@@ -152,7 +152,7 @@ std::vector<std::byte> inflate_bytes(std::span<const std::byte> packed, std::siz
     if (inflateInit2(&stream, -MAX_WBITS) != Z_OK) throw std::bad_alloc();
     int status = Z_OK;
     std::size_t consumed = 0, produced = 0;
-    // Provides a valid output pointer, because zlib requires one even for empty output.
+    // zlib requires a valid output pointer, even if the output is empty.
     Bytef none = 0;
     while (status == Z_OK) {
         stream.next_in = reinterpret_cast<Bytef*>(const_cast<std::byte*>(packed.data() + consumed));

@@ -27,11 +27,12 @@ constexpr std::uint16_t kVersion = 20;  // Zip version that a reader needs for d
 constexpr std::uint16_t kUtf8Names = 1 << 11;
 constexpr std::uint16_t kDeflated = 8;
 constexpr std::uint16_t kDate = 0x0021;  // 1980-01-01, the earliest date of the format.
-// Field value that means "see zip64". Sizes and offsets must be smaller.
+// In a 32-bit field of a zip file, this value means "see the zip64 field". Therefore all
+// sizes and offsets must be smaller.
 constexpr std::uint64_t kLimit = std::numeric_limits<std::uint32_t>::max();
 
-/// File in the zip archive. Its description is written twice: to the local header and to
-/// the central directory.
+/// A file in the zip archive. Its local header and the central directory both contain
+/// these values.
 struct Entry {
     std::string name;
     std::uint32_t crc = 0, packed_size = 0, size = 0, offset = 0;

@@ -67,8 +67,8 @@ std::string get_numpy_type(const std::string& name, const std::string& type) {
     return std::string(it->second);
 }
 
-/// Returns the JSON header of a file. Keeps the order of the arrays, so that readers get
-/// them in the same order.
+/// Returns the JSON header of a file. The header lists the arrays in the order of
+/// `arrays`.
 std::string make_header(const std::vector<NamedArray>& arrays,
                         const std::map<std::string, std::string>& metadata) {
     nlohmann::ordered_json header = nlohmann::ordered_json::object();
@@ -90,8 +90,8 @@ std::string make_header(const std::vector<NamedArray>& arrays,
     return text;
 }
 
-/// Parsed header of a file. `names` contains the array names in file order. The positions
-/// are not enough for this order, because empty arrays share a position.
+/// Parsed header of a file. `names` contains the array names in file order. Sorting by
+/// data position could not restore this order, because empty arrays share a position.
 struct Header {
     Json json;
     std::vector<std::string> names;

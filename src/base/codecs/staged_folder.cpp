@@ -58,8 +58,8 @@ StagedFolder::~StagedFolder() {
 }
 
 void StagedFolder::finish_new() const {
-    // Renames the folder. This fails if the destination exists, unless it is an empty
-    // folder.
+    // rename() replaces an empty folder. It fails if anything else exists at the
+    // destination.
     if (::rename(path_.c_str(), wanted_.c_str()) == 0) return;
     const int error = errno;
     const bool is_taken = error == ENOTEMPTY || error == EEXIST || error == ENOTDIR;
@@ -71,8 +71,8 @@ void StagedFolder::finish_new() const {
 
 void StagedFolder::finish() const {
 #ifdef RENAME_EXCHANGE
-    // Exchanges both folders atomically. Afterwards the old folder has the temporary
-    // name, and the destructor removes it.
+    // Exchanges the new and the old folder atomically. The old folder then has the
+    // temporary name, and the destructor deletes it.
     if (::renameat2(AT_FDCWD, path_.c_str(), AT_FDCWD, wanted_.c_str(), RENAME_EXCHANGE) == 0) return;
 #endif
     const fs::path old = path_.string() + "-old";

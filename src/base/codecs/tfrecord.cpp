@@ -16,7 +16,7 @@
 namespace relidar {
 namespace {
 
-// Number of bytes before and after the data of a record.
+// Sizes in bytes of a record's header (before the data) and footer (after the data).
 constexpr std::uint64_t kHeader = 12, kFooter = 4;
 
 constexpr std::array<std::uint32_t, 256> make_table() {

@@ -10,20 +10,20 @@
 namespace relidar {
 namespace {
 
-// resolution of the head azimuths: number of steps per revolution (0.0055 degrees per
-// step)
+// The head azimuth is rounded to this many steps per revolution (0.0055 degrees per
+// step).
 constexpr int kTicks = 1 << 16;
-// Maximum number of missing firings in a normal turn. If more firings are missing, the
-// sensor did fire, but no beam had a return.
+// If more firings than this are missing at the end of a revolution, the sensor fired but
+// measured no returns there.
 constexpr int kMostMissing = 8;
 
-/// Returns the head azimuth of each firing, from the first to the last. For a firing
-/// without points, interpolates its deviation from a constant rotation.
+/// Returns the azimuth of the LiDAR's head for each firing. Firings without points are
+/// interpolated between their neighbours.
 std::map<int, double> compute_head_azimuths(const Points& points, const std::vector<int>& numbers,
                                             const SpinningSensor& sensor, double step_rad) {
     const std::vector<BeamGeometry> beams = make_beam_geometries(sensor.beams);
-    // For each firing, sum over its points of exp(i * deviation from a constant
-    // rotation).
+    // The phase of each sum is the mean deviation of a firing's points from a constant
+    // rotation.
     std::map<int, std::complex<double>> sums;
     for (std::size_t i = 0; i < points.size(); ++i)
         sums[numbers[i]] +=
@@ -41,8 +41,8 @@ std::map<int, double> compute_head_azimuths(const Points& points, const std::vec
     return heads;
 }
 
-/// Adds firings without returns at the end of a turn. Assumes that the head continues at
-/// a constant rate until the circle or the image is full.
+/// Adds firings without returns at the end of a revolution. The head is assumed to rotate
+/// at a constant rate until the circle or the image is full.
 /// @param columns  number of columns of the image; 0 if unknown
 void add_end_of_turn(std::map<int, double>& heads, int columns, double step_rad) {
     const int full = int(2.0 * kPi / std::abs(step_rad));

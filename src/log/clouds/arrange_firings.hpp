@@ -25,7 +25,7 @@ namespace relidar {
 Sweep arrange_firings(Points& points, const std::vector<int>& numbers, const SpinningSensor& sensor,
                       double step_rad);
 
-/// Sorts firings with known azimuths by azimuth, and assigns each point to its firing.
+/// Sorts firings by the azimuth of the head, and assigns each point to its firing.
 /// @param numbers  [points] firing number of each point
 /// @param head_rad  azimuth of the head for each firing number, also for firings without
 /// points

@@ -14,16 +14,16 @@
 
 namespace relidar {
 
-/// Collects the numbers and errors of broken scans. The number of a scan is either the
-/// index of a frame in the sequence or the index of a file.
+/// Collects the errors of scans that cannot be read. The number of a scan is the index of
+/// its frame or of its file.
 class BrokenScans {
 public:
     explicit BrokenScans(bool skip) : skip_(skip) {}
 
-    /// Runs one step of reading scan `index`. If the step fails and broken scans are
-    /// skipped, stores the error. Does nothing if an earlier step of scan `index` has
-    /// failed. Several threads can call this function at the same time.
-    /// @throws DataError of the step, unless broken scans are skipped
+    /// Calls `step`, which reads a part of scan `index`. If `step` throws, stores the
+    /// error and skips this scan in later calls. Several threads can call this function
+    /// at the same time.
+    /// @throws DataError of the step, unless the user allows broken scans
     template <class Step>
     void attempt(std::size_t index, const Step& step) {
         if (has(index)) return;
@@ -36,19 +36,18 @@ public:
     }
 
     bool has(std::size_t index) const;
-    /// Marks scan `index` as broken, regardless of the setting. Used for scans that can
-    /// be read but are incomplete, because missing points would be treated as dropped
-    /// rays.
+    /// Marks scan `index` as broken, even if the user does not allow broken scans. Used
+    /// for readable scans with missing points, because missing points would count as
+    /// dropped rays.
     void add(std::size_t index, const std::string& reason);
     std::size_t size() const { return reasons_.size(); }
 
-    /// Adds a note to the log for each broken scan.
+    /// Adds a note for the user about each broken scan.
     /// @param count  total number of scans
     /// @throws DataError if all scans are broken
     void tell(Sequence& sequence, std::size_t count) const;
-    /// Removes the frames of broken scans from the log and adds a note for each of them.
-    /// Also removes poses that no other frame uses. Scan numbers must be indices of
-    /// frames.
+    /// Removes the frames of broken scans, and poses that no other frame uses. Adds a
+    /// note for the user about each broken scan. Scan numbers must be indices of frames.
     /// @throws DataError if all scans are broken
     void leave_out(Sequence& sequence) const;
 

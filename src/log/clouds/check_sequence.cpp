@@ -16,17 +16,16 @@
 namespace relidar {
 namespace {
 
-// maximum difference between 1 and the length of a direction or quaternion
+// The length of a direction or quaternion may differ from 1 by at most this value.
 constexpr double kUnit = 1e-3;
-// Minimum time between two frames with different times. If poses are closer in time,
-// noise dominates the velocity.
+// Minimum time between poses. Velocities of closer poses would be mostly noise.
 constexpr double kLeastStep_s = 1e-3;
 constexpr double kLongestOffset_s = 10.0;  // maximum time between the firing of a ray and its frame
-// maximum distance from the origin of the world, and maximum range of a return
+// Upper limit of ranges, and of distances from the origin of the world.
 constexpr double kFarthest_m = 1e6;
 constexpr double kBoxReach_m =
-    // Maximum distance between a box and the vehicle. No log covers a longer distance. A
-    // box in map coordinates is usually farther away.
+    // Maximum distance between a box and the vehicle. Boxes that are wrongly in map
+    // coordinates are usually farther away.
     1e5;
 // maximum distance between the origin of a ray and the sensor
 constexpr double kLargestOrigin_m = 1000.0;
@@ -145,8 +144,8 @@ void check_sizes(const Scan& scan, const std::string& location) {
     }
 }
 
-/// Returns the name of the invalid field of a return. Returns null if range and intensity
-/// are valid. NaN is invalid.
+/// Returns the name of the invalid field of a return (range_m or intensity), or null if
+/// both are valid.
 const char* describe_wrong_return(float range_m, float intensity) {
     if (!(range_m >= 0.0f && range_m <= kFarthest_m)) return "range_m";
     if (!(intensity >= 0.0f && intensity <= (range_m > 0.0f ? 1.0f : 0.0f))) return "intensity";
@@ -199,7 +198,7 @@ void check_boxes(const Sequence& sequence) {
         check_track(box.world_from_box, where);
         for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
             const double t_s = box.world_from_box.time_s[k];
-            // skips labels that are before the first frame or after the last frame
+            // Skips labels with a time before the first frame or after the last frame.
             if (!sequence.world_from_vehicle.covers(t_s)) continue;
             const double distance_m = glm::distance(box.world_from_box.pose[k].translation,
                                                     sequence.world_from_vehicle.at(t_s).translation);

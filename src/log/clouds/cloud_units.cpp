@@ -10,9 +10,10 @@
 namespace relidar::bag {
 namespace {
 
-// Minimum and maximum duration of a cloud, relative to the time between clouds.
+// A time unit is plausible if the duration of a cloud, divided by the time between
+// clouds, is in this interval.
 constexpr double kLeastSpan = 0.05, kMostSpan = 3.0;
-// maximum difference between the time of a point and the time stamp of its message
+// Maximum difference between the time of a point and the time stamp of its cloud message.
 constexpr double kBesideStamp_s = 2.0;
 
 struct TimeUnit {
@@ -25,8 +26,8 @@ struct TimeRange {
     double first, last, stamp_s;
 };
 
-/// Returns the first and the last point time of each cloud. Skips clouds whose points
-/// have no times.
+/// Returns the times of the first and the last point of each cloud. Skips clouds without
+/// point times.
 std::vector<TimeRange> list_time_ranges(const std::vector<folder::PointTable>& clouds,
                                         const std::vector<double>& stamps_s) {
     std::vector<TimeRange> ranges;

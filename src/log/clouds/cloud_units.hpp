@@ -10,12 +10,12 @@
 
 namespace relidar::bag {
 
-/// The moment at which the time field of a point is 0.
+/// Reference time of the point times in a cloud: the moment at which they are 0.
 enum class TimeZero {
     none,   ///< unknown, because the points have no usable times
     stamp,  ///< offsets from the cloud's stamp
     epoch,  ///< zero of the clock that also gives the message stamps
-    /// zero of another clock; the first point of each cloud is assumed to be measured at
+    /// another clock with an unknown zero; the first point of a cloud gets the time of
     /// the message stamp
     sensor_clock
 };
@@ -23,14 +23,14 @@ enum class TimeZero {
 struct CloudUnits {
     TimeZero zero = TimeZero::none;
     double time_unit_s = 1.0;
-    /// True if all points of a cloud have the same time, because the cloud was
-    /// motion-compensated.
+    /// True if all points of a cloud have the same time, because the points were
+    /// motion-compensated to this time.
     bool is_deskewed = false;
     folder::PointMeaning meaning;
     std::string about;  ///< text about the point times for the notes of the log
 };
 
-/// Estimates the units of the point values from some clouds.
+/// Estimates the units of point times and intensities from some clouds.
 /// @param clouds  some clouds of the topic
 /// @param stamps_s  [clouds] time stamp of each cloud in seconds
 /// @param step_s  time between clouds in seconds

@@ -9,15 +9,15 @@
 
 namespace relidar {
 
-/// Minimum range of a return. If the point is nearer, its direction is undefined.
+/// Minimum range of a return. The direction of a nearer point is undefined.
 inline constexpr float kNearestReturn_m = 1e-3f;
 
-/// Returns true if a range belongs to a return. A ray without a return is stored with the
-/// range 0, NaN, an infinite range, or a negative range such as -1.
+/// Returns true if a range belongs to a return. Files store rays without a return with
+/// the range 0, NaN, infinity, or a negative value.
 inline bool is_return_range(double range_m) { return std::isfinite(range_m) && range_m > 0.0; }
 
-/// Returns true if a point is a return. A ray without a return is stored as a point at
-/// the sensor, or as a point with NaN or an infinite coordinate.
+/// Returns true if a point is a return. Files store rays without a return as points at
+/// the sensor, or with NaN or infinite coordinates.
 template <class Vector>
 bool is_return(const Vector& point_m) {
     return std::isfinite(point_m.x) && std::isfinite(point_m.y) && std::isfinite(point_m.z) &&

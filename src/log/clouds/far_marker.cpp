@@ -10,13 +10,12 @@
 namespace relidar {
 namespace {
 
-// Two ranges count as equal if their relative difference is smaller than this. Such
-// differences are rounding errors.
+// Ranges with a smaller relative difference are equal up to rounding errors.
 constexpr float kSameRange = 1e-5f;
 // The maximum range of a sensor is assumed to be a multiple of this length.
 constexpr float kRound_m = 0.5f;
-// Minimum and maximum share of the returns that have the largest range, if this range
-// marks dropped rays.
+// Some drivers store dropped rays at the maximum range. This is assumed only if the share
+// of these points is in this interval.
 constexpr double kLeastShare = 0.005, kMostShare = 0.95;
 constexpr std::size_t kFewest = 64;     // minimum number of returns that have the largest range
 constexpr std::size_t kFewestRows = 2;  // minimum number of beams with a return at the largest range
@@ -24,7 +23,7 @@ constexpr std::size_t kFewestRows = 2;  // minimum number of beams with a return
 float round_range(float range_m) { return kRound_m * std::round(range_m / kRound_m); }
 bool is_same_range(float first, float second) { return std::abs(first - second) <= kSameRange * second; }
 
-/// The returns of a LiDAR that are at its largest range.
+/// The returns of a LiDAR at its largest range. They may be dropped rays.
 struct FarReturns {
     float range_m = 0.0f;
     std::size_t n = 0, n_all = 0;

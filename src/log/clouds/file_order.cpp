@@ -12,18 +12,20 @@
 namespace relidar::folder {
 namespace {
 
-// Maximum step of the azimuth against the direction of rotation. A larger step is the gap
-// between the end of a ring and the start of the next ring.
+// The azimuth can jump back by at most this angle within a ring. A larger step back is
+// the gap between two rings.
 constexpr double kBack_rad = 3.0 * kPi / 180.0;
-// At least this share of the azimuth steps in a file must have the same sign.
+// Minimum share of azimuth steps with the same sign, if the points of a file are in the
+// order of rotation.
 constexpr double kMostlyOneWay = 0.9;
-// uses only every fourth point to find the azimuth at which the rings begin
+// The search for the start of the rings uses only every fourth point.
 constexpr std::size_t kStride = 4;
 constexpr std::size_t kFewestRings = 4, kMostOrderedRings = 256;
-// At least this share of the elevation steps from ring to ring must have the same sign.
+// Minimum share of steps up (or down) from ring to ring, if the rings are sorted by
+// elevation.
 constexpr double kSorted = 0.9;
-// Maximum distance of a point from the elevation of its ring, relative to the distance
-// between rings.
+// The median deviation of points from the elevation of their ring must be below this
+// share of the distance between rings.
 constexpr double kInRing = 0.5;
 
 double compute_point_azimuth(const glm::vec3& point) { return std::atan2(double(point.y), double(point.x)); }
@@ -31,8 +33,8 @@ double compute_point_elevation(const glm::vec3& point) {
     return std::atan2(double(point.z), std::hypot(double(point.x), double(point.y)));
 }
 
-/// Returns 1 if the azimuth increases at most points of the file. Returns -1 if it
-/// decreases at most points. Otherwise returns nothing.
+/// Returns the direction of rotation: 1 if the azimuth increases from point to point, -1
+/// if it decreases. Returns nothing if the points are not in the order of rotation.
 std::optional<double> estimate_direction(const Points& points) {
     std::size_t n_up = 0, n_down = 0;
     for (std::size_t i = 1; i < points.size(); ++i) {
@@ -64,7 +66,8 @@ std::vector<double> unwrap_azimuths_of_points(const Points& points, double turni
     return turned;
 }
 
-/// Returns for each point the number of full turns from the start of the first ring.
+/// Returns the ring of each point. A ring is one full turn of the azimuth, and ring 0
+/// starts at the azimuth `first_rad`.
 std::vector<std::uint16_t> number_turns(const std::vector<double>& turned, double first_rad) {
     std::vector<std::uint16_t> turns;
     turns.reserve(turned.size());
@@ -73,16 +76,17 @@ std::vector<std::uint16_t> number_turns(const std::vector<double>& turned, doubl
         first_turn = std::min(first_turn, std::floor((t - first_rad) / (2.0 * kPi)));
     int last = 0;
     for (const double t : turned) {
-        // Rounding may put the first point of a ring into the previous ring. Therefore
-        // the ring number must never decrease.
+        // With rounding errors, the first point of a ring may seem to be in the previous
+        // ring. Therefore ring numbers never decrease.
         last = std::max(last, int(std::floor((t - first_rad) / (2.0 * kPi)) - first_turn));
         turns.push_back(std::uint16_t(std::min(last, int(kMostOrderedRings))));
     }
     return turns;
 }
 
-/// Returns the median elevation of each ring. Uses only the farther half of the points,
-/// because the beam origin changes the elevation of near points.
+/// Returns the median elevation of each ring. Uses only the farther half of its points.
+/// Near points are less accurate, because a beam does not start exactly at the sensor
+/// origin.
 std::vector<double> compute_ring_elevations(const Points& points, const std::vector<std::uint16_t>& ring) {
     std::vector<std::vector<std::pair<float, double>>> seen;  // range and elevation
     for (std::size_t i = 0; i < points.size(); ++i) {
@@ -105,7 +109,7 @@ std::vector<double> compute_ring_elevations(const Points& points, const std::vec
     return elevations;
 }
 
-/// Returns the median distance between the elevations of points and of their rings.
+/// Returns the median difference between the elevation of a point and of its ring.
 double compute_median_ring_deviation(const Points& points, const std::vector<std::uint16_t>& ring,
                                      const std::vector<double>& elevations) {
     std::vector<double> off;
@@ -115,8 +119,8 @@ double compute_median_ring_deviation(const Points& points, const std::vector<std
     return compute_median(off);
 }
 
-/// Returns the mean distance between the elevations of points and of their rings. If a
-/// few points are in a wrong ring, the mean increases, but the median does not.
+/// Returns the mean difference between the elevation of a point and of its ring. Unlike
+/// the median, the mean increases if only a few points are in a wrong ring.
 double compute_mean_ring_deviation(const Points& points, const std::vector<std::uint16_t>& ring,
                                    const std::vector<double>& elevations) {
     double sum = 0.0;
@@ -125,8 +129,8 @@ double compute_mean_ring_deviation(const Points& points, const std::vector<std::
     return sum / double(points.size());
 }
 
-/// Returns the azimuth at which the rings of a scan begin. Tests many azimuths and
-/// selects the one for which the points are closest to the elevations of their rings.
+/// Returns the azimuth at which the rings of a file begin. Tests many azimuths and
+/// selects the one with the smallest deviation of points from their rings.
 double find_first_azimuth(const Points& points, const std::vector<double>& turned) {
     Points some;
     std::vector<double> some_turned;
@@ -182,7 +186,7 @@ FileOrder::FileOrder(const std::vector<Points>& scans) {
         const std::vector<std::uint16_t> ring =
             number_turns(unwrap_azimuths_of_points(scan, turning_), first_azimuth_rad_);
         std::vector<double> elevations = compute_ring_elevations(scan, ring);
-        // Use the scan with the most rings, because there each beam has returns.
+        // Uses the scan with the most rings, because every beam has returns in this scan.
         if (elevations.size() > elevation_rad_.size() && are_rings(scan, ring, elevations))
             elevation_rad_ = std::move(elevations);
     }

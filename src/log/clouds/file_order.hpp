@@ -12,18 +12,19 @@
 
 namespace relidar::folder {
 
-/// Order in which the files of a LiDAR store the points.
+/// Detects ring numbers from the order in which the files of a LiDAR store the points.
 class FileOrder {
 public:
-    /// Checks whether the files store their points ring by ring.
+    /// Tests whether the files store their points one ring after another.
     /// @param scans  some scans of the LiDAR
     explicit FileOrder(const std::vector<Points>& scans);
-    /// Returns true if the files store points ring by ring, with at least 4 rings.
+    /// Returns true if the files store points one ring after another, with at least 4
+    /// rings.
     bool has_ring_numbers() const { return !elevation_rad_.empty(); }
     std::size_t n_rings() const { return elevation_rad_.size(); }
-    /// Sets the ring of each point. Ring 0 is the first ring in the files. If a scan has
-    /// fewer rings than the others, each of its rings gets the number of the ring with
-    /// the nearest elevation.
+    /// Sets the ring of each point. Ring 0 is the first ring in the files. If rings are
+    /// missing in a scan, each of its rings gets the number of the ring with the nearest
+    /// elevation.
     void set_rings(Points& points) const;
 
 private:

@@ -21,14 +21,14 @@ namespace {
 
 constexpr double kLeastStep_rad = 2e-4;  // minimum azimuth step between two firings (about 0.01 degrees)
 constexpr double kLargestStep_rad = 0.2;
-// Maximum relative difference between the tested numbers of columns and the first
-// estimate.
+// Numbers of columns that differ from the first estimate by at most this share are
+// tested.
 constexpr double kTried = 0.03;
-// Minimum of |S_r| divided by the number of points. If the value is smaller, the azimuths
-// are not on a regular grid.
+// The azimuths are on a regular grid if |S_r|, summed over the rings and divided by the
+// number of points, is above this value.
 constexpr double kCoherent = 0.5;
-// A ring may have more points than the estimated number of columns. The number of columns
-// is then increased, at most by this factor.
+// The number of columns is increased to the number of points in the fullest ring, at most
+// by this factor.
 constexpr double kMostColumns = 1.1;
 constexpr std::size_t kFewestSteps = 16;
 constexpr std::size_t kMostRings = 4096;
@@ -41,7 +41,7 @@ double interpolate_quantile(std::vector<double>& values, double share) {
     return *at;
 }
 
-/// Indices and azimuths of the first returns in one ring.
+/// Points of one ring, without second returns: their indices and azimuths.
 struct Ring {
     std::vector<std::size_t> point;
     std::vector<double> azimuth_rad;
@@ -58,9 +58,9 @@ Rings group_points_by_ring(const Points& scan, std::size_t n_rings) {
     return rings;
 }
 
-/// Returns the median elevation of each ring. Uses only the farther half of the points,
-/// because the beam origin changes the elevation of near points. Returns nothing for a
-/// ring without points.
+/// Returns the median elevation of each ring, or nothing for a ring without points. Uses
+/// only the farther half of the points. Near points are less accurate, because a beam
+/// does not start exactly at the sensor origin.
 std::vector<std::optional<double>> estimate_elevations(const std::vector<Points>& scans,
                                                        std::size_t n_rings) {
     struct Seen {
@@ -87,8 +87,8 @@ std::vector<std::optional<double>> estimate_elevations(const std::vector<Points>
 }
 
 /// Estimates the number of columns per revolution from the azimuth steps between
-/// neighbouring points of a ring. Uses the lower quartile of the steps, because a step
-/// across dropped rays spans several columns.
+/// neighbouring points of a ring. Uses the lower quartile of the steps, because steps
+/// across dropped rays are longer.
 int estimate_columns(const Points& scan, const Rings& rings) {
     std::vector<double> steps;
     for (const Ring& ring : rings) {
@@ -107,8 +107,8 @@ int estimate_columns(const Points& scan, const Rings& rings) {
     return int(std::lround(2.0 * kPi / interpolate_quantile(steps, 0.25)));
 }
 
-/// Returns the complex sum S_r(N) of exp(i N azimuth) for each ring r, where N is the
-/// number of columns.
+/// Returns S_r(N), the sum of exp(i N azimuth) over the points of ring r, for each ring.
+/// |S_r| is large if the azimuths are on a grid of N columns.
 std::vector<std::complex<double>> compute_phases(const Rings& rings, int columns) {
     std::vector<std::complex<double>> sums;
     for (const Ring& ring : rings) {
@@ -119,9 +119,8 @@ std::vector<std::complex<double>> compute_phases(const Rings& rings, int columns
     return sums;
 }
 
-/// Returns the sum of |S_r(N)| over all rings, for `count` consecutive values of N that
-/// start with `first`. Computes exp(i N azimuth) by multiplying the previous value with
-/// exp(i azimuth).
+/// Returns the sum of |S_r(N)| over all rings r, for `count` consecutive numbers of
+/// columns N, starting with `first`.
 std::vector<double> compute_lengths(const Rings& rings, int first, std::size_t count) {
     std::vector<double> lengths(count, 0.0);
     for (const Ring& ring : rings) {
@@ -156,8 +155,8 @@ Lattice find_lattice(const Points& scan, const Rings& rings) {
         compute_lengths(rings, first, std::size_t(lattice.columns + reach + 1 - first));
     const auto best = std::ranges::max_element(lengths);
     if (*best <= kCoherent * double(scan.size())) {
-        // A ring has at most one first return per column, so use the largest number of
-        // first returns.
+        // A ring has at most one first return per column. Therefore the fullest ring
+        // gives the number of columns.
         std::size_t most = 0;
         for (const Ring& ring : rings) most = std::max(most, ring.point.size());
         lattice.columns = std::clamp(int(std::min<std::size_t>(most, kMaxRays)), lattice.columns,
@@ -173,9 +172,8 @@ Lattice find_lattice(const Points& scan, const Rings& rings) {
     return lattice;
 }
 
-/// Estimates the rotation rate of the head from the azimuths and times of points. The
-/// unit is radians per second, positive for a counterclockwise rotation. Returns nothing
-/// if the points have no times.
+/// Estimates the rotation rate of the LiDAR's head in radians per second, positive if
+/// counterclockwise. Returns nothing if the points have no times.
 std::optional<double> estimate_turning_rate(const Points& scan, const Rings& rings) {
     if (scan.time_offset_s.empty()) return std::nullopt;
     double turned = 0.0, passed_s = 0.0;

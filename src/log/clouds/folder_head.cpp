@@ -48,7 +48,7 @@ std::vector<std::string> read_texts_or_none(const JsonField& field, const std::s
     return texts;
 }
 
-/// Returns the index of the field's text in a list of allowed words.
+/// Returns the index of a JSON text in a list of allowed words.
 std::size_t read_choice(const JsonField& field, const std::vector<std::string>& words) {
     const auto at = std::find(words.begin(), words.end(), field.text());
     if (at == words.end())
@@ -63,8 +63,8 @@ glm::dquat read_quaternion(const JsonField& field) {
     const glm::dquat rotation(q[0], q[1], q[2], q[3]);
     if (std::abs(glm::length(rotation) - 1.0) > 1e-3)
         field.fail(fmt::format("found a quaternion of length {}", glm::length(rotation)), "expected 1");
-    // Do not normalise the quaternion, because this would only change its last digit. The
-    // function check_sequence() accepts small errors of the length.
+    // Does not normalise the quaternion, because this would only change its last digits.
+    // check_sequence() accepts small errors of its length.
     return rotation;
 }
 
@@ -79,10 +79,11 @@ Pose read_mounting(const JsonField& field, const std::string& location) {
     return {read_quaternion(field.at("quaternion")), {t[0], t[1], t[2]}};
 }
 
-/// Sets the sensor of a LiDAR. Reads the name of a built-in sensor or of a sensor file.
+/// Sets the sensor of a LiDAR. The JSON field contains the name of a built-in sensor or
+/// of a sensor file.
 void name_sensor(const JsonField& field, const fs::path& folder, bool spins, Lidar& lidar) {
     const std::string name = field.text(kLongestPath);
-    // maximum range of the sensor, used if the sensor file does not contain one
+    // maximum range, used if the sensor file does not contain one
     const double max_range_m = lidar.sensor.max_range_m;
     const auto is_file = [&](const char* ending) { return name.find(ending) != std::string::npos; };
     const SensorModel model =
@@ -94,9 +95,9 @@ void name_sensor(const JsonField& field, const fs::path& folder, bool spins, Lid
     set_sensor(lidar, model);
 }
 
-/// Reads a sensor from a JSON object. The object is {"<kind>": {...}}, or it contains the
-/// keys of a spinning sensor directly. If the object has no sweep period, uses the time
-/// between frames.
+/// Reads the sensor of a LiDAR from a JSON object: {"<kind>": {...}}, or the keys of a
+/// spinning sensor. If the sweep period is missing, the reader uses the time between
+/// frames.
 void read_sensor(const JsonField& field, bool spins, Lidar& lidar) {
     const double max_range_m = lidar.sensor.max_range_m;
     const PatternKind* kind = find_pattern_kind(field);
@@ -173,25 +174,25 @@ std::vector<HeadFrame> read_listed_frames(const JsonField& field, const std::vec
     return frames;
 }
 
-/// Returns true if a file in the folder of the log may be a table of beams, because it is
-/// a CSV file.
+/// Returns true for a CSV file directly in the folder of the log. Such a file may be a
+/// table of beams instead of a scan.
 bool is_table_beside(const fs::path& file, const fs::path& folder) {
     return file.extension() == ".csv" && file.parent_path() == folder;
 }
 
-/// Returns true if a file is a table of numbers in text form.
+/// Returns true if a file contains numbers as text, according to its extension.
 bool is_text(const fs::path& file) { return file.extension() == ".csv" || file.extension() == ".xyz"; }
 
-/// Lists the scan files in the folder of each LiDAR, sorted by name. Sets the times of
-/// the frames from the constant frame rate `rate_hz`.
+/// Lists the scan files of each LiDAR, sorted by name. Frame times are computed from the
+/// constant frame rate `rate_hz`.
 std::vector<HeadFrame> find_frames_in_folders(double rate_hz, const std::vector<HeadLidar>& lidars,
                                               const fs::path& folder) {
     std::vector<HeadFrame> frames;
     for (std::size_t l = 0; l < lidars.size(); ++l) {
         int number = 0;
         const std::vector<fs::path> files = list_folder((folder / lidars[l].scans).lexically_normal());
-        // Tables of numbers are scans only if the folder has no other scans. Otherwise a
-        // table of time stamps next to the scans would become a scan.
+        // Text files are scans only if the folder has no other scans, because they may
+        // contain time stamps instead.
         const bool has_scans = std::ranges::any_of(
             files, [](const fs::path& f) { return !is_text(f) && (is_point_file(f) || is_image_file(f)); });
         for (const fs::path& file : files)

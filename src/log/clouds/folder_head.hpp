@@ -27,18 +27,18 @@ inline constexpr std::size_t kLongestName = 200, kLongestText = 10000, kLongestP
 struct PointUnits {
     /// Names of the columns in .bin and .npy files. Empty means x y z intensity.
     std::vector<std::string> columns;
-    /// Intensity in the file that becomes 1. If not set, intensities are not scaled, and
-    /// an intensity above 1 is an error.
+    /// File value of the intensity 1. If not set, intensities are not scaled, and values
+    /// above 1 are an error.
     std::optional<double> intensity_max;
     double time_unit_s = 1.0;
-    /// True if point times are times of the log. If false, they are relative to the time
-    /// of the frame.
+    /// True if the point times use the clock of the log. False if they are relative to
+    /// the time of their frame.
     bool absolute_times = false;
-    /// Name of the field that contains the intensities. If empty, uses the first field
-    /// with a known name for intensities.
+    /// Name of the field with the intensities. If empty, the first field with a usual
+    /// name is used.
     std::string intensity_field = {};
-    /// Position that also marks a ray without a return, in addition to the usual marks
-    /// such as NaN.
+    /// Points at exactly this position are rays without a return, in addition to points
+    /// with NaN.
     std::optional<glm::vec3> no_return = {};
     double time_zero = 0.0;  ///< time of a point at 0 s, in the time unit of the file
 };
@@ -48,12 +48,12 @@ struct HeadLidar {
     Lidar lidar;
     bool has_beams = false;  ///< true if the beams are known, from a list or from the name of the sensor
     bool spins = true;       ///< true if the LiDAR rotates; unknown beams can then be estimated from points
-    /// True if it is unknown whether the LiDAR rotates. Then points that do not fit a
-    /// spinning LiDAR are not an error.
+    /// True if it is unknown whether the LiDAR rotates. Points that do not fit a spinning
+    /// LiDAR are then accepted.
     bool is_guessed = false;
     bool lowest_first = false;  ///< true if ring 0 of the scan files is the lowest beam
-    /// Duration of a sweep in seconds, used if the points have no times. If 0, the time
-    /// between frames is used instead.
+    /// Duration of a sweep in seconds, for points without times. 0: uses the time between
+    /// frames.
     double turn_s = 0.0;
     std::string scans;  ///< folder with the scan files; used if sequence.json does not list frames
 };
@@ -75,8 +75,8 @@ struct Head {
     std::optional<glm::dvec3> world_offset_m;
 };
 
-/// Reads sequence.json. If this file does not list the scans, lists the files in the scan
-/// folders.
+/// Reads sequence.json, which describes a log in a plain folder. If the file does not
+/// list the scans, lists the files in the scan folders.
 /// @param max_range_m  maximum range of sensors for which the file contains none
 Head read_head(const std::filesystem::path& folder, double max_range_m);
 
@@ -93,17 +93,16 @@ std::optional<std::vector<Pose>> read_poses(const std::filesystem::path& file,
                                             const std::vector<HeadFrame>& frames, const ReadPairs& read_pairs,
                                             std::vector<std::string>& notes);
 
-/// Reads the boxes from boxes.json. Returns no boxes if the file does not exist. If only
-/// some frames of the log are loaded, ignores all labels outside the time of these
-/// frames.
+/// Reads labelled boxes from boxes.json. Returns no boxes if the file does not exist.
+/// Ignores labels outside the time of the loaded frames.
+/// @param frames  loaded frames
 /// @param all  all frames of the log, because labels can refer to frames by number
 std::vector<BoxTrack> read_boxes(const std::filesystem::path& file, const std::vector<HeadFrame>& frames,
                                  const std::vector<HeadFrame>& all);
 
-/// Reads the scans of all frames in sequence.frames. The frames must already have poses.
-/// If the beams of a LiDAR are unknown, estimates them from the points. Motion
-/// compensation can be undone only if the log has poses (options.poses_file is not
-/// kNoPoses).
+/// Reads the scans of all frames, which must already have poses. Estimates unknown beams
+/// from the points. Undoes motion compensation only if the log has poses
+/// (options.poses_file is not kNoPoses).
 /// @param files  [frames] scan file of each frame
 void read_scans(Sequence& sequence, const Head& head, const std::vector<std::filesystem::path>& files,
                 const DatasetOptions& options);

@@ -20,16 +20,17 @@ namespace relidar::folder {
 namespace {
 
 constexpr float kFarthestCoordinate_m = 1e6f;
-// Maximum angle between two returns of one ray, stored as 1 - cosine. The angle is 1.4
-// mrad, because coordinates may be rounded.
+// Returns of one ray have nearly the same direction. This is the limit of 1 - cos(angle),
+// for an angle of 1.4 mrad. Rounded coordinates need this tolerance.
 constexpr float kOneRay = 1e-6f;
 
 /// Returns true if a return is the strongest of its ray. The argument is Nebula's
 /// ReturnType: 3 strongest, 6 identical, 9 and 10 strongest and first or last.
 bool is_strongest(double type) { return type == 3.0 || type == 6.0 || type == 9.0 || type == 10.0; }
 
-/// Returns true if a field contains the distances of the points from the sensor, in any
-/// unit. Another field may have a similar name, for example the distance from a plane.
+/// Returns true if the values of a field are the distances of the points from the sensor,
+/// in any unit. A field with a similar name can contain something else, such as the
+/// distance from a plane.
 /// @param marked  points whose value is no range
 bool are_ranges(const FieldValues& ranges, const std::vector<glm::vec3>& points,
                 const std::vector<char>& marked) {
@@ -48,9 +49,8 @@ bool are_ranges(const FieldValues& ranges, const std::vector<glm::vec3>& points,
     return double(n) >= kFewest * double(ratios.size());
 }
 
-/// Returns for each point whether its field `range` marks a ray without a return. Returns
-/// an empty array if the points have no such field, or if the field does not contain the
-/// distances of the points.
+/// Returns for each point whether its field `range` says that the ray has no return.
+/// Returns an empty array if the field does not exist or contains no ranges.
 std::vector<char> flag_far_points(const PointTable& table, const std::vector<glm::vec3>& points) {
     const FieldValues* ranges = table.find(PointValue::range);
     std::vector<char> marked;
@@ -63,7 +63,7 @@ std::vector<char> flag_far_points(const PointTable& table, const std::vector<glm
     return marked;
 }
 
-/// Returns the indices and the positions of all points that are returns.
+/// Returns the indices and positions of all points that are returns, not dropped rays.
 std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> find_returns(
     const PointTable& table, const std::array<const FieldValues*, 3>& xyz, const PointUnits& units) {
     std::vector<glm::vec3> all(table.n);
@@ -81,13 +81,13 @@ std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> find_returns(
     return returns;
 }
 
-/// Converts the values of selected points to the units of a scan.
+/// Converts values of a point file to the units of a scan, for selected points.
 struct Conversion {
     std::vector<std::uint32_t> kept;
     const std::string& where;
 
-    /// Converts one field. Calls set(k, of_value(value)) for the k-th selected point.
-    /// @throws DataError if of_value throws; adds the number of the point to the message
+    /// Converts a field: calls set(k, of_value(value)) for the k-th selected point.
+    /// @throws DataError of of_value, with the number of the point added to the message
     template <class OfValue, class Set>
     void each(const FieldValues& field, const OfValue& of_value, const Set& set) const {
         field.visit([&](const auto& value_at) {
@@ -109,9 +109,8 @@ struct Conversion {
     }
 };
 
-/// Returns the number that the file uses for first returns. Some files count returns from
-/// 1, others from 0. So the function returns the smallest number, because every scan has
-/// first returns.
+/// Returns the number that a file uses for first returns: 1 if the file counts from 1,
+/// otherwise 0. Every file has first returns, so this is the smallest number.
 double find_first_return_number(const FieldValues& number, std::size_t count) {
     double least = number[0];
     number.visit([&](const auto& number_at) {
@@ -131,7 +130,7 @@ void reorder_values(std::vector<T>& values, const std::vector<std::size_t>& orde
 }
 
 /// Sets the return number of each point. Points with the same ring, time and direction
-/// belong to one ray. The strongest point of a ray becomes the first return.
+/// are returns of one ray. The strongest of them becomes the first return.
 /// @param type  [points] return type of each point
 void number_returns(Points& points, const std::vector<double>& type) {
     const std::size_t n = points.size();

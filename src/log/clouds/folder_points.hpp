@@ -21,8 +21,8 @@ namespace relidar::folder {
 Points make_points(const PointTable& table, const PointUnits& units, double time_s,
                    const std::string& location);
 
-/// Interface that provides the scan of each frame, from files of a folder or from
-/// messages of a recording. Several threads can call the functions at the same time.
+/// Provides the scan of each frame, from files of a folder or from messages of a bag.
+/// Several threads can call the functions at the same time.
 class ScanSource {
 public:
     virtual ~ScanSource() = default;
@@ -34,10 +34,9 @@ public:
     virtual Scan rays(std::size_t frame) const = 0;
 };
 
-/// Reads the scans of all frames in sequence.frames. The frames must already have poses.
-/// If the beams of a LiDAR are unknown, estimates them from the points. Motion
-/// compensation can be undone only if the log has poses (options.poses_file is not
-/// kNoPoses).
+/// Reads the scans of all frames, which must already have poses. Estimates unknown beams
+/// from the points. Undoes motion compensation only if the log has poses
+/// (options.poses_file is not kNoPoses).
 void read_scans(Sequence& sequence, const Head& head, const ScanSource& source,
                 const DatasetOptions& options);
 

@@ -31,11 +31,11 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr std::size_t kSamples = 6;  // number of scans per LiDAR that are used to estimate its beams
-// period of a sweep in seconds, used if the log has only one frame
+// sweep period in seconds that is assumed if the log has only one frame
 constexpr double kUsualPeriod_s = 0.1;
 
-/// Returns the number of first returns of a scan. If the image of the scan contains fewer
-/// first returns, some points were lost.
+/// Counts the points that are the first return of their ray. Comparing this count with
+/// the finished scan shows how many points were lost.
 std::size_t count_first_returns(const Points& points) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < points.size(); ++i) {
@@ -46,18 +46,18 @@ std::size_t count_first_returns(const Points& points) {
     return n;
 }
 
-/// Settings for converting the points of one LiDAR to scans.
+/// How the points of one LiDAR are converted to scans.
 struct Plan {
     /// true if points are assigned to beams and columns; false if each point becomes a
     /// ray
     bool ordered = false;
-    /// true if the files of the LiDAR contain rings; true if they contain times
+    /// true if the points in the files have ring numbers, and if they have times
     bool has_rings = false, has_times = false;
     bool undo = false;  ///< true: motion compensation is undone
-    /// [rings] beam of each ring in the file. kNoBeam means that points of the ring are
-    /// ignored.
+    /// [rings] beam of each ring number in the files; kNoBeam: points of this ring are
+    /// ignored
     std::vector<std::uint16_t> beam_of_ring;
-    /// Order in which the files store the points. Set if the points have no rings, but
+    /// Order of the points in the files. Set if the points have no ring numbers, but
     /// their order shows the rings.
     std::optional<FileOrder> order;
 };
@@ -166,12 +166,13 @@ private:
     const bool has_poses_;
     BrokenScans& broken_;
     std::vector<Plan> plans_;  ///< [lidars] settings for converting the points of each LiDAR
-    /// [frames] points that were read to estimate the beams; reused when the scan is read
+    /// [frames] points that were read to estimate the beams, so that they are not read
+    /// again
     std::map<std::size_t, Points> samples_;
     std::vector<std::size_t> left_out_;  ///< [frames] number of ignored points
     std::vector<std::size_t> n_first_;   ///< [frames] number of first returns
-    /// [frames] number of first returns that were lost because another point was on the
-    /// same ray
+    /// [frames] number of first returns that were lost, because their ray already had a
+    /// point
     std::vector<std::size_t> behind_;
 
     void note(const std::string& text) {
@@ -191,8 +192,8 @@ private:
         return points;
     }
 
-    /// Returns the duration of a revolution if the user states it. Otherwise, returns the
-    /// median time between frames of the LiDAR.
+    /// Returns the duration of a revolution as stated by the user. If it is not stated,
+    /// returns the median time between frames of the LiDAR.
     double estimate_frame_step_s(std::size_t lidar) const {
         if (head_.lidars[lidar].turn_s > 0.0) return head_.lidars[lidar].turn_s;
         std::vector<double> steps;
@@ -205,8 +206,8 @@ private:
         return steps.empty() ? kUsualPeriod_s : compute_median(std::move(steps));
     }
 
-    /// Sets the sweep period of a LiDAR whose files contain rays. If the beams of the
-    /// LiDAR are unknown, it does not rotate, so the period is 0.
+    /// Sets the sweep period of a LiDAR whose files store rays instead of points. A LiDAR
+    /// with unknown beams is treated as not rotating (period 0).
     void check_rays(std::size_t lidar) {
         SpinningSensor& sensor = sequence_.lidars[lidar].sensor;
         if (!head_.lidars[lidar].has_beams) sensor.period_s = 0.0;
@@ -245,7 +246,7 @@ private:
                  "the scans are motion-compensated, which cannot be undone without times of points and "
                  "poses; all rays start at the position of the sensor at the time of the frame");
         for (std::size_t k = 0; k < samples.size(); ++k) {
-            // Remove the rings again, because they were estimated only to fit the sensor.
+            // Removes ring numbers that were estimated only to fit the sensor.
             if (!plan.has_rings) samples[k].ring.clear();
             samples_.emplace(of_sample[k], std::move(samples[k]));
         }
@@ -301,11 +302,11 @@ private:
                                                   : ""));
     }
 
-    /// Computes ring numbers for points that have none. Returns false if the rings cannot
-    /// be derived from the elevations or from the order of the points.
+    /// Sets ring numbers of points that have none, from their elevations or from their
+    /// order. Returns false if neither shows the rings.
     bool find_rings(std::size_t lidar, std::vector<Points>& samples) {
-        // Try the elevations before the order, because the rings of an Ouster begin at
-        // different azimuths and the order cannot show them.
+        // Elevations are tried first. The rings of an Ouster begin at different azimuths,
+        // so the order of its points cannot show them.
         if (const std::vector<Beam> beams = find_beams(samples); !beams.empty()) {
             for (Points& sample : samples) recover_rings(sample, beams);
             return true;
@@ -317,8 +318,8 @@ private:
         return true;
     }
 
-    /// Returns a hint for the user: sequence.json can state the sensor. Returns an empty
-    /// string if the log is not a plain folder.
+    /// Returns a hint that the user can set the sensor in sequence.json. Returns an empty
+    /// string for a log without this file.
     std::string suggest_sensor_setting(std::size_t lidar) const {
         return head_.lidars[lidar].is_guessed ? ""
                                               : "; use \"sensor\" of the LiDAR in sequence.json to set its "
@@ -350,8 +351,8 @@ private:
         }
     }
 
-    /// Replaces the ring numbers of the file by relidar's beam numbers. Removes points
-    /// whose ring is not a known beam.
+    /// Replaces ring numbers of the file by beam numbers. Removes points of rings without
+    /// a beam.
     Points renumber_rings(const Points& points, const Plan& plan, std::size_t index) {
         Points kept;
         for (std::size_t p = 0; p < points.size(); ++p) {
@@ -376,8 +377,8 @@ private:
     }
 };
 
-/// Reads the points of some files, evenly spread over the log. Skips files that cannot be
-/// read, because the error is reported when the scans are read.
+/// Reads the points of a few files, evenly spread over the log. Skips unreadable files,
+/// because the error is reported later, when all scans are read.
 std::vector<PointTable> sample_tables(const std::vector<fs::path>& files,
                                       const std::vector<std::string>& columns) {
     std::vector<fs::path> with_points;
@@ -394,7 +395,7 @@ std::vector<PointTable> sample_tables(const std::vector<fs::path>& files,
     return samples;
 }
 
-/// Estimates the intensity scale of .npz files from some of them.
+/// Estimates the intensity scale of a log from a few of its .npz files.
 IntensityScale scale_of_images(const std::vector<fs::path>& files) {
     std::vector<fs::path> images;
     std::ranges::copy_if(files, std::back_inserter(images),
@@ -413,9 +414,9 @@ IntensityScale scale_of_images(const std::vector<fs::path>& files) {
     return find_scale(intensities);
 }
 
-/// Estimates the units that sequence.json does not state, from the points of some scans.
-/// If the scale of the intensities is ambiguous, it stays unset, and an intensity above 1
-/// is an error later.
+/// Estimates units that sequence.json does not contain from the points of some scans. If
+/// the intensity scale is ambiguous, it stays unset, and intensities above 1 cause an
+/// error later.
 void find_units(Head& head, const std::vector<fs::path>& files, std::vector<std::string>& notes) {
     const std::vector<PointTable> samples = sample_tables(files, head.units.columns);
     PointMeaning meaning = find_meaning(samples);

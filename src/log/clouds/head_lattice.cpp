@@ -25,14 +25,16 @@ Sweep make_even_sweep(const Points& points, const SpinningSensor& sensor) {
     Sweep sweep{{sensor.columns, 0.0}, {}};
     const std::vector<BeamGeometry> beams = make_beam_geometries(sensor.beams);
     const BeamGeometry ideal((Beam()));
-    // The phase of this sum is the mean distance of the head azimuths from the grid.
+    // The phase of this sum is the mean offset of the head azimuths from a grid at
+    // azimuth 0.
     std::complex<double> sum = 0.0;
     for (std::size_t i = 0; i < points.size(); ++i) {
         const BeamGeometry& beam = points.ring[i] < beams.size() ? beams[points.ring[i]] : ideal;
         sum += std::polar(1.0, sensor.columns * beam.compute_head_azimuth(glm::dvec3(points.position_m[i])));
     }
     sweep.lattice.zero_rad = std::arg(sum) / sensor.columns;
-    // List the grid steps in descending order. The first one is the step nearest to +pi.
+    // Lists the grid steps of one revolution in clockwise order, starting near the
+    // azimuth +pi.
     int last = sweep.lattice.tick(kPi);
     if (sweep.lattice.compute_azimuth(last) < 0.0) last = (last + sensor.columns - 1) % sensor.columns;
     for (int i = 0; i < sensor.columns; ++i)

@@ -10,23 +10,22 @@
 namespace relidar {
 namespace {
 
-// Maximum spread of the elevations in a ring of a spinning LiDAR, as the difference
-// between the 10th and the 90th percentile. Only the farther half of the points is used.
+// Points of one ring have nearly the same elevation if the LiDAR rotates. This limits the
+// difference between the 10th and 90th percentile of the farther points.
 constexpr double kMostSpread_rad = 1.5 * kPi / 180.0;
-// Minimum azimuth range without points of a sensor with a limited field of view. A
-// smaller range may be blocked by the vehicle.
+// A wider range of azimuths without points shows a limited field of view. A narrower one
+// can be blocked by the vehicle.
 constexpr double kLeastGap_rad = kPi / 3.0;
-// Maximum difference between the period of revolution and the time between scans,
-// relative to the time between scans.
+// Maximum relative difference between the period of rotation and the time between scans.
 constexpr double kOtherPeriod = 0.2;
-// minimum number of points of a ring; rings with fewer points are ignored
+// Rings with fewer points are ignored.
 constexpr std::size_t kFewestPoints = 50;
 
 double compute_elevation(const glm::vec3& point) {
     return std::atan2(double(point.z), std::hypot(double(point.x), double(point.y)));
 }
 
-/// Computes the spread of the elevations in each ring. Returns the median over all rings.
+/// Returns the spread of the elevations within a ring, as the median over all rings.
 double compute_ring_spread(const Points& scan) {
     std::vector<std::vector<std::pair<float, double>>> rings;  // range and elevation
     for (std::size_t i = 0; i < scan.size(); ++i) {
@@ -57,7 +56,8 @@ double compute_widest_gap(const std::vector<Points>& scans) {
             seen[std::size_t((std::atan2(double(p.y), double(p.x)) / (2.0 * kPi) + 0.5) * kBins) % kBins] =
                 true;
     std::size_t widest = 0, run = 0;
-    // scans the circle twice, because a range without points may cross the last bin
+    // Visits the bins twice, because a gap without points may cross the end of the
+    // circle.
     for (std::size_t b = 0; b < 2 * kBins; ++b) {
         run = seen[b % kBins] ? 0 : run + 1;
         widest = std::max(widest, std::min(run, kBins));

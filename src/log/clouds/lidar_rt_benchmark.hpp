@@ -16,8 +16,8 @@ struct BenchmarkSequence {
     const char* name;
     const char* drive;  ///< a part of the drive's name in the dataset; it identifies the drive
     int first, last;    ///< first and last frame
-    /// The paper uses four frames for testing and the others for training. The test
-    /// frames are test_first, test_first + test_every, and so on.
+    /// The paper uses four frames as the test set: test_first, test_first + test_every,
+    /// and so on. All other frames are for training.
     int test_first, test_every;
 };
 inline constexpr int kBenchmarkTestFrames = 4;
@@ -38,18 +38,17 @@ inline constexpr BenchmarkSequence kWaymoBenchmark[] = {
 
 /// Drive and frames that the user requested.
 struct ChosenSequence {
-    /// name of the drive that the user requested, or drive of the requested sequence of
-    /// the paper
+    /// name of the drive (a recording of the dataset) that the user requested directly,
+    /// or as part of a sequence of the paper
     std::string drive;
-    /// Requested frames. If the user requested a sequence of the paper, contains only
-    /// frames of this sequence.
+    /// Requested frames. For a sequence of the paper, only frames of this sequence.
     FrameRange frames;
     bool is_benchmark = false;
-    /// Requested frames that the paper uses for testing. Empty unless the user requested
-    /// a sequence of the paper.
+    /// Requested frames in the test set of the paper. Empty if the user did not request a
+    /// sequence of the paper.
     std::vector<int> test_frames = {};
 };
-/// Returns the drive and the frames that the options request.
+/// Returns the drive (a recording of the dataset) and the frames that the user requested.
 /// @throws UsageError if the requested frames do not overlap the sequence of the paper
 ChosenSequence choose_sequence(const DatasetOptions& options, std::span<const BenchmarkSequence> parts);
 

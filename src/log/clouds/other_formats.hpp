@@ -8,12 +8,12 @@
 
 namespace relidar {
 
-/// Returns a text with the format of a file and the tool that converts it to a supported
-/// format. Returns an empty string if the extension of the file is unknown.
+/// Returns a text that names the format of a file and a tool that converts it to a
+/// supported format. Returns an empty string if the extension of the file is unknown.
 std::string describe_unsupported_format(const std::filesystem::path& file);
 
-/// Returns a text about the first file of a folder whose format is known but not
-/// supported. Returns an empty string if the folder contains no such file.
+/// Searches a folder for a file in a known format that is not supported, and returns a
+/// text about the first one. Returns an empty string if there is none.
 std::string describe_other_files(const std::filesystem::path& folder);
 
 }  // namespace relidar

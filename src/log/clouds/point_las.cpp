@@ -73,8 +73,9 @@ LasHeader read_header(std::string_view bytes, const std::string& location) {
     return header;
 }
 
-/// Refuses a map. The sensor of a scan is at the origin, so its points begin near the
-/// origin. They need not surround the origin, because a sensor can look forward only.
+/// Rejects maps and survey data. A scan has its sensor at the origin, so its points are
+/// near the origin. They need not surround the origin, because some sensors only look
+/// forward.
 void check_is_scan(const std::array<std::vector<double>, 3>& position_m, const std::string& location) {
     for (std::size_t axis = 0; axis < 2; ++axis) {
         const auto [least, most] = std::ranges::minmax(position_m[axis]);

@@ -15,11 +15,11 @@
 namespace relidar::folder {
 namespace {
 
-// Maximum values of the usual intensity scales: percent, 8 bits and 16 bits.
+// Largest values of the usual intensity scales: percent, 8 bits and 16 bits.
 constexpr double kPercent = 100.0, kByte = 255.0, kTwoBytes = 65535.0;
 constexpr double kFewBrighter = 0.995;  // minimum share of the intensities that must be within the scale
-// Share and number of points at exactly the same position, if this position marks dropped
-// rays. Two real returns never have exactly the same position.
+// Real returns never share a position exactly. A position that this share of the points
+// has in common marks dropped rays.
 constexpr double kLeastMarked = 0.01, kMostMarked = 0.95;
 constexpr std::size_t kFewestMarked = 16;
 constexpr std::size_t kLooks = 1024;  // maximum number of points in which repeated positions are searched
@@ -39,8 +39,8 @@ bool is_zero(const std::vector<PointTable>& clouds, const std::string& field) {
     return is_zero;
 }
 
-/// Selects the field that contains the intensities: the first one whose values are not
-/// all 0.
+/// Selects the field that contains the intensities: the first candidate with a value that
+/// is not 0.
 void choose_intensity(const std::vector<PointTable>& clouds, PointMeaning& meaning) {
     const std::vector<std::string> names = clouds[0].names(PointValue::intensity);
     if (names.empty()) return;
@@ -71,8 +71,8 @@ void list_unread(const std::vector<PointTable>& clouds, PointMeaning& meaning) {
                                                     : "'" + make_excerpt(meaning.intensity_field) + "'"));
 }
 
-/// Returns the position that many points of a cloud share exactly. Returns nothing if no
-/// position is repeated often enough.
+/// Returns the position that so many points share exactly that it marks dropped rays.
+/// Returns nothing if there is no such position.
 std::optional<glm::vec3> find_repeated_position(const PointTable& cloud) {
     const std::array<const FieldValues*, 3> xyz = {cloud.find(PointValue::x), cloud.find(PointValue::y),
                                                    cloud.find(PointValue::z)};

@@ -19,7 +19,7 @@ struct IntensityScale {
     bool is_sure = true;  ///< false if other scales are equally probable
     std::string about;    ///< text about the scale for a note; empty if the scale is 0 to 1
 };
-/// Estimates the scale of intensities. The scale is 1, or 255, or a value that only a few
+/// Estimates the maximum of the intensity scale: 1, or 255, or a value that only a few
 /// intensities exceed. Changes the order of the values.
 IntensityScale find_scale(std::vector<double>& intensities);
 
@@ -27,12 +27,13 @@ IntensityScale find_scale(std::vector<double>& intensities);
 struct PointMeaning {
     std::string intensity_field;  ///< name of the field that contains the intensities; may be empty
     IntensityScale scale;
-    /// Position that also marks a ray without a return, in addition to the usual marks
-    /// such as NaN.
+    /// Points at exactly this position are rays without a return, in addition to points
+    /// with NaN.
     std::optional<glm::vec3> no_return;
     std::vector<std::string> notes;  ///< texts for the user about each assumption
 };
-/// Estimates the meaning of the point values.
+/// Finds out which field contains intensities, how they are scaled, and how dropped rays
+/// are marked.
 /// @param clouds  some clouds of the LiDAR
 PointMeaning find_meaning(const std::vector<PointTable>& clouds);
 

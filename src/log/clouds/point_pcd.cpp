@@ -15,7 +15,7 @@ namespace relidar::folder {
 namespace {
 
 constexpr std::size_t kMostPcdFields = 256, kMostBytes = 65536;  // limits per point
-// maximum number of output bytes per three bytes of compressed data
+// Three bytes of LZF data decompress to at most this many bytes.
 constexpr std::size_t kMostExpansion = 264;
 
 struct PcdHeader {
@@ -111,9 +111,9 @@ std::vector<PointField> list_fields(const PcdHeader& header, const std::string& 
         "{}: the compressed data is damaged, expected LZF data of the size in the file", location));
 }
 
-/// Decompresses LZF data. If a byte b is less than 32, b + 1 literal bytes follow.
-/// Otherwise, the byte and the next one or two bytes are a reference to earlier output.
-/// They contain the length and the distance.
+/// Decompresses LZF data. A byte b below 32 precedes b + 1 literal bytes. A larger byte
+/// starts a reference of two or three bytes with the length and distance of earlier
+/// output.
 std::string unpack_lzf(std::string_view packed, std::size_t size, const std::string& location) {
     std::string out;
     out.reserve(size);
@@ -136,15 +136,16 @@ std::string unpack_lzf(std::string_view packed, std::size_t size, const std::str
         length += 2;
         const std::size_t back = ((control & 31) << 8) + next() + 1;
         if (back > out.size() || length > size - out.size()) throw_packed_error(location);
-        // Copy single bytes, because the source may overlap the bytes that are written.
+        // Copies byte by byte, because a reference may include bytes that it writes
+        // itself.
         for (std::size_t i = 0; i < length; ++i) out += out[out.size() - back];
     }
     if (out.size() != size) throw_packed_error(location);
     return out;
 }
 
-/// Decompresses the points of a PCD file. The data consists of two sizes and the
-/// compressed bytes. The result is stored field by field.
+/// Decompresses the points of a PCD file. `data` contains the compressed size, the
+/// decompressed size, and LZF data. The result stores one field after another.
 std::string unpack(std::string_view data, const std::string& location) {
     if (data.size() < 8)
         throw DataError(

@@ -27,8 +27,8 @@ struct FieldName {
     std::string_view name;
     PointValue value;
 };
-/// Field names in lower case and their meanings. If a file contains several fields with
-/// the same meaning, the first one in this list is used.
+/// Field names in lower case and their meanings. If a file has several fields with the
+/// same meaning, the name that is listed first is used.
 constexpr FieldName kFieldNames[] = {
     {"x", PointValue::x},
     {"y", PointValue::y},
@@ -63,19 +63,18 @@ constexpr FieldName kFieldNames[] = {
 };
 constexpr std::size_t kNotRead = std::size(kFieldNames);
 
-/// Prefixes that programs add to field names. They are ignored.
+/// Prefixes that some programs add to field names. The search for a name ignores them.
 constexpr std::string_view kPrefixes[] = {"scalar_",     "points_", "point_", "position_", "pos_",
                                           "coordinate_", "coord_",  "xyz_",   "vertex_",   "lidar_"};
 
-/// Returns the index of a field name in kFieldNames. Returns kNotRead if the name is
-/// unknown.
+/// Returns the index of a field name in kFieldNames, or kNotRead if the name is unknown.
 std::size_t find_name(std::string_view name) {
     const auto* const row = std::ranges::find(kFieldNames, name, &FieldName::name);
     return std::size_t(row - std::begin(kFieldNames));
 }
 
-/// Returns the index of a field in kFieldNames. Ignores upper case and prefixes of the
-/// name. Returns kNotRead if relidar does not read the field.
+/// Returns the index of a field in kFieldNames, or kNotRead if the field is unknown.
+/// Ignores upper case and prefixes of its name.
 std::size_t find_row_of_field(std::string_view field) {
     std::string name(trim_spaces(field));
     std::ranges::transform(name, name.begin(),
@@ -124,7 +123,7 @@ PointTable read_bin(const fs::path& file, const std::vector<std::string>& column
                         "values (\"columns\" in sequence.json)",
                         file.string(), n_bytes, record, fields.size()));
     PointTable table = read_packed(data, fields, n_bytes / record, Packing::by_point, file.string());
-    // Clear the list, because read_head() already reports the columns that are not read.
+    // read_head() already reports unread columns, so they are not listed again.
     table.unread.clear();
     return table;
 }
@@ -166,7 +165,7 @@ std::optional<PointValue> find_value_of_field(std::string_view name) {
 }
 
 std::vector<std::string> PointTable::names(PointValue value) const {
-    // A field with exactly the listed name has priority over other spellings of the name.
+    // If names differ only in spelling, the one that equals the listed name is first.
     std::vector<std::tuple<std::size_t, bool, std::string>> ranked;
     for (const auto& [name, values] : fields_) {
         const std::size_t row = find_row_of_field(name);
@@ -280,8 +279,8 @@ bool is_image_file(const fs::path& file) { return file.extension() == ".npz" || 
 
 namespace {
 
-/// Returns true if relidar wrote a PCD or PLY file with motion-compensated points or
-/// points in the world frame. The header of the file contains this information.
+/// Returns true if the header of a PCD or PLY file says that relidar wrote
+/// motion-compensated points or points in the world frame.
 bool is_marked_deskewed(std::string_view bytes) {
     constexpr std::size_t kHeader = 4096;  // number of bytes at the start of the file that are searched
     const std::string_view header = bytes.substr(0, kHeader);

@@ -31,11 +31,11 @@ inline bool is_point_field(std::string_view name) { return find_value_of_field(n
 
 enum class NumberType : std::uint8_t { f4, f8, i1, i2, i4, i8, u1, u2, u4, u8 };
 
-/// Values of one field for all points. The values are not copied and keep the number type
-/// of the file.
+/// View of the values of one field for all points of a cloud. The values stay in the
+/// number type of the file.
 class FieldValues {
-    // This function precedes its uses, because older versions of clang cannot deduce its
-    // return type otherwise.
+    // Defined before its uses, because older clang versions cannot deduce the return type
+    // otherwise.
     template <class T>
     auto reader() const {
         return [first = first_, step = step_](std::size_t index) {
@@ -48,13 +48,12 @@ class FieldValues {
 public:
     /// Creates a view of values in memory.
     /// @param first  address of the value of point 0
-    /// @param step  number of bytes from the value of one point to the value of the next
-    /// point
+    /// @param step  number of bytes between the values of two consecutive points
     FieldValues(NumberType type, const char* first, std::size_t step)
         : first_(first), step_(step), type_(type) {}
 
-    /// Calls use(value_at) once. The function value_at(i) returns the value of point i in
-    /// the number type of the file.
+    /// Calls use(value_at) with a function that returns the value of point i as
+    /// value_at(i), in the number type of the file.
     template <class Use>
     void visit(const Use& use) const {
         switch (type_) {
@@ -80,7 +79,7 @@ public:
                 return use(reader<std::uint64_t>());
         }
     }
-    /// Returns the value of one point. To read all values, use visit(), which is faster.
+    /// Returns the value of one point. To read many values, use visit(), which is faster.
     double operator[](std::size_t index) const {
         double value = 0.0;
         visit([&](const auto& value_at) { value = double(value_at(index)); });
@@ -93,8 +92,8 @@ private:
     NumberType type_;
 };
 
-/// The fields of a point cloud that relidar reads. Copies of a table share the memory of
-/// the values.
+/// A point cloud, stored as one array of values per field. Copies of a table share the
+/// memory of the values.
 class PointTable {
 public:
     explicit PointTable(std::size_t n_points = 0) : n(n_points) {}
@@ -105,13 +104,13 @@ public:
     bool is_deskewed = false;
     std::vector<std::string> unread;  ///< names of the fields that relidar does not read
 
-    /// Returns the field with a meaning, or nullptr if there is none. If several fields
-    /// have this meaning, returns the first one in the list of known field names.
+    /// Returns the field with a meaning such as "intensity", or nullptr if no field has
+    /// it. If several fields have it, the order of the known field names decides.
     const FieldValues* find(PointValue value) const;
     /// Returns the field with a name, or nullptr if the table has no such field.
     const FieldValues* find(const std::string& name) const;
-    /// Returns the names of all fields with a meaning. The first name is the field that
-    /// find() returns.
+    /// Returns the names of all fields with a meaning such as "intensity". find() returns
+    /// the field with the first of these names.
     std::vector<std::string> names(PointValue value) const;
     /// Adds a field to the table.
     /// @param location  name of the file, for error messages
@@ -124,8 +123,7 @@ public:
         add(name, {type, reinterpret_cast<const char*>(memory->data()), sizeof(T)}, location);
     }
     void remove(PointValue value);
-    /// Stores a shared pointer to the memory of field values, so that the memory is not
-    /// freed.
+    /// Keeps the memory of field values allocated as long as the table exists.
     void keep(std::shared_ptr<const void> memory) { memory_.push_back(std::move(memory)); }
 
 private:
@@ -133,7 +131,7 @@ private:
     std::vector<std::shared_ptr<const void>> memory_;
 };
 
-/// Name of unused fields. They fill gaps in the layout of a point.
+/// Name of fields that contain no data and only fill gaps between other fields.
 inline constexpr std::string_view kPadding = "_";
 
 /// Name and number type of a field as stored in a file.
@@ -153,27 +151,26 @@ enum class Packing {
 /// Checks the number of points of a file.
 /// @throws DataError if there are no points, or too many for one scan
 void check_count(std::size_t count, const std::string& location);
-/// Returns a table of binary little-endian numbers. Does not copy the values.
+/// Returns a table of binary little-endian numbers, without copying them.
 /// @throws DataError if a number type does not exist or if the data is too short
 PointTable read_packed(const SharedBytes& data, const std::vector<PointField>& fields, std::size_t count,
                        Packing packing, const std::string& location);
-/// Parses `count` lines of numbers that are separated by blanks. Returns a table of the
-/// numbers.
+/// Parses `count` lines of numbers that are separated by blanks, one line per point.
 PointTable read_lines(std::string_view text, const std::vector<PointField>& fields, std::size_t count,
                       const std::string& location);
 
-/// Returns true if the extension of a file is a supported point cloud format.
+/// Returns true if a file has the extension of a supported point cloud format.
 bool is_point_file(const std::filesystem::path& file);
-/// Returns true if the extension of a file is an image format. In these formats, each
-/// pixel is a ray.
+/// Returns true if a file has the extension of an image format, in which each pixel is a
+/// ray.
 bool is_image_file(const std::filesystem::path& file);
 /// Reads the points of a file. The extension of the file defines its format.
 /// @param columns  names of the columns in .bin and .npy files; empty: x y z intensity
 /// @throws DataError with the name of the file
 PointTable read_point_file(const std::filesystem::path& file, const std::vector<std::string>& columns);
 
-/// Reads a LAS file that contains one scan.
-/// @throws DataError if the points are far from the origin, where the sensor must be
+/// Reads a LAS file that contains a single scan.
+/// @throws DataError if the points are far from the origin, where the sensor of a scan is
 PointTable read_las(const SharedBytes& file, const std::string& location);
 /// Reads a PCD or PLY file. The header of the file describes the fields.
 PointTable read_pcd(const SharedBytes& file, const std::string& location);

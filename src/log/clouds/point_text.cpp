@@ -114,8 +114,8 @@ private:
         expect('\'');
         return text;
     }
-    /// Converts a numpy type such as '<f4' to a field. A field without a name, or with
-    /// the type 'V', only fills a gap.
+    /// Converts a numpy type such as '<f4' to a field. Fields without a name, or with the
+    /// type 'V', contain no data.
     PointField field_of(const std::string& name, const std::string& type) const {
         const auto size = parse_number(std::string_view(type).substr(std::min<std::size_t>(2, type.size())));
         if (type.size() < 3 || !size || !(*size >= 1.0 && *size <= 65536.0)) fail();

@@ -13,13 +13,13 @@
 namespace relidar::folder {
 namespace {
 
-// Minimum forward component for a vehicle that drives forward. The component is the mean
-// over all steps, along the x axis of the vehicle.
+// A vehicle drives forward if the mean x component of its unit motion vectors, in the
+// vehicle frame, is above this value.
 constexpr double kForward = 0.9;
-// Another meaning of the poses is chosen only if it is better by these amounts: in the
-// mean forward component, and in the overlap of the scans.
+// Another interpretation of the poses is used only if it is better by these amounts: in
+// the forward component of the motion, and in the overlap of scans.
 constexpr double kMoreForward = 0.3, kMoreOverlap = 0.02;
-// minimum number of steps that is needed to find the driving direction
+// Minimum number of motions between poses for estimating the driving direction.
 constexpr std::size_t kFewestSteps = 3;
 constexpr double kCell_m = 0.5;  // edge length of the cells in which the overlap of scans is counted
 constexpr float kNear_m = 3.0f, kFar_m = 40.0f;  // only points in this interval of ranges are compared
@@ -31,7 +31,7 @@ bool is_compared(const glm::vec3& point_m) {
 
 constexpr std::size_t kPairs = 5;  // number of pairs of scans that are compared
 
-/// Returns the returns of a frame as points in the vehicle frame.
+/// Converts the returns of a frame to points in the vehicle frame.
 std::vector<glm::vec3> vehicle_points(const Sequence& sequence, const Frame& frame) {
     const Pose& mounting = sequence.get_lidar(frame).vehicle_from_sensor;
     const RayTable& rays = frame.scan.rays;
@@ -42,7 +42,7 @@ std::vector<glm::vec3> vehicle_points(const Sequence& sequence, const Frame& fra
     return points_m;
 }
 
-/// Returns pairs of consecutive scans of the first LiDAR, evenly spread over the log.
+/// Selects pairs of consecutive scans of the first LiDAR, evenly spread over the log.
 ScanPairs format_pairs(const Sequence& sequence) {
     std::vector<const Frame*> frames;
     for (const Frame& frame : sequence.frames)

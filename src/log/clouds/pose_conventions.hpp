@@ -17,12 +17,12 @@ namespace relidar::folder {
 struct PoseReading {
     std::string about;             ///< description for notes
     PoseTrack world_from_vehicle;  ///< poses according to this meaning
-    /// True if the scans must confirm this meaning. The motion alone cannot, because a
-    /// vehicle that drives backwards has the same motion.
+    /// True if scans must confirm this interpretation of the pose file. The motion alone
+    /// is not enough, because a vehicle may also drive backwards.
     bool needs_scans = false;
 };
 
-/// Pairs of scans that are used to compare the possible meanings of a pose file.
+/// Pairs of scans. Their overlap shows which interpretation of a pose file is right.
 class ScanPairs {
 public:
     /// Adds a pair of scans from the same LiDAR.
@@ -30,9 +30,8 @@ public:
     void add(double first_s, std::vector<glm::vec3> first_m, double second_s,
              std::vector<glm::vec3> second_m);
     bool empty() const { return pairs_.empty(); }
-    /// Returns how well the scans overlap with the given poses. For each pair, this is
-    /// the share of points of the second scan that have a point of the first scan in the
-    /// same cell.
+    /// Returns how well the scans overlap with the given poses: the share of points of
+    /// the second scan that are in a grid cell with a point of the first scan.
     double compute_overlap(const PoseTrack& world_from_vehicle) const;
 
 private:
@@ -55,9 +54,9 @@ using ReadPairs = std::function<ScanPairs()>;
 std::size_t choose_reading(const std::vector<PoseReading>& readings, const ReadPairs& read_pairs,
                            const std::string& location, std::vector<std::string>& notes);
 
-/// Inverts the poses of a log if they are sensor-from-world poses. Then the vehicle of
-/// the inverted poses drives forward, and consecutive scans overlap better. In this case,
-/// also adds a note. The scans of the log must have been read.
+/// Inverts the poses of a log if they are probably sensor-from-world poses, and adds a
+/// note for the user. With the inverse, the vehicle must drive forward and consecutive
+/// scans must overlap better. The scans of the log must have been read.
 void correct_inverse_poses(Sequence& sequence);
 
 }  // namespace relidar::folder

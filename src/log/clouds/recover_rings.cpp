@@ -16,27 +16,27 @@
 namespace relidar {
 namespace {
 
-// bin width of the histogram; small enough, because beams of real sensors are at least
-// 0.1 degrees apart
+// Bin width of the histogram of elevations. Beams of real sensors are at least ten bins
+// apart.
 constexpr double kBin_rad = 0.01 * kPi / 180.0;
 constexpr int kLeastGap = 3;  // minimum number of empty bins between two bands
 constexpr std::size_t kFewestBands = 4;
-// Maximum width of a band, relative to the distance between this band and the nearest
-// other band.
+// Maximum width of a band (the points of one beam), relative to its distance from the
+// nearest other band.
 constexpr double kWidest = 0.5;
-// A bin counts as empty if its number of points is below this share of a full bin.
+// Bins with fewer points than this share of a full bin count as empty.
 constexpr double kStray = 0.005;
-// A near point may belong to one of this many neighbouring beams on either side, because
-// beam origins shift the elevations of near points by a few beams.
+// A beam does not start exactly at the sensor origin, so a near point can have the
+// elevation of another beam. The search covers this many beams on either side.
 constexpr std::ptrdiff_t kReach = 6;
 
 double compute_elevation(const glm::dvec3& vector) {
     return std::atan2(vector.z, std::hypot(vector.x, vector.y));
 }
 
-/// Returns elevations of points, in ascending order. For each degree of elevation, uses
-/// only the farther half of the points, because beam origins change the elevation of near
-/// points. The selection is per degree, because downward beams have no far points.
+/// Returns elevations of points in ascending order. Uses only the farther half of the
+/// points in each degree of elevation. Near points are less accurate, because beams do
+/// not start exactly at the sensor origin.
 std::vector<double> collect_far_elevations(const std::vector<Points>& scans) {
     struct Seen {
         float range_m;
@@ -65,8 +65,8 @@ struct Band {
     double elevation_rad;  ///< median elevation of the band
 };
 
-/// Returns the groups of bins with at least `least` points each. Groups are separated by
-/// more than kLeastGap other bins.
+/// Returns the groups of consecutive bins with at least `least` points each. Gaps of up
+/// to kLeastGap bins do not split a group.
 std::vector<Band> group_bins(const std::vector<int>& count, double least) {
     std::vector<Band> bands;
     for (int b = 0; b < int(count.size()); ++b) {
@@ -111,8 +111,8 @@ std::vector<Band> add_weak_bands(const std::vector<Band>& groups, const std::vec
     return complete;
 }
 
-/// Returns the bands of the histogram. A band is a group of consecutive bins that are not
-/// empty.
+/// Returns the bands in the histogram of elevations. A band is a group of filled bins and
+/// contains the points of one beam.
 std::vector<Band> find_bands(const std::vector<double>& elevations) {
     const int n_bins = int(kPi / kBin_rad) + 1;
     const auto bin = [](double elevation) { return int((elevation + kPi / 2) / kBin_rad); };
@@ -139,7 +139,7 @@ std::vector<Band> find_bands(const std::vector<double>& elevations) {
     return bands;
 }
 
-/// Returns true if all bands are narrow compared with the distance to the next band.
+/// Returns true if every band is narrow compared with its distance from the next band.
 bool are_separate(const std::vector<Band>& bands) {
     for (std::size_t i = 0; i + 1 < bands.size(); ++i) {
         const double apart = (bands[i + 1].elevation_rad - bands[i].elevation_rad) / kBin_rad;

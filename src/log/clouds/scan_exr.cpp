@@ -17,8 +17,8 @@ namespace {
 
 constexpr const char* kAxes[] = {".x", ".y", ".z"};
 
-/// Combines three channels into one array of vectors. Does nothing if the image lacks one
-/// of the channels.
+/// Combines the channels x, y and z of an image into one array of vectors. Does nothing
+/// if all three are missing. Throws an error if only some are missing.
 void add_vectors(const ExrImage& image, const std::string& channel, const std::string& name,
                  const std::string& location, std::vector<NamedArray>& arrays) {
     const std::vector<float>* axis[3] = {};
@@ -58,7 +58,7 @@ std::vector<NamedArray> list_arrays(const ExrImage& image, const std::string& lo
                                         values.data(), values.size()));
     add_vectors(image, "direction", "directions", location, arrays);
     add_vectors(image, "origin", "origin", location, arrays);
-    // coordinate frame of the points, which relidar stores in rendered images
+    // frame of the points, which relidar writes into the metadata of rendered images
     const auto frame = image.notes.find("points_in");
     const bool moved = frame != image.notes.end() &&
                        (frame->second.starts_with("world") || frame->second.starts_with("sensor at time_s"));
@@ -67,8 +67,8 @@ std::vector<NamedArray> list_arrays(const ExrImage& image, const std::string& lo
     return arrays;
 }
 
-/// Completes a LiDAR without beams by the sensor that the image names. Accepts only names
-/// of built-in sensors. Otherwise, an image could cause any file to be read.
+/// Sets the unknown beams of a LiDAR from the sensor name in the image. Accepts only
+/// built-in sensors, because with other names an image could make relidar read any file.
 Lidar complete_lidar(Lidar lidar, const ExrImage& image) {
     const auto note = image.notes.find("sensor");
     if (note == image.notes.end() || !lidar.sensor.beams.empty() || lidar.pattern) return lidar;

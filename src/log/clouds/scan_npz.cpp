@@ -18,8 +18,7 @@ namespace {
 constexpr double kLongestOffset_s = 10.0;
 constexpr std::size_t kMostReturns = 8;
 
-/// The named arrays of a scan file. The functions check that an array has one entry for
-/// each ray of the image.
+/// The named arrays of a scan file. Each array must have one entry per ray of the image.
 class Arrays {
 public:
     Arrays(const std::string& location, std::vector<NamedArray> arrays)
@@ -47,8 +46,8 @@ public:
                                         name, fmt::join(at(name).shape, ", ")));
         return at(name).as_double()[0];
     }
-    /// Returns the values of an array, one number per ray.
-    /// @param default_value  value for all rays if the file does not contain the array
+    /// Returns the values of an array with one number per ray.
+    /// @param default_value  value of all rays if the file does not contain the array
     std::vector<double> image(const std::string& name, double default_value) const {
         return find(name) ? values(name, 1) : std::vector<double>(rows * columns, default_value);
     }
@@ -101,8 +100,7 @@ std::vector<float> read_intensities(const Arrays& arrays, const std::string& nam
     return intensity;
 }
 
-/// Returns the rays of the sensor model. Used for images that do not contain ray
-/// directions.
+/// Returns the rays of the sensor model, for images without ray directions.
 RayTable make_sensor_rays(const Arrays& arrays, const ImageSource& source) {
     RayTable rays = make_nominal_rays(source.lidar, source.time_s);
     if (rays.size() == 0)
@@ -118,8 +116,8 @@ RayTable make_sensor_rays(const Arrays& arrays, const ImageSource& source) {
     return rays;
 }
 
-/// Reverses the order of the rows if row 0 of an image is the lowest beam, because row 0
-/// is the highest beam in relidar.
+/// Reverses the order of the image rows. Used for files in which row 0 is the lowest
+/// beam, because row 0 is the highest beam in relidar.
 void flip_rows(std::vector<NamedArray>& arrays, std::size_t rows) {
     for (NamedArray& array : arrays) {
         const std::size_t row =
@@ -133,8 +131,7 @@ void flip_rows(std::vector<NamedArray>& arrays, std::size_t rows) {
     }
 }
 
-/// Reads the times, rings and divergences of the rays. Leaves values that the file does
-/// not contain unchanged.
+/// Reads the times, rings and divergences of the rays, if the file contains them.
 void read_stored_fields(const Arrays& arrays, const ImageSource& source, RayTable& rays) {
     const PointUnits& units = source.head.units;
     const std::size_t n = rays.size();
@@ -226,8 +223,8 @@ Scan make_scan_from_images(const std::string& location, std::vector<NamedArray> 
     Scan scan;
     scan.rays = has_rays ? make_rays_of_scan(arrays) : make_sensor_rays(arrays, source);
     read_stored_fields(arrays, source, scan.rays);
-    // A rendered file contains the median range and the mean range. Use the median,
-    // because the mean may be between two surfaces.
+    // A rendered file contains a median and a mean range. The mean can be between two
+    // surfaces, so the median is used.
     const std::vector<float> range_m =
         read_ranges(arrays, arrays.find("median_range") ? "median_range" : "range");
     scan.range_m = to_scan_array(range_m);

@@ -13,12 +13,12 @@
 
 namespace relidar::folder {
 
-/// LiDAR and frame of an image file. These values are used if the file does not contain
-/// them.
+/// Known properties of the LiDAR and the frame of an image file. Used for values that the
+/// file does not contain.
 struct ImageSource {
     const Head& head;
     const HeadLidar& of_head;  ///< the LiDAR as described in sequence.json
-    /// The LiDAR with all known properties. Defines the rays if the file contains no
+    /// LiDAR with all known properties. It defines the rays if the file has no ray
     /// directions.
     const Lidar& lidar;
     double time_s;  ///< time of the frame
@@ -38,22 +38,23 @@ Scan read_scan_exr(const std::filesystem::path& file, const ImageSource& source)
 Scan make_scan_from_images(const std::string& location, std::vector<NamedArray> arrays,
                            const ImageSource& source);
 
-/// Writes a scan to an npz file. A reader gets exactly the same values. Exception: all
-/// rays of a motion-compensated scan get the time 0.
+/// Writes a scan to an npz file without loss. In a motion-compensated scan, all rays get
+/// the time 0.
 void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool motion_compensated);
 
-/// Checks that sequence.json states motion compensation if a scan file does.
-/// @param is_deskewed  true if the scan file states that its points are
-/// motion-compensated (deskewed) or in the world frame
-/// @throws DataError if sequence.json does not state the same
+/// Checks that sequence.json says that scans are motion-compensated, if a scan file says
+/// so.
+/// @param is_deskewed  true if the scan file says that its points are motion-compensated
+/// (deskewed) or in the world frame
+/// @throws DataError if sequence.json does not say the same
 void check_deskewed(bool is_deskewed, const Head& head, const std::string& location);
 
-/// Converts an intensity from a file to the range 0 to 1.
-/// @throws DataError if the intensity is not a number. If sequence.json states no
-/// maximum, also if the intensity is outside 0 to 1.
+/// Scales an intensity from a file to the range 0 to 1.
+/// @throws DataError if it is not a number, or if it is outside 0 to 1 and sequence.json
+/// contains no maximum intensity
 float convert_intensity(double value, const PointUnits& units, const std::string& location);
 /// Converts a point time from a file to seconds relative to the time of the frame.
-/// @throws DataError if the result is longer than any sweep
+/// @throws DataError if the result is longer than any sweep can be
 float convert_time_offset(double value, const PointUnits& units, double frame_time_s,
                           const std::string& location);
 /// Converts a ring number from a file to an integer.

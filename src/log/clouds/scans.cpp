@@ -23,8 +23,7 @@ constexpr std::size_t kMostReturns = 8;
 constexpr int kMostTicks = 1 << 16;     // maximum number of azimuth steps per sweep (0.005 degrees per step)
 constexpr double kLeastRange_m = 1e-3;  // A point nearer to the origin has no defined direction.
 
-/// [rings x firings] index of the point on each ray; kEmpty means that the ray has no
-/// return
+/// [rings x firings] index of the point that is assigned to each ray; kEmpty: no return
 struct ImageCells {
     std::size_t n_firings;
     std::vector<int> point;
@@ -32,8 +31,7 @@ struct ImageCells {
     int& at(std::size_t ring, std::size_t firing) { return point[ring * n_firings + firing]; }
 };
 
-/// Returns the index of the return that a point belongs to: 0 for the first return of the
-/// ray.
+/// Returns the return number of a point, from 0: 0 is the first return of a ray.
 std::size_t get_ring_number(const Points& points, std::size_t point) {
     return points.return_number.empty() ? 0 : std::size_t(points.return_number[point]) - 1;
 }
@@ -66,8 +64,7 @@ void check_points(const Points& points, std::size_t n_beams) {
     }
 }
 
-/// Returns for each azimuth step of the head the index of the firing with the nearest
-/// azimuth step.
+/// Returns, for each azimuth step of the head, the index of the nearest firing.
 std::vector<int> find_nearest_firing_of_ticks(const std::vector<int>& firings, int n_ticks) {
     std::vector<int> nearest(static_cast<std::size_t>(n_ticks), kEmpty);
     for (std::size_t f = 0; f < firings.size(); ++f)
@@ -83,8 +80,8 @@ std::vector<int> find_nearest_firing_of_ticks(const std::vector<int>& firings, i
     return filled;
 }
 
-/// Returns the firing of each column of a scan. If there are fewer firings than columns,
-/// some firings are repeated.
+/// Returns the firing that fills each column of a scan. If the sweep has fewer firings
+/// than columns, some firings fill several columns.
 std::vector<int> fill_columns(const Sweep& sweep, int columns) {
     const std::size_t n = sweep.firings.size();
     std::vector<int> repeat(n, 1);
@@ -104,8 +101,8 @@ std::vector<int> fill_columns(const Sweep& sweep, int columns) {
     return slot;
 }
 
-/// Assigns the points of a sweep to rays, separately for each return number. Index 0
-/// contains the first returns.
+/// Assigns the points of a sweep to rays. First, second and later returns are stored in
+/// separate images.
 class Assignment {
 public:
     /// Assigns all points to the rays of a sweep.
@@ -121,7 +118,8 @@ public:
         for (std::size_t i = 0; i < points.size(); ++i) add_beyond(i);
     }
     std::vector<ImageCells> by_return;
-    /// [points] firing of each point; kEmpty if the range of the point is invalid
+    /// [points] firing of each point; kEmpty if the range of the point is outside the
+    /// sensor's limits
     std::vector<int> firing_of;
 
 private:
@@ -129,7 +127,7 @@ private:
     const SpinningSensor& sensor_;
     const Sweep& sweep_;
     const std::vector<double>& head_rad_;
-    /// [azimuth steps] nearest firing; used only if points have no firing numbers
+    /// [azimuth steps] index of the nearest firing, for points without firing numbers
     std::vector<int> nearest_;
 
     float compute_range(int point) const {
@@ -159,8 +157,8 @@ private:
         ImageCells& cells = cells_of(number);
         int point = static_cast<int>(index);
         for (const std::size_t f : {firing, (firing + 1) % n, (firing + n - 1) % n}) {
-            // Do not move a second return to another firing, because it must be on the
-            // ray of its first return.
+            // Second returns keep their firing, because they must be on the ray of their
+            // first return.
             if (cells.at(ring, f) != kEmpty || (number > 0 && f != firing)) continue;
             std::swap(cells.at(ring, f), point);
             break;
@@ -168,8 +166,8 @@ private:
         if (point != kEmpty && range < compute_range(cells.at(ring, firing))) cells.at(ring, firing) = point;
     }
 
-    /// Assigns a point beyond the maximum range of the sensor to its ray. Does nothing if
-    /// the ray already has a point.
+    /// Assigns a point beyond the maximum range of the sensor to its ray, unless the ray
+    /// already has a point.
     void add_beyond(std::size_t index) {
         if (!(double(compute_range(static_cast<int>(index))) > sensor_.max_range_m)) return;
         const std::size_t firing =
@@ -179,8 +177,8 @@ private:
     }
 };
 
-/// Returns the time of each firing, which is the mean time of its points. For a firing
-/// without points, extrapolates the time from the nearest firing with points.
+/// Returns the mean time of the points of each firing. For a firing without points,
+/// extrapolates from the nearest firing with points at the rotation rate of the head.
 std::vector<double> compute_firing_times(const Points& points, const SpinningSensor& sensor,
                                          const Sweep& sweep, const std::vector<int>& firing_of) {
     const std::size_t n = sweep.firings.size();
@@ -196,8 +194,7 @@ std::vector<double> compute_firing_times(const Points& points, const SpinningSen
                 count[std::size_t(firing_of[i])] += 1.0;
     std::vector<double> measured = time_s;
     for (std::size_t f = 0; f < n; ++f) {
-        // index of the nearest firing with points, among later and earlier firings of the
-        // same sweep
+        // nearest firing with points, before or after firing f
         std::size_t from = f;
         for (std::size_t d = 1; d < n && count[from] == 0.0; ++d) {
             if (f + d < n && count[f + d] > 0.0) from = f + d;
@@ -225,8 +222,8 @@ void resize(Scan& scan, int rows, int columns, std::size_t n_second_returns) {
     scan.second_returns.assign(n_second_returns, {std::vector<float>(n, 0.0f), std::vector<float>(n, 0.0f)});
 }
 
-/// Marks a ray as dropped: sets its direction to the nominal direction of the beam, and
-/// its range to 0.
+/// Marks a ray as dropped. Its origin and direction are those of the ideal beam; its
+/// range stays 0.
 void set_dropped(Scan& scan, std::size_t ray, const BeamGeometry& beam, double head_rad) {
     const BeamRay model = beam.ray(head_rad);
     scan.rays.origin[ray] = glm::vec3(model.origin_m);
@@ -252,7 +249,7 @@ bool set_returned(Scan& scan, std::size_t ray, const BeamGeometry& beam, double 
     return true;
 }
 
-/// Adds the second return of a ray. Does nothing if the ray has no first return.
+/// Adds a second or later return of a ray, if the ray has a first return.
 void set_second_return(Scan& scan, std::size_t ray, const Points& points, std::size_t index) {
     if (scan.range_m[ray] == 0.0f) return;
     SecondReturn& echo = scan.second_returns[get_ring_number(points, index) - 1];

@@ -23,24 +23,23 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Minimum distance between two poses from which the driving direction is computed. It is
-// much larger than the errors of the poses.
+// The driving direction is computed from poses that are at least this far apart. Errors
+// of poses are much smaller.
 constexpr double kStep_m = 1.0;
-// Ignores two consecutive poses with a longer time difference, because the motion between
-// them is unknown.
+// Between poses with a longer time difference, the motion is unknown and is ignored.
 constexpr double kLongestStep_s = 1.0;
 constexpr std::size_t kSamples = 6;  // number of scans for estimates
-// Maximum median distance between points and their nominal beams, relative to the
-// distance between beams. If the points come from another LiDAR, the value is about 0.25.
+// The points fit the nominal beams if their median distance from the beams is below this
+// share of the beam spacing. For another LiDAR, this share is about 0.25.
 constexpr double kNearBeam = 0.15;
-// Uses a pose without interpolation if its time differs by less than this from the
-// requested time. The value is relative to the time between poses.
+// A pose at almost the requested time is used without interpolation. This tolerance is
+// relative to the time between poses.
 constexpr double kSameTime = 1e-6;
 // Maximum coordinate of a pose in metres. UTM coordinates are smaller (up to 10^7).
 constexpr double kLargestCoordinate_m = 1e8;
 
-/// Parses a time stamp in a table. Accepts a fraction and an exponent, because some
-/// programs write them.
+/// Parses a time stamp in a table. Some programs write time stamps with a fraction or an
+/// exponent.
 std::optional<std::int64_t> parse_stamp_cell(std::string_view cell) {
     if (const auto whole = parse_stamp(cell)) return whole;
     const std::optional<double> number = parse_number(cell);
@@ -78,7 +77,7 @@ std::optional<Pose> pose_at(const StampedLog& log, double time_s) {
     return track.at(time_s);
 }
 
-/// Reads scans from files. Adds missing values to the points, and rotates the points to
+/// Reads point files. Adds missing values such as rings, and rotates the points to
 /// relidar's axes.
 class StampedPoints : public folder::ScanSource {
 public:
@@ -125,18 +124,17 @@ std::vector<Points> sample_points(const StampedPoints& source, std::size_t n_sca
     return samples;
 }
 
-/// Returns true if most points have nearly the elevation of their beam. The difference is
-/// compared with the distance to the next beam. Returns false for points of another
-/// LiDAR.
+/// Returns true if the elevations of most points are close to those of the nominal beams,
+/// compared with the spacing of the beams. Returns false for points of another LiDAR.
 bool are_near_beams(const std::vector<Points>& samples, const FittedSensor& fit) {
     const std::vector<Beam>& beams = fit.sensor.beams;
-    // distance of each point from its beam, relative to the distance to the next beam
+    // angle between each point and its beam, divided by the angle to the next beam
     std::vector<double> off;
     for (const Points& scan : samples)
         for (std::size_t i = 0; i < scan.size(); ++i) {
             const std::size_t b = fit.beam_of_ring[scan.ring[i]];
             double apart = INFINITY;
-            // if b is 0, b - 1 is a very large number, which is not a valid index
+            // b - 1 is a very large, invalid index if b is 0
             for (const std::size_t next : {b - 1, b + 1})
                 if (next < beams.size())
                     apart = std::min(apart, std::abs(beams[next].elevation_rad - beams[b].elevation_rad));
@@ -147,8 +145,8 @@ bool are_near_beams(const std::vector<Points>& samples, const FittedSensor& fit)
 }
 
 /// Fits the nominal beams to the points. Returns nothing if the points come from another
-/// LiDAR, or if azimuths are not on a regular grid. Motion compensation, for example,
-/// destroys the grid.
+/// LiDAR, or if their azimuths are not on a regular grid, for example after motion
+/// compensation.
 std::optional<SpinningSensor> fit_nominal(const std::vector<Points>& samples, const PointFormat& format) {
     if (samples.empty()) return std::nullopt;
     FittedSensor fit;
@@ -161,7 +159,8 @@ std::optional<SpinningSensor> fit_nominal(const std::vector<Points>& samples, co
     const double step = 2.0 * kPi / fit.sensor.columns;
     std::vector<Beam> beams = format.beams;
     std::complex<double> sum = 0.0;
-    // First fit one azimuth offset for all beams, then an offset for each beam.
+    // The first pass fits an azimuth offset that all beams share. The second pass fits an
+    // offset for each beam.
     for (const bool is_second : {false, true})
         for (std::size_t r = 0; r < std::min(beams.size(), fit.beam_of_ring.size()); ++r) {
             if (fit.beam_of_ring[r] == kNoBeam) continue;
@@ -196,7 +195,7 @@ std::vector<StampedScan> list_scans(const fs::path& folder) {
             fmt::format("{}: no scan was found, expected files named by their times, such as "
                         "1598990189106857.bin",
                         folder.string()));
-    // Sort by number, because a sort by name would put "10" before "9".
+    // Sorts by the number, because sorting by name would put "10" before "9".
     std::ranges::sort(scans, {}, &StampedScan::stamp);
     for (std::size_t i = 0; i < scans.size(); ++i) scans[i].number = int(i);
     return scans;
@@ -230,8 +229,8 @@ Driving find_driving(const PoseTrack& world_from_rider) {
         const glm::dvec3 step = poses[to].translation - poses[from].translation;
         const bool is_late = world_from_rider.time_s[to] - world_from_rider.time_s[from] > kLongestStep_s;
         if (!is_late && glm::length(step) < kStep_m) continue;
-        // Compute the direction in both sensor frames and use the mean, because the
-        // vehicle may drive a curve.
+        // In a curve, the motion has different directions in the first and the last
+        // sensor frame. Their mean is used.
         if (!is_late) {
             const glm::dvec3 d = glm::normalize(step);
             const glm::dvec3 seen =
@@ -320,8 +319,8 @@ void read_points(Sequence& sequence, const std::vector<fs::path>& files, PointFo
                 "point is assigned to the nominal beam with the nearest elevation",
                 sensor.beams.size(), sensor.columns));
         } else {
-            // `source` refers to `format`; without beams, it leaves the points without
-            // rings
+            // `source` reads `format`, so clearing the beams makes it return points
+            // without rings.
             format.beams.clear();
         }
     }

@@ -24,10 +24,11 @@ struct StampedScan {
     std::int64_t stamp = 0;  ///< time of the scan in the unit of the dataset
     std::filesystem::path file;
 };
-/// Parses a time stamp that consists of digits only, such as in file names. Returns
-/// nothing for other texts.
+/// Parses a time stamp of digits only, for example from a file name. Returns nothing for
+/// other texts.
 std::optional<std::int64_t> parse_stamp(std::string_view text);
-/// Lists the files STAMP.bin in a folder, sorted by time. Numbers the scans from 0.
+/// Lists the scan files of a folder, sorted by time and numbered from 0. The name of a
+/// file is its time stamp with the extension .bin.
 /// @throws DataError if the folder contains no such file
 std::vector<StampedScan> list_scans(const std::filesystem::path& folder);
 
@@ -37,16 +38,15 @@ struct StampedRow {
     std::vector<double> values;  ///< the numbers after the time stamp; all are finite
     std::string where;           ///< name of the file and line number, for error messages
 };
-/// Reads a table of comma-separated lines. Each line contains a time stamp and numbers.
-/// Skips a first line with column names. If two lines have the same time stamp, uses the
-/// first line.
+/// Reads a CSV table whose lines contain a time stamp and numbers. Skips a header line,
+/// and repeated lines with the same time stamp.
 /// @param n_values  minimum number of values per line
 /// @throws DataError with file and line, also if time stamps decrease
 std::vector<StampedRow> read_rows(const std::filesystem::path& file, std::size_t n_values);
 
-/// Driving direction of a vehicle, in the frame of a sensor on the vehicle.
+/// Direction in which a vehicle drives, measured in the frame of its sensor.
 struct Driving {
-    /// Mean of the unit vectors from each position to the next. The length is 1 if the
+    /// Mean of the unit vectors between consecutive positions. Its length is 1 if the
     /// direction never changes, and 0 if the vehicle does not move.
     glm::dvec3 mean{0.0};
     double rise_spread = 0.0;  ///< standard deviation of the z components of the unit vectors
@@ -54,19 +54,19 @@ struct Driving {
 };
 Driving find_driving(const PoseTrack& world_from_rider);
 /// Adds a warning to the notes if the vehicle does not seem to drive forward.
-/// @param forward  component of Driving::mean in the forward direction
+/// @param forward  forward component of the mean driving direction, at most 1
 void warn_unless_forward(std::vector<std::string>& notes, double forward);
 
-/// List of a log's scan files with their time stamps, and the log's poses. The points of
-/// the scans are read later.
+/// The scan files of a log with their time stamps, and the poses of the log. Does not
+/// contain the points.
 struct StampedLog {
     double unit_s = 1.0;               ///< unit of the time stamps in seconds
     std::vector<StampedScan> scans;    ///< all scans of the log; the time of the first scan is 0 s
     PoseTrack world_from_vehicle;      ///< poses with separate times
     std::filesystem::path poses_file;  ///< file of the poses
-    /// Poses are not interpolated if the time between them is larger than this.
+    /// Maximum time in seconds between two poses for interpolation.
     double most_gap_s = 0.0;
-    /// A scan is used only if poses exist for this time before and after the scan.
+    /// A scan is used only if poses are known this many seconds before and after it.
     double reach_s = 0.0;
 
     double seconds(std::int64_t stamp) const { return double(stamp - scans[0].stamp) * unit_s; }
@@ -80,7 +80,7 @@ struct StampedLog {
 std::vector<std::filesystem::path> add_frames(Sequence& sequence, const StampedLog& log,
                                               const DatasetOptions& options);
 
-/// Checks that the pose file exists, or that the options name another source of poses.
+/// Checks that the log has a pose file, or that the user selects another source of poses.
 /// @throws DataError if there are no poses
 void check_poses(const std::filesystem::path& file, const DatasetOptions& options);
 
@@ -89,14 +89,13 @@ struct PointFormat {
     folder::PointUnits units;
     double turn_s = 0.1;      ///< duration of a sweep in seconds; used if the points have no times
     double turned_rad = 0.0;  ///< rotation about z from the axes in the files to relidar's axes
-    /// Nominal beams of the LiDAR, used if the files contain no rings. Each point is
-    /// assigned to the nearest beam. Elevations and azimuth offsets are fitted to the
-    /// points. Azimuth offsets are fitted only within one azimuth step, because points
-    /// without times do not show more. If the points come from another LiDAR, all beams
-    /// are estimated from the elevations.
+    /// Nominal beams of the LiDAR, for files without ring numbers. Each point belongs to
+    /// the nearest beam. Elevations are fitted to the points, azimuth offsets only within
+    /// one azimuth step. If the points come from another LiDAR, its beams are estimated
+    /// from the elevations of the points.
     std::vector<Beam> beams = {};
-    /// Callback that computes values which the files do not contain, such as rings and
-    /// times. Several threads can call it at the same time. May be empty.
+    /// Function that adds values to the points which the files do not contain, such as
+    /// rings and times. Several threads can call it at the same time. May be empty.
     /// @param where  name of the file, for error messages
     std::function<void(folder::PointTable&, const std::string& where)> complete = {};
 };
@@ -105,16 +104,14 @@ struct PointFormat {
 void read_points(Sequence& sequence, const std::vector<std::filesystem::path>& files, PointFormat format,
                  const DatasetOptions& options);
 
-/// Intensity that is scaled to 1, for datasets that do not document it. If all
-/// intensities are at most 1, the value is 1. If all are at most 255, it is 255.
-/// Otherwise only few intensities exceed the value.
+/// Scale of the intensities in a dataset: the file value that becomes 1. It is 1 or 255
+/// if no intensity is larger. Otherwise only few intensities exceed it.
 struct Brightness {
     double most = 1.0;
     std::string about;  ///< text for a note, used if larger intensities are clamped to 1
 };
-/// Estimates the intensity that is scaled to 1.
-/// @param files  scan files. Only some of them are read. Files that cannot be read are
-/// skipped, because the error is reported when the scans are read.
+/// Estimates the file value that becomes the intensity 1.
+/// @param files  scan files. Reads only some of them, and skips unreadable files
 Brightness find_brightness(const std::vector<std::filesystem::path>& files,
                            const std::vector<std::string>& columns);
 

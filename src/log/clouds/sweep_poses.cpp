@@ -12,25 +12,25 @@
 namespace relidar::bag {
 namespace {
 
-// time between two computed corrections; values in between are interpolated
+// Pose corrections are computed at this interval and interpolated in between.
 constexpr double kStep_s = 1e-3;
-// Minimum size of a correction. Smaller corrections are skipped, because range errors of
-// sensors are ten times larger.
+// Smaller corrections are skipped, because the range errors of sensors are ten times
+// larger.
 constexpr double kLeast_m = 1e-3;
-// The effect of a rotation is measured as the shift of a point at this distance.
+// The size of a rotation is measured as the shift of a point at this distance.
 constexpr double kReach_m = 50.0;
 
-/// Returns the maximum distance by which a correction moves a point. The point is at most
-/// kReach_m from the sensor.
+/// Returns the maximum distance by which a pose correction moves points up to kReach_m
+/// from the sensor.
 double measure_correction(const Pose& correction) {
     const double sine =
         glm::length(glm::dvec3(correction.rotation.x, correction.rotation.y, correction.rotation.z));
     return glm::length(correction.translation) + kReach_m * 2.0 * std::asin(std::min(sine, 1.0));
 }
 
-/// Computes the corrections of one sweep by time, relative to the time of the frame. A
-/// correction transforms from the true sensor pose to the pose that is interpolated
-/// between frames.
+/// Computes the pose corrections during one sweep. They move rays from the true sensor
+/// pose to the pose that is interpolated between frames. Times are relative to the time
+/// of the frame.
 PoseTrack compute_corrections(const Sequence& sequence, const Frame& frame,
                               const PoseAt& world_from_vehicle) {
     const Pose& mounted = sequence.get_lidar(frame).vehicle_from_sensor;
@@ -47,7 +47,7 @@ PoseTrack compute_corrections(const Sequence& sequence, const Frame& frame,
     return track;
 }
 
-/// Corrects the origins and directions of all rays of a frame.
+/// Applies pose corrections to the origins and directions of all rays of a frame.
 /// @return maximum distance in metres by which a point is moved
 double place_rays_of(Frame& frame, const PoseTrack& corrections) {
     double farthest_m = 0.0;

@@ -10,8 +10,8 @@
 
 namespace relidar {
 
-/// Returns the reason why a program seems to have removed points from the scans. Returns
-/// an empty string for complete scans. In a complete ring, most azimuth steps between
+/// Tests whether a program has removed points from the scans. Returns the reason, or an
+/// empty string for complete scans. In a complete ring, most azimuth steps between
 /// neighbouring points are equal.
 /// @param scans  some scans with rings; the rings may have been estimated
 /// @param fitted  sensor that was fitted to these scans

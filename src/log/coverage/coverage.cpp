@@ -12,7 +12,7 @@ namespace relidar {
 namespace {
 
 constexpr int kEdge = Coverage::kBlockCells;
-// Points farther from the origin are ignored, because the keys of blocks are unique only
+// Points farther from the origin are ignored, because keys of cell blocks are unique only
 // up to 8e6 m.
 constexpr double kFarthestPoint_m = 1e6;
 
@@ -43,8 +43,8 @@ void visit_cells(const glm::dvec3& from_m, const glm::dvec3& to_m, const Visit& 
     const glm::ivec3 end(glm::floor(a + way));
     const double length_m = glm::distance(from_m, to_m);
     glm::ivec3 step;
-    // `next`: position of the next cell border along the segment. `pace`: distance
-    // between two borders. Both are fractions of the segment.
+    // `next`: where the segment crosses the next cell border along each axis. `pace`:
+    // distance between two borders. Both are fractions of the segment.
     glm::dvec3 next, pace;
     int n_borders = 0;
     for (int axis = 0; axis < 3; ++axis) {
@@ -69,8 +69,8 @@ void visit_cells(const glm::dvec3& from_m, const glm::dvec3& to_m, const Visit& 
 }  // namespace
 
 void Coverage::add(const glm::dvec3& from_m, const glm::dvec3& to_m) {
-    // Block of the previous cell. It is kept because the next cell is usually in the same
-    // block.
+    // Block (a group of cells) that was used last, because the next cell is usually in
+    // the same block.
     Block* block = nullptr;
     visit_cells(from_m, to_m, [&](const glm::ivec3& cell, double) {
         const Place place = make_place(cell);

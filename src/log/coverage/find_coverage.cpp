@@ -12,8 +12,7 @@
 namespace relidar {
 namespace {
 
-/// A ray in the world frame, with the length of the path along which it has observed the
-/// space.
+/// A ray in the world frame, and the length up to which it has observed the space.
 struct Look {
     WorldRay ray;
     double length_m = 0.0;  ///< length of the observed path; 0 if the ray gives no information
@@ -52,8 +51,8 @@ void add_between(Coverage& coverage, const Look& first, const Look& second) {
     }
 }
 
-/// Returns n so that only every n-th column is processed. The skipped columns cross the
-/// same cells as the processed columns.
+/// Returns n if only every n-th column needs to be processed, because the columns in
+/// between cross the same cells.
 std::size_t choose_column_step(const Lidar& lidar, double max_range_m) {
     const double step_m =
         lidar.sensor.columns > 0 ? 2.0 * kPi / lidar.sensor.columns * max_range_m : Coverage::kCell_m;

@@ -21,8 +21,8 @@ namespace {
 constexpr double kMostAngle_rad = 1.0 * kPi / 180.0;
 constexpr double kMostRange = 65535.0;
 
-/// Throws if the beams of a sensor differ from the beams of the product. Drivers compute
-/// points with the angles of the product, so other angles would give wrong points.
+/// Throws if the beam elevations of a sensor differ from the data sheet. Drivers compute
+/// points with the angles in the data sheet, so the points would be wrong.
 void check_beams(const Layout& layout, const SpinningSensor& sensor) {
     const auto nominal = std::get<SpinningSensor>(find_built_in_sensor(layout.sensor)->pattern);
     const bool fits =

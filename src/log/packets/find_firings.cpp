@@ -19,7 +19,7 @@ constexpr double kLeastTurn = 0.05;  // minimum part of a turn that a scan must 
 constexpr double kSameFiring_us = 1.0;
 constexpr double kFar_m = 1e4;  // distance at which the direction of a ray without a return is evaluated
 
-/// Stores the index of the ray for each ring and each firing of a scan.
+/// For each firing (all lasers at one azimuth) of a scan, finds the ray of each ring.
 class FiringImage {
 public:
     FiringImage(const Scan& scan, const SpinningSensor& sensor) : columns_(scan.rays.columns) {
@@ -42,8 +42,9 @@ private:
     std::vector<int> shift_;
 };
 
-/// Measures how well laser delays fit a scan: for each firing, the difference between the
-/// latest and the earliest time of its returns. Returns the sum over all firings.
+/// Measures how well the delays of the lasers fit a scan. For each firing, computes the
+/// range of the times of its returns without these delays. Returns the sum of the ranges;
+/// 0 is a perfect fit.
 double compute_time_spread(const Scan& scan, const FiringImage& image, const std::vector<double>& offset_us) {
     double sum_us = 0.0;
     for (int firing = 0; firing < image.n_firings(); ++firing) {
@@ -59,8 +60,9 @@ double compute_time_spread(const Scan& scan, const FiringImage& image, const std
     return sum_us;
 }
 
-/// Computes time and azimuth of one firing from its rays. Uses only the rays with a
-/// return, because their directions are measured. If no ray has a return, uses all rays.
+/// Computes the time and the azimuth of a firing as the mean over its rays. Uses only
+/// rays with a return, because their directions are measured. If there is none, uses all
+/// rays.
 FiredColumn make_fired_column(const Scan& scan, const FiringImage& image, int firing,
                               const std::vector<BeamGeometry>& beams, const std::vector<double>& offset_us) {
     FiredColumn column{.is_measured = true, .returns = {}};
@@ -91,9 +93,8 @@ FiredColumn make_fired_column(const Scan& scan, const FiringImage& image, int fi
     return column;
 }
 
-/// Corrects the times of firings without returns, because a log does not store them.
-/// Computes the time from the nearest firing with a return and from the rotation between
-/// the two firings.
+/// A log has no measured time for firings without returns. Computes their times from the
+/// nearest firing with a return and the rotation of the head between both.
 void correct_empty_times(std::vector<FiredColumn>& columns, double period_s) {
     const auto n = std::ptrdiff_t(columns.size());
     std::vector<std::ptrdiff_t> before(columns.size(), -1), after(columns.size(), -1);
@@ -115,8 +116,8 @@ void correct_empty_times(std::vector<FiredColumn>& columns, double period_s) {
     }
 }
 
-/// Sorts firings by the angle through which the head has turned. The times of a log may
-/// jitter, so they are used only to distinguish full turns.
+/// Sorts firings by the rotation angle of the head. Times in a log are not exact, so they
+/// only decide between full turns.
 void sort_by_rotation(std::vector<FiredColumn>& columns, double period_s) {
     const FiredColumn middle = columns[columns.size() / 2];
     const auto turns_since = [&](const FiredColumn& column) {
@@ -137,9 +138,8 @@ std::vector<FiredColumn> find_firings(const Scan& scan, double time_s, const Spi
             fmt::format("cannot write packets of {}: the rays of a scan were fired within {:.3g} s, "
                         "expected the {:.3g} s of a turn; motion-compensated scans have no firing times",
                         sensor.name, last - first, sensor.period_s));
-    // In a log, each laser of a firing may have a different time. In a rendered scan, all
-    // lasers of a firing have the same time. Check which of the two cases fits the times
-    // better.
+    // The rays of a firing have different times in a recorded log, and equal times in a
+    // rendered scan. Tests which case fits the times better.
     const std::vector<double> no_offset(offset_us.size(), 0.0);
     const bool has_laser_times =
         compute_time_spread(scan, image, offset_us) < compute_time_spread(scan, image, no_offset);
@@ -150,7 +150,7 @@ std::vector<FiredColumn> find_firings(const Scan& scan, double time_s, const Spi
             make_fired_column(scan, image, firing, beams, has_laser_times ? offset_us : no_offset));
     if (has_laser_times) correct_empty_times(columns, sensor.period_s);
     sort_by_rotation(columns, sensor.period_s);
-    // A log may store a firing twice to complete its image, so remove the duplicates.
+    // A log may contain a firing in two columns, so the second copy is removed.
     const auto is_repeat = [&](const FiredColumn& before, const FiredColumn& after) {
         return 1e6 * std::abs(before.time_s - after.time_s) < kSameFiring_us;
     };

@@ -29,10 +29,9 @@ struct HesaiProduct {
     bool is_xt;      ///< if true, the return mode is stored before the speed, and the date before the time
     int first_year;  ///< year from which the date is counted: 2000 for Pandar, 1900 for XT
 };
-// One row per product: the header of a packet and the fields after the blocks. The header
-// of an XT stores the protocol version, the numbers of lasers and blocks, the position of
-// the last return, the unit in millimetres, the number of returns and a flag for packet
-// numbers.
+// Header of a packet, and format of the fields after the blocks, for each product. The
+// header of an XT contains: protocol version, numbers of lasers and blocks, position of
+// the last return, unit in millimetres, number of returns, flag for packet numbers.
 constexpr HesaiProduct kHesais[] = {
     {"Pandar40P", {}, 0, 8, false, 2000},
     {"Pandar64", {0xEE, 0xFF, 64, 6, 0, kUnit_mm, 0, 0}, 8, 8, false, 2000},
@@ -57,8 +56,8 @@ public:
         std::vector<std::string> lines(blocks_.layout().lasers());
         for (std::size_t ring = 0; ring < lines.size(); ++ring) {
             const Beam& beam = sensor_.beams[ring];
-            // azimuth of the beam when the head points ahead; the rotation of the head
-            // between the start of the block and the firing of the laser is subtracted
+            // azimuth of the laser relative to the head, minus the rotation of the head
+            // from the start of the block until the laser fires
             const double azimuth_rad =
                 -beam.azimuth_offset_rad - 2e-6 * kPi / sensor_.period_s * blocks_.offsets_us()[ring];
             const std::size_t laser = blocks_.find_laser(ring);
@@ -75,7 +74,8 @@ public:
         const std::int64_t clock_ns = blocks_.compute_packet_time_ns(columns, &FiredColumn::clock_s);
         std::string& bytes = packet.bytes;
         bytes.append(product_.header.begin(), product_.header.begin() + std::ptrdiff_t(product_.n_header));
-        // In the manual of the XT32, the first of two blocks stores the last return.
+        // According to the manual, an XT32 stores the last return in the first of two
+        // blocks.
         if (product_.is_xt && blocks_.is_dual()) bytes[8] = 1, bytes[10] = 2;
         blocks_.append_blocks(bytes, columns, 1e-3 * kUnit_mm);
         bytes.append(product_.reserved, '\0');

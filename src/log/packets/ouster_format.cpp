@@ -31,11 +31,11 @@ std::string get_product_line(const std::string& name) {
     return name.starts_with("OS") && name.size() > 3 && name[3] == '-' ? "OS-" + name.substr(2) : name;
 }
 
-/// Returns the first and the last column of the smallest azimuth window that contains all
-/// firing columns. The window may wrap around from the last column to column 0.
+/// Returns the first and the last column of the smallest azimuth window in which the
+/// sensor fires. The window can cross the end of the image and continue at column 0.
 std::array<int, 2> find_azimuth_window(const std::vector<bool>& fired) {
     const int n = int(fired.size());
-    // longest series of columns that do not fire; `begin` is the column after this series
+    // Finds the longest run of columns that do not fire; `begin` is the column after it.
     int begin = 0, longest = 0;
     for (int start = 0; start < n; ++start) {
         int length = 0;
@@ -45,8 +45,8 @@ std::array<int, 2> find_azimuth_window(const std::vector<bool>& fired) {
     return longest == n ? std::array{0, n - 1} : std::array{begin, (begin + n - longest - 1) % n};
 }
 
-/// Returns the metadata of a sensor as JSON text. In the metadata, the x axis of Ouster's
-/// LiDAR frame points backward. The sensor frame is the frame that relidar uses.
+/// Returns the metadata of an Ouster sensor as JSON text. Ouster's LiDAR frame has its x
+/// axis at the back, relidar's frame at the front. The metadata contain the transform.
 std::string make_ouster_metadata(const SpinningSensor& sensor, const std::string& profile,
                                  const std::array<int, 2>& window) {
     std::vector<double> altitude_deg, azimuth_deg;
@@ -164,8 +164,9 @@ private:
         }
     }
 
-    /// Writes range and reflectivity of a return into a pixel. Ouster measures the range
-    /// from the axis of rotation, not from the beam origin.
+    /// Writes the range and the reflectivity of a return into a pixel. Ouster's ranges
+    /// start at the axis of rotation, so they include the distance of the beam origin
+    /// from the axis.
     void set_return(std::string& pixel, std::size_t offset, const LaserReturn& echo, double start_m) const {
         const OusterProfile& profile = *format_->profile;
         if (echo.range_m <= 0.0f) return;

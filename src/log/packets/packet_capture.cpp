@@ -41,7 +41,7 @@ unsigned compute_ip_checksum(std::string_view header) {
     return ~sum & 0xFFFF;
 }
 
-/// Returns the Ethernet frame that transports one UDP datagram.
+/// Wraps a UDP datagram in IPv4 and Ethernet headers.
 /// @param number  identification number of the datagram in the IPv4 header
 std::string make_ethernet_frame(const std::string& payload, int port, unsigned number) {
     std::string ip;
@@ -121,7 +121,7 @@ std::size_t save_packets(const Sequence& sequence, const fs::path& file, const P
             file.string(), sequence.lidars.size()));
     PacketOptions options;
     options.start_ns = log_start_ns(sequence);
-    // Packets cannot have negative times, so move the log if it begins before 0.
+    // Packet times cannot be negative, so a log that begins before time 0 is shifted.
     if (options.start_ns == 0 && !sequence.frames.empty())
         options.start_ns =
             1'000'000'000 * (1 + std::int64_t(std::ceil(std::max(0.0, -sequence.frames.front().time_s))));

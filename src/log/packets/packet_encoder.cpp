@@ -20,10 +20,11 @@ namespace {
 using packets::FiredColumn;
 using packets::PacketFormat;
 
-// maximum relative difference between the time steps of a sensor and of its product
+// Maximum relative difference between the time per column of a sensor and that of the
+// real product.
 constexpr double kMostStepError = 0.02;
-// maximum distance of a firing from the nearest column, in columns, for sensors with
-// fixed columns
+// If the sensor fires only at fixed azimuths, firings may deviate from them by at most
+// this share of a column.
 constexpr double kMostColumnError = 0.1;
 constexpr double kJump_us = 1.0;
 constexpr double kBehindSensor_deg = 180.0;
@@ -58,8 +59,7 @@ struct PacketEncoder::Impl {
     };
     std::optional<Anchor> last;         ///< last firing of all scans
     std::optional<Anchor> clock_start;  ///< firing at which the clock with even time steps starts
-    /// number of the pending packet: position of its first firing, divided by the firings
-    /// per packet
+    /// number of the pending packet, counted from the first firing
     std::int64_t packet = 0;
     std::vector<FiredColumn> pending;  ///< [firings] firings of the pending packet
     std::vector<bool> fired;           ///< [columns] columns of all scans
@@ -81,8 +81,7 @@ struct PacketEncoder::Impl {
                         1e6 * sensor.period_s / format->cycle_us(), format->cycle_us()));
     }
 
-    /// Returns the column of a firing. Valid only for a sensor that fires at fixed
-    /// azimuths.
+    /// Returns the column of a firing, for a sensor that fires at fixed azimuths.
     std::int64_t column_of(const FiredColumn& firing) const {
         const double place = (firing.azimuth_deg - kBehindSensor_deg) / 360.0 * format->columns();
         if (std::abs(place - std::round(place)) > kMostColumnError)
@@ -93,8 +92,8 @@ struct PacketEncoder::Impl {
         return (std::llround(place) + format->columns()) % format->columns();
     }
 
-    /// Returns the position of a firing minus the position of the firing `from`. The
-    /// result is less than 1 if the firing is not later than `from`.
+    /// Returns the number of firing steps from `from` to a firing, including steps
+    /// without a firing. It is below 1 if the firing is not later.
     double count_steps_between(const Anchor& from, const FiredColumn& firing) const {
         const double by_time = (firing.time_s - from.time_s) / cycle_s();
         if (has_columns()) {
@@ -108,8 +107,9 @@ struct PacketEncoder::Impl {
         return std::round((turned_deg + 360.0 * turns) / step_deg());
     }
 
-    /// Returns the position of a firing minus the position of the last firing. Returns 0
-    /// for a firing without returns whose position already has a firing.
+    /// Returns the number of firing steps from the last firing to this one. Returns 0 if
+    /// the firing has no returns and its step already has a firing, so that the firing is
+    /// skipped.
     std::int64_t count_steps_to(const FiredColumn& firing) const {
         const double steps = count_steps_between(*last, firing);
         if (steps < 1.0 && !firing.has_returns) return 0;
@@ -122,9 +122,9 @@ struct PacketEncoder::Impl {
         return std::int64_t(steps);
     }
 
-    /// Returns the position of the first firing. In a log, the times of packets jitter,
-    /// and the time jumps where a packet starts. If such a jump is found, the new packets
-    /// start at the same firings as the packets of the log.
+    /// Returns the position of the first firing within its packet. In a log, times jump
+    /// at the start of each packet. These jumps show where the original packets started,
+    /// and the new packets start at the same firings.
     std::int64_t find_first_position(const std::vector<FiredColumn>& firings_of_scan) const {
         if (has_columns()) return column_of(firings_of_scan.front());
         if (!options.times_jitter) return 1;
@@ -141,16 +141,15 @@ struct PacketEncoder::Impl {
         return firings() - start;
     }
 
-    /// Returns the maximum number of consecutive firings that a log may lack. The encoder
-    /// adds these firings without returns. Logs contain such gaps, because they store no
-    /// firings without returns at the end of a turn, and frames may be farther apart than
-    /// one turn.
+    /// Returns the maximum number of consecutive firings that can be missing in a log.
+    /// The encoder fills such gaps. They occur because logs contain no firings without
+    /// returns at the end of a turn, and because frames can be more than a turn apart.
     std::int64_t get_longest_gap() const {
         return std::llround((options.times_jitter ? 1.0 : 0.5) * sensor.period_s / cycle_s());
     }
 
-    /// Sets the time of a firing by the sensor's clock. The clock runs evenly even if the
-    /// receive times of the packets jitter.
+    /// Sets the time of a firing on the clock of the sensor. This clock has even steps,
+    /// although the receive times of the packets do not.
     void set_clock(FiredColumn& firing, std::int64_t position) {
         firing.clock_s = firing.time_s;
         if (!options.times_jitter || has_columns()) return;
@@ -161,21 +160,20 @@ struct PacketEncoder::Impl {
         else firing.clock_s = even_s;
     }
 
-    /// Stores a firing in the packet of its position. Writes all earlier packets first.
+    /// Stores a firing in its packet. First writes all earlier packets.
     void put(FiredColumn firing, std::int64_t position) {
         if (pending.empty()) begin(position / firings());
         while (packet < position / firings()) {
             write();
-            // A sensor with fixed columns sends no packets outside its azimuth window, so
-            // skip them.
+            // A sensor with fixed azimuths sends no packets outside its azimuth window.
             begin(has_columns() ? position / firings() : packet + 1);
         }
         pending[std::size_t(position % firings())] = std::move(firing);
     }
 
-    /// Fills the positions between the last firing and the next firing with firings
-    /// without returns. Used for a sensor that can fire at any azimuth. Assumes that the
-    /// head turns evenly between the two azimuths.
+    /// Adds firings without returns between the last and the next firing. The head is
+    /// assumed to rotate evenly between the two. Used only for sensors that fire at any
+    /// azimuth.
     void fill_gap(const FiredColumn& next, std::int64_t position) {
         const double turned_deg = std::remainder(next.azimuth_deg - last->azimuth_deg, 360.0);
         const double n = double(position - last->position);
@@ -209,7 +207,8 @@ struct PacketEncoder::Impl {
         pending.assign(std::size_t(firings()), FiredColumn{});
     }
 
-    /// Computes time and azimuth of the pending firings that no scan contains.
+    /// Computes time and azimuth of those firings in the pending packet that no scan
+    /// contains.
     void complete_firings() {
         const auto first = std::ranges::find_if(pending, &FiredColumn::is_placed) - pending.begin();
         const std::int64_t begin = packet * firings();
@@ -234,8 +233,8 @@ struct PacketEncoder::Impl {
         ++n_written;
     }
 
-    /// Writes the pending packet. For a sensor that can fire at any azimuth, also writes
-    /// a packet without returns.
+    /// Writes the pending packet. A sensor that fires at any azimuth then sends another
+    /// packet without returns.
     void end_packets() {
         if (pending.empty()) return;
         write();

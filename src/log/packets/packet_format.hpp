@@ -23,25 +23,26 @@ struct LaserReturn {
     float intensity = 0.0f;  ///< 0 to 1
 };
 
-/// One firing of a sensor: the returns of all lasers at one azimuth of the rotating head.
+/// All lasers of a rotating LiDAR at one azimuth of its head, with their returns.
 struct FiredColumn {
     double time_s = 0.0;       ///< time at which the first laser fires, in the time of the log
     double clock_s = 0.0;      ///< time at which the first laser fires, by the clock of the sensor
     double azimuth_deg = 0.0;  ///< azimuth of the head, clockwise from the x axis, 0 to 360
     bool is_measured = false;  ///< false if the scans do not contain this firing
-    /// true if time and azimuth were interpolated, because the scans do not contain this
-    /// firing
+    /// true if the scans do not contain this firing, so that its time and azimuth were
+    /// interpolated
     bool is_filled = false;
     bool has_returns = false;
-    /// [rings] strongest and second strongest return of each beam, highest beam first.
-    /// Empty if the firing was not measured.
+    /// [rings] strongest and second strongest return of each beam, highest beam first;
+    /// empty if the scans do not contain this firing
     std::vector<std::array<LaserReturn, 2>> returns = {};
 
     /// Returns true if time and azimuth are set.
     bool is_placed() const { return is_measured || is_filled; }
 };
 
-/// Returns the firings of a scan, sorted by time.
+/// Returns the firings of a scan, sorted by time. A firing contains the rays of all
+/// lasers at one azimuth.
 /// @param offset_us  [rings] delay of each beam after the first laser of the firing
 /// @throws UsageError if the scan is not in image order or has no firing times
 std::vector<FiredColumn> find_firings(const Scan& scan, double time_s, const SpinningSensor& sensor,
@@ -55,33 +56,33 @@ public:
     virtual int firings() const = 0;
     /// Returns the time between two firings.
     virtual double cycle_us() const = 0;
-    /// Returns the number of azimuths per turn at which the sensor fires. Column 0 is at
-    /// the back of the sensor. Returns 0 if the sensor can fire at any azimuth.
+    /// Returns the number of fixed azimuths per turn at which the sensor fires, or 0 if
+    /// it can fire at any azimuth. Column 0 is at the back of the sensor.
     virtual int columns() const { return 0; }
-    /// Returns the delay of each beam after the first laser of a firing, in microseconds.
+    /// Returns the time in microseconds from the first laser of a firing to each beam.
     virtual std::vector<double> offsets_us() const = 0;
-    /// Returns the calibration file of the sensor, which decoders of the packets need.
+    /// Returns a calibration file, which other programs need to decode the packets.
     /// @param fired  [columns] true if the sensor fires at this column; empty if the
     /// sensor fires at any azimuth
     virtual PacketCalibration calibration(const std::vector<bool>& fired) const {
         static_cast<void>(fired);
         return {};
     }
-    /// Returns the bytes and the time of one packet. The bytes contain the time by the
-    /// sensor's clock.
+    /// Encodes one packet. Its bytes contain the time on the sensor's clock.
     /// @param columns  [firings] firings of the packet
     /// @param number  sequence number of the packet, from 0
     virtual SensorPacket write(std::span<const FiredColumn> columns, std::uint32_t number) const = 0;
 };
 
-/// Creates the packet format of a manufacturer. Returns null if another manufacturer
-/// built the sensor.
+/// Creates the packet format of a manufacturer, or returns null if the sensor is from
+/// another manufacturer.
 std::unique_ptr<PacketFormat> make_velodyne_format(const SpinningSensor& sensor,
                                                    const PacketOptions& options);
 std::unique_ptr<PacketFormat> make_hesai_format(const SpinningSensor& sensor, const PacketOptions& options);
 std::unique_ptr<PacketFormat> make_ouster_format(const SpinningSensor& sensor, const PacketOptions& options);
 
-/// Writes the blocks of a packet. Velodyne and Hesai use the same kind of block.
+/// Writes the data blocks of a packet, which have the same structure for Velodyne and
+/// Hesai.
 class BlockWriter {
 public:
     /// @throws UsageError if the beams of the sensor differ from the beams of the product
@@ -91,12 +92,12 @@ public:
     bool is_dual() const { return returns_ == 2; }
     int firings() const;
     const std::vector<double>& offsets_us() const { return offsets_us_; }
-    /// Returns the manufacturer's index of the laser of a ring, from 0.
+    /// Returns the index of the laser in a ring, in the manufacturer's order from 0.
     std::size_t find_laser(std::size_t ring) const { return laser_of_[ring]; }
     /// Appends all blocks of a packet.
     void append_blocks(std::string& bytes, std::span<const FiredColumn> columns, double range_unit_m) const;
     /// Returns the time of a packet in nanoseconds since 1970.
-    /// @param time  FiredColumn::time_s or FiredColumn::clock_s
+    /// @param time  which clock is used: FiredColumn::time_s or FiredColumn::clock_s
     std::int64_t compute_packet_time_ns(std::span<const FiredColumn> columns,
                                         double FiredColumn::*time) const;
 
@@ -111,15 +112,15 @@ private:
                         std::size_t first_laser, double range_unit_m) const;
 };
 
-/// Returns the packet layout of a product. Layouts are stored in the table kLayouts.
+/// Returns the packet layout of a product from the table kLayouts.
 const Layout& find_layout_of_product(const std::string& product);
-/// Returns the names of the sensors whose packets this manufacturer's format can write.
+/// Returns the names of the Velodyne sensors whose packets can be written.
 std::vector<std::string> list_velodyne_names();
 std::vector<std::string> list_hesai_names();
 
 /// Converts a time of the log to nanoseconds since 1970.
 std::int64_t to_unix_ns(double time_s, std::int64_t start_ns);
-/// Converts the intensity of a return (0 to 1) to a reflectivity of one byte.
+/// Converts the intensity of a return (0 to 1) to a one-byte reflectivity.
 std::uint8_t to_reflectivity(const LaserReturn& echo);
 
 }  // namespace relidar::packets

@@ -38,14 +38,13 @@ namespace fs = std::filesystem;
 
 struct DatasetKind {
     const char* name;
-    /// Names that identify this kind of dataset, separated by blanks. A path matches if
-    /// it contains one of these files or folders. "name*" matches every name that begins
-    /// with "name". ".ending" matches a file whose name has this ending, or a folder that
-    /// contains such a file.
+    /// Names of files or folders that identify this kind of dataset, separated by blanks.
+    /// "name*" matches every name that begins with "name". ".ending" matches files with
+    /// this ending, also inside a folder.
     const char* marker;
     const char* describe;
     Sequence (*load)(const fs::path&, const DatasetOptions&);
-    /// True if one dataset contains several drives. The user then selects a drive with
+    /// True if a dataset contains several drives, from which the user selects one with
     /// DatasetOptions::sequence.
     bool holds_drives = false;
 };
@@ -106,8 +105,8 @@ bool is_kind(const fs::path& path, const DatasetKind& kind) {
     return false;
 }
 
-/// Throws an error if a folder contains scans but no sequence.json.
-/// @throws DataError with an example of the sequence.json that the user should write
+/// Throws if a folder contains scans but no sequence.json.
+/// @throws DataError with an example of a sequence.json for the user
 void check_bare_folder(const fs::path& path) {
     std::error_code failed;
     if (!fs::is_directory(path, failed)) return;
@@ -127,10 +126,10 @@ void check_bare_folder(const fs::path& path) {
     }
 }
 
-/// Returns the range of the farthest return of a LiDAR, rounded up to full metres.
-/// Returns 80 m if the log contains no return.
+/// Returns the largest range of all returns of a LiDAR, rounded up to metres. Returns 80
+/// m if there are no returns.
 double find_farthest_return_m(const Sequence& sequence, int lidar) {
-    // ignores farther points, because no LiDAR on a vehicle measures such ranges
+    // Larger ranges are ignored, because no LiDAR on a vehicle measures them.
     constexpr float kFarthest_m = 1000.0f;
     constexpr double kWithoutReturns_m = 80.0;
     std::vector<float> farthest(sequence.frames.size(), 0.0f);
@@ -149,8 +148,8 @@ double find_farthest_return_m(const Sequence& sequence, int lidar) {
     return all > 0.0f ? std::ceil(double(all)) : kWithoutReturns_m;
 }
 
-/// Sets the maximum range of each LiDAR for which it is unknown. Uses the range of the
-/// farthest return in the log, and adds a note.
+/// Sets unknown maximum ranges of LiDARs to the largest range in the log, and adds a note
+/// for the user.
 void find_farthest(Sequence& sequence) {
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
         SpinningSensor& sensor = sequence.lidars[l].sensor;
@@ -163,8 +162,8 @@ void find_farthest(Sequence& sequence) {
     }
 }
 
-/// Number of returns in a scan: nearer than the minimum range of the LiDAR, farther than
-/// its maximum range, and all returns.
+/// Numbers of returns in a scan: below the LiDAR's minimum range, above its maximum
+/// range, and all.
 struct OutsideRange {
     std::size_t near = 0, far = 0, all = 0;
 };
@@ -182,8 +181,8 @@ OutsideRange count_outside(const Scan& scan, const RangeLimits& limits) {
     return counts;
 }
 
-/// Adds a note for each LiDAR that has returns outside the limits of its range. The note
-/// contains the number of these returns.
+/// Adds a note for the user about each LiDAR with returns outside its range limits, with
+/// the number of these returns.
 /// @param counts  [frames] number of near, far and all returns in each frame
 /// @throws DataError if all returns of the log are outside the limits
 void note_outside_range(Sequence& sequence, const std::vector<OutsideRange>& counts) {
@@ -214,8 +213,8 @@ void note_outside_range(Sequence& sequence, const std::vector<OutsideRange>& cou
                         sequence.source, n_all, sequence.notes.back()));
 }
 
-/// Restricts the range of each LiDAR to the limits that the user requested. Drops all
-/// returns outside the new limits.
+/// Restricts the LiDARs to the range limits that the user requested. Returns outside the
+/// limits become dropped rays.
 void apply_limits(Sequence& sequence, const RangeLimits& wanted) {
     find_farthest(sequence);
     for (Lidar& lidar : sequence.lidars) {
@@ -233,11 +232,11 @@ void apply_limits(Sequence& sequence, const RangeLimits& wanted) {
     note_outside_range(sequence, counts);
 }
 
-/// Adds a note if the log has no intensities: the log has returns, but all of them have
-/// the same intensity.
+/// Adds a note for the user if all returns of the log have the same intensity, because
+/// the log then has no intensities.
 void note_missing_intensities(Sequence& sequence) {
     constexpr float kNone = -1.0f, kSeveral = -2.0f;
-    // [frames] intensity of all returns of the frame, or one of the constants above
+    // [frames] intensity that all returns of a frame have, or one of the constants above
     std::vector<float> common(sequence.frames.size(), kNone);
     const auto add = [&](float& all, float intensity) {
         if (all == kNone) all = intensity;
@@ -259,8 +258,8 @@ void note_missing_intensities(Sequence& sequence) {
     if (std::ranges::find(sequence.notes, note) == sequence.notes.end()) sequence.notes.push_back(note);
 }
 
-/// Keeps only the LiDARs with the given names, in the order of the log. Removes the
-/// frames of the other LiDARs, and poses that no remaining frame uses.
+/// Keeps only the named LiDARs. Removes the frames of all other LiDARs, and poses that no
+/// frame needs.
 void keep_lidars(Sequence& sequence, const std::vector<std::string>& names) {
     std::vector<int> place(sequence.lidars.size(), -1);
     for (const std::string& name : names) place[std::size_t(find_lidar(sequence, name))] = 0;
@@ -288,8 +287,7 @@ void keep_lidars(Sequence& sequence, const std::vector<std::string>& names) {
         sequence.notes.push_back(fmt::format("LiDARs that are not read: {}", fmt::join(left_out, ", ")));
 }
 
-/// Splits a text of the form "kind:path" into kind and path. Returns an empty kind if the
-/// text has no such prefix.
+/// Splits a text of the form "kind:path". Returns an empty kind for a path alone.
 std::pair<std::string, fs::path> split_kind_and_path(const std::string& dataset) {
     std::error_code failed;
     const std::size_t colon = dataset.find(':');
@@ -299,7 +297,7 @@ std::pair<std::string, fs::path> split_kind_and_path(const std::string& dataset)
                     : std::pair(std::string(), fs::path(dataset));
 }
 
-/// Returns the row of the table that can read a dataset.
+/// Returns the reader for a dataset.
 /// @param sequence  name of the drive that the user requested; may be empty
 /// @throws UsageError if a drive is requested but the dataset contains only one drive
 const DatasetKind& find_reader(const std::string& dataset, const std::string& sequence) {
@@ -320,8 +318,8 @@ void check_range(const FrameRange& range) {
     }
 }
 
-/// Finds for each frame the start of the sweep. Also computes the deviation of the head
-/// azimuths from the nominal azimuths.
+/// Estimates, for each frame, the start time of the sweep and the deviations of the head
+/// azimuths from even rotation.
 void find_sweeps(Sequence& sequence) {
     std::vector<RayTable> nominal;
     for (const Lidar& lidar : sequence.lidars)

@@ -14,44 +14,43 @@
 namespace relidar {
 namespace {
 
-// Path length in metres between two key poses. Only key poses are tested for loop
-// closures.
+// Distance along the path between two key poses. Loop closures join only key poses.
 constexpr double kKey_m = 4.0;
-// Minimum path length between two passes over the same road. If the path is shorter,
-// odometry has already aligned both passes to one map.
+// Two passes over the same road must be this far apart along the path. Odometry has
+// already aligned closer passes.
 constexpr double kApart_m = 80.0;
-// Maximum distance between the two passes of a loop closure. This limit grows with the
-// path length between the passes, because odometry drifts.
+// Two passes are joined only if they are closer than kNear_m. This limit grows by
+// kNearShare per metre of path between them, up to kFarthest_m, because odometry drifts.
 constexpr double kNear_m = 4.0, kNearShare = 0.01, kFarthest_m = 15.0;
-// The map covers this length of the earlier drive's path before the key pose, and the
-// same length after it.
+// The map for a loop closure contains scans within this distance along the earlier path,
+// on both sides of the key pose.
 constexpr double kMap_m = 14.0;
-// Grid of start positions around the predicted pose. Registration tries these positions.
+// Spacing and extent of the grid of start positions that registration tries around the
+// predicted pose.
 constexpr double kGrid_m = 1.5, kWidest_m = 6.0, kHighest_m = 4.5;
-// Penalty per grid step for start positions far from the prediction. Such a position must
-// have a larger share of matching points.
+// Reduces the share of matching points of a start position per grid step from the
+// prediction, so that positions near the prediction are preferred.
 constexpr double kGridPenalty = 0.01;
 constexpr std::size_t kGridPoints = 400;
 constexpr int kMostLoopSteps = 10;
 constexpr double kLoopStep_m = 1e-3, kLoopPrior = 1e-4;
-// Minimum share of a scan's points that lie on planes of the earlier pass. Scans in
-// odometry reach a share of 0.5 to 0.8.
+// A loop closure is valid if at least this share of the scan's points lies on planes of
+// the earlier pass. In odometry, the share is 0.5 to 0.8.
 constexpr double kLeastShare = 0.4;
 constexpr std::size_t kFewestPlaces = 2;
-// standard deviations of the odometry over a path of length kKey_m
+// standard deviations of odometry errors on a path of length kKey_m
 constexpr double kWay_m = 0.01, kWay_rad = 3e-4;
 constexpr double kPlace_m = 0.05, kPlace_rad = 2e-3;  // standard deviations of a loop closure
-// Scale of the robust kernel. The kernel reduces the weight of loop closures that
-// contradict the other loop closures.
+// Loop closures that contradict other loop closures by much more than this lose their
+// weight (robust kernel).
 constexpr double kBelieved_m = 0.5;
 constexpr int kReweighted = 6;
 
-/// Loop closure: the scan of a later key pose was registered to the map of an earlier
-/// pass.
+/// Loop closure: the scan at a later key pose, registered to the map of an earlier pass
+/// over the same road.
 struct LoopClosure {
     std::size_t earlier, later;  // indices of the key poses
-    // correction of the later pose relative to the earlier pose (translation, rotation
-    // vector)
+    // correction of the later pose: translation, then rotation vector
     Twist off;
 };
 
@@ -129,8 +128,8 @@ private:
         maps_.add(points_m, 0.0);
     }
 
-    /// Returns the points of a scan in the frame of the key pose. Also returns, for each
-    /// point, the position of the vehicle when the point was measured.
+    /// Returns the points of a scan in the frame of its key pose, each with the position
+    /// of the vehicle when it was measured.
     std::vector<PlacedPoint> points_of(std::size_t key) const {
         const Pose pose_from_world = inverse(pose(key));
         std::vector<PlacedPoint> points;
@@ -153,8 +152,8 @@ private:
         return double(on_planes) / double(std::max<std::size_t>(n, 1));
     }
 
-    /// Tries a grid of start positions around a pose. Returns the start pose with the
-    /// most points on planes, minus a penalty for the distance from the prediction.
+    /// Tries a grid of start positions around a pose. Returns the one with the most
+    /// points on planes of the map. Positions far from the prediction get a penalty.
     Pose find_best_start(const std::vector<PlacedPoint>& points, const Pose& about, double reach_m) const {
         std::vector<glm::dvec3> offsets;
         const auto steps = [&](double widest_m) {
@@ -175,7 +174,7 @@ private:
         return start_at(std::size_t(std::ranges::max_element(scores) - scores.begin()));
     }
 
-    /// Performs one Gauss-Newton step that moves a scan as a rigid body onto the map.
+    /// Moves a scan by one Gauss-Newton step towards the planes of the map.
     /// @return length of the step
     double step(const std::vector<PlacedPoint>& points, Pose& pose, int level, double& share) const {
         const double scale_m = maps_.round(level).scale_m;
@@ -212,8 +211,8 @@ private:
         Pose at = before ? move_with_pose(before->off, pose(before->later), pose(later))
                          : find_best_start(points, pose(later), reach_m);
         double share = settle(points, at);
-        // If the prediction from the previous loop closure fails, try the grid of start
-        // positions.
+        // If the start value from the previous loop closure fails, tries the grid of
+        // start positions.
         if (before && share < kLeastShare) {
             at = find_best_start(points, pose(later), reach_m);
             share = settle(points, at);
@@ -222,15 +221,15 @@ private:
         return LoopClosure{earlier, later, compute_twist(pose(later), at)};
     }
 
-    /// The correction moves the pose `pose`. Returns the pose `other` after the same
-    /// motion, so that the pose of `other` relative to `pose` does not change.
+    /// Applies the motion that corrects `pose` to another pose. Both poses move together
+    /// like a rigid body.
     static Pose move_with_pose(const Twist& correction, const Pose& pose, const Pose& other) {
         const Pose world_from_world = moved(pose, correction) * inverse(pose);
         return world_from_world * other;
     }
 
-    /// Normal equations for the corrections x of the key poses. add() adds the squared
-    /// error weight * |x_b - (x_a, converted to pose b) - off|^2.
+    /// Least-squares equations for the corrections x of all key poses. add() adds a term
+    /// that pulls x_b to x_a (converted to pose b) plus `off`.
     struct Equations {
         std::vector<Eigen::Triplet<double>> h;
         Eigen::VectorXd g;
@@ -283,13 +282,14 @@ private:
         return Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>>(h).solve(equations.g);
     }
 
-    /// Returns the correction of a pose that moves rigidly with a corrected key pose.
+    /// Returns the correction of a pose that moves with a corrected key pose like a rigid
+    /// body.
     Vector6 move_with_key_pose(std::size_t index, std::size_t key, const Eigen::VectorXd& solution) const {
         return make_motion_matrix(track_.pose[index].translation - pose(key).translation) *
                solution.segment<6>(6 * Eigen::Index(key));
     }
 
-    /// Returns the difference, in metres, between a loop closure and the corrected key
+    /// Returns by how many metres a loop closure still disagrees with the corrected key
     /// poses.
     double compute_contradiction_m(const LoopClosure& place, const Eigen::VectorXd& solution) const {
         const Vector6 moves = solution.segment<6>(6 * Eigen::Index(place.later)) -

@@ -11,7 +11,7 @@
 namespace relidar {
 
 struct LoopOptions {
-    /// cell sizes and robust-kernel scales for aligning a scan, from coarse to fine
+    /// cell sizes and robust-kernel scales at the coarsest and at the finest level
     RegisterRound first, last;
     /// Progress callback. If it returns false, the search for loops stops.
     std::function<bool(double done)> proceed;

@@ -24,46 +24,44 @@ namespace {
 
 constexpr int kMostSteps = 8;
 constexpr double kConverged_m = 1e-3;  // stops the iteration if a step is shorter than this
-// Weight of the prior that pulls a pose to its predicted value, relative to the mean
-// weight of the points. The prior matters only in directions that no point constrains,
-// for example along a road without walls.
+// Weight of the prior that pulls a pose to its prediction, relative to the mean weight of
+// the points. It matters only in directions that no point constrains, for example along a
+// road without walls.
 constexpr double kPrior = 3e-4;
-// Minimum share of a scan's points that must lie on planes of the map. In streets, scans
-// reach a share of 0.5 to 0.8.
+// A scan is lost if a smaller share of its points lies on planes of the map. In streets,
+// the share is 0.5 to 0.8.
 constexpr double kFewestShare = 0.1;
-// Path length after which parts of the map are removed if they were not observed again.
-// Odometry must not match such old parts, because a separate step closes loops.
+// Cells of the map are removed if they were not observed on this length of the path. A
+// separate step closes loops, so odometry must not match old cells.
 constexpr double kMemory_m = 80.0;
-// Path length between two removals of old cells from the map. Removals are rare because
+// Old cells of the map are removed once per this path length. This is rare, because
 // checking all cells takes as long as adding a scan.
 constexpr double kForgotten_m = 5.0;
-// If two predictions are closer than this, they lead to the same result. Therefore only
-// one prediction is tried.
+// Two predictions that are closer than this lead to the same pose, so only one is tried.
 constexpr double kSame_m = 0.05;
-// After this number of consecutive scans without a match, the map is cleared.
+// After this many consecutive scans that do not match the map, the map is cleared.
 constexpr int kLostInARow = 5;
 constexpr std::size_t kStretch = 200;  // number of poses in a section of the log
-// Number of poses that two consecutive sections share. This number is large enough to
-// build a map.
+// Number of poses that two consecutive sections share, which is enough to build a map.
 constexpr std::size_t kOverlap = 20;
-// number of scans that are used to estimate the motion at the start of a section
+// number of scans for estimating the first motion of a section
 constexpr int kTrialScans = 4;
-// Range and step of the tested motions between two scans. The maximum corresponds to 40
+// Forward motions from -kBackwards_m to kFastest_m per scan are tested. The maximum is 40
 // m/s at 10 Hz.
 constexpr double kTrialStep_m = 0.5, kFastest_m = 4.0, kBackwards_m = 1.0;
 
-/// Returns the relative motion from pose a to pose `second`, scaled by the factor s.
+/// Returns the relative motion between two poses, scaled by a factor.
 Pose scale_motion(const Pose& first, const Pose& second, double fraction) {
     return interpolate(Pose{}, inverse(first) * second, fraction);
 }
 
-/// Section of a log. The poses of a section are estimated one after the other.
+/// Section of a log. Poses within a section are estimated one after the other.
 struct Stretch {
     std::size_t begin, end;
 };
 
-/// Divides a log into overlapping sections. The last section can be up to twice as long
-/// as the other sections.
+/// Divides a log into overlapping sections. The last one can be up to twice as long as
+/// the others.
 std::vector<Stretch> divide_into_stretches(std::size_t n_poses) {
     std::vector<Stretch> stretches{{0, n_poses}};
     for (std::size_t begin = kStretch; begin + kStretch <= n_poses; begin += kStretch) {
@@ -86,8 +84,8 @@ public:
         if (begin + 1 < track_.pose.size()) track_.pose[begin + 1] = list_predictions(begin + 1).front();
     }
 
-    /// Estimates one pose and adds the scan of this pose to the map. Must be called for
-    /// the poses in their order.
+    /// Estimates a pose and adds its scan to the map. Must be called for each pose in
+    /// order.
     void follow(std::size_t pose, const std::vector<ThinPoint>& scan) {
         const std::vector<Pose> starts =
             pose == begin_ ? std::vector<Pose>{track_.pose[pose]} : list_predictions(pose);
@@ -109,7 +107,7 @@ public:
     }
 
     const PoseTrack& track() const { return track_; }
-    /// share of points on planes of the map, summed over all scans so far
+    /// sum over all scans of the share of points that lie on planes of the map
     double share() const { return share_; }
 
 private:
@@ -136,8 +134,8 @@ private:
         maps_.forget(forgotten_m_);
     }
 
-    /// Returns the motion from pose index - 1 to pose `index` under the assumption of
-    /// constant velocity. Uses the motion between the two previous poses.
+    /// Predicts the motion from pose index - 1 to pose `index` by constant velocity, from
+    /// the two previous poses.
     Pose predict_constant_motion(std::size_t index) const {
         if (index < begin_ + 2) return first_motion_.value_or(Pose{});
         const std::vector<double>& t = track_.time_s;
@@ -149,8 +147,7 @@ private:
         return inverse(given_.pose[index - 1]) * given_.pose[index];
     }
 
-    /// Returns the possible predictions of pose `index`. The most likely prediction is
-    /// first.
+    /// Returns the predictions of pose `index` that are tried, the most likely one first.
     std::vector<Pose> list_predictions(std::size_t index) const {
         const Pose kept = track_.pose[index - 1] * predict_constant_motion(index);
         if (!options_.use_pose_motion) return {kept};
@@ -160,7 +157,7 @@ private:
         return {given, kept};
     }
 
-    /// Sets pose `index`. Also predicts pose index + 1 from pose `index`.
+    /// Sets pose `index`, and pose index + 1 to its prediction.
     void set(std::size_t index, const Pose& pose) {
         track_.pose[index] = pose;
         if (index + 1 < track_.pose.size())
@@ -169,8 +166,7 @@ private:
     }
 
     /// Aligns a scan with the maps, from coarse to fine.
-    /// @return the aligned pose, and the share of the scan's points that lie on planes of
-    /// the map
+    /// @return the aligned pose, and the share of the scan's points that lie on planes
     Candidate align_scan(std::size_t index, const Pose& start, const std::vector<ThinPoint>& scan) {
         set(index, start);
         if (maps_.empty() || scan.empty()) return {start, 0.0};
@@ -183,7 +179,7 @@ private:
         return {track_.pose[index], share};
     }
 
-    /// Performs one Gauss-Newton step that moves pose `index`.
+    /// Moves pose `index` by one Gauss-Newton step.
     /// @return length of the step
     double step(std::size_t index, const Pose& start, const std::vector<ThinPoint>& scan, int level,
                 double scale_m, double& share) {
@@ -206,9 +202,9 @@ private:
     }
 };
 
-/// Returns the motion of the vehicle between the first two poses of a section, for logs
-/// without given poses. Tries several forward speeds and returns the speed for which the
-/// first scans match best.
+/// Estimates the motion between the first two poses of a section, for logs without given
+/// poses. Tries several forward speeds and returns the one for which the first scans
+/// match best.
 Pose find_first_motion(const PoseTrack& initial_track, const std::vector<std::vector<ThinPoint>>& scans,
                        const OdometryOptions& options, const Stretch& stretch) {
     Pose best;
@@ -226,10 +222,9 @@ Pose find_first_motion(const PoseTrack& initial_track, const std::vector<std::ve
     return best;
 }
 
-/// Estimates the poses of a section.
+/// Estimates the poses of a section. The first pose stays unchanged.
 /// @param proceed called before each scan
-/// @return poses of the section; the first pose is unchanged; empty if proceed() returned
-/// false
+/// @return poses of the section; empty if proceed() returned false
 std::vector<Pose> follow_stretch(const PoseTrack& initial_track,
                                  const std::vector<std::vector<ThinPoint>>& scans,
                                  const OdometryOptions& options, const Stretch& stretch,
@@ -246,8 +241,8 @@ std::vector<Pose> follow_stretch(const PoseTrack& initial_track,
     return {first + std::ptrdiff_t(stretch.begin), first + std::ptrdiff_t(stretch.end)};
 }
 
-/// Joins the sections to one track. Each section is moved so that it agrees with the
-/// previous section at the last scan that both share.
+/// Joins the sections to one track. Moves each section so that it agrees with the
+/// previous section at the last scan that both contain.
 std::vector<Pose> join_stretches(const std::vector<Stretch>& stretches, const std::vector<Pose>& poses,
                                  const std::vector<std::vector<ThinPoint>>& scans) {
     auto own = poses.begin();  // first pose of the current section in `poses`

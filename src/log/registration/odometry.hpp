@@ -16,21 +16,21 @@
 namespace relidar {
 
 struct OdometryOptions {
-    /// cell sizes and robust-kernel scales for aligning a scan, from coarse to fine
+    /// cell sizes and robust-kernel scales at the coarsest and at the finest level
     RegisterRound first, last;
-    /// True if the given poses predict the motion from scan to scan. If false, the
-    /// velocity is assumed to be constant.
+    /// How the motion between scans is predicted. True: from the given poses. False: by
+    /// constant velocity.
     bool use_pose_motion = true;
-    /// Progress callback, called repeatedly from the calling thread. If it returns false,
-    /// the estimation stops.
+    /// Callback with the progress, called repeatedly from the calling thread. If it
+    /// returns false, the estimation stops.
     std::function<bool(double done)> proceed;
     ProcessGroup group = {};
 };
 
-/// Estimates the poses of a log. If a scan cannot be aligned, its predicted pose is used.
+/// Estimates the poses of a log, starting at the first given pose. A scan that cannot be
+/// aligned gets its predicted pose.
 /// @param scans [poses] points of each scan; empty if a pose has no scan
-/// @return poses that are identical in all processes and start at the first given pose;
-/// the given poses if proceed() returned false
+/// @return the same poses in all processes; the given poses if proceed() returned false
 PoseTrack estimate_poses(const PoseTrack& initial_track, const std::vector<std::vector<ThinPoint>>& scans,
                          const OdometryOptions& options);
 

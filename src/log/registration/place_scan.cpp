@@ -10,11 +10,11 @@
 namespace relidar {
 namespace {
 
-// Size of the cells in which one point is kept, metres. The small size keeps nearly all
-// returns, which is affordable because only a single pose is fitted.
+// One point is kept per cell of this size in metres. This keeps nearly all returns, which
+// is fast enough for fitting a single pose.
 constexpr double kThin_m = 0.1;
-// Scale of the robust kernel. After registration, the scan is closer to the scene than
-// this scale.
+// Points farther than this from the scene have little weight (scale of the robust
+// kernel). A registered scan is closer.
 constexpr double kScale_m = 0.05;
 // Weight of the prior that pulls the pose to its start value, relative to the mean weight
 // of the points.

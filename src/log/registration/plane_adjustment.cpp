@@ -11,22 +11,22 @@
 namespace relidar {
 namespace {
 
-// Number of partial sums. It does not depend on the number of threads, so the result does
-// not either.
+// Number of partial sums. It is fixed, so that the result does not depend on the number
+// of threads.
 constexpr int kChunks = 64;
-// number of rounds with shrinking cells, and number of rounds with the smallest cells
+// number of rounds in which the cells become smaller, and of further rounds with the
+// smallest cells
 constexpr int kShrinking = 8, kLastRounds = 2;
 constexpr double kShift = 0.37;  // Shift of the cell grid from one round to the next, in cells.
 // Weight of the prior that pulls corrections to zero, relative to the mean weight of the
-// points. The prior matters only in directions that no point constrains.
+// points. It matters only in directions that no point constrains.
 constexpr double kAdjustmentPrior = 1e-4;
 constexpr std::size_t kFewestPlaced = 30;
-// Minimum share of a scan's points that lie on planes. Scans of streets have a share of
-// 0.3 to 0.7. Random ranges have 0.003.
+// A pose is lost if a smaller share of its points lies on planes. The share is 0.3 to 0.7
+// in streets, and 0.003 for random ranges.
 constexpr double kFewestOnPlanes = 0.05;
 
-/// Splits [0, count) into kChunks parts, and calls task(begin, end, chunk) for the parts
-/// in parallel.
+/// Splits [0, count) into kChunks parts, and calls task(begin, end, chunk) in parallel.
 template <class Task>
 void run_in_chunks(std::size_t count, const Task& task) {
     const std::size_t size = count / kChunks + 1;
@@ -59,7 +59,7 @@ Eigen::VectorXd compute_pose_differences(const PoseTrack& from, const PoseTrack&
     return result;
 }
 
-/// Fits a plane in each cell that contains points of at least two sweeps.
+/// Fits a plane in each cell with points from at least two sweeps.
 std::vector<std::optional<Plane>> fit_planes(const PlaneCells& cells, const std::vector<ThinPoint>& points,
                                              const std::vector<PlacedPoint>& placed,
                                              const RegisterRound& round) {
@@ -146,8 +146,8 @@ void PlaneAdjustment::add_prior(PoseEquations& equations) const {
 
 void PlaneAdjustment::remove_common_motion() {
     const auto n = double(std::count(gauge_.begin(), gauge_.end(), true));
-    // The mean of rotation vectors is only approximately a rotation, so the loop repeats
-    // the removal of the mean three times.
+    // Removing a mean of rotation vectors is only approximate, so it is repeated three
+    // times.
     for (int i = 0; i < 3; ++i) {
         glm::dvec3 centre(0.0), v(0.0), w(0.0);
         for (std::size_t k = 0; k < track_.pose.size(); ++k) {
@@ -216,8 +216,8 @@ double PlaneAdjustment::compute_deviation_m(std::size_t pose, const std::vector<
     };
     const glm::dvec3 between =
         glm::mix(correction(before), correction(after), compute_time_fraction(before, pose, after));
-    // If the given poses jump, one of the neighbours has the same jump. Therefore the
-    // function uses the smallest of the differences.
+    // If the given poses jump, one of the neighbours has the same jump. The minimum over
+    // both neighbours ignores it.
     double least = glm::distance(correction(pose), between);
     for (const std::size_t neighbour : {before, after})
         least = std::min(least, glm::distance(correction(pose), correction(neighbour)));

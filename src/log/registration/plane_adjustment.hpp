@@ -18,35 +18,34 @@ struct PlaneMap {
     PlaneCells cells;
     std::vector<std::optional<Plane>> planes;  ///< [cells]
 
-    /// Returns the plane of the cell that contains a point. Returns null if the cell has
-    /// no plane.
+    /// Returns the plane of the cell that contains a point, or null if there is none.
     const Plane* at(const glm::dvec3& point_m) const;
 };
 
-/// Prior for the corrections of poses, as weights relative to the weight of one point.
+/// Prior for pose corrections. Its weights are relative to the weight of one point.
 struct CorrectionPrior {
     Vector6 pull = Vector6::Zero();  ///< weight of the term that pulls each correction to zero
-    /// weight of the term that makes the corrections of two poses similar; valid for
+    /// weight of the term that makes the corrections of consecutive poses similar, for
     /// poses 0.1 s apart
     Vector6 link = Vector6::Zero();
 };
 
 class PlaneAdjustment {
 public:
-    /// Starts the optimisation of a track.
-    /// @param given poses relative to which the corrections are measured
+    /// Prepares the optimisation of a track.
+    /// @param given poses that the corrections refer to
     /// @param start initial poses, accurate enough for the cells of the first round
     /// @param points points of all sweeps, sweep by sweep
-    /// @param gauge [poses] true for the poses whose mean correction is fixed to zero
+    /// @param gauge [poses] true for poses whose mean correction is kept at zero
     PlaneAdjustment(const PoseTrack& given, const PoseTrack& start, std::vector<ThinPoint> points,
                     std::vector<bool> gauge);
 
     /// Runs rounds in which the cell size and the scale of the robust kernel decrease
-    /// from `first` to `last`. Then runs two more rounds with `last`.
-    /// @return the rounds; fewer if proceed() returned false
+    /// from `first` to `last`, and two more rounds with `last`.
+    /// @return statistics of the rounds; fewer rounds if proceed() returned false
     std::vector<RegisterRound> run(const RegisterRound& first, const RegisterRound& last,
                                    const std::function<bool(double done)>& proceed);
-    /// Sets the prior for the corrections in the following rounds.
+    /// Sets the prior for the pose corrections of the next rounds.
     void set_prior(const CorrectionPrior& prior) { prior_ = prior; }
     PlaneMap planes(const RegisterRound& round) const;
     const PoseTrack& track() const { return track_; }
@@ -60,8 +59,8 @@ public:
     /// @return indices of the replaced candidates
     std::vector<std::size_t> replace_lost(const PlaneMap& map, const std::vector<bool>& candidates,
                                           double scale_m, double largest_m);
-    /// Performs one Gauss-Newton step of a single pose. The step moves the points of this
-    /// pose towards fixed planes. All other poses stay unchanged.
+    /// Moves one pose by a Gauss-Newton step that moves its points towards fixed planes.
+    /// All other poses stay unchanged.
     void place_pose(const PlaneMap& map, std::size_t pose, const std::vector<ThinPoint>& points,
                     double scale_m);
     /// Returns true if enough points of a scan lie on planes to determine its pose.
@@ -70,10 +69,9 @@ public:
     /// Returns the share of a scan's points that lie on planes of a map.
     double compute_fraction_on_planes(const PlaneMap& map, std::span<const ThinPoint> points,
                                       double scale_m) const;
-    /// Returns the difference, in metres, between the correction of a pose and the
-    /// corrections of its neighbours. The correction is compared with the nearest earlier
-    /// pose, with the nearest later pose, and with the interpolation between both.
-    /// Returns the smallest of the three differences. Returns 0 at an end of the track.
+    /// Returns the distance in metres between the corrections of a pose and of its
+    /// neighbours: the minimum over the earlier neighbour, the later one, and their
+    /// interpolation. Returns 0 at an end of the track.
     /// @param among [poses] poses that count as neighbours
     double compute_deviation_m(std::size_t pose, const std::vector<bool>& among) const;
     void set_pose(std::size_t pose, const Pose& value) { track_.pose[pose] = value; }
@@ -88,8 +86,8 @@ private:
     void add_prior(PoseEquations& equations) const;
     void remove_common_motion();
     void interpolate_corrections(const std::vector<bool>& is_known);
-    /// Returns the nearest earlier pose and the nearest later pose that are marked in
-    /// `among`. If one side has no marked pose, returns `pose` itself for this side.
+    /// Returns the nearest earlier and the nearest later pose that `among` marks. If one
+    /// side has none, returns `pose` for this side.
     static std::pair<std::size_t, std::size_t> find_neighbour_poses(std::size_t pose,
                                                                     const std::vector<bool>& among);
     double compute_time_fraction(std::size_t before, std::size_t pose, std::size_t after) const;

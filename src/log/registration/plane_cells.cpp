@@ -15,14 +15,14 @@ namespace {
 
 constexpr std::size_t kFewestPoints = 8;
 constexpr int kFits = 4;
-// Minimum standard deviation of the points along the narrower axis of a plane, relative
-// to the edge of the cell. For points that fill the cell evenly, this value is 0.29.
+// Points form a plane only if they spread over the cell. This is the minimum standard
+// deviation along their narrower axis, divided by the cell size. A full cell has 0.29.
 constexpr double kSpread = 0.12;
-// Minimum standard deviation of the points along the narrower axis of a plane, relative
-// to the scale of the robust kernel. If poses are wrong, the points of a single beam form
-// a ribbon that is narrower than this limit and is not a surface.
+// Minimum standard deviation of points along the narrower axis of a plane, divided by the
+// scale of the robust kernel. With wrong poses, the points of a single beam form a
+// narrower ribbon, which is not a surface.
 constexpr double kSpreadScale = 0.8;
-// minimum share of the points that are closer to the plane than the scale of the robust
+// minimum share of points that are closer to the plane than the scale of the robust
 // kernel
 constexpr double kInliers = 0.7;
 
@@ -31,7 +31,7 @@ glm::dvec3 vector(const Eigen::Matrix3d& axes, int column) {
 }
 
 /// Fits a plane to weighted points.
-/// @return eigenvalues of the weighted covariance, ascending
+/// @return eigenvalues of the weighted covariance matrix, ascending
 glm::dvec3 fit_once(const std::vector<PlacedPoint>& points, std::span<const std::uint32_t> members,
                     const std::vector<double>& weight, Plane& plane) {
     double sum = 0.0;

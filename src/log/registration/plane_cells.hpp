@@ -14,8 +14,8 @@
 
 namespace relidar {
 
-/// Returns the cell size and the robust-kernel scale of an intermediate round.
-/// Interpolates geometrically: t = 0 gives `first`, t = 1 gives `last`.
+/// Interpolates cell size and robust-kernel scale geometrically between two rounds: t = 0
+/// gives `first`, t = 1 gives `last`.
 inline RegisterRound between(const RegisterRound& first, const RegisterRound& last, double t) {
     return {first.cell_m * std::pow(last.cell_m / first.cell_m, t),
             first.scale_m * std::pow(last.scale_m / first.scale_m, t)};
@@ -31,17 +31,18 @@ struct Plane {
 /// + r^2 / s^2) (Geman and McClure 1985).
 double compute_weight(double residual_m, double scale_m);
 
-/// Fits a plane by iteratively reweighted least squares. Returns nothing if the points do
-/// not spread over a surface in the cell, or if too many points are far from the plane.
+/// Fits a plane to the points of a cell by iteratively reweighted least squares. Returns
+/// nothing if the points do not spread over a surface, or if too many are far from the
+/// plane.
 std::optional<Plane> fit_plane(const std::vector<PlacedPoint>& points, std::span<const std::uint32_t> members,
                                double cell_m, double scale_m);
 
 /// Sorts points into the cells of a grid.
 class PlaneCells {
 public:
-    /// Sorts the points by cell.
-    /// @param shift offset of the grid in cells; grids with different offsets divide
-    /// surfaces at different positions
+    /// Sorts points by the cells of a grid.
+    /// @param shift offset of the grid in cells, so that different grids cut surfaces at
+    /// different positions
     PlaneCells(const std::vector<PlacedPoint>& points, double cell_m, double shift);
 
     std::size_t size() const { return first_.size() - 1; }
@@ -49,8 +50,8 @@ public:
     std::span<const std::uint32_t> members(std::size_t cell) const {
         return {order_.data() + first_[cell], first_[cell + 1] - first_[cell]};
     }
-    /// Returns the index of the cell that contains a point. Returns nothing if this cell
-    /// has no points.
+    /// Returns the index of the cell that contains a point, or nothing if the cell is
+    /// empty.
     std::optional<std::size_t> find(const glm::dvec3& point_m) const;
 
 private:

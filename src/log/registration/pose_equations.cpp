@@ -16,26 +16,25 @@
 namespace relidar {
 namespace {
 
-// Maximum number of iterations. The solver usually needs 20 to 30 iterations, even for
-// long logs.
+// Maximum number of solver iterations. Usually 20 to 30 are enough, even for long logs.
 constexpr int kMostIterations = 100;
-// Maximum number of partial sums, and minimum number of planes in each sum. Both numbers
-// are independent of the number of threads, so the result is independent too.
+// Maximum number of partial sums, and minimum number of planes per sum. They are fixed,
+// so that the result does not depend on the number of threads.
 constexpr std::size_t kParts = 64, kPlanesOfPart = 256;
-// Relative norm of the residual at which the solver stops. The next round corrects the
-// remaining error.
+// The solver stops at this residual norm, relative to its initial value. The next round
+// corrects the remaining error.
 constexpr double kTolerance = 1e-4;
 
 Eigen::Vector3d to_eigen(const glm::dvec3& vector) { return {vector.x, vector.y, vector.z}; }
 
-/// Returns the two poses between which a point was measured, with the interpolation
-/// weight of each pose.
+/// Returns the two poses between which a point was measured, with their interpolation
+/// weights.
 std::array<std::pair<std::size_t, double>, 2> list_pose_shares(const ThinPoint& point) {
     return {{{point.left, 1.0 - double(point.s)}, {point.left + 1, double(point.s)}}};
 }
 
-/// Returns the derivatives of a point's residual with respect to the three unknowns of
-/// its plane: the offset and two tilts.
+/// Returns the derivatives of a point's residual with respect to the three parameters of
+/// its plane: offset and two tilts.
 Eigen::Vector3d make_row_of_plane(const PlacedPoint& point, const Plane& plane) {
     const glm::dvec3 d = point.point_m - plane.point_m;
     return {1.0, glm::dot(plane.u, d), glm::dot(plane.v, d)};
@@ -69,8 +68,7 @@ Twist RigidEquations::solve(double prior, const Twist& correction) const {
     Vector6 gradient = gradient_;
     const double pulls[] = {prior * stiffness_.diagonal().head<3>().mean(),
                             prior * stiffness_.diagonal().tail<3>().mean()};
-    // The prior has different weights for metres and for radians, because their
-    // magnitudes differ.
+    // Metres and radians have different magnitudes, so the prior has a weight for each.
     for (int i = 0; i < 6; ++i) {
         stiffness(i, i) += pulls[i / 3];
         gradient[i] += pulls[i / 3] * correction[std::size_t(i)];
@@ -112,16 +110,15 @@ void PoseEquations::add_point(const ThinPoint& point, const Row& row) {
 void PoseEquations::add_cell(const std::vector<ThinPoint>& points, const std::vector<PlacedPoint>& placed,
                              std::span<const std::uint32_t> members, const Plane& plane, double scale_m) {
     const std::size_t begin = couplings_.size();
-    // The search starts at the end, because points are sorted by pose with few
-    // exceptions.
+    // Searches from the end, because points are almost sorted by pose.
     const auto coupling = [&](std::size_t pose) -> Coupling& {
         for (std::size_t k = couplings_.size(); k-- > begin;)
             if (couplings_[k].pose == pose) return couplings_[k];
         return couplings_.emplace_back(
             Coupling{static_cast<std::uint32_t>(pose), Eigen::Matrix<float, 6, 3>::Zero()});
     };
-    // Matrix B of the three unknowns of the plane. It uses the current weights of the
-    // points, because H would not be positive definite with the weights of the plane fit.
+    // Matrix B of the plane's three unknowns. The weights of the plane fit would make the
+    // system indefinite, so B uses the current weights of the points.
     Eigen::Matrix3d stiffness = Eigen::Matrix3d::Zero();
     Eigen::Vector3d pull = Eigen::Vector3d::Zero();
     for (const std::uint32_t i : members) {
@@ -210,9 +207,8 @@ Vector6 PoseEquations::make_prior_diagonal(double prior) const {
     return prior * mean;
 }
 
-/// Coarse equations in which groups of poses move rigidly. The unknowns are twists
-/// (translation and rotation) about the first pose of each group. A twist also moves the
-/// other poses of the group.
+/// Coarse equations, in which groups of consecutive poses move like rigid bodies. The
+/// unknowns are the twist (translation and rotation) of each group about its first pose.
 class GroupMotions {
 public:
     GroupMotions(const PoseEquations& equations, const PoseTrack& track, const Vector6& pull)
@@ -233,7 +229,7 @@ public:
         factorise();
     }
 
-    /// Computes the group motions that reduce a residual, and adds these motions to z.
+    /// Adds to z the group motions that reduce a residual.
     void add_solution(const Eigen::VectorXd& residual, Eigen::VectorXd& z) const {
         if (solver_.info() != Eigen::Success) return;
         Eigen::VectorXd sums = Eigen::VectorXd::Zero(6 * Eigen::Index(n_groups()));
@@ -249,7 +245,7 @@ private:
     static constexpr std::size_t kGroup = 8;
 
     const std::size_t n_;
-    // [poses] matrix that converts the twist of a group to the twist of one of its poses
+    // [poses] matrix that converts the twist of a group to the twist of one pose in it
     std::vector<Matrix6> carry_;
     std::map<std::pair<std::size_t, std::size_t>, Matrix6> blocks_;  // key: row, column
     Eigen::SimplicialLLT<Eigen::SparseMatrix<double>> solver_;

@@ -23,8 +23,8 @@ namespace relidar {
 using Vector6 = Eigen::Matrix<double, 6, 1>;
 using Matrix6 = Eigen::Matrix<double, 6, 6>;
 
-/// Residual of a point, its weight, and the derivatives of the residual with respect to a
-/// pose.
+/// Distance of a point from a plane (residual), its weight, and its derivatives with
+/// respect to a pose.
 struct Row {
     double residual_m, weight;
     Vector6 j;
@@ -32,20 +32,20 @@ struct Row {
 };
 Row row_of(const PlacedPoint& point, const Plane& plane, double scale_m);
 
-/// Gauss-Newton equations for one pose. All other poses and the planes are fixed. The
-/// class also counts the points that lie on planes.
+/// Gauss-Newton equations for one pose, while planes and other poses are fixed. Also
+/// counts the points that lie on planes.
 class RigidEquations {
 public:
     /// Adds the residual of a point.
-    /// @param share fraction of the pose's motion that the point follows
+    /// @param share how much of the pose's motion the point follows, 0 to 1
     void add(const Row& row, double share = 1.0);
     RigidEquations& operator+=(const RigidEquations& other);
     bool empty() const { return !(stiffness_.trace() > 0.0); }
     std::size_t n_on_planes() const { return n_on_planes_; }
     /// Solves the equations for the next step of the pose.
-    /// @param prior weight that pulls the correction to zero. It is multiplied by the
-    /// mean weight of the translations, and by the mean weight of the rotations. It
-    /// matters only in directions that no point constrains.
+    /// @param prior weight that pulls the correction to zero, relative to the mean
+    /// weights of translations and of rotations. It matters only in directions that no
+    /// point constrains.
     /// @param correction current correction of the pose
     Twist solve(double prior, const Twist& correction = {}) const;
 
@@ -55,31 +55,30 @@ private:
     std::size_t n_on_planes_ = 0;
 };
 
-/// Returns the length of a step in metres: the distance by which the step moves points
-/// about ten metres away.
+/// Returns the size of a pose change in metres: how far it moves points about ten metres
+/// away.
 double compute_length_m(const Twist& step);
 
-/// Returns the matrix that converts a twist (v, w) about one point of a rigid body to the
-/// twist (v + w x `direction`, w) about another point. direction is the offset between
-/// the two points.
+/// Returns the 6x6 matrix that converts the twist of a rigid body from one reference
+/// point to another: (v, w) becomes (v + w x `direction`, w).
+/// @param direction second point minus first point
 Matrix6 make_motion_matrix(const glm::dvec3& direction);
 
-/// Normal equations for all poses, summed over the cells of a grid. Partial sums must be
-/// added in the order of the cells. The result is then the same for any number of
-/// threads.
+/// Normal equations for all poses, summed over the cells of a grid. If partial sums are
+/// added in the order of the cells, the result does not depend on the number of threads.
 class PoseEquations {
 public:
     explicit PoseEquations(std::size_t n_poses);
 
     void add_point(const ThinPoint& point, const Row& row);
-    /// Adds the residuals of all points in a cell. Eliminates the unknowns of the cell's
-    /// plane from the equations.
+    /// Adds the residuals of all points in a cell, and eliminates the unknowns of the
+    /// cell's plane (Schur complement).
     void add_cell(const std::vector<ThinPoint>& points, const std::vector<PlacedPoint>& placed,
                   std::span<const std::uint32_t> members, const Plane& plane, double scale_m);
     void add(PoseEquations&& other);
     /// Adds a prior that pulls the correction of one pose to zero.
     void add_pull(std::size_t pose, const Vector6& stiffness, const Vector6& correction);
-    /// Adds a prior that pulls the corrections of `pose` and `pose + 1` to each other.
+    /// Adds a prior that makes the corrections of `pose` and `pose + 1` similar.
     /// @param difference  correction of `pose + 1` minus correction of `pose`
     void add_link(std::size_t pose, const Vector6& stiffness, const Vector6& difference);
 
@@ -96,8 +95,8 @@ public:
     double residual_m() const { return weight_ > 0.0 ? std::sqrt(cost_ / weight_) : 0.0; }
 
 private:
-    /// Matrix C L^-T, which couples the unknowns of one plane with one pose. L is the
-    /// Cholesky factor of B = L L^T.
+    /// Matrix C L^-T, which couples the unknowns of a plane with a pose. L is the
+    /// Cholesky factor of the plane's matrix B = L L^T.
     struct Coupling {
         std::uint32_t pose;
         Eigen::Matrix<float, 6, 3> c;
@@ -110,7 +109,7 @@ private:
     double cost_ = 0.0, weight_ = 0.0;
 
     Eigen::VectorXd times(const Eigen::VectorXd& solution) const;
-    /// Returns the [6] diagonal terms of the prior that pulls the corrections to zero.
+    /// Returns the six diagonal terms of the prior that pulls corrections to zero.
     Vector6 make_prior_diagonal(double prior) const;
     friend class GroupMotions;
 };

@@ -15,27 +15,25 @@
 namespace relidar {
 namespace {
 
-// Minimum length of a box in metres. Most shorter boxes are pedestrians, who change their
-// shape.
+// Shorter boxes are not registered, because most are pedestrians, who change their shape.
 constexpr double kSmallest_m = 1.2;
-// Height above the bottom of a box. Points below this height are ignored, because they
-// are on the ground.
+// Points less than this height above the bottom of a box are ignored, because they are on
+// the ground.
 constexpr double kAboveGround_m = 0.25;
 constexpr std::size_t kFewestActorPoints = 200, kFewestPosePoints = 10, kFewestPoses = 4;
 constexpr RegisterRound kFirstActorRound{0.8, 0.2}, kLastActorRound{0.4, 0.05};
-// Minimum increase of the share of points on planes. With a smaller increase, the track
-// stays unchanged.
+// A track is replaced only if the share of points on planes increases by at least this
+// value.
 constexpr double kGain = 0.02;
-// Largest allowed corrections of a pose. Larger corrections are treated as errors.
+// Larger corrections of a pose are treated as errors of the registration.
 constexpr double kLargestCorrection_m = 0.6, kLargestCorrection_rad = 0.1;
 constexpr double kStanding_m = 3.0;  // a box that moves farther than this is not standing
 constexpr int kNeighbours = 3;       // number of poses on each side that are used to interpolate a pose
 constexpr double kLongestGap_s = 1.0;
 
-/// Returns the weights of the prior for pose corrections, where a point has the weight 1.
-/// Each weight is a squared ratio. The numerator is the error of a point (0.05 m). The
-/// denominator is the expected error of a label (0.15 m, 2 degrees), or its expected
-/// change within 0.1 s (0.05 m, 1 degree).
+/// Returns the prior for corrections of labelled poses. It assumes that labels have
+/// errors of 0.15 m and 2 degrees, which change by 0.05 m and 1 degree within 0.1 s.
+/// Points have errors of 0.05 m.
 CorrectionPrior make_correction_prior() {
     const double pull_m = std::pow(0.05 / 0.15, 2), pull_rad = std::pow(0.05 / 0.035, 2);
     const double link_m = std::pow(0.05 / 0.05, 2), link_rad = std::pow(0.05 / 0.017, 2);
@@ -51,9 +49,9 @@ struct ActorPoints {
     std::vector<std::size_t> n_of_pose;  ///< [poses] number of points
 };
 
-/// Collects the returns of training frames that lie inside labelled boxes. A log can have
-/// many boxes, so each return is converted to the world frame only once.
-/// @return [boxes] points in the order of the frames and rays, sorted by pose
+/// Collects the training returns inside each labelled box. Loops over returns first, so
+/// that each return is converted to the world frame only once.
+/// @return [boxes] points in the order of frames and rays, sorted by pose
 std::vector<ActorPoints> collect_points(const Sequence& sequence, const std::vector<int>& train_positions,
                                         const std::vector<BoxTrack*>& boxes) {
     std::vector<std::vector<std::vector<ThinPoint>>> of_frame(train_positions.size());  // [frames][boxes]
@@ -90,9 +88,9 @@ std::vector<ActorPoints> collect_points(const Sequence& sequence, const std::vec
     return actors;
 }
 
-/// Interpolates one pose of a track with a parabola through the nearest poses that have
-/// points, up to three on each side. Returns nothing if one side has no such pose within
-/// a second.
+/// Fits a parabola to the nearest poses that have points, up to three on each side, and
+/// returns its pose at the time of `pose`. Returns nothing if one side has no such pose
+/// within a second.
 std::optional<Pose> interpolate_pose(const PoseTrack& track, const std::vector<bool>& has_points,
                                      std::size_t pose) {
     const double time_s = track.time_s[pose];
@@ -121,7 +119,7 @@ std::optional<Pose> interpolate_pose(const PoseTrack& track, const std::vector<b
     return moved(reference, twist);
 }
 
-/// Returns the share of points that lie on planes observed from several poses.
+/// Returns the share of points that lie on planes which several poses observe.
 double compute_fraction_on_planes(const PlaneAdjustment& adjustment, const std::vector<ThinPoint>& points) {
     return adjustment.compute_fraction_on_planes(adjustment.planes(kLastActorRound), points,
                                                  kLastActorRound.scale_m);
@@ -134,13 +132,12 @@ PlaneAdjustment make_adjustment(const PoseTrack& track, std::vector<ThinPoint> p
     return adjustment;
 }
 
-/// Returns a track of identity poses, which are the initial corrections.
+/// Returns identity poses at the times of a track, as initial corrections.
 PoseTrack make_identity_track(const PoseTrack& track) {
     return {track.time_s, std::vector<Pose>(track.pose.size())};
 }
 
-/// Returns true if the points fit a box that does not move as well as the registered
-/// track.
+/// Returns true if a box at rest explains the points as well as the registered track.
 bool is_standing(const BoxTrack& box, const ActorPoints& actor, const std::vector<bool>& has_points,
                  double registered_share) {
     const PoseTrack& track = box.world_from_box;
@@ -153,8 +150,8 @@ bool is_standing(const BoxTrack& box, const ActorPoints& actor, const std::vecto
     return compute_fraction_on_planes(adjustment, still) >= registered_share - kGain;
 }
 
-/// Applies corrections to the poses of a track. The corrections are in the frame of the
-/// box. Poses without points are interpolated.
+/// Applies corrections, given in the frame of the box, to the poses of a track.
+/// Interpolates the poses that have no points.
 void apply_corrections(PoseTrack& track, const PoseTrack& corrections, const std::vector<bool>& has_points) {
     for (std::size_t k = 0; k < track.pose.size(); ++k) {
         track.pose[k] = track.pose[k] * inverse(corrections.pose[k]);
@@ -167,8 +164,8 @@ void apply_corrections(PoseTrack& track, const PoseTrack& corrections, const std
                 track.pose[k] = *pose;
 }
 
-/// Registers the track of one box. The track stays unchanged if the points do not improve
-/// its poses.
+/// Registers the track of one box. Keeps the track if the points do not improve its
+/// poses.
 void register_actor(BoxTrack& box, const ActorPoints& actor, ActorRegistration& result,
                     std::vector<double>& moved_m) {
     std::vector<bool> has_points(actor.n_of_pose.size());

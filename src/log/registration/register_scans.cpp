@@ -19,20 +19,19 @@
 namespace relidar {
 namespace {
 
-// Maximum and minimum size of the cells in which one point is kept. Cells of 0.5 m keep
-// 12 thousand points of a 64-beam scan. Cells of 0.1 m keep nearly all points.
+// One point of a scan is kept per cell. These are the largest and the smallest cell size.
+// Cells of 0.5 m keep 12 thousand points of a 64-beam scan, cells of 0.1 m nearly all.
 constexpr double kThinned_m = 0.5, kThinnest_m = 0.1;
-// Number of scans that usually observe a cell. If the log has fewer scans, more points of
-// each scan are kept, because a plane needs at least eight points.
+// Usual number of scans that observe a cell. Shorter logs need more points per scan,
+// because a plane needs at least eight points.
 constexpr double kScansOnACell = 24.0;
 constexpr RegisterRound kLast{0.5, 0.05};  // cell size and robust-kernel scale of the last rounds
-// Cell size and robust-kernel scale of the last odometry step. This scale is larger than
-// the scale of the last rounds, because the odometry map is coarser: it computes each
-// plane from running sums.
+// Cell size and robust-kernel scale of the last odometry step. The scale is larger than
+// in the last rounds, because the map of odometry is less accurate.
 constexpr RegisterRound kLastFollowed{0.5, 0.1};
 constexpr int kLevels = 5, kStepsALevel = 3;  // number of levels and steps per level for held-out scans
 
-/// Returns the edge length of the cells in which one point of a scan is kept.
+/// Returns the size of the cells in which one point of a scan is kept.
 double choose_thinning_m(std::size_t n_scans) {
     return std::clamp(kThinned_m * std::sqrt(double(n_scans) / kScansOnACell), kThinnest_m, kThinned_m);
 }
@@ -43,8 +42,8 @@ std::vector<ThinPoint> joined(const std::vector<std::vector<ThinPoint>>& scans) 
     return points;
 }
 
-/// Aligns the held-out scans, from coarse to fine. The planes were fitted without these
-/// scans.
+/// Aligns the held-out (test) scans with planes that were fitted to the training scans,
+/// from coarse to fine.
 /// @param scans [sweeps] points of the held-out scans; empty for others
 /// @return indices of the scans that could not be aligned
 std::vector<std::size_t> place_held_out(PlaneAdjustment& adjustment, const std::vector<bool>& is_test,
@@ -72,7 +71,7 @@ std::vector<std::size_t> place_held_out(PlaneAdjustment& adjustment, const std::
     return lost;
 }
 
-/// Returns [sweeps] true if a sweep contains one of the given frames.
+/// Returns for each sweep whether it contains one of the given frames.
 std::vector<bool> mark_sweeps(const Sweeps& sweeps, const std::vector<int>& positions, std::size_t n_frames) {
     std::vector<bool> among(n_frames, false), is(sweeps.frames.size(), false);
     for (const int position : positions) among[std::size_t(position)] = true;
@@ -82,8 +81,8 @@ std::vector<bool> mark_sweeps(const Sweeps& sweeps, const std::vector<int>& posi
     return is;
 }
 
-/// Returns one flag per sweep. Only the middle one of the selected sweeps has the flag
-/// true.
+/// Returns one flag per sweep, which is true only for the middle one of the selected
+/// sweeps.
 std::vector<bool> select_middle_sweep(const std::vector<bool>& selected) {
     std::vector<bool> is(selected.size(), false);
     auto to_go = std::ranges::count(selected, true) / 2;
@@ -92,8 +91,7 @@ std::vector<bool> select_middle_sweep(const std::vector<bool>& selected) {
     return is;
 }
 
-/// Computes the share of points on planes for each sweep. Returns the median over the
-/// sweeps.
+/// Returns the share of a scan's points that lie on planes, as the median over sweeps.
 /// @param among [sweeps] sweeps that are included
 double compute_median_share(const PlaneAdjustment& adjustment, const PlaneMap& map,
                             const std::vector<std::vector<ThinPoint>>& scans,

@@ -10,21 +10,21 @@
 
 namespace relidar {
 
-/// Sweeps to register: one for each sweep time of the LiDAR with the most returns. A
-/// sweep includes the frames of other LiDARs with the same time. For LiDARs with other
-/// sweep times, the poses are interpolated.
+/// Sweeps to register, at the sweep times of the LiDAR with the most returns. Frames of
+/// other LiDARs with the same time belong to the sweep. Poses at other times are
+/// interpolated.
 struct Sweeps {
     PoseTrack track;                       ///< [sweeps] poses of the vehicle before registration
     std::vector<std::size_t> pose;         ///< [sweeps] index in Sequence::world_from_vehicle, ascending
     std::vector<std::vector<int>> frames;  ///< [sweeps] indices in Sequence::frames
 };
 Sweeps group_frames_by_sweep(const Sequence& sequence);
-/// Returns all poses of a log after a correction by the registered sweeps. Between two
-/// sweeps, the correction is interpolated.
+/// Corrects all poses of a log by the corrections of the registered sweeps, interpolated
+/// in between.
 PoseTrack apply_correction_to_track(const PoseTrack& initial_track, const Sweeps& sweeps,
                                     const PoseTrack& corrected_track);
 
-/// A return of a ray. Refers to the two poses of the track between which the return was
+/// A measured point, with a reference to the two poses of the track between which it was
 /// measured.
 struct ThinPoint {
     glm::vec3 point_m;  ///< position in the vehicle frame at the firing time
@@ -33,30 +33,31 @@ struct ThinPoint {
     std::uint32_t pose = 0;  ///< index of the sweep that contains the point
 };
 
-/// Number of points in one parallel task that sums equations.
+/// Number of points whose equations one parallel task sums.
 inline constexpr std::size_t kPointsOfPart = 512;
 
-/// Position of a point, and position of the vehicle when the point was measured. World
+/// Positions of a point, and of the vehicle when it measured the point, in the world
 /// frame.
 struct PlacedPoint {
     glm::dvec3 point_m, vehicle_m;
 };
 PlacedPoint place(const PoseTrack& track, const ThinPoint& point);
-/// Returns the fraction of a pose's motion that a point follows, 0 .. 1.
+/// Returns how much of the motion of a pose a point follows, 0 to 1.
 double get_pose_share(const ThinPoint& point, std::size_t pose);
 
-/// Selects rays of a frame. In each cell of edge length `cell_m` in the sensor's frame,
-/// at most one return is selected. Returns in moving boxes are skipped.
+/// Selects returns of a frame, at most one in each cell of size `cell_m` in the sensor
+/// frame. Skips returns in moving boxes.
 /// @return indices in the order of the scan
 std::vector<std::size_t> thin_rays(const Sequence& sequence, int position, const RegisterOptions& options,
                                    double cell_m);
-/// Computes the 3D point of one ray of a frame, without the range offset of its beam.
+/// Computes the 3D point of one ray of a frame, corrected by the range offset of its
+/// beam.
 /// @param track poses of the sensor; the pose of the ray is interpolated
 /// @param pose index in `track` of the pose of this frame
 ThinPoint make_thin_point(const Sequence& sequence, const PoseTrack& track, std::size_t pose, int position,
                           std::size_t ray);
-/// Returns the selected points of some sweeps. In each cell of edge length `cell_m` in
-/// the sensor frame, at most one point of a scan is selected.
+/// Selects points of some sweeps, at most one per scan in each cell of size `cell_m` in
+/// the sensor frame.
 /// @param chosen [sweeps] true for the sweeps to use
 /// @return [sweeps] points frame by frame in the order of the scan; empty for sweeps that
 /// are not chosen

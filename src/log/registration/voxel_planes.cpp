@@ -9,14 +9,13 @@ namespace relidar {
 namespace {
 
 constexpr double kFewestOfVoxel = 6;
-// Minimum standard deviation of the points along the narrower axis of a plane, relative
-// to the edge of the cell. For points that fill the cell evenly, this value is 0.29.
+// Points form a plane only if they spread over the cell. This is the minimum standard
+// deviation along their narrower axis, divided by the cell size. A full cell has 0.29.
 constexpr double kVoxelSpread = 0.12;
-// maximum standard deviation of the points along the normal, relative to the edge of the
-// cell
+// maximum standard deviation of the points along the normal, divided by the cell size
 constexpr double kThickness = 0.1;
-/// Returns the mutex of a cell. All cells share 64 mutexes. Conflicts are rare, because
-/// threads rarely fit planes simultaneously.
+/// Returns the mutex of a cell. 64 mutexes are enough for all cells, because threads
+/// rarely fit planes at the same time.
 std::mutex& get_mutex(const void* cell) {
     static std::array<std::mutex, 64> mutexes;
     return mutexes[reinterpret_cast<std::uintptr_t>(cell) / 64 % mutexes.size()];

@@ -19,13 +19,13 @@ public:
 
     bool empty() const { return cells_.empty(); }
     /// Adds a point to its cell.
-    /// @param travelled_m path length of the sensor when the point was measured
+    /// @param travelled_m distance that the sensor had driven when it measured the point
     void add(const glm::dvec3& point_m, double travelled_m);
     /// Returns the plane of the cell that contains a point. Returns null if the points of
-    /// the cell do not spread over a surface, or if they spread too far along the normal.
-    /// Several threads can call this function simultaneously.
+    /// the cell do not form a plane. Several threads can call this function at the same
+    /// time.
     const Plane* at(const glm::dvec3& point_m) const;
-    /// Removes the cells whose last point was added before the sensor had travelled
+    /// Removes cells whose last point was measured before the sensor had driven
     /// `travelled_m`.
     void forget(double travelled_m);
 
@@ -38,8 +38,8 @@ private:
         mutable std::optional<Plane> plane;
 
         bool has_too_many_points() const {
-            // Growth factor of the number of points after which the plane is fitted
-            // again.
+            // The plane is fitted again when the number of points has grown by this
+            // factor.
             constexpr double kRefit = 1.1;
             return sums.n >= kRefit * n_fitted.load(std::memory_order_acquire);
         }

@@ -17,9 +17,9 @@ namespace relidar {
 namespace {
 
 constexpr int kTileColumns = 64;  // Number of columns of a tile. Each tile has one row.
-/// A tile depends on the tile to its left. It also depends on up to kAhead columns to the
-/// right in the rows above, so tile t of row r needs tile t + 1 of row r - 1. Therefore
-/// all tiles with the same value of 2 r + t are independent of each other.
+/// A tile needs the tile on its left, and the row above up to kAhead columns further
+/// right. So tile t of row r needs tile t + 1 of row r - 1. Tiles with the same 2 r + t
+/// are therefore independent and can run in parallel.
 static_assert(scatter_detail::kAhead <= kTileColumns);
 
 const IntensityScatter::Node& find_leaf(const IntensityScatter& scatter,

@@ -29,29 +29,29 @@ using scatter_detail::kFeatures;
 
 constexpr std::size_t kMostReturns = 2000000, kFewestReturns = 1000;
 constexpr std::size_t kFewestOfLeaf = 50;
-// Minimum gain in log-likelihood for a split. If the features are unrelated to the
-// intensity, twice the gain is chi-square distributed with 23 degrees of freedom. The
-// gain of the best split then exceeds this limit in 1 of 100 cases.
+// A node of the decision tree is split only if the log-likelihood gains more than this.
+// For unrelated features, twice the gain is chi-square distributed with 23 degrees of
+// freedom. The best split then exceeds the limit in 1 of 100 cases.
 constexpr double kLeastGain = 20.0;
 constexpr std::size_t kClasses = 24, kBins = 64;
 constexpr std::size_t kQuantileReturns = 100000;  // number of returns from which quantiles are computed
 
-/// Features, class and intensity of one return. Features are stored as bin numbers.
+/// Features (as bin numbers), class and intensity of one return.
 struct Return {
     std::array<std::uint8_t, kFeatures> bins;
     std::uint8_t of_class;
     float value;
 };
 
-/// All returns of the scans. The returns of each node are contiguous in memory, so that
-/// counting reads memory sequentially.
+/// All returns of the scans. Returns of a tree node are contiguous in memory, so that
+/// counting them reads memory sequentially.
 struct Returns {
     std::vector<Return> all;
     std::array<std::vector<float>, kFeatures> cuts = {};  ///< upper ends of all bins except the last
 };
 
-/// Returns the values that divide a list into `count` parts of equal size. Duplicate
-/// values are removed.
+/// Returns the quantiles that divide a list into `count` parts of equal size, without
+/// duplicates.
 std::vector<float> compute_quantiles(std::vector<float> values, std::size_t count) {
     parallel_sort(values, std::less<>());
     std::vector<float> cuts;
@@ -64,7 +64,7 @@ std::uint8_t find_bin(const std::vector<float>& cuts, float value) {
     return std::uint8_t(std::lower_bound(cuts.begin(), cuts.end(), value) - cuts.begin());
 }
 
-/// Identifies a return by the index of its image and the index of its ray.
+/// Position of a return: index of its image, and index of its ray.
 struct ReturnPlace {
     std::uint32_t image, ray;
 };
@@ -73,8 +73,8 @@ bool is_return(const MeasuredIntensities& image, std::size_t ray) {
     return image.measured[ray] != kNoIntensity && image.rendered.range_m[ray] > 0.0f;
 }
 
-/// Returns the indices of measured returns whose rays also hit a rendered surface. If
-/// there are more than `max_count` returns, selects about `max_count` of them at random.
+/// Returns the measured returns whose rays also hit a rendered surface. If there are too
+/// many, selects about `max_count` of them at random.
 std::vector<ReturnPlace> returns_of(std::span<const MeasuredIntensities> images, std::size_t max_count) {
     std::size_t n = 0;
     for (const MeasuredIntensities& image : images)
@@ -154,21 +154,20 @@ struct Counts {
     }
 };
 
-/// Split of a node. The first child gets the returns whose feature value is in bin
-/// `find_bin` or in a lower bin.
+/// Split of a tree node. The first child gets the returns whose feature value is in bin
+/// `bin` or a lower bin.
 struct Cut {
     double gain = kLeastGain;
     int feature = -1;
     std::size_t bin = 0;
 };
 
-// Number of features that are counted in one pass. The counts of these features fit into
-// the first-level cache.
+// Number of features that one pass counts. Their counts fit into the first-level cache.
 constexpr std::size_t kTogether = 4;
 using Bins = std::array<Counts, kBins>;
 
-/// Returns the best split by one feature.
-/// @param counts  counts of the classes in each bin of the feature
+/// Returns the best split of a tree node by one feature.
+/// @param counts  number of returns of each class in each bin of the feature
 Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, const Terms& terms) {
     Cut best;
     Counts all, low;
@@ -178,7 +177,7 @@ Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, con
     std::uint32_t n_low = 0;
     for (std::size_t b = 0; b < n_cuts; ++b) {
         const std::uint32_t of_bin = counts[b].n();
-        // An empty bin gives the same gain as the previous split, so it is skipped.
+        // Splits before and after an empty bin are equal, so one of them is skipped.
         if (of_bin == 0) continue;
         low.add(counts[b]);
         n_low += of_bin;
@@ -189,7 +188,7 @@ Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, con
     return best;
 }
 
-/// Returns the best split among a few consecutive features, beginning with `first`.
+/// Returns the best split of a tree node by a few consecutive features, from `first` on.
 Cut find_cut_of_some(const Returns& returns, std::span<const Return> of_node, std::size_t first,
                      const Terms& terms) {
     const std::size_t n = std::min(kTogether, kFeatures - first);
@@ -204,9 +203,9 @@ Cut find_cut_of_some(const Returns& returns, std::span<const Return> of_node, st
     return best;
 }
 
-/// Returns the best split of a node. If several splits are equally good, returns the
-/// split whose feature has the lowest index.
-/// @param each runs a task for 0, 1, ..., n - 1
+/// Returns the best split of a tree node. Of equally good splits, returns the one with
+/// the lowest feature index.
+/// @param each function that runs a task for 0, 1, ..., n - 1
 template <class Each>
 Cut find_cut(const Returns& returns, std::span<const Return> of_node, const Terms& terms, const Each& each) {
     Cut best;
@@ -220,7 +219,7 @@ Cut find_cut(const Returns& returns, std::span<const Return> of_node, const Term
     return best;
 }
 
-/// Finds the best splits of several nodes in parallel. If a node is large, its features
+/// Finds the best splits of several tree nodes in parallel. The features of large nodes
 /// are also processed in parallel.
 std::vector<Cut> find_cuts(const Returns& returns, const Terms& terms,
                            std::span<const IntensityScatter::Node> nodes) {
@@ -240,9 +239,8 @@ std::vector<Cut> find_cuts(const Returns& returns, const Terms& terms,
     return cuts;
 }
 
-/// Splits the nodes from index `first` on. A node stays a leaf if its gain is too small.
-/// The returns of each split node are reordered so that the returns of each child are
-/// contiguous.
+/// Splits the tree nodes from index `first` on. A node with too little gain stays a leaf.
+/// Reorders the returns so that those of each child are contiguous.
 void split_layer(Returns& returns, const Terms& terms, std::vector<IntensityScatter::Node>& nodes,
                  std::size_t first) {
     const std::vector<Cut> cuts = find_cuts(returns, terms, std::span(nodes).subspan(first));
@@ -280,8 +278,8 @@ void check_sizes(std::span<const MeasuredIntensities> images) {
     }
 }
 
-/// Returns the greatest common divisor of two real numbers. Remainders below `error` are
-/// treated as zero.
+/// Returns the greatest common divisor of two real numbers (Euclid). Remainders below
+/// `error` count as zero.
 double find_common_divisor(double first, double second, double error) {
     while (second > error) {
         const double rest = std::abs(std::remainder(first, second));
@@ -304,8 +302,8 @@ double find_step(std::vector<float> values) {
     for (const float value : values) {
         step = step > 0.0 ? find_common_divisor(double(value), step, kError * largest) : double(value);
         if (value > 0.0f && step < kFinest * largest) return 0.0;
-        // Computes the step again from the current value. The values ascend, so the
-        // result becomes more accurate.
+        // Refines the step with the current value. Values ascend, so the step becomes
+        // more and more accurate.
         if (step > 0.0) step = double(value) / std::round(double(value) / step);
     }
     const auto is_multiple = [&](float v) {

@@ -16,21 +16,20 @@
 
 namespace relidar::scatter_detail {
 
-/// Offset from the current ray to another ray, in rows and columns. Negative rows are
-/// above the current ray.
+/// Offset from a ray to another ray of the image. Negative rows are above the ray.
 struct Step {
     int rows, columns;
 };
-/// Rectangle of rays around the current ray, given by its first and last offset.
+/// Rectangle of rays near a ray, given by its first and last offset.
 struct Window {
     Step first, last;
 };
 
 constexpr std::array<Step, 4> kBeside{{{0, -1}, {0, 1}, {-1, 0}, {1, 0}}};
 constexpr std::array<Window, 2> kSmoothed{{{{0, -4}, {0, 4}}, {{-2, 0}, {2, 0}}}};
-/// Offsets of earlier rays whose residuals (known minus rendered intensity) are features.
-/// The lasers of a LiDAR fire alternately. Therefore the second ray in a direction is
-/// more similar than the first ray.
+/// Offsets of earlier rays whose residuals (measured minus rendered intensity) are
+/// features. Neighbouring lasers fire alternately, so rays two steps away are more
+/// similar than direct neighbours.
 constexpr std::array<Step, 7> kResiduals{{{0, -1}, {0, -2}, {0, -3}, {0, -4}, {-1, 0}, {-2, 0}, {-4, 0}}};
 constexpr std::array<Step, 10> kLevels{
     {{0, -1}, {0, -2}, {0, -3}, {0, -4}, {-1, -1}, {-1, 0}, {-1, 1}, {-2, -1}, {-2, 0}, {-2, 1}}};
@@ -38,8 +37,7 @@ constexpr std::array<Window, 5> kMeans{
     {{{0, -2}, {0, -1}}, {{0, -4}, {0, -1}}, {{0, -8}, {0, -1}}, {{-1, -2}, {-1, 2}}, {{-3, -3}, {-1, 3}}}};
 constexpr std::array<Window, 2> kSizes{{{{0, -8}, {0, -1}}, {{-2, -3}, {-1, 3}}}};
 
-/// Maximum number of columns ahead of the current ray that features use in the rows
-/// above.
+/// In the rows above, features use rays up to this many columns to the right.
 constexpr int kAhead = 3;
 static_assert(std::ranges::all_of(kMeans, [](const Window& w) {
     return w.last.columns <= (w.last.rows < 0 ? kAhead : -1);
@@ -57,13 +55,12 @@ constexpr std::size_t kFeatures = kOwn + 2 * kBeside.size() + kSmoothed.size() +
                                   kLevels.size() + kMeans.size() + kSizes.size();
 using Features = std::array<float, kFeatures>;
 
-/// Computes the features of rays in a scan in which the intensities of some rays are
-/// known.
+/// Computes the features of rays in a scan in which some intensities are known already.
 class Context {
 public:
     /// Stores references to the scan and to the known intensities.
-    /// @param known [rows*columns] kNoIntensity for unknown intensities; the caller may
-    /// fill in values between calls
+    /// @param known [rows*columns] kNoIntensity where the intensity is unknown; the
+    /// caller may fill in values later
     Context(const RenderedIntensities& rendered, std::span<const float> known)
         : scan_(rendered), known_(known) {}
 
@@ -73,15 +70,14 @@ public:
         return result;
     }
 
-    /// Returns a single feature. A path through the tree needs only a few features, so
-    /// the other features need not be computed. The features have the order of the lists
-    /// above.
+    /// Returns feature k, counted in the order of the lists above. Computing single
+    /// features is faster, because a path through the decision tree needs only a few.
     float feature(std::size_t k, int row, int column) const {
         const auto at = [&](Step s) {
             return index(std::clamp(row + s.rows, 0, scan_.rows - 1), column + s.columns);
         };
-        // Intensities left of the first column are treated as unknown, so that rows can
-        // be drawn one after the other.
+        // The image is not continued to the left of column 0, so that each row can be
+        // drawn from left to right.
         const auto level = [&](Step s) {
             return row + s.rows < 0 || column + s.columns < 0 ? kNoIntensity : known_[at(s)];
         };
@@ -93,8 +89,8 @@ public:
             const float r = residual(s);
             return r == kNoIntensity ? r : std::abs(r);
         };
-        /// Returns true if feature k is one of the next `count` features. If it is not,
-        /// subtracts `count` from k.
+        /// Returns true if feature k is in the next list, which has `count` features.
+        /// Otherwise subtracts `count` from k.
         const auto is_of = [&](std::size_t count) { return k < count || (k -= count, false); };
         if (is_of(kOwn)) return own(k, index(row, column));
         if (is_of(kBeside.size())) return scan_.intensity[at(kBeside[k])];
@@ -113,8 +109,7 @@ private:
 
     std::size_t index(int row, int column) const {
         const int columns = scan_.columns;
-        // The column is wrapped only if it is outside the image, because divisions are
-        // slow.
+        // Divisions are slow, so only columns outside the image are wrapped.
         if (column < 0 || column >= columns) column = (column % columns + columns) % columns;
         return std::size_t(row) * std::size_t(columns) + std::size_t(column);
     }
@@ -123,15 +118,14 @@ private:
             &scan_.intensity, &scan_.range_m, &scan_.spread_m, &scan_.cosine, &scan_.elevation_rad};
         return (*values[index])[i];
     }
-    /// Returns the logarithm of the range of another ray divided by the range of this
-    /// ray.
+    /// Returns log(range of another ray / range of this ray).
     float compute_steepness(std::size_t other, std::size_t index) const {
         return scan_.range_m[other] > 0.0f && scan_.range_m[index] > 0.0f
                    ? std::log(scan_.range_m[other] / scan_.range_m[index])
                    : kNoIntensity;
     }
-    /// Returns the mean of the known values in a window. Returns kNoIntensity if all
-    /// values are unknown.
+    /// Returns the mean of the known values in a window, or kNoIntensity if there are
+    /// none.
     template <class Value>
     static float mean(const Window& window, const Value& value) {
         float sum = 0.0f;

@@ -11,7 +11,7 @@
 
 namespace relidar {
 
-/// Computes the rays of one beam for many azimuths of the LiDAR's head. Used by
+/// Computes the rays of one beam at many azimuths of the LiDAR's head. Used by
 /// compute_beam_ray() and compute_head_azimuth().
 class BeamGeometry {
 public:

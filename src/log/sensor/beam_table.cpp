@@ -37,8 +37,8 @@ struct FieldRule {
     double low, high, missing;  ///< allowed values, and the value that is used if the column is missing
 };
 constexpr double kFarthestLimit_m = 10'000.0;
-// This array is not constexpr, because it calls the constructor of SpinningSensor, which
-// contains a std::string. clang 14 cannot create a std::string at compile time.
+// Not constexpr, because clang 14 cannot create the std::string in SpinningSensor at
+// compile time.
 const std::array<FieldRule, kFieldCount> kFields{
     {{"elevation_deg", -90.0, 90.0, 0.0},
      {"azimuth_offset_deg", -180.0, 180.0, 0.0},
@@ -70,8 +70,8 @@ Values parse_line(const std::vector<std::string_view>& cells, const std::vector<
     return value;
 }
 
-/// Adds the beam of one line to a sensor.
-/// @throws DataError if the beam is above the previous beam, or if the range limits
+/// Adds the beam in one line of a beam table to a sensor.
+/// @throws DataError if the beam is above the previous beam, or if its range limits
 /// differ from those of the first line
 void add_beam(SpinningSensor& sensor, const Values& values, const std::string& location) {
     // The rotation is negative, because the head turns clockwise.

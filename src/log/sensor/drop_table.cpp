@@ -10,8 +10,8 @@
 namespace relidar {
 
 std::size_t DropTable::index(std::uint16_t channel, const glm::vec3& direction) const {
-    // Bin 0 begins at the azimuth +180 degrees. The bin number increases as the azimuth
-    // decreases.
+    // Azimuth bins go clockwise, like the columns of an image: bin 0 begins at +180
+    // degrees.
     const double turn = (1.0 - std::atan2(double(direction.y), double(direction.x)) / kPi) / 2.0;
     const int bin = std::clamp(static_cast<int>(turn * bins), 0, bins - 1);
     return std::size_t(channel) * std::size_t(bins) + std::size_t(bin);

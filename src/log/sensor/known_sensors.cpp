@@ -30,7 +30,7 @@ namespace {
 
 constexpr double kDegree = kPi / 180.0;
 
-/// Data-sheet values of a spinning sensor. Its beams are stored in a table.
+/// Data-sheet values of a spinning sensor whose beams are in a table.
 struct Tabled {
     const char* name;
     int columns;
@@ -95,8 +95,8 @@ SensorModel make_hdl64e(int columns, double rate_hz) {
     return model(std::move(sensor), "evenly spaced beams as in the data sheet");
 }
 
-/// Returns one of Waymo's four short-range LiDARs. Its published calibration contains
-/// only the highest and the lowest elevation, so the beams are evenly spaced.
+/// Returns one of Waymo's four short-range LiDARs. Waymo publishes only the highest and
+/// the lowest elevation, so the beams are evenly spaced.
 SensorModel make_waymo_side(int columns, double rate_hz) {
     SpinningSensor sensor = make_spinning_sensor("waymo-side", columns ? columns : 600, rate_hz);
     constexpr double step_deg = 120.0 / 200.0;
@@ -107,7 +107,8 @@ SensorModel make_waymo_side(int columns, double rate_hz) {
                  "degrees");
 }
 
-/// Returns a spinning sensor whose rays pass through the cells of the KITTI-360 grid.
+/// Returns a spinning sensor with one ray per pixel of the KITTI-360 range images in
+/// published results.
 SensorModel make_kitti360(int columns, double rate_hz) {
     const RangeGrid grid = make_kitti360_grid();
     SpinningSensor sensor = make_spinning_sensor(grid.name, columns ? columns : grid.columns, rate_hz);
@@ -119,8 +120,8 @@ SensorModel make_kitti360(int columns, double rate_hz) {
     return model(std::move(sensor), "image size of published results on KITTI-360, 66 x 1030");
 }
 
-/// Returns the text of a sensor's beam table. The first line of the text begins with #
-/// and describes the source of the values.
+/// Returns the text of the built-in beam table of a sensor. Its first line begins with #
+/// and names the source of the values.
 std::string table_of(const std::string& name) {
     const auto tables = sensor_table_texts();
     const auto table = std::find_if(tables.begin(), tables.end(),
@@ -129,14 +130,14 @@ std::string table_of(const std::string& name) {
     return std::string(table->second);
 }
 
-/// Returns the description of a beam table's source: its first line without the #.
+/// Returns the source of a beam table, which its first line names after the #.
 std::string about(const std::string& table) { return table.substr(2, table.find('\n') - 2); }
 
 SensorModel make_sensor_from_table(const Tabled& row, int columns, double rate_hz) {
     const std::string table = table_of(row.name);
     SpinningSensor sensor = parse_beam_table(table, row.name, columns ? columns : row.columns, rate_hz);
     sensor.name = row.name;
-    // An Ouster fires at fixed azimuths. The first firing is exactly behind the sensor.
+    // Ousters fire at fixed azimuths, first exactly backward.
     if (sensor.name.starts_with("OS")) sensor.first_azimuth_rad = kPi;
     sensor.min_range_m = row.min_range_m;
     sensor.max_range_m = row.max_range_m;
@@ -144,8 +145,8 @@ SensorModel make_sensor_from_table(const Tabled& row, int columns, double rate_h
     return model(std::move(sensor), about(table));
 }
 
-/// Returns Hesai's AT128. Its mirrors scan 120 degrees from left to right in 0.1 s. Each
-/// beam has an azimuth offset relative to the mirror.
+/// Returns Hesai's AT128, whose mirrors scan 120 degrees from left to right in 0.1 s.
+/// Beams have azimuth offsets from the mirror.
 SensorModel make_at128() {
     constexpr int kColumns = 1200;
     constexpr double period_s = 0.1, step_deg = 0.1;
@@ -169,8 +170,8 @@ SensorModel make_at128() {
     return {"AT128", about(table), {0.5, 200.0}, std::move(rays)};
 }
 
-/// Returns a scanning window with the data-sheet values of Hesai's AT128: 128 rows, 120 x
-/// 25.4 degrees, 0.1 degrees per column, 10 Hz.
+/// Returns a scanning-window sensor with the data-sheet values of Hesai's AT128: 128
+/// rows, 120 x 25.4 degrees, 0.1 degrees per column, 10 Hz.
 SensorModel make_window_128() {
     return {"window-128",
             "hybrid solid-state LiDAR similar to the AT128: mirrors scan 120 x 25.4 degrees, 1200 "

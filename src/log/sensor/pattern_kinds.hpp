@@ -15,24 +15,24 @@
 
 namespace relidar {
 
-/// One kind of sensor pattern. Its functions accept only patterns of this kind.
+/// Functions for one kind of sensor, such as "spinning". They accept only patterns of
+/// this kind.
 struct PatternKind {
     const char* name;     ///< key of the JSON object that describes the sensor
     const char* members;  ///< names of the members of the JSON object, for the command-line help
     bool (*holds)(const SensorPattern& pattern);
-    /// Creates a sensor from the JSON object.
-    /// @param name  name of the sensor if the object does not contain a name
+    /// Creates a sensor from its JSON object.
+    /// @param name  name of the sensor if the object contains none
     /// @throws DataError naming the member that is wrong
     SensorModel (*parse)(const JsonField& field, const std::string& name);
-    /// Returns the JSON object without the name and the range limits. When the object is
-    /// read again, all values are bitwise equal.
+    /// Returns the JSON object without name and range limits. Reading it again restores
+    /// all values bit by bit.
     nlohmann::ordered_json (*write)(const SensorPattern& pattern);
     RayTable (*make_rays)(const SensorPattern& pattern, double time_s);
     PatternSummary (*describe)(const SensorPattern& pattern);
 };
 
-/// Creates the row of a scanning pattern in the table of patterns. The row calls the
-/// static functions of a struct.
+/// Creates the table row of a kind of sensor from the static functions of a struct.
 /// @tparam Functions  struct with the static functions parse, write, make_rays and
 /// describe
 template <class Functions>
@@ -49,12 +49,11 @@ PatternKind make_pattern_kind(const char* name, const char* members) {
 
 /// Returns the table of all kinds of sensors.
 const std::vector<PatternKind>& list_pattern_kinds();
-/// Return the rows of the kinds "spinning" and "rays". Some files store the members of
-/// these kinds without the name of the kind.
+/// Return the kinds "spinning" and "rays". Some JSON files contain the members of these
+/// kinds without the name of the kind.
 PatternKind make_spinning_kind();
 PatternKind make_rays_kind();
-/// Returns the kind of sensor whose name is a member of the JSON object. Returns null if
-/// no kind matches.
+/// Returns the kind of sensor that a JSON object names, or null if it names none.
 const PatternKind* find_pattern_kind(const JsonField& field);
 
 namespace pattern_detail {
@@ -63,44 +62,42 @@ namespace pattern_detail {
 /// @return radians
 /// @throws DataError if both members are missing, or the angle is outside +-most_deg
 double read_angle(const JsonField& field, const std::string& name, double most_deg);
-/// Reads an angle from the member NAME_rad or NAME_deg. Returns `missing_rad` if both are
-/// missing.
+/// Reads an angle from the JSON member NAME_rad or NAME_deg. Returns `missing_rad` if
+/// both are missing.
 double read_angle_or(const JsonField& field, const std::string& name, double missing_rad, double most_deg);
-/// Returns the number in a JSON member. Returns `default_value` if the object does not
-/// have the member.
+/// Returns the number in a JSON member, or `default_value` if the member is missing.
 double read_number_or(const JsonField& field, const char* key, double default_value, double low, double high);
-/// Reads a beam divergence from the member divergence_rad or divergence_mrad. Returns 0
-/// if both are missing.
+/// Reads a beam divergence from the JSON member divergence_rad or divergence_mrad.
+/// Returns 0 if both are missing.
 double read_divergence(const JsonField& field);
 
-/// JSON members that all kinds of sensors can have: name, period_s, divergence_rad or
-/// divergence_mrad, min_range_m, max_range_m. If max_range_m is missing, the maximum
-/// range is infinite.
+/// JSON members of all kinds of sensors: name, period_s, divergence_rad or
+/// divergence_mrad, min_range_m, max_range_m. A missing max_range_m means infinity.
 struct CommonMembers {
     std::string name;
     RangeLimits limits;
     double period_s, divergence_rad;
 };
-/// Reads the members that all kinds of sensors can have.
+/// Reads the JSON members that all kinds of sensors can have.
 /// @param least_period_s  smallest allowed period
 CommonMembers read_common(const JsonField& field, const std::string& name, double least_period_s = 1e-6);
-/// Checks that the JSON object of a scanning pattern has only known members: the members
-/// that all patterns can have, and `members`. Each name in `angles` allows two members,
-/// NAME_rad and NAME_deg.
+/// Checks that a sensor's JSON object has only known members: those of all sensors, and
+/// `members`. An angle NAME can be stored as NAME_rad or NAME_deg.
 /// @throws DataError for any other member
 void check_members(const JsonField& field, std::vector<std::string> members,
                    const std::vector<std::string>& angles);
 
-/// Returns value `index` of `count` values that are evenly spaced from `first` to `last`.
+/// Returns element `index` of `count` evenly spaced values from `first` to `last`.
 double between(double first, double last, int index, int count);
 /// Appends a ray that starts at the sensor origin.
 void add_ray(RayTable& rays, const glm::dvec3& direction, double time_s, int channel);
 /// Checks the number of rays of a sensor.
 /// @throws UsageError if the number is not in the range 1 to kMaxRays
 void check_count(const std::string& sensor, double n_rays);
-/// Checks that the values of a pattern are finite and that its period is positive.
-/// @param sum  sum of all angles and rates of the pattern
-/// @throws UsageError if the sum is not finite or the period is not positive
+/// Checks that the values of a sensor pattern are finite and that its period is positive.
+/// @param sum  sum of all angles and rates, which is not finite if any of them is not
+/// finite
+/// @throws UsageError if a check fails
 void check_finite(const std::string& sensor, double sum, double period_s);
 
 }  // namespace pattern_detail

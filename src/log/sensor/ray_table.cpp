@@ -30,8 +30,7 @@ std::vector<glm::dvec2> make_footprint_pattern(int count) {
             offsets.push_back(radius *
                               glm::dvec2(std::cos(first + k * kPi / 2.0), std::sin(first + k * kPi / 2.0)));
     };
-    // The radii of the rings are chosen so that the sum of radius^2 over all sub-rays is
-    // `count` / 2.
+    // With these radii, the sum of radius^2 over all sub-rays of a beam is `count` / 2.
     if (count == 5) add_ring(std::sqrt(5.0 / 8.0), 0.0);
     if (count == 9) add_ring(0.5, kPi / 4.0), add_ring(std::sqrt(7.0 / 8.0), 0.0);
     if (count == 1 || count == 5 || count == 9) return offsets;

@@ -64,7 +64,7 @@ void check(const SpinningSensor& sensor) {
     }
 }
 
-/// Wraps an azimuth to [-pi, pi]. Does not change -pi or pi.
+/// Wraps an azimuth to the interval [-pi, pi]; both ends stay as they are.
 double wrap_azimuth(double azimuth_rad) {
     return std::abs(azimuth_rad) <= kPi ? azimuth_rad : std::remainder(azimuth_rad, 2.0 * kPi);
 }

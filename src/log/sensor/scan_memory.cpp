@@ -31,8 +31,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Arrays smaller than this size, in bytes, are never stored in the file, because each
-// array in the file occupies complete pages.
+// Smaller arrays (in bytes) are kept in memory, because each array in the file occupies
+// complete pages.
 constexpr std::size_t kSmall = 16 << 10;
 constexpr std::size_t kReserved = std::size_t(1) << 40;  // Size of the reserved address range in bytes.
 
@@ -49,7 +49,7 @@ std::size_t round_to_pages(std::size_t bytes) {
                     folder.string(), std::generic_category().message(error), bytes));
 }
 
-/// Memory-mapped file without a name, in which arrays are allocated.
+/// Memory-mapped file without a name, which provides memory for arrays.
 class MappedFile {
 public:
     explicit MappedFile(fs::path folder) : folder_(std::move(folder)) {
@@ -79,8 +79,8 @@ public:
         const auto room =
             std::find_if(free_.begin(), free_.end(), [&](const auto& range) { return range.second >= size; });
         const std::size_t offset = room == free_.end() ? end_ : room->first;
-        // Reserves the disk space now. Otherwise, if the disk were full later, writing a
-        // page would kill the process.
+        // Reserves the disk space now. Writing to a page would kill the process if the
+        // disk were full later.
         if (const int error = ::posix_fallocate(file_, off_t(offset), off_t(size)); error != 0)
             fail_to_make_room(folder_, size, error);
         if (room == free_.end()) end_ += size;
@@ -97,8 +97,7 @@ public:
     void free(void* array, std::size_t bytes) noexcept {
         const std::size_t size = round_to_pages(bytes),
                           offset = std::size_t(static_cast<std::byte*>(array) - begin_);
-        // Returns the disk space of the freed pages to the file system, if the file
-        // system supports it.
+        // Frees the disk space of the pages, if the file system supports this.
         ::fallocate(file_, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, off_t(offset), off_t(size));
         const std::lock_guard lock(mutex_);
         used_ -= size;
@@ -136,16 +135,15 @@ struct Memory {
     MappedFile& mapped() {
         if (MappedFile* made = file) return *made;
         const std::lock_guard lock(mutex);
-        // The file is never closed, because arrays may still be freed at the very end of
-        // the process.
+        // The file is never closed, because arrays may be freed as late as the end of the
+        // process.
         if (!file) file = std::make_unique<MappedFile>(folder).release();
         return *file;
     }
 };
 
 Memory& memory() {
-    // The object is never destroyed, because static objects free their arrays after
-    // main().
+    // Never destroyed, because static objects free their arrays after main().
     static Memory* const all = new Memory;
     return *all;
 }
@@ -153,11 +151,10 @@ Memory& memory() {
 std::uint64_t get_machine_memory() {
     std::uint64_t bytes = std::uint64_t(::sysconf(_SC_PHYS_PAGES)) * std::uint64_t(::sysconf(_SC_PAGESIZE)),
                   limit = 0;
-    // Files that contain the memory limit of the control group (cgroup): first version 2,
-    // then version 1.
+    // Files with the memory limit of the control group, in cgroup version 2 and version
+    // 1.
     for (const char* file : {"/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"})
-        // If the file contains the text "max", no limit is set. Reading a number then
-        // fails, and the file is skipped.
+        // A file without a limit contains "max", so that reading a number fails.
         if (std::ifstream group(file); group >> limit) bytes = std::min(bytes, limit);
     return bytes;
 }

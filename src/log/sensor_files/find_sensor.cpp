@@ -17,18 +17,18 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr double kMaxColumns = 1'000'000, kMaxRate_hz = 10'000;
-// Default number of columns, which gives azimuth steps of 0.2 degrees.
+// Default number of columns per revolution: one per 0.2 degrees.
 constexpr int kTableColumns = 1800;
 constexpr double kTableRate_hz = 10.0;
 
-/// Parsed name of a sensor from the command line: "name[:columns[xHz]]".
+/// Sensor as named on the command line: "name[:columns[xHz]]".
 struct SensorName {
     std::string name;
     int columns = 0;       ///< 0: not specified
     double rate_hz = 0.0;  ///< 0: not specified
 };
 
-/// Splits a text "name[:columns[xHz]]" into its parts.
+/// Parses a sensor text "name[:columns[xHz]]".
 /// @throws UsageError for zero columns or a rate that is not positive
 SensorName parse_name(const std::string& text) {
     const std::size_t colon = text.rfind(':');
@@ -38,7 +38,7 @@ SensorName parse_name(const std::string& text) {
     const auto columns = parse_number(suffix.substr(0, x));
     const auto rate_hz =
         x < suffix.size() ? parse_number(suffix.substr(x + 1)) : std::optional<double>(kTableRate_hz);
-    // If the text after the colon is not a number, the colon is part of a path.
+    // Without numbers after the colon, the colon is part of a file path.
     if (!columns || !rate_hz) return {text};
     if (!(*columns >= 1.0 && *columns <= kMaxColumns) || *columns != std::floor(*columns) ||
         !(*rate_hz > 0.0 && *rate_hz <= kMaxRate_hz)) {
@@ -50,8 +50,8 @@ SensorName parse_name(const std::string& text) {
     return {text.substr(0, colon), static_cast<int>(*columns), *rate_hz};
 }
 
-/// Returns true if a CSV file contains a table of rays, and false for a table of beams.
-/// Only tables of rays have a column azimuth_deg.
+/// Returns true if a CSV file is a table of rays, which has a column azimuth_deg. Returns
+/// false for a table of beams.
 bool is_ray_csv(const std::string& text) {
     const std::string header = text.substr(0, text.find('\n'));
     return header.find("azimuth_deg") != std::string::npos;

@@ -67,8 +67,7 @@ void check(const RayColumns& columns, const std::string& location) {
                         location, columns.limits.min_m, columns.limits.max_m));
 }
 
-/// Sets the beam divergences of the rays. If all rays have the same divergence, only one
-/// number is stored.
+/// Sets the beam divergences of rays. If all are equal, stores a single number.
 void set_divergence(RayTable& rays, const std::vector<double>& divergence_rad) {
     if (divergence_rad.empty()) return;
     if (std::ranges::adjacent_find(divergence_rad, std::not_equal_to<>()) == divergence_rad.end())

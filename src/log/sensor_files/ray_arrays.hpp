@@ -11,7 +11,7 @@
 
 namespace relidar::sensor_files {
 
-/// Rays as a file stores them. An array is empty if the file does not contain it.
+/// Rays with the values of a file. Arrays that the file does not contain are empty.
 struct RayColumns {
     int rows = 1, columns = 0;
     std::vector<double> direction;  ///< [n,3] directions
@@ -21,19 +21,19 @@ struct RayColumns {
     /// [n] beam divergences, or one value for all rays; empty: 0
     std::vector<double> divergence_rad = {};
     RangeLimits limits = {};
-    /// If true, directions that are already floats of unit length are not normalised
-    /// again. Rays that relidar wrote are then restored bit by bit.
+    /// If true, float directions of unit length are not normalised again, so that rays
+    /// written by relidar are restored bit by bit.
     bool keeps_floats = false;
 };
 
-/// Checks the rays and returns a sensor with these rays.
+/// Checks rays and creates a sensor from them.
 /// @param location  name of the file in error messages
 /// @throws DataError if the arrays have different lengths, values are not finite or out
 /// of range, or directions do not have unit length
 SensorModel make_ray_sensor(const RayColumns& columns, const std::string& name, const std::string& location);
 
-/// Returns the divergences in radians. A file may contain them in one of two forms: one
-/// number per ray, or one number for all rays.
+/// Returns the beam divergences in radians. A file may contain one number per ray or one
+/// number for all rays.
 /// @param of_rays_rad  [n] divergence of each ray, or empty
 /// @throws DataError if the file contains both forms
 std::vector<double> compute_divergence(std::vector<double> of_rays_rad, std::optional<double> of_all_mrad,
@@ -47,13 +47,14 @@ SensorModel parse_ray_csv(const std::string& text, const std::string& name, cons
 SensorModel read_ray_npz(const std::string& path, const std::string& name);
 /// Parses a sensor in JSON format: a sensor pattern, a ray table, or the metadata of an
 /// Ouster sensor.
-/// @param columns  if above 0, replaces the number of columns in the metadata
-/// @param rate_hz  if above 0, replaces the rate in the metadata
+/// @param columns  number of columns, if above 0, instead of the number in Ouster
+/// metadata
+/// @param rate_hz  rate, if above 0, instead of the rate in Ouster metadata
 /// @throws DataError naming the key that is wrong
 SensorModel parse_sensor_json(const std::string& text, const std::string& name, const std::string& location,
                               int columns, double rate_hz);
 
-/// Sets the maximum range of a sensor, unless the sensor already has a maximum range.
+/// Sets the maximum range of a sensor that has none.
 /// @throws DataError if the maximum range is not above the minimum range
 void limit_range(SensorModel& sensor, double max_range_m, const std::string& location);
 

@@ -32,14 +32,14 @@ enum Field {
 const std::vector<std::string> kNames{"azimuth_deg", "elevation_deg", "origin_x_m", "origin_y_m",
                                       "origin_z_m",  "time_s",        "channel",    "divergence_mrad",
                                       "min_range_m", "max_range_m"};
-// Columns that must have the same value in every line, because they describe the sensor
-// and not a single ray.
+// These columns describe the sensor and not a single ray, so every line must contain the
+// same value.
 constexpr std::array<Field, 2> kOfSensor{kMinRange, kMaxRange};
 
 using Values = std::array<double, kFieldCount>;
 
-/// Returns the values of a line. If the range limits are missing, their default values in
-/// RayColumns are used.
+/// Returns the values of a CSV line. Missing range limits get the default values of
+/// RayColumns.
 Values parse_line(const std::string& line, const std::vector<int>& columns, std::size_t n_cells,
                   const std::string& location) {
     const std::vector<std::string_view> cells = split_csv_cells(line);

@@ -23,7 +23,7 @@ using Json = nlohmann::json;
 constexpr std::size_t kMostSensors = 64;
 constexpr double kFarthest_m = 1000.0;
 
-/// Returns the three numbers of a JSON list. Returns zeros if the key is missing.
+/// Returns the three numbers of a JSON list, or zeros if the key is missing.
 glm::dvec3 read_vector(const Json& sensor, const char* key, double largest, const std::string& location) {
     if (!sensor.contains(key)) return glm::dvec3(0.0);
     const Json& list = sensor.at(key);
@@ -55,8 +55,8 @@ int returns_of(const Json& sensor, const std::string& location) {
     return returns.get<int>();
 }
 
-/// Returns the path of a sensor file in the folder of the rig. If the folder contains no
-/// such file, returns the text unchanged, because it is a sensor name or another path.
+/// Returns the path of a sensor file in the folder of the rig file. If there is no such
+/// file, returns the text unchanged: a sensor name or another path.
 std::string find_file_beside_rig(const std::string& sensor, const std::string& rig) {
     const fs::path path = fs::path(rig).parent_path() / sensor;
     const fs::path without_columns = path.string().substr(0, path.string().rfind(':'));
@@ -66,8 +66,8 @@ std::string find_file_beside_rig(const std::string& sensor, const std::string& r
                : sensor;
 }
 
-/// Returns the sensor of one entry of a rig. The entry contains the name of a sensor, the
-/// name of a file, or an object that describes the sensor.
+/// Returns the sensor of one rig entry, which contains the name of a sensor, the name of
+/// a file, or a JSON object.
 SensorModel read_sensor_model(const Json& sensor, const std::string& name, const std::string& rig,
                               const std::string& location) {
     if (!sensor.contains("sensor") || !sensor.at("sensor").is_object())
@@ -91,8 +91,8 @@ void check_name(const std::string& name, const std::set<std::string>& taken, con
         throw DataError(fmt::format("{}: name: \"{}\" occurs twice, expected it once", location, name));
 }
 
-/// Throws an error for unknown keys. Without this check, a misspelt key such as
-/// "translation" would be ignored, and the sensor would be mounted at the rig's origin.
+/// Throws for unknown keys. If a key were misspelt, for example "translation", the sensor
+/// would otherwise be mounted at the origin of the rig.
 void check_keys(const Json& object, const std::vector<std::string>& known_names,
                 const std::string& location) {
     for (const auto& [key, value] : object.items())
@@ -109,8 +109,7 @@ std::optional<std::vector<MountedSensor>> find_rig(const std::string& path) {
     try {
         json = Json::parse(read_text(path));
     } catch (const std::exception&) {
-        // Returns nothing here, because find_sensor() reads the file again and reports
-        // the error.
+        // find_sensor() reads the file again and reports the error.
         return {};
     }
     if (!json.is_object() || !json.contains("sensors")) return {};

@@ -28,8 +28,8 @@ using Json = nlohmann::json;
 
 constexpr std::size_t kMostBeams = 1024;
 
-/// Returns the value of a key in a JSON object or in its sub-objects `parts`. Returns
-/// null if the key is missing.
+/// Returns the value of a key in a JSON object, or in its members `parts`. Returns null
+/// if the key is missing.
 const Json* find(const Json& json, const std::string& key, std::initializer_list<const char*> parts) {
     if (json.contains(key)) return &json.at(key);
     for (const char* part : parts)
@@ -38,7 +38,7 @@ const Json* find(const Json& json, const std::string& key, std::initializer_list
     return nullptr;
 }
 
-/// Returns the numbers of a JSON list. Returns an empty vector if the list is missing.
+/// Returns the numbers of a JSON list, or an empty vector if the list is missing.
 std::vector<double> read_numbers_member(const Json* json, const std::string& location) {
     return json ? JsonField(*json, location, "").read_nested_numbers(1) : std::vector<double>{};
 }
@@ -59,7 +59,7 @@ RangeLimits make_ouster_limits(const Json& json) {
     return known->limits;
 }
 
-/// Returns the columns and the rate of an Ouster sensor from its mode, for example
+/// Reads the columns and the rate of an Ouster sensor from its mode, for example
 /// "1024x10".
 std::pair<int, double> parse_ouster_mode(const Json& json, const std::string& location) {
     const Json* mode = find(json, "lidar_mode", {"config_params"});
@@ -127,8 +127,8 @@ SensorModel parse_sensor_json(const std::string& text, const std::string& name, 
                                     make_excerpt(error.what())));
     }
     const JsonField root(json, location, "");
-    // A file with the key "directions" has the members of the kind "rays", but without
-    // the name of the kind.
+    // A file with "directions" is a sensor of the kind "rays", but does not name this
+    // kind.
     if (root.has("directions")) return make_rays_kind().parse(root, name);
     if (find_pattern_kind(root)) {
         SensorModel sensor = read_sensor_json(root, name);

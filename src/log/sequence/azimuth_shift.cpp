@@ -12,21 +12,22 @@
 namespace relidar {
 namespace {
 
-// Minimum number of returns that are needed to estimate the azimuth of a firing.
+// The azimuth of a firing (all lasers at one azimuth) is estimated only from at least
+// this many returns.
 constexpr std::size_t kFewest = 3;
 constexpr double kExact_rad = 1e-5;  // shifts below this value are rounding errors
-// Maximum distance of at least half of the rays from the median of their firing, in
-// columns. If the rays are farther away, the beams do not rotate together.
+// At least half of the rays must be this close (in columns) to the median of their
+// firing. Otherwise the beams do not rotate together.
 constexpr double kAgree_columns = 0.1;
 
-/// Returns the azimuth angle from one direction to another, positive to the left.
+/// Returns the difference of two directions in azimuth, positive to the left.
 double compute_azimuth_between(const glm::vec3& from, const glm::vec3& to) {
     return std::atan2(double(from.x) * to.y - double(from.y) * to.x,
                       double(from.x) * to.x + double(from.y) * to.y);
 }
 
-/// Calls visit(ray, firing) for each ray of a scan. `firing` is the number of the firing
-/// within the sweep.
+/// Calls visit(ray, firing) for each ray of a scan, with the index of its firing within
+/// the sweep.
 template <class Visit>
 void visit_rays(const SpinningSensor& sensor, const Visit& visit) {
     const auto columns = std::size_t(sensor.columns);
@@ -38,8 +39,8 @@ void visit_rays(const SpinningSensor& sensor, const Visit& visit) {
     }
 }
 
-/// Fills in the shifts of unknown firings (NAN) by interpolation between the neighbouring
-/// known firings. Removes all shifts if no firing is known.
+/// Interpolates unknown azimuth shifts (NAN) between the neighbouring firings. Removes
+/// all shifts if all are unknown.
 void fill_shift_gaps(std::vector<float>& shift_rad) {
     const auto is_known = [](float shift) { return !std::isnan(shift); };
     auto last = std::ranges::find_if(shift_rad, is_known);

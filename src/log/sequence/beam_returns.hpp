@@ -12,8 +12,8 @@
 
 namespace relidar {
 
-/// Returns the beam number (Sequence::find_beam_number) of a ray. Returns nothing if the
-/// ray has no return closer than max_range_m.
+/// Returns the number of the beam that measured a ray (Sequence::find_beam_number), or
+/// nothing if the ray has no return closer than max_range_m.
 inline std::optional<std::uint16_t> find_beam_of_return(const Sequence& sequence, const Frame& frame,
                                                         std::size_t ray, double max_range_m) {
     const float range_m = frame.scan.range_m[ray];
@@ -30,8 +30,8 @@ inline std::vector<Beam*> list_beams(Sequence& sequence) {
     return beams;
 }
 
-/// Calls read(frame) for the given frames, and returns the results. If the frames have
-/// more than max_rays rays in total, only every n-th frame is read.
+/// Calls read(frame) for frames and returns the results. If all frames together have more
+/// than max_rays rays, reads only every n-th frame.
 template <class Read>
 auto read_frames(const Sequence& sequence, const std::vector<int>& positions, std::size_t max_rays,
                  const Read& read) {

@@ -13,15 +13,15 @@
 namespace relidar {
 namespace {
 
-// Edge length of the small cells (places) in which intensities are compared. A place is
-// small enough to contain one surface, and large enough to be hit several times.
+// Intensities are compared within small cells ("places") of this size. A place contains
+// only one surface, but is hit several times.
 constexpr double kPlace_m = 0.1;
-// Edge length of the larger cells in which planes are fitted. The planes provide the
-// surface normals of the places.
+// The surface normals at the places are those of planes, which are fitted in larger cells
+// of this size.
 constexpr double kSurface_m = 0.4;
 constexpr double kMinPoints = 8.0;
-// Maximum thickness of a surface, relative to the narrower extent of the surface.
-// Thickness and extent are standard deviations.
+// Points form a plane if their standard deviation across it is below this share of the
+// standard deviation along its narrower axis.
 constexpr double kMaxThickness = 0.15;
 constexpr std::size_t kMostCompared = 6000000;
 
@@ -47,15 +47,16 @@ std::vector<SeenPlace> returns_of(const Sequence& sequence, const Frame& frame) 
     return result;
 }
 
-/// Assigns all returns to cells of a world grid.
+/// Numbers the cells of a world grid that contain returns.
 /// @param places returns of all frames
+/// @param cell_m edge length of a cell
 CellNumbers cells_of(const std::vector<SeenPlace>& places, double cell_m) {
     return number_cells(places.size(),
                         [&](std::size_t index) { return make_cell_key(places[index].point_m, cell_m); });
 }
 
-/// Computes the normal of the surface in each cell of edge length kSurface_m. The normal
-/// is zero if the returns of a cell do not lie on a surface.
+/// Computes the surface normal in each cell of size kSurface_m, or zero if the returns of
+/// the cell do not lie on a plane.
 std::vector<glm::vec3> estimate_normals_of_places(const std::vector<SeenPlace>& places,
                                                   const CellNumbers& cells) {
     const ItemsOfCells items(cells);

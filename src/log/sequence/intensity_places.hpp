@@ -10,7 +10,8 @@
 
 namespace relidar {
 
-/// One return: its place (small cell), beam, range, angle of incidence and intensity.
+/// One return: index of the small cell ("place") that it hit, beam, range, angle of
+/// incidence and intensity.
 struct PlaceReturn {
     std::uint32_t place;
     std::uint32_t beam;
@@ -19,8 +20,8 @@ struct PlaceReturn {
     float intensity;  ///< measured intensity
 };
 
-/// Returns from places (small cells) that were hit at least twice. The returns are sorted
-/// by place. Places are numbered from 0.
+/// Returns from small cells ("places") that were hit at least twice, sorted by place.
+/// Places are numbered from 0.
 struct PlaceReturns {
     std::vector<PlaceReturn> seen;
     std::size_t n_places = 0;

@@ -26,12 +26,11 @@ namespace {
 constexpr std::array kKnots_m = {2.0, 4.0, 7.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 80.0, 120.0};
 constexpr std::size_t kReference = 3;  // index of the knot where rho is 1
 // Weight of the prior, as a number of returns. The prior pulls each beam towards the mean
-// beam. It also pulls rho at each knot towards the straight line through the neighbouring
-// knots.
+// beam. It also pulls rho, the factor at a range, towards a straight line through the
+// neighbouring knots.
 constexpr double kResponsePrior = 200.0;
 constexpr double kMinGain = 0.2, kMaxGain = 5.0, kMinFactor = 0.05, kMaxFactor = 20.0, kMaxIncidence = 0.95;
-// Maximum ratio of the errors with and without a part of the model. If the ratio is
-// higher, the part is not used.
+// A part of the model is used only if it reduces the error to less than this ratio.
 constexpr double kLeastResponseGain = 0.95;
 constexpr int kSteps = 12;
 constexpr double kDamping = 1e-3;
@@ -54,9 +53,8 @@ struct Parts {
     bool shared, beams;
 };
 
-/// Returns the index of the knot at or before a range, and the position between this knot
-/// and the next knot as a fraction. The fraction is clamped to 0 .. 1 for ranges outside
-/// all knots.
+/// Returns the index of the knot (sampled range) before a range, and the position between
+/// this knot and the next as a fraction. The fraction is clamped to 0 .. 1.
 std::pair<std::size_t, double> find_knot(double range_m) {
     const auto after = std::upper_bound(kKnots_m.begin(), kKnots_m.end(), range_m);
     const std::size_t left = std::size_t(
@@ -64,8 +62,8 @@ std::pair<std::size_t, double> find_knot(double range_m) {
     return {left, std::clamp((range_m - kKnots_m[left]) / (kKnots_m[left + 1] - kKnots_m[left]), 0.0, 1.0)};
 }
 
-/// Divides the returns into chunks for parallel sums. All returns of a place are in one
-/// chunk. Returns the first index of each chunk, followed by the number of returns.
+/// Divides returns into chunks for parallel sums, without splitting the returns of a
+/// place (small cell). Returns the first index of each chunk, and the number of returns.
 std::vector<std::size_t> divide_into_chunks(const std::vector<PlaceReturn>& returns) {
     std::vector<std::size_t> bounds{0};
     for (std::size_t c = 1; c < kChunks; ++c) {
@@ -77,8 +75,8 @@ std::vector<std::size_t> divide_into_chunks(const std::vector<PlaceReturn>& retu
     return bounds;
 }
 
-/// Calls task(returns of one place, chunk) for each place. The chunks are processed in
-/// parallel.
+/// Calls task(returns, chunk) for the returns of each place (small cell), in parallel by
+/// chunk.
 template <class Task>
 void for_each_place(const std::vector<PlaceReturn>& returns, const Task& task) {
     const std::vector<std::size_t> bounds = divide_into_chunks(returns);
@@ -104,8 +102,8 @@ void fit_albedos(Model& model, const PlaceReturns& returns) {
     });
 }
 
-/// Assigns an index in the linear system to each unknown: rho at the knots, q, and then
-/// the gain and the offset of each beam.
+/// Index of each unknown in the linear system: rho at the knots, q (effect of incidence),
+/// then gain and offset of each beam.
 struct Layout {
     Parts parts;
     std::size_t n_beams;
@@ -118,13 +116,13 @@ struct Layout {
     Eigen::Index size() const { return gain(parts.beams ? n_beams : 0); }
 };
 
-/// Derivatives of the expected intensity of one return. Stores only the unknowns with a
-/// nonzero derivative, in ascending order.
+/// Nonzero derivatives of the expected intensity of one return with respect to the
+/// unknowns, in ascending order of the unknowns.
 struct Row {
     std::array<std::pair<Eigen::Index, double>, 5> by;
     std::size_t n = 0;
-    /// by_albedo: derivative with respect to the albedo. error: measured minus expected
-    /// intensity.
+    /// derivative with respect to the albedo of the place, and measured minus expected
+    /// intensity
     double by_albedo, error;
     void add(Eigen::Index unknown, double derivative) { by[n++] = {unknown, derivative}; }
 };
@@ -150,17 +148,16 @@ Row row_of(const Model& model, const Layout& layout, const PlaceReturn& r) {
 struct System {
     Eigen::MatrixXd h;  ///< lower half only
     Eigen::VectorXd g;
-    /// mean and standard deviation of the intensities that the mean beam would measure
+    /// mean and standard deviation of the expected intensities, without the beam offsets
     double mean = 0.0, spread = 0.0;
 };
 
-/// Sums over the places (small cells) of a chunk. Uses only the lower half of the
-/// symmetric matrix h. Each struct starts at a new cache line, because threads write to
-/// neighbouring structs.
+/// Sums over the places (small cells) of a chunk. Only the lower half of the symmetric
+/// matrix h is used. Aligned to cache lines, because threads write to neighbouring sums.
 struct alignas(64) Sums {
     System system;
-    // [unknowns] product terms of the albedo of the current place with each unknown; all
-    // are zero before and after a place
+    // [unknowns] sums of products: derivative by the albedo times derivative by the
+    // unknown, for the current place; zero between places
     std::vector<double> coupling;
     std::vector<Eigen::Index> touched;  // unknowns that are coupled to the current place
     double sum = 0.0, squares = 0.0;    // sum and sum of squares of the expected intensities
@@ -215,8 +212,8 @@ void add_priors(System& sys, const Model& model, const Layout& layout) {
         sys.h(i, i) += weight, sys.g[i] += weight * error;
     };
     const double prior = kResponsePrior * (sys.mean * sys.mean + sys.spread * sys.spread);
-    // If a knot has few returns, the prior pulls its value to the line through the
-    // neighbouring knots.
+    // The prior pulls rho at knots with few returns to the line through the neighbouring
+    // knots.
     for (std::size_t k = 1; layout.parts.shared && k + 1 < kKnots_m.size(); ++k) {
         const double before = kKnots_m[k] - kKnots_m[k - 1], after = kKnots_m[k + 1] - kKnots_m[k];
         const Eigen::Vector3d bend = Eigen::Vector3d(after, -(before + after), before) / (before + after),
@@ -226,7 +223,8 @@ void add_priors(System& sys, const Model& model, const Layout& layout) {
         sys.g.segment<3>(layout.factor(k - 1)) -= prior * bend * bend.dot(now);
     }
     if (layout.parts.shared) {
-        // The scale of the albedos is arbitrary, so the value at one knot is fixed to 1.
+        // A common scale of all albedos cannot be observed, so rho is fixed to 1 at one
+        // knot.
         pull(layout.factor(kReference), 1e3 * prior, 1.0 - model.shared.factor[kReference]);
         for (std::size_t k = 0; k < kKnots_m.size(); ++k)
             pull(layout.factor(k), 1e-3 * prior, 1.0 - model.shared.factor[k]);
@@ -257,9 +255,8 @@ void apply_step(Model& model, const Layout& layout, const Eigen::VectorXd& step)
     }
 }
 
-/// Normalises the beams so that the mean beam, weighted by the number of returns, has
-/// gain 1 and offset 0. This is possible because the intensities do not determine a
-/// common scale and a common shift of all albedos.
+/// Normalises the beams so that their mean, weighted by numbers of returns, has gain 1
+/// and offset 0. A common scale and shift of all albedos cannot be observed anyway.
 void fix_mean(std::vector<Response>& beams, const PlaceReturns& returns) {
     std::vector<double> n(beams.size(), kResponsePrior);
     for (const PlaceReturn& r : returns.seen) n[r.beam] += 1.0;

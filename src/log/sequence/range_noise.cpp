@@ -21,11 +21,10 @@ constexpr std::array kRanges_m = {10.0, 20.0, 30.0, 45.0, 80.0};
 constexpr std::array kCosines = {0.3, 0.6, 1.0};
 constexpr std::size_t kBins = kRanges_m.size() * kCosines.size();
 constexpr std::size_t kMostNoiseReturns = 3000000, kFewestOfBin = 200;
-// Second differences above this value are ignored, because they come from edges and not
-// from noise.
+// Larger second differences of ranges are caused by edges and not by noise.
 constexpr float kEdge_m = 0.5f;
-// Ratio between the standard deviation and the median absolute value of a normal
-// distribution.
+// For a normal distribution, the standard deviation is this factor times the median
+// absolute value.
 constexpr double kOfMedian = 1.4826;
 
 using Differences = std::array<std::vector<float>, kBins>;
@@ -61,9 +60,9 @@ double estimate_sigma(const std::vector<float>& differences_m) {
     return kOfMedian * double(compute_median(differences_m)) / std::sqrt(6.0);
 }
 
-/// Fills bins without enough returns with the noise of other bins of the same incidence.
-/// The next nearer range is preferred, then the next farther range. If both are missing,
-/// the maximum over all bins is used.
+/// Fills bins that have too few returns with the noise at the same incidence in the next
+/// nearer range, or else the next farther range. Without both, uses the maximum over all
+/// bins.
 void fill_gaps(RangeNoise& noise) {
     const std::size_t n_cosines = kCosines.size();
     for (std::size_t i = 0; i < noise.sigma_m.size(); ++i)
@@ -76,8 +75,8 @@ void fill_gaps(RangeNoise& noise) {
             noise.sigma_m[i] = *std::max_element(noise.sigma_m.begin(), noise.sigma_m.end());
 }
 
-/// Returns the range noise of one LiDAR, and the number of returns that were used.
-/// Returns an empty result if no bin has enough returns.
+/// Estimates the range noise of one LiDAR. Also returns the number of returns that were
+/// used. The result is empty if no bin has enough returns.
 std::pair<RangeNoise, std::size_t> estimate_noise(const std::vector<Differences>& frames) {
     RangeNoise noise{{kRanges_m.begin(), kRanges_m.end()},
                      {kCosines.begin(), kCosines.end()},

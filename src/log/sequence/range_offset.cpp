@@ -17,30 +17,28 @@
 namespace relidar {
 namespace {
 
-// Edge length of a cell. The cell is large enough to distinguish a plane from noise, and
-// small enough that streets are flat within it.
+// Size of the cells in which planes are fitted: large enough to distinguish a plane from
+// noise, and small enough that streets are flat.
 constexpr double kCell_m = 0.3;
-// Returns farther away are ignored, because distant cells have too few returns.
+// Farther returns are ignored, because cells at this distance contain too few returns.
 constexpr double kMaxRange_m = 40.0;
 constexpr std::size_t kMostOffsetReturns = 6000000;
 constexpr int kMinReturns = 20;  // minimum number of returns in a cell for fitting a plane
-// Limit for two standard deviations of the points of a plane. The deviation across the
-// plane must be smaller, and the deviation along the plane must be larger.
+// Points form a plane if their standard deviation is below this value across the plane,
+// and above it along the plane.
 constexpr double kMaxThickness_m = 0.05;
-// Maximum distance of a point from the plane of its cell. Points farther away belong to
-// another object and are ignored.
+// Points farther from the plane of their cell belong to another object and are ignored.
 constexpr double kMaxResidual_m = 0.15;
-// Weight of the prior that pulls each offset to zero, as a number of returns at normal
+// Weight of the prior that pulls range offsets to zero, as a number of returns at normal
 // incidence.
 constexpr double kPriorReturns = 20.0;
-// Maximum ratio of the residuals with and without the offsets. If the ratio is higher,
-// the offsets are only noise and are not used.
+// Range offsets are used only if they reduce the residuals to less than this ratio.
+// Otherwise they are only noise.
 constexpr double kLeastGain = 0.97;
-// Number of iterations. Many iterations are needed, because offsets converge slowly if
-// few beams share a plane.
+// Number of iterations. Offsets converge slowly if few beams observe the same plane.
 constexpr int kRounds = 30;
 
-/// One return in the world frame, without a correction of the beam's range offset.
+/// A return in the world frame, not yet corrected by the range offset of its beam.
 struct Observation {
     glm::vec3 point_m;  ///< relative to the world's origin, which is in the middle of the log
     glm::vec3 direction;
@@ -58,8 +56,8 @@ std::vector<Observation> collect_observations(const Sequence& sequence, const Fr
     return result;
 }
 
-/// Returns of a log, sorted by cell, and by frame within a cell. The range offset of a
-/// beam may move a return by centimetres, but the return keeps its original cell.
+/// Returns of a log, sorted by cell and, within a cell, by frame. Range offsets move
+/// returns by centimetres, but do not change their cells.
 struct Cells {
     std::vector<Observation> seen;
     std::vector<std::size_t> first;  ///< [cells + 1] index into `seen`
@@ -110,8 +108,8 @@ std::optional<Plane> fit_plane_of_cell(std::span<const Observation> observations
     return Plane{about + fit.mean, fit.axes[0]};
 }
 
-/// Sums over the returns of one beam. `weight` is the sum of the squared cosines of
-/// incidence. `sum` is the sum of the distances from the planes, weighted by the cosines.
+/// Sums over the returns of one beam. `weight`: squared cosines of incidence. `sum`:
+/// distances from planes, multiplied by these cosines.
 struct OffsetFit {
     double weight = 0.0;
     double sum = 0.0;
@@ -130,8 +128,8 @@ struct Residuals {
         ++n;
         squares += residual * residual;
         fits[observation.beam].weight += facing * facing;
-        // Adds the full offset and not only the change of the offset, so that the prior
-        // pulls the full offset to zero.
+        // Adds the full offset instead of its change, so that the prior pulls the full
+        // offset to zero.
         fits[observation.beam].sum += facing * (residual + offset_m[observation.beam] * facing);
     }
     Residuals& operator+=(const Residuals& other) {
@@ -145,8 +143,8 @@ struct Residuals {
     }
 };
 
-/// Computes the distances of all returns from the planes, with the current offsets.
-/// Blocks of cells are processed in parallel. Their sums are added in a fixed order.
+/// Computes the distances of all returns from the planes of their cells with the current
+/// offsets. Blocks of cells run in parallel, but sums are added in a fixed order.
 Residuals compute_residuals(const Cells& cells, const std::vector<double>& offset_m) {
     constexpr std::size_t kBlock = 2048;
     Residuals all{.fits = std::vector<OffsetFit>(offset_m.size(), {.weight = kPriorReturns, .sum = 0.0})};
@@ -163,7 +161,7 @@ Residuals compute_residuals(const Cells& cells, const std::vector<double>& offse
     return all;
 }
 
-/// Performs one iteration that updates the offsets of all beams.
+/// Updates the range offsets of all beams once.
 /// @return number and mean square of the residuals before the update
 std::pair<std::size_t, double> fit_offsets(const Cells& cells, std::vector<double>& offset_m) {
     const Residuals r = compute_residuals(cells, offset_m);
@@ -173,8 +171,8 @@ std::pair<std::size_t, double> fit_offsets(const Cells& cells, std::vector<doubl
         mean += r.fits[b].weight * offset_m[b];
         weight += r.fits[b].weight;
     }
-    // Removes the mean offset, because a common offset of all ranges cannot be
-    // distinguished from a different scene.
+    // An offset that all ranges have in common cannot be distinguished from a different
+    // scene, so the mean offset is removed.
     for (double& offset : offset_m) offset -= mean / weight;
     return {r.n, r.n > 0 ? r.squares / double(r.n) : 0.0};
 }

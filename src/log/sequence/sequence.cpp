@@ -51,8 +51,8 @@ BoxTrack BoxTrack::get_labelled_part() const {
 bool BoxTrack::holds(const glm::dvec3& point_m, double t_s, double margin_m) const {
     const glm::dvec3 half = 0.5 * size_m + glm::dvec3(margin_m);
     const PoseTrack& track = world_from_box;
-    // Compares the distance from the centre of the box first. This fast test rejects most
-    // points, so that no slerp is needed for them.
+    // First compares the distance from the centre of the box. This fast test rejects most
+    // points, which then need no interpolated rotation.
     if (track.pose.size() > 1) {
         const TrackPosition at = find_place(track.time_s, t_s);
         const glm::dvec3 centre =
@@ -167,8 +167,8 @@ PoseTrack mount_on_track(PoseTrack track, const Pose& sensor_from_moved) {
 }
 
 PoseTrack refine_turns(const PoseTrack& track) {
-    // Maximum rotation between two poses. With this limit, the interpolated straight line
-    // of an object 10 m away differs from the true arc by 0.03 mm.
+    // Maximum rotation between two poses. Linear interpolation then moves an object 10 m
+    // away by at most 0.03 mm from its true arc.
     constexpr double kTurn_rad = 5e-3;
     PoseTrack fine;
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
@@ -195,7 +195,7 @@ PoseTrack shift_track(PoseTrack track, const glm::dvec3& by_m) {
 
 namespace {
 
-/// Returns the mean position of a track in a time interval. Returns nothing if the
+/// Returns the mean position of a track within a time interval, or nothing if the
 /// interval contains no pose.
 std::optional<glm::dvec3> compute_mean_position(const PoseTrack& track, double first_s, double last_s) {
     constexpr double kSame_s = 1e-6;
@@ -222,8 +222,7 @@ bool BoxTrack::moves() const {
     };
     const std::optional<glm::dvec3> start = place(t.front());
     for (const double time_s : t) {
-        // The start of the window is limited, so that the last window ends with the
-        // track.
+        // The last window ends with the track.
         const double first_s = std::min(time_s, last_s);
         const std::optional<glm::dvec3> here = place(first_s),
                                         next = place(std::min(first_s + window_s, last_s));
@@ -266,14 +265,12 @@ WorldRay make_world_ray(const PoseTrack& world_from_sensor, double time_s, const
 
 namespace {
 
-// Tolerance as a fraction of the period. If the start of a sweep is within the tolerance
-// of the default start, the sweep has the default start.
+// A sweep has the default start if it differs by at most this fraction of the period.
 constexpr double kUsual = 0.02;
 
-/// Rotation of a LiDAR's head, estimated from the rays of a sweep.
+/// Rotation of a LiDAR's head in one sweep, estimated from its rays.
 struct HeadTurn {
-    /// Sum over the rays of exp(i azimuth), where azimuth is the head's azimuth at time
-    /// 0.
+    /// sum over the rays of exp(i azimuth), with the azimuth of the head at time 0
     std::complex<double> at_zero = 0.0;
     float first_s = std::numeric_limits<float>::infinity();
 
@@ -287,9 +284,8 @@ struct HeadTurn {
 }  // namespace
 
 std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor& sensor) {
-    // Minimum length of the mean phasor. If the mean phasor is shorter, the rays do not
-    // come from one rotating head. Azimuth offsets of beams and an uneven rotation make
-    // the mean phasor only slightly shorter than 1.
+    // Minimum length of the mean phasor exp(i azimuth) of rays from one rotating head.
+    // Azimuth offsets of beams and uneven rotation reduce it only slightly below 1.
     constexpr double kTogether = 0.9;
     if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
     const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
@@ -319,7 +315,7 @@ std::optional<SweepStart> find_start(const RayTable& rays, const Lidar& lidar) {
     const double period_s = lidar.period_s();
     if (!(period_s > 0.0) || rays.size() == 0) return {};
     const auto [first, last] = std::ranges::minmax(rays.time_offset_s);
-    // A motion-compensated scan has a single firing time, so its start is unknown.
+    // Rays of a motion-compensated scan have equal times, which do not show the start.
     if (first == last) return {};
     const double first_s = double(first);
     if (std::abs(first_s + 0.5 * period_s) < kUsual * period_s) return {};
@@ -349,8 +345,8 @@ RayTable make_nominal_rays(const Lidar& lidar, double time_s) {
 
 namespace {
 
-/// Returns the time, relative to the frame's time, at which a LiDAR that does not spin
-/// measures an azimuth.
+/// Returns when a LiDAR that does not spin measures an azimuth, relative to the time of
+/// the frame.
 double compute_facing_offset(const SensorPattern& pattern, double azimuth,
                              const std::optional<SweepStart>& start) {
     const auto [n_rays, period_s, by_time, sweep] = describe_pattern(pattern);

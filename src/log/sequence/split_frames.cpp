@@ -18,8 +18,8 @@
 namespace relidar {
 namespace {
 
-// Value of test_every for which a published split of the dataset is used, if the dataset
-// has a published split.
+// With this value of test_every, a published split of the dataset is used if there is
+// one.
 constexpr int kPublishedEvery = 10;
 constexpr const char* kSetting = "dataset.test_frames";
 
@@ -28,8 +28,8 @@ struct IndexRange {
     int first, end;
 };
 
-/// Parses a frame number or a range like "40:45".
-/// @throws UsageError if the text is not a range
+/// Parses a frame number such as "13" or a range such as "40:45".
+/// @throws UsageError if the text is neither
 IndexRange parse_range(std::string_view text) {
     const std::size_t colon = text.find(':');
     const std::optional<int> first = parse_file_number(std::string(text.substr(0, colon)));
@@ -44,8 +44,8 @@ IndexRange parse_range(std::string_view text) {
     return {*first, *end};
 }
 
-/// Returns all frame indices of the log in order. If several LiDARs share an index, the
-/// index is listed once.
+/// Returns the indices of all frames in order. An index that several LiDARs share is
+/// listed once.
 std::vector<int> group_frames_by_sweep(const Sequence& sequence) {
     std::vector<int> sweeps;
     std::set<int> seen;
@@ -54,7 +54,7 @@ std::vector<int> group_frames_by_sweep(const Sequence& sequence) {
     return sweeps;
 }
 
-/// Returns every n-th frame index. The first index is not held out.
+/// Selects every n-th frame for testing, but not the first frame.
 /// @throws UsageError if `test_every` is 1 or negative
 std::set<int> select_every_nth(int test_every, const std::vector<int>& sweeps) {
     if (test_every < 0 || test_every == 1)
@@ -66,7 +66,7 @@ std::set<int> select_every_nth(int test_every, const std::vector<int>& sweeps) {
     return held_out;
 }
 
-/// Returns those frame indices of a published split that exist in the log.
+/// Returns the test frames of a published split that exist in the log.
 std::set<int> select_published_frames(const std::vector<int>& test_frames, const std::vector<int>& sweeps) {
     std::set<int> held_out;
     for (const int index : sweeps)
@@ -75,7 +75,7 @@ std::set<int> select_published_frames(const std::vector<int>& test_frames, const
 }
 
 /// Parses a list of frame indices and ranges, for example "13,26,40:45".
-/// @throws UsageError if an index is missing in the log or occurs twice
+/// @throws UsageError if the log does not have an index, or if an index occurs twice
 std::set<int> parse_frame_list(const std::string& list, const std::vector<int>& sweeps) {
     const std::set<int> known(sweeps.begin(), sweeps.end());
     std::set<int> held_out;

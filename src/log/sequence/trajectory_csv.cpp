@@ -14,8 +14,7 @@ namespace relidar {
 
 namespace {
 
-/// Returns the angles yaw, pitch and roll in degrees, with R = Rz(yaw) Ry(pitch)
-/// Rx(roll).
+/// Returns yaw, pitch and roll in degrees of a rotation R = Rz(yaw) Ry(pitch) Rx(roll).
 glm::dvec3 to_yaw_pitch_roll(const glm::dquat& rotation) {
     const glm::dmat3 r = glm::mat3_cast(rotation);  // r[column][row]
     return 180.0 / kPi *

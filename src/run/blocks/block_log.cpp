@@ -13,11 +13,12 @@
 namespace relidar {
 namespace {
 
-// Maximum distance of a box from the sensor. A box farther away has hardly any returns,
-// so it is left out.
+// Boxes farther from the sensor than this are left out, because they have hardly any
+// returns.
 constexpr double kSeen_m = 100.0;
 
-/// Returns the training frames and the test frames of a block, in the order of the log.
+/// Returns the frames of one block of the log, for training and for testing, in the order
+/// of the log.
 std::vector<int> list_frames_of_block(const Block& block, const Split& split) {
     std::vector<int> frames = block.train;
     for (const int position : block.own)
@@ -27,9 +28,9 @@ std::vector<int> list_frames_of_block(const Block& block, const Split& split) {
     return frames;
 }
 
-/// Returns the poses at the times of some frames, and the poses directly before and after
-/// each frame. With these additional poses, the motion during a sweep is the same as in
-/// the full log, also next to a gap.
+/// Returns the vehicle poses at the times of some frames, and the poses directly before
+/// and after each frame. The additional poses are needed to interpolate the motion during
+/// a sweep.
 PoseTrack select_poses_around(const Sequence& sequence, const std::vector<int>& frames) {
     const PoseTrack& all = sequence.world_from_vehicle;
     std::vector<bool> is_used(all.time_s.size(), false);
@@ -51,9 +52,9 @@ bool is_near_block(const BoxTrack& box, const Sequence& sequence, const std::vec
                        [&](int position) { return is_within(box, sequence, position, kSeen_m); });
 }
 
-/// Removes tracks from the list of actors if they have no box in this part of the log. If
-/// the list becomes empty, also clears the actor classes. Otherwise an empty list would
-/// select actors by class, although the user has selected only tracks of other blocks.
+/// Removes actors that have no box in this part of the log from the user's list of
+/// actors. If the list becomes empty, also clears the actor classes, because an empty
+/// list selects actors by class.
 void remove_unknown_tracks(InitialiseOptions& options, const std::vector<BoxTrack>& boxes) {
     if (options.actor_tracks.empty()) return;
     std::vector<std::string> kept;

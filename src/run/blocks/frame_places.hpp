@@ -14,8 +14,8 @@ namespace relidar {
 /// @return [frames] metres, world frame
 std::vector<glm::dvec3> compute_frame_positions(const Sequence& sequence);
 
-/// Returns true if a box is present at the time of a frame and is within `metres` of the
-/// vehicle.
+/// Returns true if a labelled box exists at the time of a frame and is at most `metres`
+/// away from the vehicle.
 bool is_within(const BoxTrack& box, const Sequence& sequence, int position, double metres);
 
 }  // namespace relidar

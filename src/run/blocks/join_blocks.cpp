@@ -16,11 +16,12 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Maximum distance of a box from the sensor. A frame in which the box is farther away is
-// not counted, because it has few returns from the box.
+// A frame shows an actor well if its box is at most this far from the sensor. Boxes
+// farther away have few returns.
 constexpr double kWellSeen_m = 60.0;
 
-/// Counts the training frames of a block in which a box is near enough to be trained.
+/// Counts the training frames of a block in which a box is near enough to train its
+/// actor.
 std::size_t count_sightings(const BoxTrack& box, const Sequence& sequence, const Block& block) {
     return std::size_t(std::count_if(block.train.begin(), block.train.end(), [&](int position) {
         return is_within(box, sequence, position, kWellSeen_m);
@@ -40,8 +41,8 @@ SceneBlock load_background(const Scene& scene, const fs::path& file) {
     return block;
 }
 
-/// Computes the weighted mean of the sensor's drop probabilities over all blocks. The
-/// weight of a block is its number of training frames.
+/// Averages the ray-drop probabilities of a sensor that were trained in several blocks of
+/// a log. The weight of a block is its number of training frames.
 class MeanDrop {
 public:
     void add(const DropTable& table, std::size_t n_frames) {
@@ -63,8 +64,8 @@ private:
     std::size_t n_frames_ = 0;
 };
 
-/// An actor as it was trained in one block. If several blocks contain the same actor, one
-/// of these candidates is selected.
+/// The model of an actor that was trained in one block of the log. If several blocks
+/// contain the actor, the model with the most sightings is used.
 struct Candidate {
     std::size_t sightings = 0;
     Model model;
@@ -72,8 +73,8 @@ struct Candidate {
     BoxTrack box;
 };
 
-/// Replaces an actor by the same actor of another block, if the other block has more
-/// training frames near the actor.
+/// Adds the actors of a block to `best`. If another block has trained the same actor,
+/// keeps the model with more training frames near the actor.
 void update_best_actors(const Run& part, const Sequence& sequence, const Block& block,
                         std::map<std::string, Candidate>& best) {
     for (const Instance& instance : part.scene.instances) {
@@ -91,15 +92,15 @@ void update_best_actors(const Run& part, const Sequence& sequence, const Block& 
     }
 }
 
-/// Copies poses from the trained run of a block to the track of the full log. Copies only
-/// the poses of sweeps that belong to this block.
+/// Copies the vehicle poses of a block's sweeps from the trained run of this block to the
+/// track of the full log.
 void copy_poses(const Run& part, const Sequence& sequence, const Block& block, PoseTrack& track) {
     for (const int position : block.own) {
         const double time_s = sequence.frames[std::size_t(position)].time_s;
         const PoseTrack& part_track = part.sequence.world_from_vehicle;
         const auto from = std::lower_bound(part_track.time_s.begin(), part_track.time_s.end(), time_s);
         const auto to = std::lower_bound(track.time_s.begin(), track.time_s.end(), time_s);
-        // Skips a frame if one of the two tracks has no pose at its time.
+        // Skips the frame if a track has no pose at exactly this time.
         if (from == part_track.time_s.end() || *from != time_s || to == track.time_s.end() || *to != time_s)
             continue;
         track.pose[std::size_t(to - track.time_s.begin())] =

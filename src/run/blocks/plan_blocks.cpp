@@ -16,7 +16,8 @@
 namespace relidar {
 namespace {
 
-/// Returns the distance in metres that the vehicle has driven up to each position.
+/// Returns, for each position of the vehicle, the distance in metres that it has driven
+/// so far.
 std::vector<double> compute_driven_distances(const std::vector<glm::dvec3>& places) {
     std::vector<double> metres(places.size(), 0.0);
     for (std::size_t i = 1; i < places.size(); ++i)
@@ -24,8 +25,8 @@ std::vector<double> compute_driven_distances(const std::vector<glm::dvec3>& plac
     return metres;
 }
 
-/// Divides the route into sections of equal length. Returns one block for each section,
-/// with the sweeps in the section. Leaves out sections without sweeps.
+/// Divides the route into sections of equal length, and returns the sweeps in each
+/// section as a block. Sections without sweeps are left out.
 std::vector<Block> divide_route(const std::vector<double>& metres, double length_m) {
     const double driven_length_m = metres.back();
     const double n = std::max(1.0, std::ceil(driven_length_m / length_m - 1e-9));

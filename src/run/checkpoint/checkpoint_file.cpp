@@ -26,8 +26,8 @@ constexpr const char* kChecksum = "crc32";
 class Crc32 {
 public:
     void add(const void* bytes, std::size_t count) {
-        // Skips empty arrays, because their pointer can be null. zlib would restart the
-        // checksum for a null pointer.
+        // Skips empty arrays, because zlib would restart the checksum if the pointer is
+        // null.
         if (count > 0) crc_ = ::crc32_z(crc_, static_cast<const Bytef*>(bytes), count);
     }
     // Includes the terminating zero in the checksum. Without it, "ab","c" and "a","bc"
@@ -55,8 +55,8 @@ std::string compute_checksum(const Texts& texts, const std::vector<NamedArray>& 
     return crc.hex();
 }
 
-/// Removes an entry from the metadata and returns its value. Only the file format needs
-/// this entry, so callers do not get it.
+/// Removes an entry from the metadata and returns its value. Used for entries of the file
+/// format that callers should not see.
 std::string extract_text(Texts& texts, const std::string& key) {
     const auto it = texts.find(key);
     if (it == texts.end()) throw DataError(fmt::format("the metadata key \"{}\" is missing", key));
@@ -95,8 +95,8 @@ Checkpoint parse(Texts texts, std::vector<NamedArray> arrays) {
     return checkpoint;
 }
 
-/// Returns the iteration number in the name of a checkpoint file. Returns nothing if the
-/// file is not a checkpoint.
+/// Returns the iteration number in the name of a checkpoint file, or nothing if the file
+/// is not a checkpoint.
 std::optional<int> parse_iteration_in_name(const std::filesystem::path& path) {
     const std::string name = path.filename().string(), start = "iteration_", end = ".safetensors";
     if (!name.starts_with(start) || !name.ends_with(end) || name.size() < start.size() + end.size())
@@ -143,7 +143,7 @@ std::vector<std::filesystem::path> list_checkpoints(const std::filesystem::path&
 
 void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& checkpoint, int keep) {
     std::error_code failed;
-    // Ignores this error, because writing the file reports the error later.
+    // If this fails, writing the file below fails too and reports the error.
     std::filesystem::create_directories(folder, failed);
     const std::filesystem::path path =
         folder / fmt::format("iteration_{:08}.safetensors", checkpoint.iteration);
@@ -178,8 +178,7 @@ std::optional<Checkpoint> load_newest_checkpoint(const std::filesystem::path& fo
 void remove_checkpoints(const std::filesystem::path& folder) {
     std::error_code failed;
     for (const std::filesystem::path& path : list_checkpoints(folder)) std::filesystem::remove(path, failed);
-    // Removes the folder if it is empty. If the folder contains other files, this call
-    // fails without an error.
+    // Removes the folder only if it is empty. Otherwise this call does nothing.
     std::filesystem::remove(folder, failed);
 }
 

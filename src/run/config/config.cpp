@@ -32,8 +32,8 @@ using config_detail::is_text;
 using config_detail::to_text;
 using config_detail::visit;
 
-/// Text of a value, and whether the value was in quotes. For a TOML file this is known.
-/// For a command line it is unknown, because the shell removes quotes.
+/// Value of a setting as text. A TOML file shows whether the value was in quotes. On the
+/// command line this is unknown, because the shell removes quotes.
 struct ParsedValue {
     std::string text;
     enum class Quotes { unknown, yes, no } quotes = Quotes::unknown;
@@ -90,7 +90,7 @@ ParsedValue parse_scalar(const toml::node& node, const std::string& key) {
         fmt::format("setting {}: found a TOML {}, expected a single value", make_excerpt(key), kind.str()));
 }
 
-/// Adds all values of a TOML table and its nested tables to `settings`, under their full
+/// Adds all values of a TOML table and its nested tables to `settings`. The keys are full
 /// names such as "table.key".
 void flatten_table(const toml::table& table, const std::string& prefix,
                    std::map<std::string, ParsedValue>& settings) {
@@ -101,8 +101,8 @@ void flatten_table(const toml::table& table, const std::string& prefix,
     }
 }
 
-/// Checks that a file contains every setting and no unknown key. Files written by
-/// to_toml() fulfil this.
+/// Checks that a settings file contains every setting and no unknown key, like all files
+/// that to_toml() writes.
 /// @throws UsageError if a setting is missing or a key is unknown
 void check_complete(const std::map<std::string, ParsedValue>& settings) {
     constexpr const char* kAdvice = "a run that another version of relidar has written must be trained again";
@@ -153,7 +153,7 @@ void set_key(Config& config, const std::string& key, const std::string& value) {
 namespace {
 
 /// Reads a TOML file and applies its settings to `config`.
-/// @param check  called with the settings of the file before they are applied
+/// @param check  function that checks the settings of the file before they are applied
 template <class Check>
 void read_config(Config& config, const std::filesystem::path& path, const Check& check) {
     const std::string text = read_text(path);
@@ -193,8 +193,8 @@ Config load_saved_config(const std::filesystem::path& path) {
 
 namespace {
 
-/// Returns the settings as TOML text, grouped by table. Each setting has a comment.
-/// @param is_shown  (key) returns true for the settings to include
+/// Returns the settings as TOML text, grouped by table, with a comment for each setting.
+/// @param is_shown  function that returns true for the keys to include
 template <class Shown>
 std::string format_toml(const Config& config, const Shown& is_shown) {
     std::string text, table;

@@ -66,8 +66,8 @@ std::optional<T> parse_number(const std::string& text, const Accepts& accepts) {
     return parsed;
 }
 
-/// Returns the value of a setting's text. Returns no value if the setting does not accept
-/// the text.
+/// Converts the text of a setting to its value. Returns nothing if the setting does not
+/// accept this text.
 template <class T>
 std::optional<T> from_text(const std::string& text, const Accepts& accepts) {
     const auto find = [&](const std::string& word) {

@@ -19,10 +19,10 @@ namespace relidar::config_detail {
 struct Accepts {
     double low = std::numeric_limits<double>::lowest();
     double high = std::numeric_limits<double>::max();
-    /// True if the value must be greater than `low`. False if the value may also equal
-    /// `low`.
+    /// True if the value must be greater than `low`. If false, the value may also be
+    /// equal to `low`.
     bool above_low = false;
-    /// Accepted texts. An enum value is stored as the index of its text in this list.
+    /// Accepted texts. The index of a text in this list is the value of its enum.
     std::vector<std::string> choices;
     bool several = false;  ///< True if the value may contain several of the choices, separated by commas.
 };
@@ -49,7 +49,7 @@ inline Accepts some_of(std::vector<std::string> names) {
     return accepts;
 }
 
-/// Description of a setting, and whether it is for experts.
+/// Help text of a setting, and whether only experts need the setting.
 struct Help {
     const char* text;
     bool expert = false;  ///< True if the setting is only useful for users who know the implementation.
@@ -58,8 +58,7 @@ struct Help {
 inline Help expert(const char* text) { return {text, true}; }
 
 inline constexpr double kMaxCount = 2147483647.0;
-// Maximum seed, 2^53. TOML integers and doubles can both store all integers up to this
-// value exactly.
+// Maximum random seed, 2^53. Up to this value, a double represents every integer exactly.
 inline constexpr double kMaxSeed = 9007199254740992.0;
 
 template <class C, class Visitor>
@@ -232,7 +231,7 @@ void visit_training(C& c, Visitor&& visitor) {
             "error");
 }
 
-/// Calls `visitor` for each setting of logging and checkpoints during training.
+/// Calls `visitor` for each setting of logs, checkpoints and memory during training.
 template <class C, class Visitor>
 void visit_keeping(C& c, Visitor&& visitor) {
     visitor("train.frame_memory_mib", c.train.frame_memory_mib, between(0, kMaxCount),

@@ -11,12 +11,12 @@
 namespace relidar {
 namespace {
 
-/// Returns the settings of the paper. These are the defaults of the structs, except that
-/// the range D is not normalised, as in the paper's evaluation.
+/// Returns the settings of the paper, which are mostly the defaults of the structs. As in
+/// the paper's evaluation, ranges are not divided by the sum of the blending weights.
 Config make_paper_config() {
     Config config;
     config.dataset.waymo_intensity = "clamp";
-    // as in the paper: people and cyclists are part of the background
+    // as in the paper: only vehicles become actors; people and cyclists are background
     config.init.actor_classes = "vehicle";
     config.init.mask_others = false;
     config.init.actor_min_points = 100;
@@ -49,40 +49,45 @@ Config make_released_config() {
 }
 
 /// Returns the settings with the best results on a real log (KITTI raw 0005,
-/// docs/results.md). The scene starts with a dense set of smoothed points. Training only
-/// refines these surfaces, so no densification is needed.
+/// docs/results.md). Training starts from dense, smoothed points, so it adds no surfels.
 Config make_standard_config() {
     Config config;
     config.preset = "default";
-    // 0 means the maximum range of the sensor; published results use 80 m
+    // 0: uses the maximum range of the sensor, instead of the 80 m of published results
     config.dataset.max_range_m = 0.0;
-    // The beams of an HDL-64E differ in range by centimetres, and in intensity more than
-    // different surfaces do.
+    // The beams of an HDL-64E have different range offsets (centimetres) and different
+    // intensity gains, so both are calibrated.
     config.sensor.calibrate = "range,intensity";
-    // small voxels give sharp silhouettes, because surfels extend beyond an edge
+    // Small voxels give small surfels. Large surfels extend beyond edges and blur
+    // silhouettes.
     config.init.voxel_m = 0.1;
     config.init.voxel_growth = 0.006;    // approximately the spacing of neighbouring rays
     config.init.normal_neighbours = 24;  // 6 points with noise of 2 cm would tilt a normal by 0.1 rad
-    // Points on leaves and corners get discs that face the sensor, which lowers errors.
+    // Points on leaves and corners have no clear normal. Their discs face the sensor,
+    // which lowers errors.
     config.init.flatness = 0.04;
-    // needed because only objects in the view of the front camera are labelled
+    // KITTI labels only objects in the view of the front camera, so moving objects
+    // without a label become actors too.
     config.init.unlabelled_movers = UnlabelledMovers::actors;
     config.init.opacity = 0.8;
-    // surfaces start with a drop probability of 12 %, which is typical for real sensors
+    // New surfaces have a ray-drop probability of 12 %, which is typical for real
+    // sensors.
     config.init.hit_margin = 2.0;
     config.init.scale_factor = 0.4;
     config.init.max_scale_m = 0.3;
     config.init.second_returns = true;
-    // a smaller value would leave holes between the rings of a 32-beam log
+    // With a smaller value, holes would remain between the rings of a 32-beam LiDAR.
     config.init.max_gap_m = 2.0;
-    // With this value, 3D Gaussians reach the same range error as surfels.
+    // With this thickness, 3D Gaussians have the same range error as flat surfels.
     config.init.thickness = 0.05;
     config.image.sh_direction = ShDirection::surfel;
     config.image.transmittance_min = 1e-3f;
-    // The Huber loss estimates mean intensities. The L1 loss would estimate medians.
+    // For intensities, the Huber loss estimates the mean. The L1 loss would estimate the
+    // median.
     config.loss.intensity = 0.3f;
     config.loss.intensity_delta = 0.2f;  // lowers the RMSE of held-out intensities
-    // Without normalisation, a blending weight of 0.97 would move every surface by 3 %.
+    // Divides the range by the sum of the blending weights. Otherwise a sum of 0.97 would
+    // move every surface by 3 %.
     config.loss.normalised_depth = true;
     config.loss.chamfer = 0.0f;      // off, because it changes metrics by less than 1 % and takes time
     config.loss.opacity = 0.1f;      // closes holes; the normalised range alone does not close them
@@ -96,7 +101,8 @@ Config make_standard_config() {
     config.train.scale_rate = 1e-2;
     config.train.max_growth = 8.0;  // without this limit, some surfels grow far too large, up to 8 m
     config.train.sh_rate = 3e-2;
-    // with a factor of 1, intensities would overfit to the few views of a surfel
+    // With a factor of 1, the intensities would overfit, because few rays observe each
+    // surfel.
     config.train.intensity_factor = 0.25;
     config.train.rate_decay = 0.05;
     config.train.sensor_drop = true;
@@ -104,9 +110,10 @@ Config make_standard_config() {
     config.refine.enabled = true;          // the network improves the accuracy of ray-drop
     config.refine.frames = 200;            // limited because the images of all frames are in memory together
     config.render.range = "normalised";
-    // renders with the measured head angles, because heads rotate unevenly
+    // Renders with the measured azimuths of each sweep, because LiDAR heads rotate
+    // unevenly.
     config.render.follow_sweeps = true;
-    // nearly all rays stop within the first chunk of hits, at a low transmittance
+    // With 64 hits per chunk, nearly every ray becomes opaque within its first chunk.
     config.trace.chunk = 64;
     return config;
 }
@@ -117,15 +124,16 @@ Config make_quick_config() {
     Config config = make_standard_config();
     config.preset = "quick";
     config.init.voxel_growth = 0.01;
-    // Must be below 1 - alpha_max. Otherwise an opaque surfel would end the ray before
-    // the surfel is blended.
+    // Must be below 1 - alpha_max. Otherwise the ray would end in front of an opaque
+    // surfel instead of behind it.
     config.image.transmittance_min = 9e-3f;
-    // Removes faint surfels. A step is then about 20 % faster, and metrics change by 1 %.
+    // Ignores faint surfels. Training steps are about 20 % faster, and metrics change by
+    // 1 %.
     config.image.alpha_min = 0.04f;
     config.image.sh_degree = 2;
     config.train.iterations = 540;
-    // The rates are higher than those of the preset `default`: there are few steps, and
-    // each step reaches few surfels. Discs that grow this fast need the limit
+    // These learning rates are higher than in the preset `default`, because there are few
+    // steps and each step reaches few surfels. Fast-growing surfels need the limit
     // train.max_growth.
     config.train.opacity_rate = 0.15;
     config.train.scale_rate = 6.5e-2;
@@ -134,15 +142,15 @@ Config make_quick_config() {
     config.train.intensity_factor = 0.5;
     config.train.rays_per_iteration = 24576;
     config.train.sh_degree_interval = 180;
-    // Updates only surfels with a gradient. This saves up to a sixth of a step on a CPU.
-    // It raises RMSE and Chamfer distance by about 2 %.
+    // Updates only surfels with a gradient. Steps on a CPU become up to a sixth faster,
+    // and errors increase by about 2 %.
     config.train.only_touched = true;
     config.train.log_every = 20;
     config.refine.network = "pixel";  // nearly as accurate as "small", in a quarter of its time
     config.refine.frames = 32;
     config.refine.epochs = 4;
-    // Ten times the learning rate of larger networks. With few epochs, this is as good as
-    // a lower rate with more epochs.
+    // This small network learns at ten times the rate of the larger networks. It
+    // therefore needs only a few epochs.
     config.refine.rate = 2e-2;
     return config;
 }

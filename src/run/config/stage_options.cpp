@@ -25,7 +25,8 @@ TraceOptions make_training_trace_options(const Config& config) {
 
 TraceOptions make_rendering_trace_options(const Config& config) {
     TraceOptions options = trace_options(config);
-    // Always computes normals, because channels and ray-drop networks can use them.
+    // Normals are always computed, because output channels and ray-drop networks can use
+    // them.
     options.normals = kind_of(config.image.primitive).has_normals;
     if (config.render.range == "mode")
         options.mode_gap_m = static_cast<float>(config.sensor.return_separation_m);

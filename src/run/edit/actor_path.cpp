@@ -17,17 +17,17 @@ namespace relidar {
 namespace {
 
 enum Field { kTime, kX, kY, kZ, kYaw, kPitch, kRoll, kYawRad, kPitchRad, kRollRad, kFieldCount };
-// Number of fields in a file without a header. The columns of such a file are the first
-// fields of the list of names, in the same order.
+// Number of columns in a file without a header. The columns are the first names of
+// kNames, in this order.
 constexpr std::size_t kUnnamed = 7;
 constexpr std::size_t kNeeded = 5;
-// Largest accepted number, in metres in any world frame, in degrees, or in seconds since
-// 1970.
+// Largest accepted number. Valid coordinates in metres, angles in degrees, and times in
+// seconds since 1970 are smaller.
 constexpr double kLargest = 1e10;
 const std::vector<std::string> kNames{"time_s",    "x",        "y",       "z",         "yaw_deg",
                                       "pitch_deg", "roll_deg", "yaw_rad", "pitch_rad", "roll_rad"};
 
-/// Column index of each field. The index is -1 if the file does not have the field.
+/// Column index of each field, or -1 if the file does not have the field.
 using FieldPlaces = std::vector<int>;
 
 /// Reads the header of a file and returns the column index of each field.
@@ -59,8 +59,8 @@ FieldPlaces make_default_columns(std::size_t n_cells, const std::string& locatio
     return at;
 }
 
-/// Reads the values of a line. A field is 0 if the file has no column for it. A line may
-/// end before pitch and roll.
+/// Reads the values of a line. A field without a column gets the value 0. A line may
+/// leave out pitch and roll at its end.
 /// @throws DataError naming the column that is not a number
 std::array<double, kFieldCount> read_row(const std::vector<std::string_view>& cells,
                                          const FieldPlaces& columns, const std::string& location) {

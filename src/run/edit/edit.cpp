@@ -18,8 +18,8 @@ namespace relidar {
 
 namespace {
 
-/// Returns the error message for a labelled box that cannot be edited because it has no
-/// surfels. The message contains the reason, and the setting that makes the box editable.
+/// Returns the error message for editing a labelled object that has no model. The message
+/// explains the reason and names the setting that creates a model.
 std::string format_actors_without_surfels(const std::string& track, std::vector<std::string> actors) {
     actors.push_back(track);
     return fmt::format(
@@ -29,7 +29,7 @@ std::string format_actors_without_surfels(const std::string& track, std::vector<
         track, fmt::join(actors, ","));
 }
 
-/// Returns the index of the instance that has this track.
+/// Returns the index of the instance that moves along a track.
 std::size_t find_actor(const DrivingScene& driving, const std::string& track) {
     std::vector<std::string> known;
     for (std::size_t i = 0; i < driving.scene.instances.size(); ++i) {
@@ -132,9 +132,9 @@ void check_trajectory(const PoseTrack& track, const std::string& id) {
     }
 }
 
-/// Returns the same trajectory with more poses, so that two poses are at most one step
-/// apart. Boxes exist only near their poses. With this spacing, a box exists at most half
-/// a sweep before the first and after the last pose.
+/// Adds interpolated poses to a track, so that consecutive poses are at most `step_s`
+/// apart. A box exists only at times near its poses, so this limits how long it exists
+/// before the first and after the last pose.
 PoseTrack refine_track(const PoseTrack& track, double step_s) {
     PoseTrack fine;
     for (std::size_t i = 0; i + 1 < track.pose.size(); ++i) {
@@ -150,9 +150,9 @@ PoseTrack refine_track(const PoseTrack& track, double step_s) {
     return fine;
 }
 
-/// Completes the unobserved sides of a vehicle, because its new pose can turn them to a
-/// sensor. Does nothing if it is unknown what the log has observed, or if the scene has
-/// no surfels in memory.
+/// Fills the unobserved sides of a vehicle by symmetry, because its new pose can turn
+/// these sides to a sensor. Does nothing if the scene has no surfels in memory or no
+/// record of the observed sides.
 void complete_sides(DrivingScene& driving, const std::string& track) {
     Scene& scene = driving.scene;
     const std::uint32_t number = scene.instances[find_actor(driving, track)].model;
@@ -206,8 +206,7 @@ DrivingScene retime_track(DrivingScene driving, const std::string& track, double
 
 std::string describe_lost_frames(const BoxTrack& before, const Sequence& edited) {
     const BoxTrack* box = find_box(edited, before.id);
-    // Uses a set to remove duplicates, because LiDARs that sweep at the same time share a
-    // frame number.
+    // A set, because LiDARs that sweep at the same time have frames with the same number.
     std::set<int> lost;
     for (const Frame& frame : edited.frames)
         if (box && before.present(frame.time_s) && !box->present(frame.time_s)) lost.insert(frame.index);

@@ -24,38 +24,38 @@
 namespace relidar {
 namespace {
 
-// Minimum |z| of the normal of a level surfel. This accepts slopes up to 41 degrees,
+// Surfels whose normal has a smaller |z| are not ground. Accepts slopes up to 41 degrees,
 // because normals are noisy.
 constexpr double kLevelSurfel = 0.75;
-// Minimum z of the normal of the ground. This accepts slopes up to 32 degrees.
+// A plane whose normal has a smaller z is not ground. Accepts slopes up to 32 degrees.
 constexpr double kLevelPlane = 0.85;
-// Minimum opacity of a surfel, as a logit. It corresponds to an opacity of 0.05. Fainter
-// surfels are ignored, because they do not form a surface.
+// Surfels with a lower opacity (0.05, here as a logit) are ignored, because they do not
+// form a surface.
 constexpr double kFaintLogit = -3.0;
-// Maximum slope of a street: the height of the ground relative to the sensor, divided by
-// the distance from the sensor.
+// Maximum slope of the line from the sensor to the ground: height difference divided by
+// distance.
 constexpr double kSteepest = 0.25;
-// Maximum distance of a surfel from its plane. The value is half the height of a kerb,
-// because surfels farther away belong to another surface.
+// Only surfels closer to a plane than this support it. The value is half the height of a
+// kerb, because higher surfels belong to another surface.
 constexpr double kOnPlane_m = 0.1;
-// Maximum distance from the plane of the surfels in the least-squares fit. It is larger
-// than the noise of surfels on a street. It is small enough to exclude the foot of a
+// The least-squares fit uses only surfels closer to the plane than this. The value is
+// larger than the noise of street surfels, and small enough to exclude the foot of a
 // wall.
 constexpr double kFitted_m = 0.05;
-// Margins by which the search area around the box is enlarged, tried one after another.
-// At long range, the rings of a sweep are a metre apart, so a small area may contain no
+// The ground is searched in the area below the box, enlarged by these margins one after
+// another. Far from the sensor, rings are a metre apart, so a small area may contain no
 // surfel.
 constexpr std::array kMargins_m{0.25, 0.5, 1.0};
-// Minimum half edge length of the area below an actor. The area below a pedestrian alone
-// is too small to measure a slope.
+// Minimum half width of the area in which the ground is fitted. The area below a
+// pedestrian is too small to measure a slope.
 constexpr double kSmallestBelow_m = 0.75;
 constexpr std::size_t kFewestOnPlane = 8;  // Minimum number of surfels on a ground plane.
-// Minimum standard deviation of the surfels along the narrow side of the area. The
-// surfels of a single ring are narrower than this, so they cannot show a slope.
+// Surfels must have at least this standard deviation along the narrow side of the area.
+// The surfels of a single ring are narrower, so they cannot show the slope of the ground.
 constexpr double kNarrowest_m = 0.15;
 constexpr int kDraws = 200;
-// Maximum number of positions along a track at which the height of an actor above the
-// ground is measured.
+// The height of an actor above the ground is measured at about this many positions along
+// its track.
 constexpr int kOwnPlaces = 16;
 
 /// A plane, stored as a point on the plane and its upward normal.
@@ -87,7 +87,7 @@ struct Footprint {
     }
 };
 
-/// Returns the sensor pose of the log that is nearest to a position in the x-y plane.
+/// Returns the sensor pose that is nearest to a position in the x-y plane.
 const Pose& find_nearest_pose(const PoseTrack& track, const glm::dvec2& xy) {
     if (track.pose.empty())
         throw DataError(
@@ -101,8 +101,8 @@ glm::dvec3 compute_surfel_normal(const glm::vec4& wxyz) {
     return glm::normalize(glm::dquat(wxyz.x, wxyz.y, wxyz.z, wxyz.w)) * glm::dvec3(0.0, 0.0, 1.0);
 }
 
-/// The level surfels of a background. If the background consists of blocks, loads only
-/// the blocks near the given positions.
+/// The surfels of the background whose normals are nearly vertical. If the background is
+/// stored in blocks, loads only the blocks near the given positions.
 class LevelSurfels {
 public:
     LevelSurfels(const DrivingView& driving, const std::vector<glm::dvec2>& places)
@@ -131,8 +131,8 @@ public:
         return {};
     }
 
-    /// Returns a text with the distance from a position to the nearest level surfel, for
-    /// an error message.
+    /// Returns a text with the distance to the nearest level surfel, for an error
+    /// message.
     std::string nearest(const glm::dvec2& xy) const {
         if (points_.empty()) return "the background has no horizontal surfel";
         double nearest_m = std::numeric_limits<double>::infinity();
@@ -158,9 +158,8 @@ private:
         return on;
     }
 
-    /// Returns the plane that contains the most points. Tries planes through three random
-    /// points. The score of each plane depends on the distances of all points from the
-    /// plane.
+    /// Returns the plane with the most points near it (RANSAC). Tests planes through
+    /// three random points each. Scores each plane by the distances of all points.
     static GroundPlane find_most_common_plane(const std::vector<glm::dvec3>& points) {
         Random random(1);
         GroundPlane best{points.front(), {0.0, 0.0, 1.0}};
@@ -198,9 +197,8 @@ private:
             plane = {points.front() + fit.mean, fit.axes[0] * (fit.axes[0].z > 0.0 ? 1.0 : -1.0)};
             const glm::dvec2 beside = glm::abs(footprint.local(plane.origin_m));
             if (fit.variance[1] < kNarrowest_m * kNarrowest_m || plane.normal.z < kLevelPlane) return {};
-            // Rejects the plane if the centre of its surfels is far from the centre of
-            // the box. In this case the surfels cover only a part of the area below the
-            // box.
+            // Rejects the plane if its surfels are not centred below the box, because
+            // they then cover only a part of the area.
             const glm::dvec2 middle_m = 0.5 * (footprint.half_m + margin_m);
             if (beside.x > middle_m.x || beside.y > middle_m.y) return {};
         }
@@ -221,15 +219,15 @@ Footprint make_footprint(const glm::dvec2& centre_m, double yaw_rad, const glm::
 }
 
 const BoxTrack& find_box_of_actor(const DrivingView& owner, const std::string& track) {
-    // Calls move_track() only to throw an error with the reason if the track does not
-    // belong to an actor.
+    // move_track() throws an error with the reason if the track does not belong to an
+    // actor. The moved track is not used.
     (void)move_track(DrivingScene{copy_layout(owner.scene), owner.sequence}, track, {});
     return *find_box(owner.sequence, track);
 }
 
-/// Returns the ground plane below an actor of the log whose box covers a position. The
-/// plane is computed from the box, because the actor hides the road from the sensor.
-/// Returns nothing if no actor covers the position.
+/// Returns the ground plane below the actor whose box covers a position, or nothing if no
+/// box covers it. Derives the plane from the box, because the actor hides the road from
+/// the sensor.
 /// @param clearance_m  function that returns the height of the bottom of a box above the
 /// ground
 std::optional<GroundPlane> estimate_ground_below_actor(
@@ -251,8 +249,8 @@ std::optional<GroundPlane> estimate_ground_below_actor(
     return GroundPlane{at.translation - (0.5 * nearest->size_m.z + clearance_m(*nearest)) * up, up};
 }
 
-/// Measures the height of a box's bottom above the ground at positions along its track,
-/// and returns the median.
+/// Returns the height of a box's bottom above the ground, as the median over positions
+/// along the box's track.
 std::optional<double> compute_clearance(const DrivingView& owner, const BoxTrack& box) {
     std::vector<glm::dvec2> places;
     const std::vector<Pose>& poses = box.world_from_box.pose;
@@ -270,8 +268,8 @@ std::optional<double> compute_clearance(const DrivingView& owner, const BoxTrack
     return compute_median(heights_m);
 }
 
-/// Returns the rotation of an actor that stands on a plane and faces in the direction of
-/// a yaw angle.
+/// Returns the rotation of an actor that stands on a plane and faces in the direction
+/// `yaw_rad`.
 glm::dquat make_facing_rotation(const GroundPlane& plane, double yaw_rad) {
     const glm::dvec2 level(std::cos(yaw_rad), std::sin(yaw_rad));
     const double climb = -(plane.normal.x * level.x + plane.normal.y * level.y) / plane.normal.z;
@@ -289,8 +287,8 @@ struct GroundMotion {
     }
 };
 
-/// Returns the times of the log's frames. LiDARs that sweep at the same time share a
-/// time.
+/// Returns the distinct times of the log's frames. LiDARs that sweep at the same time
+/// have the same frame time.
 std::vector<double> list_frame_times(const Sequence& sequence) {
     std::vector<double> times_s;
     for (const Frame& frame : sequence.frames)
@@ -341,8 +339,8 @@ Start start_on_ground(const DrivingView& driving, const GroundPlace& place, cons
     };
 
     Start start{pose_on(*plane, xy), place.speed_mps};
-    // Uses the mean normal of the path, because the normal of the last plane alone is
-    // noisy.
+    // Continues unobserved ground with the mean normal of the path, because a single
+    // normal is noisy.
     glm::dvec3 normal_sum = plane->normal;
     for (std::size_t i = 0; i < times_s.size(); ++i) {
         const glm::dvec2& position_m = positions[i + 1];

@@ -17,10 +17,11 @@
 namespace relidar {
 namespace {
 
-// Largest accepted number, in metres in any world frame, in radians, or in seconds.
+// Largest accepted number. Valid coordinates in metres, angles in radians, and times in
+// seconds are smaller.
 constexpr double kMost = 1e10;
-// Tolerance for comparing times. Files often store times with few digits, so equal times
-// can differ slightly.
+// Times that differ by less than this are equal. Files store times with few digits, so
+// equal times can differ slightly.
 constexpr double kSlack_s = 1e-6;
 
 /// An XML document and its parameters. Attributes can refer to a parameter by "$name".
@@ -55,9 +56,8 @@ struct Source {
     }
 };
 
-/// Returns the time at which a start trigger fires. A trigger without a condition fires
-/// at time 0. A trigger with a fixed simulation time fires at this time. Returns nothing
-/// if the time depends on the simulation.
+/// Returns the time at which an OpenSCENARIO start trigger fires: 0 without a condition,
+/// or its fixed simulation time. Returns nothing if other conditions decide the time.
 std::optional<double> read_trigger_time(const Source& source, const pugi::xml_node& trigger,
                                         const std::string& location) {
     const pugi::xml_node group = trigger.child("ConditionGroup"), condition = group.child("Condition");
@@ -69,7 +69,8 @@ std::optional<double> read_trigger_time(const Source& source, const pugi::xml_no
     return source.number(time, "value", location) + source.number(condition, "delay", location, 0.0);
 }
 
-/// An action of an entity, and its start time if the start time is known.
+/// An action of an entity, and the time at which it starts. The time is missing if it
+/// depends on the simulation.
 struct Action {
     pugi::xml_node node;  ///< A PrivateAction element of the XML document.
     std::optional<double> start_s;

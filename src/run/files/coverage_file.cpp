@@ -20,9 +20,9 @@ constexpr const char* kCoverageFormat = "relidar coverage";
 constexpr const char* kCoverageVersion = "1";
 constexpr const char* kCell = "cell_m";
 
-/// Returns an array of the file by its name, and checks its type and its number of
-/// columns.
-/// @throws DataError if the file has no such array of this type and width
+/// Returns the array of the file with this name.
+/// @throws DataError if no array has this name, or if its type or number of columns is
+/// wrong
 const NamedArray& table(const std::vector<NamedArray>& arrays, const char* name, const char* dtype,
                         std::size_t width, const std::string& file) {
     const NamedArray* array = find_array(arrays, name);

@@ -9,11 +9,11 @@
 
 namespace relidar::run_detail {
 
-/// Writes the coverage to a file. The array `place` [blocks,3] i4 has the position of
-/// each block, in units of blocks. The array `cells` [blocks,32] u2 has the cells of each
-/// block (Coverage::Cells). Writes no file if the coverage is empty.
+/// Writes to a file which space the log has observed. `place` [blocks,3] i4 contains the
+/// position of each block of cells, in block sizes. `cells` [blocks,32] u2 contains the
+/// observed cells (Coverage::Cells). Writes no file if the coverage is empty.
 void save_coverage(const std::filesystem::path& path, const Coverage& coverage);
-/// Reads the coverage of a run from a file.
+/// Reads from a file which space the log of a run has observed.
 /// @throws DataError for missing arrays, wrong shapes, or cells of another size
 Coverage load_coverage(const std::filesystem::path& path);
 

@@ -12,8 +12,8 @@
 namespace relidar::run_detail {
 
 /// Checks the format name and the version in the metadata of a safetensors file.
-/// @throws DataError if one of them differs from the expected value; names the value in
-/// the file
+/// @throws DataError if one of them is not the expected value. The message contains the
+/// value in the file
 inline void check_format(const std::map<std::string, std::string>& metadata, const std::string& file,
                          const std::string& format, const std::string& version) {
     const auto value = [&](const char* key) {

@@ -58,14 +58,15 @@ void read_group(const ParameterGroup& group, const NamedArray& array, Surfels& s
     check_finite(group, surfels, file);
 }
 
-/// Reads the half size of a model's box. If all values are 0, the model has no bounds.
+/// Reads the half size of a model's bounding box. The size 0, 0, 0 means that the model
+/// is unbounded.
 glm::vec3 read_half_size(const JsonField& model) {
     const std::array<double, 3> v = model.at("half_size_m").numbers<3>();
     for (std::size_t k = 0; k < 3; ++k) model.at("half_size_m").at(k).number(0.0, 1e6);
     return {float(v[0]), float(v[1]), float(v[2])};
 }
 
-/// Reads the walked distance after which the motion of a model repeats. Returns 0 for a
+/// Reads the distance that a person walks until the leg motion repeats. Returns 0 for a
 /// rigid model.
 float read_stride(const JsonField& model) {
     return model.has("stride_m") ? static_cast<float>(model.at("stride_m").number(1e-3, 1e6)) : 0.0f;
@@ -73,8 +74,8 @@ float read_stride(const JsonField& model) {
 
 constexpr const char* kSurface = "surface";
 
-/// Reads which parts of a model's box the log has observed. Returns nothing if the file
-/// does not contain them.
+/// Reads which parts of an actor's box surface the log has observed. Returns nothing if
+/// the file has no such data.
 std::optional<BoxSurface> read_surface(const JsonField& model) {
     if (!model.has(kSurface)) return {};
     const JsonField field = model.at(kSurface), size = field.at("size_m");
@@ -175,8 +176,8 @@ void read_blocks_json(const std::string& text, const std::string& location,
 
 constexpr const char* kSensorDrop = "sensor_drop";
 
-/// Reads the table of the sensor's drop probabilities, [channels, bins]. Does nothing if
-/// the file has no such table.
+/// Reads the table [channels, bins] of the sensor's ray-drop probabilities, if the file
+/// contains it.
 void read_sensor_drop(const std::vector<NamedArray>& arrays, Scene& scene, const std::string& file) {
     const auto it =
         std::find_if(arrays.begin(), arrays.end(), [](const NamedArray& a) { return a.name == kSensorDrop; });
@@ -248,8 +249,7 @@ Scene load_model(const std::filesystem::path& path) {
                                     fmt::join(mean.shape, ", ")));
     const ParameterSet parameters = read_parameter_set(
         metadata, kPrimitiveKey, [&](const char* name) { return find_array(arrays, name) != nullptr; });
-    // Checks the number of rows of every array first, so that no memory is allocated for
-    // an inconsistent file.
+    // Checks the number of rows of every array before memory is allocated.
     for (const ParameterGroup& group : list_parameter_groups(parameters)) {
         const NamedArray& array = find_array_by_name(arrays, group.name, file);
         if (array.shape.empty() || array.shape[0] != mean.shape[0])

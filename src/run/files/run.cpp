@@ -45,8 +45,8 @@ void make_folder(const fs::path& folder) {
                                     failed ? failed.message() : "a file with this name exists"));
 }
 
-/// Creates a hard link to a file. Copies the file if the file system cannot create the
-/// link.
+/// Creates a hard link to a file. If the file system cannot create the link, copies the
+/// file.
 void link_or_copy(const fs::path& source, const fs::path& target) {
     make_folder(target.parent_path());
     std::error_code failed;
@@ -61,8 +61,8 @@ void link_or_copy(const fs::path& source, const fs::path& target) {
 }
 
 /// Links or copies the files of the background blocks to `folder`. Returns the blocks
-/// with their new file names.
-/// @param keep  true if files that the run's folder already contains are skipped
+/// with the new file paths.
+/// @param keep  true to skip files that are already in the folder of the run
 std::vector<SceneBlock> copy_blocks(const Run& run, const fs::path& folder, bool keep) {
     std::vector<SceneBlock> blocks = run.scene.blocks;
     for (std::size_t i = 0; i < blocks.size(); ++i) {
@@ -75,9 +75,8 @@ std::vector<SceneBlock> copy_blocks(const Run& run, const fs::path& folder, bool
     return blocks;
 }
 
-/// Writes the settings of a run to config.toml. The file cannot store options that are
-/// not settings. If such an option differs from the preset, throws an error. Otherwise
-/// the run could not be rendered again in the same way.
+/// Writes the settings of a run to config.toml. Some options are not settings, so the
+/// file cannot store them. Throws an error if such an option differs from the preset.
 void save_config(const Run& run, const fs::path& folder) {
     const fs::path path = folder / kConfigFile;
     write_text(path, to_toml(run.config));
@@ -90,16 +89,14 @@ void save_config(const Run& run, const fs::path& folder) {
 
 void save_scene(const Run& run, const fs::path& folder, bool keep_blocks) {
     if (run.scene.blocks.empty()) return save_model(folder / kModelFile, run.scene);
-    // Copies the scene of the run. If the background consists of blocks, the copy
-    // contains only the actors.
+    // This scene contains only the actors, because the background is stored in blocks.
     Scene scene = run.scene;
     scene.blocks = copy_blocks(run, folder, keep_blocks);
     save_model(folder / kModelFile, scene);
 }
 
 void write_files(const Run& run, const fs::path& folder, bool keep_blocks) {
-    // Writes the text files before the large files, so that an invalid value causes an
-    // error early.
+    // Writes the small text files first, so that an invalid value causes an error early.
     write_text(folder / kSceneFile, run_detail::to_scene_json(run));
     save_config(run, folder);
     save_scene(run, folder, keep_blocks);
@@ -109,8 +106,8 @@ void write_files(const Run& run, const fs::path& folder, bool keep_blocks) {
     run_detail::save_scatter(folder / kScatterFile, run.intensity_scatter);
 }
 
-/// Writes all files of a run to a temporary folder. In error messages, replaces the
-/// temporary file names by the final names in the run's folder.
+/// Writes all files of a run to a temporary folder. Error messages name the final files
+/// in the run's folder instead of the temporary files.
 void write_staged_files(const Run& run, const fs::path& staged, bool keep_blocks) {
     try {
         write_files(run, staged, keep_blocks);
@@ -151,9 +148,8 @@ bool holds(const fs::path& file, const std::string& bytes) {
     return does_path_exist(file) && read_file(file) == bytes;
 }
 
-/// Moves the files of `staged` to the run's folder. Keeps config.toml if its contents
-/// have not changed. Then a training can be resumed even if the process is killed at any
-/// time.
+/// Moves the files of `staged` to the run's folder. An unchanged config.toml stays in
+/// place, so that training can be resumed even if the process is killed during the move.
 void move_files(const fs::path& staged, const fs::path& folder, const std::function<void()>& remove_earlier) {
     const bool same_config = holds(folder / kConfigFile, read_file(staged / kConfigFile));
     if (!same_config || remove_earlier) fs::remove(folder / kConfigFile);
@@ -244,9 +240,9 @@ bool is_run(const fs::path& path) {
 
 void check_writable(const fs::path& folder) {
     make_folder(folder);
-    // The name of the test file contains the process id, because several processes may
-    // test the folder at the same time. If the process is killed here,
-    // remove_temporaries() deletes the test file later.
+    // Several processes may test the same folder, so the name of the test file contains
+    // the process id. If the process is killed here, remove_temporaries() deletes the
+    // file later.
     const std::string probe = (folder / fmt::format(".probe.tmp-{}-0", ::getpid())).string();
     const int file = ::open(probe.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0600);
     if (file < 0)

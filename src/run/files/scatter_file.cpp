@@ -49,7 +49,7 @@ void add_arrays(std::vector<NamedArray>& arrays, std::size_t lidar, const Intens
     arrays.push_back(find_array_by_name(name("step"), std::vector{scatter.step}));
 }
 
-/// Reads the arrays of the intensity model of one LiDAR.
+/// Reads the arrays that describe the intensity noise of one LiDAR.
 struct ScatterArrays {
     const std::vector<NamedArray>& arrays;
     const std::string& file;

@@ -16,7 +16,7 @@ namespace relidar::run_detail {
 /// [returns] f4 and `0.step` [1] f8. A LiDAR without a model has no arrays. If no LiDAR
 /// has a model, no file is written.
 void save_scatter(const std::filesystem::path& path, const std::vector<IntensityScatter>& scatter);
-/// Reads the intensity models of all LiDARs.
+/// Reads the models of intensity noise, one per LiDAR.
 /// @param n_lidars  number of LiDARs of the log
 /// @throws DataError for missing arrays, wrong shapes, or nodes that do not form a tree
 std::vector<IntensityScatter> load_scatter(const std::filesystem::path& path, std::size_t n_lidars);

@@ -23,13 +23,12 @@ using Json = nlohmann::ordered_json;
 
 constexpr const char* kSceneFormat = "relidar scene";
 constexpr int kSceneVersion = 3;
-// Maximum absolute value of lengths and times in a log. If a value is larger, the file is
-// rejected as damaged.
+// A file with a length or a time above this value is damaged and is rejected.
 constexpr double kHuge = 1e12;
-// Maximum distance from the world origin, which is the position of the sensor in the
-// middle frame.
+// Maximum distance from the origin of the scene, which is the position of the sensor in
+// the middle frame.
 constexpr double kFarthest_m = 1e6;
-// Maximum distance between the world origin and the origin of the dataset's world.
+// Maximum distance between the origin of the scene and the origin of the dataset's world.
 constexpr double kFarthestWorld_m = 1e9;
 constexpr std::int64_t kMaxInt = 2147483647, kMaxFrame = 99999999;
 constexpr const char* kUnits = "metres, seconds, radians";
@@ -94,8 +93,8 @@ Json make_frames_json(const Sequence& sequence, const Split& split) {
     return frames;
 }
 
-/// Checks that the absolute values of all numbers are at most `limit`.
-/// @throws DataError for the first larger number
+/// Checks that no value is greater than `limit` or less than `-limit`.
+/// @throws DataError for the first value outside these limits
 void check_within(const JsonField& field, std::initializer_list<double> values, double limit) {
     for (const double v : values)
         if (std::abs(v) > limit)
@@ -110,7 +109,8 @@ Pose read_pose(const JsonField& field) {
     if (std::abs(length - 1.0) > 1e-6)
         field.fail(fmt::format("found a quaternion of length {}", length), "expected 1");
     check_within(field, {v[0], v[1], v[2]}, kFarthest_m);
-    // Does not normalise the quaternion again, because that would change its last digit.
+    // Does not normalise the quaternion again, because rounding would change its last
+    // digit.
     return {q, {v[0], v[1], v[2]}};
 }
 
@@ -145,8 +145,7 @@ std::vector<Lidar> read_lidars(const JsonField& root) {
     return lidars;
 }
 
-/// Reads how the intensity depends on range and incidence. If the field is missing, the
-/// intensities of the run do not depend on the range.
+/// Reads the model of how measured intensities depend on range and angle of incidence.
 IntensityResponse read_intensity_response(const JsonField& field) {
     const IntensityResponse r{field.at("range_m").numbers(), field.at("factor").numbers(),
                               field.at("incidence").number(0.0, 1.0)};
@@ -221,15 +220,14 @@ BoxTrack read_box(const JsonField& field) {
     return box;
 }
 
-/// Reads the list of edits of a scene. A run that was not edited after training has no
-/// such list.
+/// Reads the list of edits that were applied to a scene after training.
 void read_edits(const JsonField& field, SceneFile& scene) {
     for (std::size_t i = 0; i < field.size(); ++i)
         scene.edits.push_back({field.at(i).at("run").text(), field.at(i).at("edit").text()});
 }
 
-/// Compares the counts in the file with the lengths of the lists. This detects lists that
-/// were shortened by a manual edit or by a wrong merge.
+/// Compares each count in the file with the length of its list. This detects entries that
+/// were lost by a manual edit or a wrong merge.
 void check_counts(const JsonField& root, const SceneFile& scene) {
     const auto check = [&](const char* name, std::size_t n) {
         const JsonField count = root.at("counts").at(name);
@@ -271,8 +269,8 @@ std::string to_scene_json(const Run& run) {
     if (!run.refined_poses.empty()) json["refined_poses"] = run.refined_poses;
     for (const RunEdit& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     const std::string text = json.dump(1, ' ', false, Json::error_handler_t::replace);
-    // Parses the text before it is written. This rejects values that could not be read
-    // again, for example a NaN in a pose.
+    // Parses the new text once, to reject values that cannot be read again, for example a
+    // NaN in a pose.
     parse_scene_json(text, "writing scene.json");
     return text + "\n";
 }

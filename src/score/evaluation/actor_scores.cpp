@@ -16,15 +16,16 @@ namespace relidar {
 namespace {
 
 constexpr double kMargin_m = 0.1, kSilhouette_m = 0.3;
-// Height above the bottom of a box. Points below this height are ignored, because they
-// belong to the ground.
+// Points less than this height above the bottom of a box are ignored, because they are on
+// the ground.
 constexpr double kFloor_m = 0.15;
 constexpr double kNear_m = 0.03, kLargeError_m = 0.3;
 constexpr double kSweep_m = 2.0;  // Maximum distance that a box moves within one sweep.
-// Minimum number of real points of a person. People with fewer points are not scored.
+// Persons with fewer real points are not scored.
 constexpr std::size_t kFewest = 10;
 
-/// A box at the time of a scan. Converts points from the sensor frame to the box frame.
+/// A box in a scan. Converts points from the sensor frame to the frame of the box, at the
+/// time when the LiDAR measured them.
 struct InScan {
     const Sequence& sequence;
     const SweepMoment& seen;
@@ -41,9 +42,8 @@ struct InScan {
         return sequence.world_from_vehicle.at(t_s,
                                               sequence.lidars[std::size_t(seen.lidar)].vehicle_from_sensor);
     }
-    /// Converts a point to the frame of the box. Uses the poses of the sensor and the box
-    /// at the time at which the LiDAR's head faces the point. Returns nothing if the
-    /// point is far from the box.
+    /// Converts a point to the frame of the box, with the poses at the time when the
+    /// LiDAR's head faces the point. Returns nothing if the point is far from the box.
     std::optional<glm::dvec3> to_box_frame(const glm::dvec3& in_sensor) const {
         if (glm::distance(in_sensor, centre_m) > 0.5 * glm::length(box.size_m) + kSilhouette_m + kSweep_m)
             return std::nullopt;
@@ -67,9 +67,9 @@ double compute_mean(const std::vector<double>& values) {
     return sum / double(std::max<std::size_t>(values.size(), 1));
 }
 
-/// Adds three metrics of the range errors: the median, the bias, and the fraction of
-/// large errors. Adds nothing if there are no errors.
-/// @param prefix  prefix of the names
+/// Adds the median, the bias and the fraction of large values of range errors to a row of
+/// metrics. Adds nothing if there are no errors.
+/// @param prefix  prefix of the metric names
 void add_range_errors(MetricRow& row, const std::string& prefix, const std::vector<double>& error_m) {
     if (error_m.empty()) return;
     std::vector<double> absolute_m, large;
@@ -82,7 +82,8 @@ void add_range_errors(MetricRow& row, const std::string& prefix, const std::vect
     row[prefix + "above_30cm"] = compute_mean(large);
 }
 
-/// Values collected over a group: all people and cyclists, or all other labelled boxes.
+/// Errors of a group of boxes: either all people and cyclists, or all other labelled
+/// boxes.
 struct GroupErrors {
     std::vector<double> range_error_m, chamfer_m, near;
     double both = 0.0, either = 0.0;

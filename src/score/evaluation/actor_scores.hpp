@@ -12,7 +12,7 @@
 
 namespace relidar {
 
-/// Scores of each moving box in a frame, and metrics over groups of boxes.
+/// Scores of each moving box in a frame, and metrics over groups of boxes such as people.
 struct ActorScores {
     std::vector<ActorScore> actors;  ///< scores of the labelled and the discovered boxes
     /// Metrics over all points, and over the labelled boxes with at least ten real
@@ -30,12 +30,12 @@ struct ActorScores {
 };
 
 /// Computes the scores of all moving boxes in a frame.
-/// @param points_m [n] ranges of the simulated points
+/// @param points_m [n] range of the simulated point on each ray
 ActorScores compute_actor_scores(const RangeImage& rendered, const std::vector<float>& points_m,
                                  const RangeImage& real, const Sequence& sequence, const SweepMoment& sweep);
 
-/// Combines the scores of each actor over several frames. Numbers of points are summed.
-/// Other metrics are means, weighted by the number of real points.
+/// Combines the scores of each actor over several frames. Adds the numbers of points.
+/// Averages all other metrics, weighted by the number of real points.
 /// @param frames [frames][actors]
 std::vector<ActorScore> average_over_frames(const std::vector<std::vector<ActorScore>>& frames);
 

@@ -21,12 +21,12 @@ namespace relidar {
 namespace {
 
 constexpr double kSameTime_s = 1e-3;
-// Number of frames whose metrics are computed in parallel. This limits memory, because
-// the images of these frames are in memory at the same time.
+// Number of frames whose metrics are computed in parallel. All images of these frames are
+// in memory at the same time.
 constexpr std::size_t kScoredAtOnce = 16;
 
-/// Returns the sensor that config.sensor selects for a frame. With the native grid, the
-/// rays of the sensor are the rays of the scan.
+/// Returns the sensor with which a frame is rendered, as set by config.sensor. For the
+/// grid "native", renders exactly the rays of the recorded scan.
 /// @param frame  the frame, with its scan
 SensorChoice make_sensor_of_frame(const Config& config, const Sequence& sequence, const Frame& frame) {
     SensorChoice sensor = make_configured_sensor(config, sequence, frame.lidar);
@@ -35,8 +35,8 @@ SensorChoice make_sensor_of_frame(const Config& config, const Sequence& sequence
     return sensor;
 }
 
-/// Converts flags of returns to flags of pixels. Stores the flags as intensities of the
-/// scan, and projects the scan into the image.
+/// Converts one flag per return of a scan to one flag per image pixel. Stores the flags
+/// as intensities of the scan and projects the scan into the image.
 std::vector<bool> to_pixels(const std::vector<bool>& returns, const Config& config, const Frame& frame) {
     Scan flags = frame.scan;
     std::copy(returns.begin(), returns.end(), flags.intensity.begin());
@@ -49,8 +49,8 @@ struct RenderedFrame {
     ScoredFrame frame;
     /// [n] true for pixels whose return is in a labelled box of a moving object.
     std::vector<bool> moving;
-    /// [n] true for pixels whose return is in a discovered box. Empty if the run has no
-    /// discovered boxes.
+    /// [n] true for pixels whose return is in the box of a moving object that has no
+    /// label. Empty if the run has no such boxes.
     std::vector<bool> discovered;
 
     std::vector<Region> regions() const {
@@ -89,8 +89,8 @@ std::unique_ptr<Lpips> load_lpips() {
     return file.empty() ? nullptr : std::make_unique<Lpips>(read_lpips_weights(file));
 }
 
-/// Computes the metrics of all frames in parallel on all cores.
-/// @param lpips  may be null
+/// Computes the metrics of several rendered frames in parallel.
+/// @param lpips  network for the LPIPS metric; null: leaves out this metric
 std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config& config,
                                const Sequence& sequence, const Lpips* lpips) {
     MetricOptions options;
@@ -119,7 +119,8 @@ void add_actor_scores(std::vector<ScoredFrame>& frames, const Sequence& sequence
     for (ScoredFrame& frame : frames) {
         const SweepMoment sweep{frame.time_s, frame.lidar, frame.start};
         const RangeImage& rendered = frame.rendered.image;
-        // The array is empty for a baseline, because a baseline has no point ranges.
+        // Empty for a baseline without a renderer. In this case, the ranges of the image
+        // are used.
         const std::vector<float>& points_m = select_point_ranges(frame.rendered, config);
         ActorScores scores = compute_actor_scores(rendered, points_m.empty() ? rendered.range_m : points_m,
                                                   frame.real, sequence, sweep);
@@ -154,9 +155,8 @@ void discard_images(ScoredFrame& frame) {
     frame.real = {};
 }
 
-/// Parameters of an evaluation of many frames. The frames are rendered and scored in
-/// small batches. The images of each batch are freed before the next batch, to limit
-/// memory.
+/// Parameters of an evaluation of many frames. To limit memory, frames are rendered and
+/// scored in small batches. Each batch frees its images before the next one starts.
 struct ManyFrames {
     const std::vector<int>& positions;  ///< indices into sequence.frames
     const Sequence& sequence;
@@ -166,8 +166,8 @@ struct ManyFrames {
 };
 
 /// Renders all frames and computes their metrics, in batches of kScoredAtOnce frames.
-/// @param description  description for the progress
-/// @param render  renders the frame at a position
+/// @param description  text shown with the progress
+/// @param render  function that renders one frame
 std::vector<ScoredFrame> score_frames(
     const ManyFrames& frames, const char* description,
     const std::function<RenderedFrame(int position, const Frame&)>& render) {
@@ -228,8 +228,8 @@ ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequ
 Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Sequence& sequence,
                            const std::vector<int>& positions, const Progress& progress,
                            const FrameCallback& on_frame) {
-    // Enables the channel with the drop probability before the correction by the network.
-    // Reports show both probabilities.
+    // Also renders the drop probability without the correction by the neural network,
+    // because reports show both.
     if (on_frame && renderer.refines(make_configured_sensor(config, sequence)))
         renderer.enable_channels("surfel_drop_prob");
     std::vector<ScoredFrame> scored = score_frames(

@@ -10,12 +10,13 @@
 namespace relidar {
 namespace {
 
-// Margin by which the current boxes are enlarged. Labelled boxes do not fit exactly, so
-// points just outside a box count as part of it.
+// Boxes at the time of the point are enlarged by this margin, because labels do not fit
+// objects exactly.
 constexpr double kNowMargin_m = 0.3;
 constexpr double kGround_m = 0.3;
 
-/// A moving box with the poses of all its labels.
+/// A moving box with all its labelled poses. Together, they cover the volume that the box
+/// sweeps.
 struct Swept {
     const BoxTrack* box;
     std::vector<Pose> box_from_world;
@@ -51,8 +52,8 @@ bool is_in_swept_box(const Swept& swept, const glm::dvec3& point_m) {
                        });
 }
 
-/// Number of all points, and number of points in comet tails. A point is in a comet tail
-/// if a box is there at another time, but no box is there now.
+/// Numbers of points: all points, and points in comet tails. A comet tail is the space
+/// that a moving box occupies at other times, but not now.
 struct Tail {
     std::size_t n_points = 0, n_tail = 0;
     std::vector<std::size_t> n_of_box;  ///< [swept] points in the tail of each box
@@ -67,7 +68,7 @@ struct Tail {
 
 Tail sum_tails(const RangeImage& image, const std::vector<float>& points_m, const Sequence& sequence,
                const std::vector<Swept>& swept, const SweepMoment& sweep) {
-    // Number of rays that one work item of the parallel loop processes.
+    // Number of rays that a thread processes at a time.
     constexpr std::size_t kRays = 2048;
     const Pose& mounted = sequence.lidars[std::size_t(sweep.lidar)].vehicle_from_sensor;
     return parallel_reduce(points_m.size(), kRays, [&](std::size_t begin, std::size_t end) {

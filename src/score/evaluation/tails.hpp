@@ -16,8 +16,8 @@ namespace relidar {
 /// Points in the comet tails of a scan.
 struct TailCounts {
     double share = 0.0;  ///< Fraction of all returned points that are in a tail.
-    /// Number of points in the tail of each moving box, by the id of the box. The tails
-    /// of several boxes can contain the same point.
+    /// For each moving box, by its id, the number of points in its tail. Tails of several
+    /// boxes can contain the same point.
     std::map<std::string, std::size_t> n_of_box;
 };
 /// Counts the returned points that lie in comet tails. The tail of a moving box is the

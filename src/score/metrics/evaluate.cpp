@@ -26,12 +26,12 @@ using Positions = std::vector<glm::dvec3>;
 // Minimum mean squared error. It keeps the PSNR of identical images finite.
 constexpr double kMinSquaredError = 1e-20;
 constexpr double kFineThreshold_m = 0.05;
-// Threshold of the F-score in the peer protocol. The peer protocol compares the squared
-// distance with 0.05, so the threshold is sqrt(0.05).
+// Distance threshold of the F-score in the published evaluation protocol ("peer"). This
+// protocol compares squared distances with 0.05.
 constexpr double kPeerThreshold_m = 0.22360679774997896964;
 constexpr int kSsimWindow = 7;
-// Minimum edge length of an image for LPIPS. The pooling layers reduce a smaller image to
-// nothing.
+// LPIPS needs images with at least this edge length. Pooling layers reduce smaller images
+// to nothing.
 constexpr int kLpipsEdge = 31;
 
 Positions points(const RangeImage& image, const Mask& mask) {
@@ -43,17 +43,15 @@ Positions points(const RangeImage& image, const Mask& mask) {
     return result;
 }
 
-/// A full rendered image and the full real image with which it is compared.
+/// A full rendered image, and the full real image to which it is compared.
 struct ImagePair {
     Values rendered, real;
     int rows, columns;
     double peak;
 };
 
-/// Returns the rendered and the real range image with all pixels. Sets the range of
-/// dropped pixels to 0.
-/// @param threshold  a rendered pixel is dropped if its drop probability is not below
-/// this value
+/// Returns the rendered and the real range image. Dropped pixels have the range 0.
+/// @param threshold  rendered pixels with at least this drop probability are dropped
 ImagePair make_depth_pair(const RangeImage& rendered, const RangeImage& real, double threshold,
                           double max_range_m) {
     return {clamp_masked_values(rendered.range_m, make_return_mask(rendered, threshold), max_range_m),
@@ -66,9 +64,8 @@ ImagePair make_intensity_pair(const RangeImage& rendered, const RangeImage& real
             real.rows, real.columns, kMaxIntensity};
 }
 
-/// Computes errors, PSNR, SSIM and LPIPS of full images. Leaves out SSIM if it is
-/// undefined. SSIM is undefined if the image is smaller than the window, or if the real
-/// image is constant.
+/// Computes errors, PSNR, SSIM and LPIPS of full images. Leaves out SSIM if the real
+/// image is constant, or if the image is smaller than the SSIM window.
 void add_image(MetricRow& row, const std::string& prefix, const std::string& unit, const ImagePair& image,
                const Lpips* lpips) {
     const double squared = add_errors(row, prefix, unit, image.rendered, image.real);
@@ -136,8 +133,8 @@ double compute_drop_rmse(const RangeImage& rendered, const RangeImage& real) {
     return std::sqrt(compute_mean_square(error));
 }
 
-/// Computes ray-drop metrics as for a classifier with two classes. A dropped pixel is the
-/// positive class.
+/// Adds metrics of a classifier that predicts for each pixel whether its ray is dropped.
+/// "Dropped" is the positive class.
 void add_drop(MetricRow& row, const Mask& rendered, const Mask& real) {
     std::size_t hits = 0, false_drops = 0, missed_drops = 0, equal = 0;
     for (std::size_t i = 0; i < real.size(); ++i) {
@@ -155,8 +152,8 @@ void add_drop(MetricRow& row, const Mask& rendered, const Mask& real) {
     row["strict/drop_f1"] = ratio(2 * hits, 2 * hits + false_drops + missed_drops);
 }
 
-/// Computes range errors over the pixels that are returned in both images. Also computes
-/// distances between the clouds of returned points.
+/// Computes range errors of the pixels that have a return in both images. Also computes
+/// distances between the rendered and the real point cloud.
 void add_points(MetricRow& row, const std::string& prefix, const RangeImage& rendered, const RangeImage& real,
                 const MetricOptions& options) {
     const Mask kept = returned(rendered, options.strict_drop_threshold),

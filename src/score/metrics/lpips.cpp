@@ -21,15 +21,15 @@ namespace {
 using Matrix = Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
 constexpr int kLayers = 5;
-// Minimum edge length of an image. The layers reduce an edge of 31 pixels to 7, 3 and
-// then 1.
+// Minimum edge length of an image. The pooling layers reduce 31 pixels to 7, then 3, then
+// 1.
 constexpr int kMinEdge = 31;
 constexpr double kNormFloor = 1e-10;
 constexpr float kColourShift[3] = {-0.030f, -0.088f, -0.188f};
 constexpr float kColourScale[3] = {0.458f, 0.448f, 0.450f};
 
-/// A convolution of AlexNet. If `halve_grid` is set, a 3 x 3 max-pooling with stride 2 is
-/// applied before it.
+/// A convolution layer of AlexNet. If `halve_grid` is set, 3 x 3 max-pooling with stride
+/// 2 precedes the convolution.
 struct Layer {
     int out, in, edge, stride, padding;
     bool pooled;
@@ -43,14 +43,14 @@ constexpr Layer kAlexNet[kLayers] = {{64, 3, 11, 4, 2, false},
                                      {256, 384, 3, 1, 1, false},
                                      {256, 256, 3, 1, 1, false}};
 
-/// Feature images of rows x columns pixels, one for each channel.
+/// Output of a network layer: one image of rows x columns pixels for each channel.
 struct Features {
     int rows = 0, columns = 0;
     Matrix values;  ///< [channels, rows*columns]
 };
 
-/// Unrolls the windows of a convolution into the columns of a matrix. Pixels outside the
-/// image are 0.
+/// Copies the window around each output pixel of a convolution to a column of a matrix
+/// (im2col). Pixels outside the image are 0.
 /// @return [in*edge*edge, rows*columns of the result]
 Matrix unroll_patches(const Features& image, const Layer& layer, int rows, int columns) {
     Matrix windows =
@@ -100,8 +100,9 @@ Features pool(const Features& image) {
     return result;
 }
 
-/// Normalises both features of each pixel to unit length, and computes their weighted
-/// squared difference. Returns the mean over all pixels.
+/// Returns the LPIPS distance of two feature images. At each pixel, normalises both
+/// feature vectors to unit length and computes their weighted squared difference.
+/// Averages over all pixels.
 double compute_distance(const Features& first, const Features& second, const std::vector<float>& linear) {
     const Eigen::ArrayXXd fa = first.values.cast<double>().array(), fb = second.values.cast<double>().array();
     const Eigen::ArrayXd weight =

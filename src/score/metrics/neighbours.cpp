@@ -16,12 +16,12 @@
 namespace relidar {
 namespace {
 
-// Maximum number of columns between the column of a ray and the column of its azimuth. In
-// logs of an HDL-64E, this difference is up to 2.8 columns.
+// A ray and its azimuth can be in different columns of the image. For an HDL-64E they
+// differ by up to 2.8 columns, so the search covers this many columns on each side.
 constexpr int kColumnSearch = 4;
 
-/// Returns the nearest training frame before a position and the nearest one after it, of
-/// the same LiDAR. Returns a single frame if one side has no such frame.
+/// Returns the nearest training frame before a position of the log and the nearest one
+/// after it, from the same LiDAR. Returns only one frame if the other does not exist.
 std::vector<int> find_neighbour_frames(const Sequence& sequence, int position,
                                        const std::vector<int>& train) {
     const auto get_lidar = [&](int p) { return sequence.frames[std::size_t(p)].lidar; };
@@ -42,8 +42,8 @@ std::vector<int> find_neighbour_frames(const Sequence& sequence, int position,
     return neighbours;
 }
 
-/// Returns the moving box that contains a point in the world frame at a time. Returns
-/// null if no box contains the point.
+/// Returns the moving box that contains a world point at a time, or null if no box
+/// contains the point.
 const BoxTrack* box_of(const std::vector<const BoxTrack*>& moving, const glm::dvec3& point_m, double time_s) {
     const auto it = std::find_if(moving.begin(), moving.end(), [&](const BoxTrack* box) {
         return box->present(time_s) && box->holds(point_m, time_s, 0.0);
@@ -51,8 +51,8 @@ const BoxTrack* box_of(const std::vector<const BoxTrack*>& moving, const glm::dv
     return it == moving.end() ? nullptr : *it;
 }
 
-/// Converts a point from the world frame to the sensor frame. Uses the sensor pose at the
-/// time in the sweep at which the LiDAR faces the point.
+/// Converts a point from the world frame to the sensor frame at the time when the
+/// rotating LiDAR faces the point.
 glm::dvec3 place_in_sweep(const Sequence& sequence, const glm::dvec3& world_m, const Frame& frame) {
     const Pose& mounted = sequence.get_lidar(frame).vehicle_from_sensor;
     const glm::dvec3 at_reference = inverse(sequence.world_from_vehicle.at(frame.time_s, mounted)) * world_m;
@@ -80,8 +80,8 @@ double elevation_of(const glm::dvec3& vector) {
     return std::asin(std::clamp(vector.z / glm::length(vector), -1.0, 1.0));
 }
 
-/// A table of rays with functions that assign points to rays. All functions use double
-/// precision. Float is not enough, because the cosine of 0.02 degrees rounds to 1.
+/// Assigns points to the rays of a table. Computes in double precision, because the
+/// cosine of 0.02 degrees rounds to 1 in single precision.
 struct Beams {
     const RayTable& rays;
 
@@ -93,7 +93,8 @@ struct Beams {
         return glm::dvec3(point_m) - glm::dvec3(rays.origin[at(place)]);
     }
     glm::dvec3 direction(Place place) const { return rays.direction[at(place)]; }
-    /// Returns the angle by which a point is above a beam.
+    /// Returns the elevation of a point minus the elevation of a ray, both seen from the
+    /// origin of the ray.
     double compute_angle_above(Place place, const glm::vec3& point_m) const {
         return elevation_of(to_direction_from_origin(place, point_m)) - elevation_of(direction(place));
     }
@@ -101,9 +102,8 @@ struct Beams {
         const glm::dvec3 v = to_direction_from_origin(place, point_m);
         return glm::dot(v, direction(place)) / glm::length(v);
     }
-    /// Returns the ray with the smallest angle to a point. First finds the beam with the
-    /// nearest elevation. Then compares the rays of this beam and of its neighbouring
-    /// beams.
+    /// Returns the ray with the smallest angle to a point. Finds the row with the nearest
+    /// elevation, then compares the rays of this row and of the two neighbouring rows.
     Place nearest(const glm::vec3& point_m) const {
         const double azimuth = std::atan2(double(point_m.y), double(point_m.x));
         const int column = int(std::lround((1.0 - azimuth / kPi) / 2.0 * rays.columns));
@@ -119,8 +119,8 @@ struct Beams {
                 if (const double cos = compute_cosine({r, c}, point_m); cos > most) most = cos, best = {r, c};
         return best;
     }
-    /// Returns true if a point is outside the vertical field of view. It is outside if it
-    /// is beyond the outermost beam by more than half the spacing to the next beam.
+    /// Returns true if a point is above the highest or below the lowest row of rays, by
+    /// more than half the spacing of the rows.
     bool compute_angle_outside(Place place, const glm::vec3& point_m) const {
         const double half_spacing =
             0.5 * std::abs(elevation_of(direction(place)) -
@@ -144,15 +144,15 @@ Scan predict_neighbour_points(const Sequence& sequence, int position, const std:
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f)) continue;
             WorldReturn w = compute_world_return(sequence, frame, ray);
-            // Moves the point along the ray to the measured range. The measured range
+            // Moves the point along its ray to the range that the LiDAR measured, which
             // includes the range offset of the beam.
             w.point_m +=
                 double(frame.scan.range_m[ray] - compute_surface_return(sequence, frame, ray).range_m) *
                 w.direction;
             glm::dvec3 world_m = w.point_m;
             if (const BoxTrack* box = box_of(moving, w.point_m, w.time_s)) {
-                // Both sweeps measure the box at about the same time after their
-                // reference times. This gives the time of the box in the other sweep.
+                // In both sweeps, the LiDAR measures the box at about the same time
+                // relative to the time of the frame.
                 const double then_s = sweep.time_s + (w.time_s - frame.time_s);
                 if (!box->present(then_s)) continue;
                 world_m =

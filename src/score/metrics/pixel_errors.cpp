@@ -12,12 +12,13 @@
 namespace relidar::metrics_detail {
 namespace {
 
-// Lower limit to which the peer protocol clamps ranges and intensities.
+// The published evaluation protocol ("peer") clamps ranges and intensities to at least
+// this value.
 constexpr double kClampLow = 1e-6;
 
 double clamp_value(float value, double high) { return std::clamp(double(value), kClampLow, high); }
 
-/// Returns the median of some values. For an even number of values, it is the mean of the
+/// Returns the median of values. For an even number of values, returns the mean of the
 /// two middle values.
 double median(Values values) {
     const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);

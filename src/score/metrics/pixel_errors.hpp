@@ -14,8 +14,8 @@ namespace relidar::metrics_detail {
 using Mask = std::vector<bool>;
 using Values = std::vector<double>;
 
-// Drop threshold for real images. Any value between 0 and 1 works, because their drop
-// probabilities are 0 or 1.
+// A pixel of a real image is dropped above this drop probability. Any threshold works,
+// because real drop probabilities are 0 or 1.
 inline constexpr double kRealDropThreshold = 0.5;
 inline constexpr double kMaxIntensity = 1.0;
 
@@ -26,13 +26,12 @@ void check_pair(const RangeImage& rendered, const RangeImage& real);
 
 /// Returns a mask of the pixels whose drop probability is below the threshold.
 Mask make_return_mask(const RangeImage& image, double threshold);
-/// Returns a mask of the returned pixels. Their drop probability is below the threshold
-/// and their range is above 0. A range of 0 means that the ray hit nothing. Such a pixel
-/// counts as dropped, even if its drop probability is low.
+/// Returns a mask of the pixels that have a return: the drop probability is below the
+/// threshold and the range is above 0. The range 0 means that the ray hit no surface.
 Mask returned(const RangeImage& image, double threshold);
 
-/// Returns the values of all pixels, clamped to [1e-6, high]. Pixels outside the mask are
-/// set to 0 before the clamp.
+/// Returns all pixels, clamped to [1e-6, high]. Pixels outside the mask get the lowest
+/// value.
 Values clamp_masked_values(const std::vector<float>& values, const Mask& mask, double high);
 /// Returns only the values of pixels in the mask, clamped to [1e-6, high].
 Values select_values(const std::vector<float>& values, const Mask& mask, double high);

@@ -38,7 +38,7 @@ Region make_range_band(const RangeImage& real, double low_m, double high_m) {
 Mask find_returns_in_moving_boxes(std::vector<BoxTrack> boxes, const Sequence& sequence, const Frame& frame,
                                   const Pose& sensor_offset) {
     const PoseTrack track = mount_on_track(sequence.world_from_sensor(frame.lidar), sensor_offset);
-    // Evaluates moves() once for each box, because it is expensive.
+    // moves() is expensive, so it is evaluated only once for each box.
     std::erase_if(boxes, [](const BoxTrack& box) { return !box.moves(); });
     Mask moving(frame.scan.range_m.size());
     for (std::size_t ray = 0; ray < moving.size(); ++ray) {
@@ -97,8 +97,8 @@ std::vector<bool> find_moving_returns(const Sequence& sequence, const Frame& fra
                                       const Pose& sensor_offset) {
     std::vector<BoxTrack> labelled = sequence.boxes;
     std::erase_if(labelled, [](const BoxTrack& box) { return box.category == kDiscoveredCategory; });
-    // Removes the poses that discover_tracks() added without labels. The same returns are
-    // then compared in runs with and without discovered boxes.
+    // Uses only the labelled poses of each box, without poses that discover_tracks()
+    // added. Thus runs with and without added poses are compared on the same returns.
     for (BoxTrack& box : labelled) box = box.get_labelled_part();
     return find_returns_in_moving_boxes(std::move(labelled), sequence, frame, sensor_offset);
 }

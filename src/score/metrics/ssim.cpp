@@ -18,7 +18,8 @@ namespace {
 
 constexpr int kWindow = 7;
 
-/// Sums over a window of the pixels of two images: a, b, aa, bb and ab.
+/// Sums over a window of two images a and b, as needed for SSIM: of a, b, a^2, b^2 and
+/// a*b.
 struct Moments {
     std::array<double, 5> sum{};
 
@@ -41,7 +42,7 @@ double compute_similarity(const Moments& window, double c1, double c2) {
     return (2.0 * ma * mb + c1) * (2.0 * cov + c2) / ((ma * ma + mb * mb + c1) * (va + vb + c2));
 }
 
-/// Returns the sums over 7 adjacent pixels within each row.
+/// For each row, returns the sums over every 7 consecutive pixels.
 /// @return [rows * (columns - 6)]
 std::vector<Moments> sum_along_rows(const std::vector<double>& a, const std::vector<double>& second, int rows,
                                     int columns) {

@@ -17,13 +17,12 @@
 namespace relidar::report_detail {
 namespace {
 
-// Margins of a chart in SVG units. The labels must fit into the margins.
+// Margins of a chart in SVG units, with space for the labels.
 constexpr double kLeft = 58, kRight = 14, kTop = 10, kBottom = 30;
-// Number of points above which the running mean of a curve is drawn too, because the
-// curve itself is noisy.
+// Curves with more points than this are noisy, so their running mean is drawn too.
 constexpr std::size_t kManyPoints = 250;
-// Number of horizontal intervals of a drawn curve. Each interval is drawn with at most
-// two points.
+// To draw a curve, the x axis is divided into this many intervals. At most two points per
+// interval are drawn.
 constexpr std::size_t kBuckets = 500;
 
 /// Value range of an axis and its position on the page.
@@ -49,8 +48,8 @@ struct Extent {
     bool empty() const { return low > high; }
 };
 
-/// Returns true if point `index` of a curve is finite and small enough that the axis does
-/// not overflow.
+/// Returns true if point `index` of a curve can be drawn: it is finite and does not
+/// overflow the axis.
 bool is_drawable(const ReportCurve& curve, std::size_t index) {
     return std::abs(curve.x[index]) < 1e100 && std::abs(curve.y[index]) < 1e100;
 }
@@ -71,8 +70,8 @@ std::vector<double> make_linear_ticks(const Axis& axis, int n_ticks) {
     return ticks;
 }
 
-/// Returns the ticks of a logarithmic axis at powers of ten. If there are many powers,
-/// leaves out some. If there are few powers, also returns ticks at 2 and 5 times each
+/// Returns the ticks of a logarithmic axis, usually the powers of ten. If there are too
+/// many powers, returns only some. If there are few, adds ticks at 2 and 5 times each
 /// power.
 std::vector<double> log_ticks(const Axis& axis) {
     const int first = int(std::floor(std::log10(axis.low))), last = int(std::ceil(std::log10(axis.high)));
@@ -116,8 +115,8 @@ Axis make_x_axis(const Extent& extent, double at_low, double at_high) {
     return axis;
 }
 
-/// Returns the indices of the points to draw. Each interval of the x axis keeps its
-/// minimum and its maximum, so that spikes remain visible. Points that are not finite
+/// Returns the indices of the points to draw: the minimum and the maximum of each
+/// interval of the x axis, so that spikes remain visible. Values that are not finite
 /// become gaps.
 std::vector<std::size_t> thin_curve(const ReportCurve& curve) {
     const std::size_t n = curve.y.size(), width = std::max<std::size_t>(1, n / kBuckets);
@@ -125,7 +124,7 @@ std::vector<std::size_t> thin_curve(const ReportCurve& curve) {
     for (std::size_t first = 0; first < n; first += width) {
         std::size_t low = first, high = first;
         for (std::size_t i = first; i < std::min(n, first + width); ++i) {
-            // Keeps a point that is not finite, because it becomes a gap in the curve.
+            // Keeps a value that is not finite, because it is drawn as a gap.
             if (!is_drawable(curve, i)) low = high = i;
             else if (is_drawable(curve, low) && curve.y[i] < curve.y[low]) low = i;
             else if (is_drawable(curve, high) && curve.y[i] > curve.y[high]) high = i;
@@ -143,15 +142,14 @@ ReportCurve compute_running_mean(const ReportCurve& curve) {
     ReportCurve result{curve.name, {}, {}};
     for (std::size_t place = 0; place < n_places; ++place) {
         const std::size_t middle = place * (n - 1) / (n_places - 1);
-        // Keeps the window symmetric near the ends of the curve. Otherwise the mean would
-        // be shifted there.
+        // Near the ends of the curve, the window becomes shorter but stays symmetric.
+        // Otherwise the mean would be biased there.
         const std::size_t reach = std::min({half, middle, n - 1 - middle});
         double sum = 0.0, count = 0.0;
         for (std::size_t i = middle - reach; i <= middle + reach; ++i)
             if (is_drawable(curve, i)) sum += curve.y[i], ++count;
         result.x.push_back(curve.x[middle]);
-        // If the window has no finite value, the mean becomes NaN. The curve then has a
-        // gap there.
+        // If the window has no finite value, this is NaN, which is drawn as a gap.
         result.y.push_back(sum / count);
     }
     return result;

@@ -9,8 +9,8 @@
 
 namespace relidar::report_detail {
 
-/// Number of curve colours. If a chart has more curves, colours repeat. The style classes
-/// of the colours are c0 ... c7.
+/// Number of colours of curves. Further curves repeat the colours. The CSS classes of the
+/// colours are c0 ... c7.
 inline constexpr int kChartColours = 8;
 
 /// Draws curves in one chart with common axes, and returns the chart as SVG. The y axis

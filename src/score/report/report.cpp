@@ -36,14 +36,14 @@ std::string make_section(const std::string& title, const std::string& body) {
                         : fmt::format("<section>\n<h2>{}</h2>\n{}</section>\n", escape_html(title), body);
 }
 
-/// Returns a section of the page that is collapsed until the reader opens it.
+/// Returns a section of the HTML page that is collapsed until the user opens it.
 std::string make_folded_section(const std::string& title, const std::string& body) {
     return body.empty()
                ? ""
                : fmt::format("<details>\n<summary>{}</summary>\n{}</details>\n", escape_html(title), body);
 }
 
-/// Returns a table that scrolls horizontally on a narrow page.
+/// Returns an HTML table that scrolls horizontally on a narrow screen.
 std::string table(const std::string& head, const std::string& rows) {
     return fmt::format(
         "<div class=\"scroll\"><table>\n<thead><tr>{}</tr></thead>\n<tbody>\n{}</tbody></table></div>\n",
@@ -96,8 +96,9 @@ std::optional<double> value_of(const MetricRow& row, const std::string& name) {
     return it == row.end() ? std::nullopt : std::optional(it->second);
 }
 
-/// Returns the best value of a metric among all columns. Returns nothing if fewer than
-/// two columns have the metric, or if it is unknown whether larger values are better.
+/// Returns the best value of a metric among all columns of the report. Returns nothing if
+/// it is unknown whether larger values are better, or if fewer than two columns have the
+/// metric.
 std::optional<double> find_best_value(const Report& report, const std::string& name) {
     const int direction = get_better_direction(name);
     std::optional<double> best;
@@ -122,7 +123,7 @@ std::string make_metric_cells(const Report& report, const std::string& name) {
 }
 
 std::string make_metrics(const Report& report) {
-    // Uses a sorted set of names, so that the metrics of a group are next to each other.
+    // Sorts the names, so that the metrics of a group are next to each other.
     std::set<std::string> names;
     for (const auto& [column, row] : report.metrics)
         for (const auto& [name, value] : row) names.insert(name);
@@ -174,7 +175,7 @@ std::string make_chart(const std::string& title, const std::vector<const ReportC
 }
 
 std::string make_curves(const Report& report) {
-    // Charts with their curves, in the order in which the curves appear in the report.
+    // Titles of the charts with the curves of each chart, in the order of the report.
     std::vector<std::pair<std::string, std::vector<const ReportCurve*>>> charts;
     bool means = false;
     for (const ReportCurve& curve : report.curves) {
@@ -195,9 +196,9 @@ std::string make_curves(const Report& report) {
                   : "");
 }
 
-/// Returns a table row for the time of a kernel: the time, its percentage of `total_ms`,
-/// and a bar. The length of the bar is proportional to the time divided by `longest`. If
-/// `longest` is 0, no bar is drawn.
+/// Returns a table row with the time of a kernel, its percentage of `total_ms`, and a
+/// bar. The length of the bar is relative to `longest`; if `longest` is 0, no bar is
+/// drawn.
 std::string make_timing_row(const std::string& name, double ms, double total_ms, double longest) {
     const bool known = std::isfinite(ms) && ms >= 0.0;
     const std::string share =
@@ -209,9 +210,8 @@ std::string make_timing_row(const std::string& name, double ms, double total_ms,
                        escape_html(name), ms, share, bar);
 }
 
-/// Returns a table of kernel times, sorted by time, the longest first. The last row is
-/// the total. It is the entry "total", or the sum of all entries if there is no such
-/// entry. Percentages refer to the total.
+/// Returns a table of kernel times, the longest first, with the total in the last row.
+/// The total is the entry "total" or, if it is missing, the sum of all entries.
 std::string make_timing_table(const MetricRow& timings) {
     std::vector<std::pair<std::string, double>> rows;
     double longest = 0.0, sum = 0.0;

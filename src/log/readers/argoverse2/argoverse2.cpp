@@ -29,7 +29,7 @@ namespace fs = std::filesystem;
 using namespace argoverse2;
 
 constexpr const char* kLidarNames[] = {"up_lidar", "down_lidar"};
-// Maximum time offset of a point in nanoseconds: two revolutions of the LiDAR.
+// Maximum offset in nanoseconds of a point's time from its sweep: two revolutions.
 constexpr std::int64_t kLongestOffset_ns = 200'000'000;
 constexpr double kFarthestHit_m = 1e4;  // limit of a point's distance
 
@@ -90,7 +90,7 @@ std::vector<Pose> read_poses_of_table(const Feather& table) {
     return poses;
 }
 
-/// Reads the LiDARs of the log and their mounting poses on the vehicle.
+/// Reads the LiDARs of the log and their poses on the vehicle.
 std::vector<Lidar> read_lidars(const fs::path& file) {
     const Feather table(file);
     const std::vector<std::string> names = table.texts("sensor_name");
@@ -102,8 +102,8 @@ std::vector<Lidar> read_lidars(const fs::path& file) {
             throw DataError(
                 fmt::format("{}, column 'sensor_name': the sensor {} is missing", table.name(), name));
         const Pose& mounted = poses[std::size_t(row - names.begin())];
-        // Both LiDARs rotate clockwise as seen from above. The lower LiDAR is mounted
-        // upside down, so it rotates counterclockwise in the frame of the sensor.
+        // Both LiDARs rotate clockwise, seen from above. The lower one is mounted upside
+        // down, so its rotation is counterclockwise in its own frame.
         const bool upright = (mounted.rotation * glm::dvec3(0, 0, 1)).z > 0.0;
         lidars.push_back({name, make_vlp32c(upright), mounted});
     }
@@ -112,7 +112,7 @@ std::vector<Lidar> read_lidars(const fs::path& file) {
 
 double seconds(std::int64_t time_ns, std::int64_t origin_ns) { return double(time_ns - origin_ns) * 1e-9; }
 
-/// Reads the vehicle poses in the city frame. Returns the poses at the times of the
+/// Reads vehicle poses in the city frame, and interpolates them at the times of the
 /// sweeps.
 PoseTrack read_ego_poses(const fs::path& file, const std::vector<SweepFile>& sweeps, std::int64_t origin_ns) {
     const Feather table(file);
@@ -187,8 +187,8 @@ SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Li
     return sweeps;
 }
 
-/// Adds one frame with a scan for each LiDAR and sweep. Adds no frame if a LiDAR has no
-/// points in a sweep.
+/// For each sweep and LiDAR, adds a frame with its scan, unless the LiDAR has no points
+/// in the sweep.
 void add_sweeps(Sequence& sequence, const std::vector<SweepFile>& files, const PoseTrack& poses,
                 SweepPairs sweeps, const Progress& progress, const BrokenScans& broken) {
     broken.tell(sequence, files.size());
@@ -223,8 +223,8 @@ void add_sweeps(Sequence& sequence, const std::vector<SweepFile>& files, const P
         });
 }
 
-/// Reads the box labels at the times of the loaded sweeps. The file contains each box in
-/// the vehicle frame at the time of its sweep.
+/// Reads the box labels of the loaded sweeps. In the file, boxes are in the vehicle frame
+/// at the time of their sweep.
 std::vector<BoxTrack> read_boxes(const fs::path& file, const std::vector<SweepFile>& sweeps,
                                  const PoseTrack& poses) {
     const Feather table(file);

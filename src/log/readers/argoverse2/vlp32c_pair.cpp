@@ -20,8 +20,8 @@ namespace {
 constexpr double kCycle_ns = 55296.0, kRate_hz = 10.0;
 constexpr const char* kName = "VLP-32C";
 
-/// Argoverse's laser_number, modulo 32, of each channel of the VLP-32C. The numbers were
-/// derived from the times and elevations of points in a published sweep.
+/// Laser number in Argoverse's files, modulo 32, of each channel of a VLP-32C. The
+/// numbers were derived from the times and elevations of points in a published sweep.
 constexpr std::array<int, kLasers> kNumbers = {31, 13, 1,  17, 29, 9, 3,  21, 27, 12, 5,  16, 25, 8, 7,  20,
                                                22, 2,  10, 28, 23, 6, 11, 24, 18, 0,  14, 30, 19, 4, 15, 26};
 
@@ -31,8 +31,7 @@ std::vector<Beam> nominal_beams() {
     return std::get<SpinningSensor>(find_built_in_sensor(kName, 1, kRate_hz)->pattern).beams;
 }
 
-/// Row of a laser in the range image, delay of the laser after the first firing, and
-/// elevation of the laser.
+/// Row in the range image, firing delay, and elevation of a laser.
 struct LaserPlace {
     std::uint16_t row = 0;
     double after_first_ns = 0.0;
@@ -48,9 +47,8 @@ std::array<LaserPlace, kLasers> make_laser_table() {
     return places;
 }
 
-/// Returns the mean absolute difference between the elevations of points and the nominal
-/// elevations of their lasers. Limits each difference to one degree, so that outliers
-/// have little influence.
+/// Returns the mean absolute difference between the elevations of points and of their
+/// lasers. Clamps each difference to one degree, so that outliers have little influence.
 double compute_misfit(const RawSweep& sweep, int half, const Pose& vehicle_from_lidar) {
     const std::array<LaserPlace, kLasers> places = make_laser_table();
     const Pose lidar_from_vehicle = inverse(vehicle_from_lidar);
@@ -66,9 +64,9 @@ double compute_misfit(const RawSweep& sweep, int half, const Pose& vehicle_from_
     return n > 0.0 ? sum / n : 0.0;
 }
 
-/// Returns for each point the number of the firing cycle that measured the point. Cycle 0
-/// is near the time stamp of the sweep. The clock of the packets is different, so the
-/// function estimates the phase of the cycles from all points.
+/// Returns for each point the number of its firing cycle, counted from the time stamp of
+/// the sweep. The stamp is not the start of a cycle, so the phase of the cycles is
+/// estimated from all points.
 std::vector<int> compute_firing_numbers(const std::vector<double>& first_pair_ns) {
     std::complex<double> sum = 0.0;
     for (const double t : first_pair_ns) sum += std::polar(1.0, 2.0 * kPi * t / kCycle_ns);

@@ -13,7 +13,7 @@ namespace relidar::argoverse2 {
 
 constexpr int kLasers = 32;  ///< lasers per LiDAR
 
-/// The points of a sweep as stored in the file.
+/// The points of a sweep with the values and units of the file.
 struct RawSweep {
     std::vector<glm::dvec3> point_m;  ///< [n] position in the vehicle frame at the time of the sweep
     std::vector<double> intensity;    ///< [n] intensity of each point, 0 to 255
@@ -22,20 +22,19 @@ struct RawSweep {
     std::vector<std::int64_t> offset_ns;
 };
 
-/// Returns a VLP-32C with nominal beam angles. The beams are sorted by elevation, highest
-/// first.
+/// Returns a VLP-32C with the beam angles of the data sheet, highest beam first.
 /// @param clockwise  true if the head rotates clockwise in the sensor frame, seen from +z
 SpinningSensor make_vlp32c(bool clockwise);
 
-/// Finds which LiDAR has the laser numbers 0 to 31. Returns {0, 1} if it is the first
-/// LiDAR. Returns {1, 0} if it is the second LiDAR. Tests both cases by comparing the
-/// elevations of points with the nominal elevations of the lasers.
+/// Finds out which LiDAR has the laser numbers 0 to 31. Returns {0, 1} for the first
+/// LiDAR and {1, 0} for the second. Compares the elevations of points with those of the
+/// lasers in both cases.
 std::array<int, 2> find_halves(const RawSweep& sweep, const std::array<Pose, 2>& vehicle_from_lidar);
 
 /// The points that one LiDAR measured in a sweep.
 struct LidarSweep {
-    /// points in the frame of the LiDAR at the time of each point, with rings, times and
-    /// firings
+    /// points in the frame of the moving LiDAR at the time of each point, with rings,
+    /// times and firings
     Points points;
     Sweep sweep;
 };

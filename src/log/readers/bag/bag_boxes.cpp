@@ -21,14 +21,13 @@ namespace {
 
 constexpr const char* kNoCategory = "unknown";
 
-/// Computes the pose of any coordinate frame of the recording in the world frame at any
-/// time.
+/// Computes the pose of a coordinate frame of the bag in the world frame at a given time.
 class WorldFrames {
 public:
     explicit WorldFrames(const BoxPlaces& places) : places_(places) {}
 
-    /// Returns the pose of a coordinate frame in the world frame. Returns nothing if the
-    /// recording does not contain the pose at that time.
+    /// Returns the pose of a coordinate frame in the world frame, or nothing if the bag
+    /// does not contain this pose at the time.
     std::optional<Pose> at(const std::string& frame, double t_s) {
         if (places_.is_world_of_poses && frame == places_.poses.world) return Pose{};
         auto known = apart_.find(frame);
@@ -48,8 +47,7 @@ private:
     std::map<std::string, std::optional<FramesApart>> apart_;
 };
 
-/// Sorts box labels by time. If an object has several labels with the same time, keeps
-/// only the first one.
+/// Sorts box labels by time. Removes repeated labels of an object at the same time.
 /// @return number of removed labels
 std::size_t sort_labels(std::vector<BoxLabel>& labels) {
     std::ranges::stable_sort(labels, {}, &BoxLabel::time_s);
@@ -60,8 +58,8 @@ std::size_t sort_labels(std::vector<BoxLabel>& labels) {
     });
 }
 
-/// Assigns to each object its most frequent category and its median size, because object
-/// trackers change category and size over time.
+/// Gives all labels of an object its most frequent category and its median size, because
+/// object trackers change both over time.
 void unify_labels(std::vector<BoxLabel>& labels) {
     std::map<std::string, std::vector<const BoxLabel*>> things;
     for (const BoxLabel& label : labels) things[label.id].push_back(&label);
@@ -83,7 +81,7 @@ void unify_labels(std::vector<BoxLabel>& labels) {
     for (BoxLabel& label : labels) std::tie(label.size_m, label.category) = settled[label.id];
 }
 
-/// Reads the box messages of a topic. Converts each box to a label in the world frame.
+/// Reads the box messages of a topic and converts the boxes to the world frame.
 class LabelReader {
 public:
     LabelReader(const BoxPlaces& places, double first_s, double last_s)

@@ -15,16 +15,15 @@
 
 namespace relidar::bag {
 
-/// Transforms and vehicle poses. The poses of boxes in the world frame are computed from
-/// these.
+/// Transforms and vehicle poses that are needed to convert boxes to the world frame.
 struct BoxPlaces {
     const FrameTree& frames;
-    /// vehicle poses; also define the clock of the times and the name of the world frame
+    /// vehicle poses, name of the world frame, and clock of the log
     const PoseChoice& poses;
     std::string vehicle;  ///< frame whose poses are known
     std::function<Pose(double)> world_from_vehicle;
-    /// True if the recording contains the world poses. A box that is given in the world
-    /// frame then needs no transform.
+    /// True if the vehicle poses come from the bag. Boxes in the world frame of the bag
+    /// then need no transform.
     bool is_world_of_poses = false;
 };
 
@@ -32,9 +31,9 @@ struct BoxTracks {
     std::vector<BoxTrack> tracks;
     std::vector<std::string> notes;
 };
-/// Reads the boxes of a topic and joins the boxes of each object to a track.
-/// @param times_s  times of the frames of the log in seconds, ascending. Ignores boxes
-/// more than one time step before the first time or after the last time.
+/// Reads the boxes of a topic and joins the boxes of each object to a track. Ignores
+/// boxes more than one time step outside the time of the log.
+/// @param times_s  times of the frames of the log in seconds, ascending
 BoxTracks read_tracks(const Bag& bag, const BoxTopic& boxes, const BoxPlaces& places,
                       const std::vector<double>& times_s);
 

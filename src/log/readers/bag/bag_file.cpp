@@ -29,11 +29,12 @@ bool is_part(const fs::path& file) {
     return is_capture(file) || std::ranges::find(kEndings, file.extension().string()) != kEndings.end();
 }
 
-/// The parts of rosbag2's metadata.yaml that describe the recording's files. The parser
-/// reads line by line, so the file must have the layout that rosbag2 writes.
+/// The fields of rosbag2's metadata.yaml that describe the files. The parser reads line
+/// by line and accepts only the layout that rosbag2 writes.
 struct Metadata {
     std::vector<std::string> files;
-    /// compression is "zstd"; mode is "file" or "message". Both are in lower case.
+    /// compression ("zstd") and what it is applied to ("file" or "message"), in lower
+    /// case
     std::string compression, mode;
 };
 
@@ -61,8 +62,8 @@ Metadata read_metadata(const fs::path& file) {
     return metadata;
 }
 
-/// Returns the recording files of a folder without metadata.yaml. Sorts numbers by value,
-/// so NAME_2 comes before NAME_10.
+/// Returns the bag files of a folder without metadata.yaml. Sorts numbers in names by
+/// value, so NAME_2 precedes NAME_10.
 std::vector<fs::path> sort_parts_by_name(const fs::path& folder) {
     std::vector<fs::path> parts;
     for (const fs::path& file : list_folder(folder))
@@ -92,7 +93,7 @@ Bag::Bag(const fs::path& path, bool skip_broken) {
     } else if (does_path_exist(path / kMetadata)) {
         metadata = read_metadata(path / kMetadata);
         for (const std::string& name : metadata.files) {
-            // uses only the file name, because the folder may have been renamed
+            // The folder may have been renamed, so only the file name is used.
             const fs::path file = path / fs::path(name).filename();
             if (does_path_exist(file)) paths_.push_back(file);
             else

@@ -20,8 +20,7 @@
 
 namespace relidar::bag {
 
-/// A topic of a recording. Topics with the same name and different message types are
-/// stored as separate topics.
+/// A topic of a bag. Two topics can have the same name but different message types.
 struct Topic {
     std::string name;
     /// message type without the "/msg/" of ROS 2, for example "sensor_msgs/PointCloud2"
@@ -33,8 +32,8 @@ struct Topic {
 struct Place {
     static constexpr std::uint64_t kNoChunk = std::numeric_limits<std::uint64_t>::max();
 
-    /// Byte offset of the chunk that contains the message. If the message is not in a
-    /// chunk, byte offset of the message's record. In SQLite, row number of the message.
+    /// Byte offset of the chunk that contains the message, or of the message itself if it
+    /// is not in a chunk. In SQLite, the row number of the message.
     std::uint64_t at = 0;
     std::uint64_t in_chunk = kNoChunk;  ///< byte offset of the message's record in the unpacked chunk
     std::uint32_t file = 0;             ///< index of the file in the recording
@@ -45,18 +44,18 @@ struct Place {
 struct Message {
     std::size_t topic = 0;    ///< index in Bag::topics()
     std::int64_t log_ns = 0;  ///< time of recording
-    /// Bytes of the message. They are valid only during the callback. Empty if the caller
-    /// did not request messages of this topic.
+    /// Bytes of the message, valid only during the callback. Empty if the caller did not
+    /// request the messages of this topic.
     std::string_view bytes;
     Place place;
 };
 
-/// Callback that returns true if the caller needs the bytes of a topic's messages. If it
-/// returns false, only the times of the messages are read.
+/// Filter that returns true for topics whose messages are read completely. For other
+/// topics, only the times of the messages are read.
 using Wanted = std::function<bool(const Topic&)>;
 using Take = std::function<void(const Message&)>;
 
-/// The topics of all files of a recording, in the order in which they first appear.
+/// The topics of all files of a bag, in the order in which they first occur.
 class TopicTable {
 public:
     std::size_t number_of(Topic topic);
@@ -77,47 +76,45 @@ public:
         std::function<void(const std::string&)> note;  ///< receives problems of the file
         std::function<void(double)> done;  ///< receives the fraction of the file that has been read
     };
-    /// Reads all messages in the order of the file. Calls `pass.take` with each message.
+    /// Reads all messages in file order and passes each one to `pass.take`.
     /// @throws DataError with the problem and its byte offset
     virtual void each(TopicTable& topics, const Pass& pass) = 0;
-    /// Reads the bytes of the message at a position. Several threads can call this
-    /// function at the same time.
+    /// Reads the bytes of one message. Thread-safe.
     virtual SharedBytes read(const Place& place) const = 0;
-    /// Returns the name of the frame in which the points are stored, if relidar wrote the
-    /// recording. Otherwise returns an empty string. Valid only after each().
+    /// If relidar wrote the bag, returns the name of the coordinate frame of its points.
+    /// Otherwise returns an empty string. Call each() first.
     virtual std::string points_in() const { return ""; }
 };
 
-/// Opens a recording file of one format.
-/// @param skip_broken  If true, skips damaged chunks and adds a note. If false, throws an
-/// error.
+/// Opens an MCAP file.
+/// @param skip_broken  if true, damaged chunks are skipped with a note; if false, they
+/// cause an error
 std::unique_ptr<BagFile> open_mcap(const std::filesystem::path& file, bool skip_broken);
 std::unique_ptr<BagFile> open_pcap(const std::filesystem::path& file);
 std::unique_ptr<BagFile> open_ros1(const std::filesystem::path& file, bool skip_broken);
-/// Opens a rosbag2 database in SQLite.
+/// Opens a rosbag2 file in SQLite format.
 /// @param packed  true if each message is compressed with zstd
 std::unique_ptr<BagFile> open_sqlite(const std::filesystem::path& file, bool packed);
 
 /// A recording that consists of one or several files.
 class Bag {
 public:
-    /// Opens a recording.
+    /// Opens a recording: a ROS bag or a network capture.
     /// @param path  a file, or a folder of files with or without metadata.yaml
     /// @throws DataError with the file
     Bag(const std::filesystem::path& path, bool skip_broken);
 
-    /// Returns the topics of the messages that each() has read so far.
+    /// Returns the topics of all messages that were read so far.
     const std::vector<Topic>& topics() const { return topics_.topics(); }
     const std::vector<std::string>& notes() const { return notes_; }  ///< problems of the files
     const std::vector<std::filesystem::path>& files() const { return paths_; }
-    /// Returns the name of the frame in which the points are stored, if relidar wrote the
-    /// recording. Otherwise returns an empty string. Valid only after each().
+    /// If relidar wrote the bag, returns the name of the coordinate frame of its points.
+    /// Otherwise returns an empty string. Call each() first.
     std::string points_in() const;
 
-    /// Reads the messages of all files in order. Calls `callback` with each message.
+    /// Reads the messages of all files in order and passes each one to `callback`.
     void each(const Wanted& filter, const Take& callback, const Progress& progress = {});
-    /// Reads the bytes of the message at a position. Several threads can call this
-    /// function at the same time.
+    /// Reads the bytes of one message. Thread-safe.
     SharedBytes read(const Place& place) const;
 
 private:

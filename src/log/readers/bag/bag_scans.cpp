@@ -15,7 +15,7 @@ namespace {
 
 constexpr std::size_t kSampleClouds = 6;
 
-/// Returns the smallest time of all points of a cloud, in the time unit of the file.
+/// Returns the earliest point time of a cloud, in the time unit of the file.
 double find_first_time_of_cloud(const folder::PointTable& table) {
     double first = INFINITY;
     if (const folder::FieldValues* times = table.find(folder::PointValue::time))
@@ -81,7 +81,7 @@ Points BagScans::read_points_of_cloud(std::size_t frame, const CloudEntry& cloud
     const CloudUnits& units = lidars_[at.lidar].units;
     folder::PointTable table = read_table_of_cloud(frame, cloud.place);
     if (units.zero == TimeZero::none) table.remove(folder::PointValue::time);
-    // value of the time field of a point measured at 0 s of the frame
+    // time on the clock of the points that corresponds to time 0 of the frame
     double zero_s = at.time_s - cloud_s;
     if (units.zero == TimeZero::epoch) zero_s += 1e-9 * double(cloud.stamp_ns);
     if (units.zero == TimeZero::sensor_clock) zero_s += units.time_unit_s * find_first_time_of_cloud(table);

@@ -16,8 +16,7 @@
 
 namespace relidar::bag {
 
-/// A point cloud of the recording that becomes the scan of a frame. Stores the time of
-/// the cloud and the time of the frame.
+/// A point cloud of the bag that becomes the scan of a frame.
 struct FrameCloud {
     int number = 0;        ///< number of the frame
     double time_s = 0.0;   ///< time of the frame
@@ -30,26 +29,23 @@ struct FrameCloud {
 struct LidarTopic {
     const CloudTopic* clouds = nullptr;
     CloudUnits units = {};
-    /// Clouds that were read to determine the units, by position. Stored so that they are
-    /// not read again.
+    /// Clouds that were read to estimate units, so that they are not read again.
     std::map<Place, folder::PointTable> samples = {};
     SpinningSensor sensor = {};  ///< sensor of a topic of packets; unused for a topic of clouds
 };
-/// Reads a few clouds of a topic. Determines the units of the point values from these
-/// clouds.
+/// Reads a few clouds of a topic and estimates the units of their values.
 /// @param step_s  time between clouds in seconds
 LidarTopic sample_topic(const Bag& bag, const CloudTopic& clouds, double step_s);
 
-/// Returns the pose of a LiDAR in the world frame at a time of the log.
+/// Function that returns the pose of a LiDAR in the world frame at a time of the log.
 using LidarPose = std::function<Pose(std::size_t lidar, double time_s)>;
 
 class BagScans : public folder::ScanSource {
 public:
-    /// Creates a source of scans. Reads a cloud only when its scan is requested.
+    /// Creates a source of scans that reads a cloud only when its scan is requested.
     /// @param clouds  [frames] cloud of each frame
-    /// @param deskewed_by  LiDAR poses with which the recording's points were
-    /// motion-compensated to the time of their cloud. The source undoes this
-    /// compensation.
+    /// @param deskewed_by  LiDAR poses that were used to motion-compensate the points of
+    /// the bag. The source undoes this compensation
     BagScans(const Bag& bag, const std::vector<LidarTopic>& lidars, const std::vector<FrameCloud>& clouds,
              Clock clock, LidarPose deskewed_by = {})
         : bag_(bag), lidars_(lidars), clouds_(clouds), clock_(clock), deskewed_by_(std::move(deskewed_by)) {}

@@ -31,7 +31,7 @@ glm::dvec3 read_vector(MessageReader& reader) {
     return v;
 }
 
-/// Values of a box as stored in the message. They have not been checked yet.
+/// A box with the values of the message, which are not checked yet.
 struct Draft {
     Header header;
     std::string id, category;
@@ -51,8 +51,8 @@ void add_box(BoxList& list, const Draft& draft) {
     }
 }
 
-/// Optional fields of a Detection3D message in one version of vision_msgs. In all
-/// versions the message begins with header, results and box. The optional fields follow.
+/// Optional fields of Detection3D messages in one version of vision_msgs. They follow the
+/// fields header, results and box, which every version has.
 struct DetectionLayout {
     bool has_text;      ///< true if classes are strings, false if they are numbers
     bool has_cloud;     ///< true if the message has the field source_cloud
@@ -94,7 +94,8 @@ BoxList read_detections(MessageReader reader, const DetectionLayout& layout) {
                   read_class(reader, layout),
                   read_pose_numbers(reader),
                   read_vector(reader)};
-        // after the cloud, skip is_dense, the last field of source_cloud
+        // Also skips is_dense, the last field of source_cloud, which read_point_cloud()
+        // leaves unread.
         if (layout.has_cloud) read_point_cloud(reader), reader.number<std::uint8_t>();
         if (layout.is_flagged) reader.number<std::uint8_t>();
         if (layout.has_identity) box.id = reader.text();
@@ -152,8 +153,8 @@ std::string read_uuid(MessageReader& reader) {
     return std::ranges::all_of(bytes, [](char character) { return character == '\0'; }) ? "" : text;
 }
 
-/// Reads the shape of an object and sets the size of its box. If the shape is a polygon,
-/// uses the bounding box of its footprint, because a polygon has no length and width.
+/// Reads the shape of an object and sets the size of its box. A polygon has no length and
+/// width, so the bounding box of its footprint is used.
 void read_shape(MessageReader& reader, Draft& box) {
     constexpr std::uint8_t kPolygon = 2;
     const auto type = reader.number<std::uint8_t>();
@@ -175,8 +176,8 @@ void read_shape(MessageReader& reader, Draft& box) {
 }
 
 /// Reads a list of tracked objects.
-/// @param is_auto  true for autoware_auto_perception_msgs, which stores the flag "heading
-/// is available" before the twist
+/// @param is_auto  true for autoware_auto_perception_msgs, whose objects have the
+/// additional flag "heading is available"
 BoxList read_objects(MessageReader& reader, bool is_auto) {
     constexpr std::size_t kLeastObject = 16 + 8 * (7 + kCovariance + 2 * kTwist);
     BoxList list{read_header(reader), {}, 0};

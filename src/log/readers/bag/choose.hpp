@@ -14,23 +14,23 @@ namespace relidar::bag {
 /// The point cloud topics that are loaded.
 struct CloudChoice {
     std::vector<std::size_t> lidars;  ///< indices in Survey::clouds; each LiDAR has a different frame
-    /// index in `lidars` of the main LiDAR; each of its clouds starts a new frame of the
+    /// main LiDAR, as an index in `lidars`; each of its clouds starts a new frame of the
     /// log
     std::size_t main = 0;
     std::vector<std::string> notes;
 };
-/// Selects the point cloud topics that are loaded.
+/// Selects the point cloud topics to load.
 /// @param topics  names of the topics that the user requested; empty: automatic selection
 /// @throws DataError if no topic contains clouds
 /// @throws UsageError if a requested topic contains no clouds
 CloudChoice choose_clouds(const Bag& bag, const Survey& survey, const std::vector<std::string>& topics);
 
-/// The poses that are loaded, and the clock of the log.
+/// The vehicle poses to load, and the clock of the log.
 struct PoseChoice {
     Clock clock = Clock::stamps;
     std::int64_t zero_ns = 0;  ///< time of the first cloud; it becomes 0 s in the log
-    /// Pose of the vehicle in the world frame over time in seconds. Empty if the
-    /// recording has no poses.
+    /// Pose of the vehicle in the world frame as a function of time. Empty if the bag has
+    /// no poses.
     std::optional<PosePath> path;
     std::string world;    ///< frame in which `path` is expressed
     std::string vehicle;  ///< frame of the vehicle, on which the LiDARs are mounted
@@ -38,7 +38,7 @@ struct PoseChoice {
     std::vector<std::string> notes;
 };
 /// Selects the vehicle poses of the log.
-/// @param main  clouds of the main LiDAR; poses are needed at the times of these clouds
+/// @param main  clouds of the main LiDAR; poses must cover the times of these clouds
 /// @param make_pose_topic  name of a frame or of a pose topic; empty: automatic selection
 /// @throws UsageError if `make_pose_topic` is neither a frame nor a pose topic
 PoseChoice choose_poses(const Bag& bag, const Survey& survey, const CloudTopic& main,
@@ -49,7 +49,7 @@ struct BoxChoice {
     const BoxTopic* topic = nullptr;  ///< box topic in Survey::boxes, or null
     std::vector<std::string> notes;
 };
-/// Selects the topic that contains the most boxes with a track id. If two topics contain
+/// Selects the topic with the most boxes that have a track id. If several topics have
 /// equally many, selects the first one by name.
 BoxChoice choose_box_topic(const Bag& bag, const Survey& survey);
 

@@ -16,7 +16,8 @@
 namespace relidar::bag {
 namespace {
 
-// Allowed sweep rates of an additional LiDAR, relative to the rate of the main LiDAR.
+// The sweep rate of a further LiDAR, divided by the rate of the main LiDAR, must be in
+// this interval.
 constexpr double kLeastRate = 0.5, kMostRate = 2.0;
 
 std::string format_topics(const Bag& bag) {
@@ -27,8 +28,8 @@ std::string format_topics(const Bag& bag) {
     return texts.empty() ? "none" : fmt::format("{}", fmt::join(texts, ", "));
 }
 
-/// A ROS package with LiDAR packets that relidar cannot decode. Also names the driver
-/// that converts these packets to point clouds.
+/// A ROS package with packets that relidar cannot decode, and the driver that converts
+/// them to point clouds.
 struct PacketDriver {
     const char* package;
     const char* driver;
@@ -40,8 +41,8 @@ constexpr PacketDriver kDrivers[] = {
     {"seyond/", "seyond_ros_driver"},
 };
 
-/// Returns the part of an error message that explains why messages of possible cloud
-/// topics could not be read.
+/// Returns the end of an error message for a bag without clouds. It explains why topics
+/// that may contain clouds could not be read.
 std::string format_broken_topics(const Bag& bag, const Survey& survey) {
     std::string text;
     for (const std::string& note : bag.notes()) text += fmt::format(" ({})", note);
@@ -71,9 +72,9 @@ std::string format_broken_topics(const Bag& bag, const Survey& survey) {
     return text;
 }
 
-/// Returns a score for a topic. A topic with a higher score more probably contains raw
-/// measurements of a LiDAR. Packets have the highest score. The score of clouds depends
-/// on the presence of times, rings and return numbers, and then on the number of points.
+/// Returns a score that is higher for raw measurements of a LiDAR: highest for packets,
+/// then for clouds with times, rings and return numbers, then for clouds with many
+/// points.
 double compute_rawness(const CloudTopic& clouds) {
     if (!clouds.packets.empty()) return 200.0;
     const bool timed = clouds.has_field(folder::PointValue::time);
@@ -92,12 +93,12 @@ bool is_in(const CloudTopic& clouds, const std::array<const char*, N>& frames) {
     return std::ranges::find(frames, clouds.frame) != frames.end();
 }
 
-/// Returns true if the clouds are in the frame of a sensor. Clouds in a vehicle frame are
-/// usually merged from several sensors. Clouds in a world frame are maps.
+/// Returns true if the clouds are in the frame of a single sensor. Clouds in the vehicle
+/// frame are usually merged from several sensors, and clouds in a world frame are maps.
 bool is_of_sensor(const CloudTopic& clouds) { return !is_in(clouds, kOfWorld) && !is_in(clouds, kOfVehicle); }
 
-/// Throws if a topic certainly does not contain LiDAR scans. If this is only probable,
-/// accepts the topic and adds a note.
+/// Throws if the frame of a topic shows that it does not contain LiDAR scans. If this is
+/// only probable, adds a note for the user.
 void check_frame(const std::string& name, const CloudTopic& clouds, CloudChoice& choice) {
     if (is_in(clouds, kOfWorld))
         throw DataError(
@@ -112,8 +113,8 @@ void check_frame(const std::string& name, const CloudTopic& clouds, CloudChoice&
             name, clouds.frame));
 }
 
-/// Returns the number of sweeps per second. It can be smaller than the message rate,
-/// because several messages may form one sweep.
+/// Returns the number of sweeps per second. It is below the message rate if a sweep
+/// consists of several messages.
 double estimate_rate(const Survey& survey, const CloudTopic& clouds) {
     const TopicFacts& facts = survey.facts[clouds.topic];
     return facts.rate_hz() * double(clouds.clouds.size()) /
@@ -137,9 +138,9 @@ std::vector<std::size_t> find_clouds_of_topics(const Bag& bag, const Survey& sur
     return lidars;
 }
 
-/// Returns the name of the frame that identifies the LiDAR of a topic. Usually returns
-/// the frame of the clouds. If a driver computed the clouds from packets in the same
-/// recording, returns the frame of the packets.
+/// Returns the frame that identifies the LiDAR of a topic: the frame of its clouds. If a
+/// driver computed the clouds from packets in the same bag, returns the frame of the
+/// packets instead.
 const std::string& get_sensor(const Survey& survey, const CloudTopic& clouds) {
     for (const CloudTopic& other : survey.clouds)
         if (!other.turns.empty() &&
@@ -148,8 +149,7 @@ const std::string& get_sensor(const Survey& survey, const CloudTopic& clouds) {
     return clouds.frame;
 }
 
-/// Selects one topic for each LiDAR: the topic that most probably contains raw
-/// measurements.
+/// Selects one topic for each LiDAR: the one with the highest score for raw measurements.
 std::vector<std::size_t> guess_clouds(const Survey& survey) {
     const auto has_clouds = [](const CloudTopic& c) { return !c.clouds.empty(); };
     const bool any_of_sensor = std::ranges::any_of(

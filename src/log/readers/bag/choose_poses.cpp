@@ -13,19 +13,18 @@ namespace relidar::bag {
 namespace {
 
 /// A possible source of vehicle poses: a pose topic, or a path in the tree of transforms.
-/// The clock is selected later.
 struct PoseSource {
-    /// frame in which the poses are given: an ancestor of the LiDAR's frame, or the frame
-    /// of the topic
+    /// reference frame of the poses: the frame of the topic, or an ancestor of the
+    /// LiDAR's frame
     std::string outer;
     const PoseTopic* topic = nullptr;  ///< pose topic; null if the poses come from the transforms in /tf
     std::string vehicle;
     std::string about;
 };
 
-/// Returns the name of the vehicle's frame. On the path from the sensor's frame to the
-/// frame `outer`, it is the first frame that moves relative to its parent. If no frame
-/// moves, returns the sensor's frame.
+/// Returns the frame of the vehicle. It is the first frame on the path from the sensor to
+/// the frame `outer` that moves relative to its parent. If no frame moves, returns the
+/// sensor's frame.
 std::string find_vehicle_frame(const FrameTree& frames, const std::vector<std::string>& chain,
                                const std::string& outer) {
     for (const std::string& frame : chain) {
@@ -68,8 +67,7 @@ PoseSource make_topic_source(const Bag& bag, const FrameTree& frames, const Pose
     return source;
 }
 
-/// Returns the pose topic with the most samples. Prefers odometry topics to topics with
-/// single poses.
+/// Returns the pose topic with the most messages. Odometry topics are preferred.
 const PoseTopic* find_densest_topic(const Bag& bag, const Survey& survey) {
     const auto best = std::ranges::max_element(survey.poses, {}, [&](const PoseTopic& p) {
         return std::pair(bag.topics()[p.topic].type == "nav_msgs/Odometry", p.samples.size());

@@ -13,8 +13,8 @@
 namespace relidar::bag {
 namespace {
 
-/// Returns the memory layout of a point. It contains the known fields sorted by offset,
-/// and unused fields that fill the gaps.
+/// Returns the memory layout of a point: its known fields, sorted by offset, with unused
+/// fields that fill the gaps.
 std::vector<folder::PointField> find_cloud_layout(const Cloud& cloud,
                                                   const std::vector<Cloud::Field>& fields) {
     std::vector<folder::PointField> layout;
@@ -45,7 +45,7 @@ std::string pack_points(const Cloud& cloud, const std::vector<Cloud::Field>& fie
     points.reserve(cloud.height * row);
     for (std::size_t r = 0; r < cloud.height; ++r)
         points += cloud.data.substr(r * (cloud.height > 1 ? cloud.row_step : 0), row);
-    // The last point may be shorter than the others, so fill the missing bytes with 0.
+    // The last point may be truncated, so its missing bytes become 0.
     points.resize(cloud.height * row, '\0');
     if (!cloud.is_big_endian) return points;
     for (std::size_t i = 0; i < cloud.size(); ++i)

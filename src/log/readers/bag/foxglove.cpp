@@ -27,8 +27,7 @@ std::string_view to_string_view(const protozero::data_view& view) { return {view
 glm::dvec4 read_vector(pbf_reader reader) {
     glm::dvec4 v(0.0);
     while (reader.next()) {
-        // The tag must be read before the value, because reading the value resets the
-        // tag.
+        // Reads the tag before the value, because reading the value resets the tag.
         const int at = int(reader.tag()) - 1;
         if (at >= 0 && at < 4 && reader.wire_type() == pbf_wire_type::fixed64) v[at] = reader.get_double();
         else reader.skip();
@@ -65,7 +64,8 @@ Cloud::Field read_element_field(pbf_reader reader) {
         char kind;
         std::size_t size;
     };
-    // Kind and size in bytes of each numeric type. Foxglove numbers the types from 1.
+    // Kind (unsigned, signed, floating) and size in bytes of Foxglove's numeric types 1
+    // to 8.
     static constexpr Type kTypes[] = {{'U', 1}, {'I', 1}, {'U', 2}, {'I', 2},
                                       {'U', 4}, {'I', 4}, {'F', 4}, {'F', 8}};
     Cloud::Field field;
@@ -84,8 +84,8 @@ Cloud::Field read_element_field(pbf_reader reader) {
     return field;
 }
 
-/// Throws if the pose of a cloud is not the identity, because the reader does not apply a
-/// pose to the points.
+/// Throws if a cloud has a pose other than the identity, which the reader does not
+/// support.
 void check_identity(pbf_reader reader) {
     while (reader.next()) {
         if (reader.tag() > 2 || reader.wire_type() != kBytes) {
@@ -189,8 +189,8 @@ Cube read_cube(pbf_reader reader) {
     return cube;
 }
 
-/// Reads a foxglove.KeyValuePair. Returns the value if the key is `wanted`. Otherwise
-/// returns an empty string.
+/// Reads a foxglove.KeyValuePair. Returns its value, or an empty string if it has another
+/// key.
 std::string value_of(pbf_reader reader, std::string_view wanted) {
     std::string key, value;
     while (reader.next()) {
@@ -201,7 +201,8 @@ std::string value_of(pbf_reader reader, std::string_view wanted) {
     return key == wanted ? value : "";
 }
 
-/// Reads a scene entity. Adds it to the list as a box if it consists of exactly one cube.
+/// Reads a scene entity. If it consists of exactly one cube, adds it to the list as a
+/// box.
 void add_entity(BoxList& list, pbf_reader reader) {
     Box box;
     std::vector<Cube> cubes;

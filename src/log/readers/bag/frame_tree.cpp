@@ -7,12 +7,12 @@
 namespace relidar::bag {
 namespace {
 
-// Maximum time before the first sample and after the last sample at which a pose is still
-// used. It is about one sweep.
+// Poses are valid up to this time before the first and after the last sample, about one
+// sweep.
 constexpr double kBeside_s = 0.1;
 constexpr std::size_t kDeepest = 64;  // maximum depth of the tree
 
-/// Returns true if the difference between two poses is larger than rounding errors.
+/// Returns true if two poses differ by more than rounding errors.
 bool are_poses_different(const Pose& first, const Pose& second) {
     return glm::distance(first.translation, second.translation) > 1e-6 ||
            std::abs(glm::dot(first.rotation, second.rotation)) < 1.0 - 1e-12;
@@ -90,8 +90,8 @@ std::optional<Pose> FrameTree::fixed(const std::string& to, const std::string& f
     const std::vector<std::string> way_to = find_path_to_root(to), way_from = find_path_to_root(from);
     const auto common = std::ranges::find_first_of(way_from, way_to);
     if (common == way_from.end()) return std::nullopt;
-    // Multiplies the transforms from a frame up to the common ancestor. Returns nothing
-    // if one of these transforms changes over time.
+    // Multiplies the transforms from a frame up to the common ancestor of both frames.
+    // Returns nothing if one of them changes over time.
     const auto climb = [&](const std::vector<std::string>& way) -> std::optional<Pose> {
         Pose pose;
         for (const std::string& frame : way) {

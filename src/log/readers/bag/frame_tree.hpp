@@ -15,15 +15,15 @@
 
 namespace relidar::bag {
 
-/// The clock from which all times of a log are read.
+/// The clock that defines all times of a log.
 enum class Clock {
     stamps,  ///< time stamps in the message headers, which are the times of measurement
-    /// Times at which the recorder received the messages. Used if the clocks of the
-    /// sensors and of the poses are not synchronised.
+    /// Times at which the recorder received the messages. Used if sensors and poses have
+    /// clocks that are not synchronised.
     recorder
 };
 
-/// A pose with the time stamp of its message and the time at which it was recorded.
+/// A pose with the time stamp in its message and the time of recording.
 struct PoseSample {
     std::int64_t stamp_ns = 0, log_ns = 0;
     Pose pose;
@@ -31,28 +31,28 @@ struct PoseSample {
     std::int64_t time_ns(Clock clock) const { return clock == Clock::stamps ? stamp_ns : log_ns; }
 };
 
-/// Pose of one frame in another frame over time. It is the product of all transforms
-/// between the two frames.
+/// Pose of a frame in one of its ancestor frames as a function of time: the product of
+/// all transforms in between.
 class PosePath {
 public:
     void add(Pose fixed) { links_.push_back({{0.0}, {fixed}}); }
-    /// Adds a transform that changes over time. The samples need not be sorted.
+    /// Adds a transform that changes over time, given by samples in any order.
     /// @param zero_ns  time in nanoseconds that becomes 0 s
     void add(const std::vector<PoseSample>& samples, Clock clock, std::int64_t zero_ns);
     Pose at(double t_s) const;
-    /// Returns true if the samples of all changing transforms cover a time. The time may
-    /// be up to 0.1 s before the first sample or after the last sample.
+    /// Returns true if all changing transforms have samples at a time. Times up to 0.1 s
+    /// before the first or after the last sample are included.
     bool covers(double t_s) const;
     bool moves() const;
 
 private:
-    /// Transforms from the outermost to the innermost frame. A transform with a single
-    /// sample is constant.
+    /// Transforms along the path in the tree, from the ancestor frame down. A constant
+    /// transform has a single sample.
     std::vector<PoseTrack> links_;
 };
 
-/// Pose of frame `from` in frame `to` over time. Both poses are relative to the nearest
-/// common ancestor of the two frames.
+/// Pose of frame `from` in frame `to` as a function of time. Stores the poses of both
+/// frames in their nearest common ancestor.
 struct FramesApart {
     PosePath above_from_to, above_from_from;
 
@@ -68,27 +68,26 @@ public:
     std::vector<std::string> find_path_to_root(const std::string& frame) const;
     /// Returns true if the pose of a frame in its parent frame changes over time.
     bool moves(const std::string& frame) const;
-    /// Returns the constant pose of frame `from` in frame `to`. Returns nothing if a
-    /// transform between the frames is missing or changes over time.
+    /// Returns the pose of frame `from` in frame `to`, if it is constant. Returns nothing
+    /// if a transform between the frames is missing or changes over time.
     std::optional<Pose> fixed(const std::string& to, const std::string& from) const;
-    /// Returns the poses over time of a frame in its ancestor frame `outer`.
+    /// Returns the pose of a frame in its ancestor frame `outer` as a function of time.
     PosePath path(const std::string& outer, const std::string& frame, Clock clock,
                   std::int64_t zero_ns) const;
-    /// Returns the poses over time of frame `from` in frame `to`. Returns nothing if no
-    /// transforms connect the two frames.
+    /// Returns the pose of frame `from` in frame `to` as a function of time. Returns
+    /// nothing if no transforms connect the two frames.
     std::optional<FramesApart> find_relative_poses(const std::string& to, const std::string& from,
                                                    Clock clock, std::int64_t zero_ns) const;
-    /// Returns the frames that have more than one parent in the recording. The tree uses
-    /// the parent with the most transforms.
+    /// Returns the frames for which the bag has several parent frames. The tree uses the
+    /// parent with the most transforms.
     std::vector<std::string> list_disputed_frames() const;
 
 private:
     struct Link {
         std::vector<PoseSample> samples;
         bool is_static = false;  ///< from /tf_static
-        /// True if the samples have different values. Several equal samples do not mean
-        /// that the frame moves, because drivers often repeat a constant transform on
-        /// /tf.
+        /// True if the samples differ. Drivers often repeat a constant transform on /tf,
+        /// so several equal samples do not mean that the frame moves.
         bool changes = false;
     };
     std::map<std::string, std::map<std::string, Link>> parents_;  ///< by frame, then by parent

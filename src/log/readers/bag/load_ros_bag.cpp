@@ -27,8 +27,8 @@ using namespace bag;
 
 constexpr std::int64_t kSecond_ns = 1000000000;
 constexpr double kLeastStep_s = 2e-3;  // minimum time between sweeps
-// maximum time between the clouds of one sweep, as a multiple of the main LiDAR's sweep
-// period
+// Clouds of several LiDARs are one sweep if their times differ by at most this share of
+// the main LiDAR's sweep period.
 constexpr double kBeside = 0.6;
 
 class BagLog {
@@ -84,8 +84,8 @@ private:
     std::vector<LidarTopic> lidars_;  ///< topic of each LiDAR
     std::vector<FrameCloud> frames_;  ///< cloud of each frame
     bool has_poses_ = false;          ///< the recording has poses
-    /// True if relidar wrote the recording with motion-compensated points. The points are
-    /// then in the sensor frame at the time of the message's time stamp.
+    /// True if relidar wrote the bag with motion-compensated points. All points of a
+    /// cloud are then in the sensor frame at the time of its stamp.
     bool is_deskewed_ = false;
 
     const CloudTopic& get_topic(std::size_t lidar) const { return survey_.clouds[clouds_.lidars[lidar]]; }
@@ -126,8 +126,8 @@ private:
                 note(get_name(get_topic(l)) + ": " + text);
     }
 
-    /// Lists the frames of the log. Each cloud of the main LiDAR starts a frame. Each
-    /// cloud of another LiDAR is assigned to the frame with the nearest time.
+    /// Lists the frames of the log. Each cloud of the main LiDAR starts a frame. Clouds
+    /// of other LiDARs belong to the frame with the nearest time.
     void find_frames() {
         std::vector<FrameCloud> sweeps;
         std::size_t n_late = 0;
@@ -216,8 +216,8 @@ private:
         }
     }
 
-    /// Adds the LiDARs to the log. A single LiDAR defines the vehicle frame. If there are
-    /// several LiDARs, each one gets its mounting pose on the vehicle.
+    /// Adds the LiDARs to the log. The frame of a single LiDAR is the vehicle frame.
+    /// Several LiDARs have mounting poses on the vehicle.
     void add_lidars() {
         const bool is_one = clouds_.lidars.size() == 1;
         sequence_.lidars.clear();
@@ -251,8 +251,8 @@ private:
         return pose;
     }
 
-    /// Reads the vehicle poses from the user's file. The file lists poses by frame number
-    /// or by the time of the recording.
+    /// Reads vehicle poses from a file of the user, which lists them by frame number or
+    /// by time.
     std::vector<Pose> list_poses_at_scans() {
         std::vector<folder::HeadFrame> frames;
         for (const FrameCloud& frame : frames_)
@@ -264,8 +264,8 @@ private:
         return *poses;
     }
 
-    /// Adds the boxes of the recording to the log. If the vehicle poses come from the
-    /// user's file, keeps the position of each box relative to the vehicle.
+    /// Adds the boxes of the bag to the log. If vehicle poses come from a file of the
+    /// user, boxes keep their positions relative to the vehicle.
     void add_boxes() {
         if (!boxes_.topic) return;
         BoxPlaces places{survey_.frames, poses_, {}, {}, has_poses_};

@@ -146,8 +146,8 @@ private:
         }
     }
 
-    /// Reads the metadata record that relidar writes to its recordings. Ignores other
-    /// metadata.
+    /// Reads the metadata record that only relidar writes. Ignores other metadata
+    /// records.
     void read_metadata(ByteReader reader) {
         if (reader.read_sized_string() != "relidar") return;
         for (ByteReader pairs(reader.read_sized_string()); pairs.left() > 0;) {

@@ -18,14 +18,14 @@ namespace relidar::bag {
 
 class MessageReader {
 public:
-    /// Starts to read a message. For ROS 2, also checks the CDR header of the message.
+    /// Creates a reader for one message. Checks the CDR header of a ROS 2 message.
     /// @throws DataError if the first bytes are not a CDR header
     MessageReader(std::string_view bytes, bool is_ros1) : bytes_(bytes), is_ros1_(is_ros1) {
         if (is_ros1) return;
         constexpr std::size_t kHead = 4;
         if (bytes.size() < kHead)
             throw DataError(fmt::format("the message has {} bytes, expected a message in CDR", bytes.size()));
-        // Kinds 0 and 1 are XCDR1, kinds 6 and 7 are XCDR2. Odd kinds are little-endian.
+        // Encodings 0 and 1 are XCDR1, 6 and 7 are XCDR2. Odd numbers are little-endian.
         const auto kind = static_cast<unsigned char>(bytes[1]);
         if (bytes[0] != 0 || (kind != 0 && kind != 1 && kind != 6 && kind != 7))
             throw DataError(
@@ -50,17 +50,15 @@ public:
         std::memcpy(&value, raw, sizeof(T));
         return value;
     }
-    /// Reads a string. CDR includes the terminating 0 in the length, so removes this
-    /// byte.
+    /// Reads a string, without the terminating 0 that CDR counts in the length.
     std::string_view text() {
         std::string_view text = take(number<std::uint32_t>());
         if (!is_ros1_ && !text.empty() && text.back() == '\0') text.remove_suffix(1);
         return text;
     }
-    /// Reads the number of entries of a list.
-    /// @param min_bytes  minimum size of an entry in bytes
-    /// @throws DataError if the rest of the message is too short for this number of
-    /// entries
+    /// Reads the length of a list.
+    /// @param min_bytes  minimum size of a list entry in bytes
+    /// @throws DataError if the rest of the message is too short for so many entries
     std::size_t length(std::size_t min_bytes) {
         const auto n = number<std::uint32_t>();
         if (n > (bytes_.size() - at_) / min_bytes)

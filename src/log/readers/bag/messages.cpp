@@ -48,7 +48,7 @@ MessageReader make_reader(const Topic& topic, std::string_view bytes) {
     return {bytes, topic.encoding == "ros1"};
 }
 
-/// Reads the description of a point field. Its type is one of the numbers of
+/// Reads a field of a point cloud. The type is a number as defined in
 /// sensor_msgs/PointField.
 Cloud::Field read_field(MessageReader& reader) {
     struct Type {
@@ -91,9 +91,9 @@ void check_layout(const Cloud& cloud) {
                                     cloud.data.size(), cloud.height, cloud.width, cloud.point_step));
 }
 
-/// Reads a CustomMsg of the Livox drivers. A point consists of offset_time uint32 (ns), x
-/// y z float32, reflectivity, tag and line (uint8 each). CDR pads each point except the
-/// last one to 20 bytes.
+/// Reads a CustomMsg of the Livox drivers. A point has the fields offset_time (uint32,
+/// ns), x, y, z (float32), reflectivity, tag and line (uint8). CDR pads all points but
+/// the last to 20 bytes.
 Cloud read_livox(MessageReader& reader) {
     constexpr std::size_t kPoint = 19;
     Cloud cloud;
@@ -113,8 +113,8 @@ Cloud read_livox(MessageReader& reader) {
     return cloud;
 }
 
-/// Reads a geometry_msgs/TransformStamped. Can also read the pose of nav_msgs/Odometry,
-/// because both messages begin with the same fields.
+/// Reads a geometry_msgs/TransformStamped, or the pose at the start of a
+/// nav_msgs/Odometry, which has the same fields.
 Transform read_transform(MessageReader& reader) {
     Transform transform{read_header(reader), std::string(reader.text()), {}};
     if (transform.child.starts_with('/')) transform.child.erase(0, 1);
@@ -134,7 +134,8 @@ Header read_header(MessageReader& reader) {
     if (reader.is_ros1()) reader.number<std::uint32_t>();  // skips the sequence number
     const std::int64_t stamp_ns = read_time(reader);
     std::string frame(reader.text());
-    // ROS 1 frame names may begin with a slash. Remove it, so that names can be compared.
+    // Removes the leading slash that ROS 1 frame names may have, so that names can be
+    // compared.
     if (frame.starts_with('/')) frame.erase(0, 1);
     return {stamp_ns, std::move(frame)};
 }

@@ -40,14 +40,14 @@ struct Cloud {
     std::size_t size() const { return std::size_t(height) * width; }
 };
 
-/// The pose of a child frame in its parent frame at one time.
+/// The pose of a child frame in its parent frame at a time.
 struct Transform {
     Header header;      ///< header.frame is the parent frame
     std::string child;  ///< name of the child frame; empty if the message does not contain it
     Pose parent_from_child;
 };
 
-/// One box of a message with a list of boxes.
+/// A box in a message that contains a list of boxes.
 struct Box {
     Header header;
     std::string id;          ///< track id of the object; empty if the message has none
@@ -58,12 +58,12 @@ struct Box {
 struct BoxList {
     Header header;
     std::vector<Box> boxes;
-    /// number of boxes that were ignored because they have no size or no pose
+    /// number of boxes that are ignored because their size or their pose is invalid
     std::size_t n_left_out = 0;
 };
 
-/// How relidar uses the messages of a topic. Boxes without a track id are not loaded,
-/// because they cannot be joined to tracks.
+/// What the messages of a topic are used for. Boxes without a track id (nameless_boxes)
+/// are not loaded, because they cannot be joined to tracks.
 enum class Use { nothing, cloud, packets, metadata, transforms, pose, boxes, nameless_boxes };
 Use use_of(const Topic& topic);
 
@@ -71,7 +71,7 @@ class MessageReader;
 /// Reads a ROS time and converts it to nanoseconds.
 std::int64_t read_time(MessageReader& reader);
 Header read_header(MessageReader& reader);
-/// Position x y z, followed by the quaternion x y z w.
+/// Seven numbers of a pose: position x y z and quaternion x y z w.
 using PoseNumbers = std::array<double, 7>;
 PoseNumbers read_pose_numbers(MessageReader& reader);
 /// Converts a position and a quaternion to a pose.
@@ -82,18 +82,17 @@ Cloud read_point_cloud(MessageReader& reader);
 /// Reads a point cloud message of any supported type.
 /// @throws DataError with the name of the invalid field
 Cloud read_cloud(const Topic& topic, std::string_view bytes);
-/// Returns the points of a cloud as a table with relidar's field names. The values keep
-/// the units of the message.
+/// Converts a cloud to a table of points with relidar's field names. Values keep the
+/// units of the message.
 /// @param message  message from which the cloud was read
 folder::PointTable make_point_table(const Cloud& cloud, const SharedBytes& message);
 
-/// Reads the transforms of a tf2_msgs/TFMessage or tf/tfMessage. Can also read the pose
-/// of nav_msgs/Odometry, geometry_msgs/PoseStamped and similar messages.
+/// Reads the transforms of a tf2_msgs/TFMessage or tf/tfMessage. Messages with a pose,
+/// such as nav_msgs/Odometry and geometry_msgs/PoseStamped, give one transform.
 /// @throws DataError if a quaternion is zero
 std::vector<Transform> read_transforms(const Topic& topic, std::string_view bytes);
 
-/// Reads a Foxglove message (PointCloud or FrameTransforms). Does not check the offsets
-/// of the point fields.
+/// Reads a Foxglove PointCloud message. Does not check the offsets of its fields.
 Cloud read_foxglove_cloud(std::string_view bytes);
 std::vector<Transform> read_foxglove_transforms(std::string_view bytes);
 
@@ -101,8 +100,8 @@ std::vector<Transform> read_foxglove_transforms(std::string_view bytes);
 /// foxglove.SceneUpdate.
 /// @throws DataError if the message is invalid
 BoxList read_boxes(const Topic& topic, std::string_view bytes);
-/// Reads a foxglove.SceneUpdate message. An entity becomes a box if it consists of
-/// exactly one cube.
+/// Reads a foxglove.SceneUpdate message. Each entity that consists of exactly one cube
+/// becomes a box.
 /// @throws DataError if the message is invalid
 BoxList read_foxglove_boxes(std::string_view bytes);
 

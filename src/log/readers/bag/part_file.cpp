@@ -21,9 +21,9 @@
 namespace relidar::bag {
 namespace {
 
-/// Limits of the unpacked size of a chunk: the maximum ratio to the packed size, and a
-/// size that is always accepted. Point clouds usually have a ratio of three. If the ratio
-/// is larger than the maximum, the file is damaged.
+/// A chunk is damaged if it unpacks to more than kMostUnpacked times its packed size.
+/// Sizes up to kAlwaysUnpacked bytes are always accepted. Point clouds usually unpack to
+/// three times their size.
 constexpr std::uint64_t kMostUnpacked = 8, kAlwaysUnpacked = std::uint64_t(8) << 20;
 
 void unpack_bz2(std::string_view source, std::span<char> target) {

@@ -28,7 +28,7 @@ public:
 
     std::uint64_t size() const { return size_; }
     const std::string& name() const { return name_; }
-    /// Reads `count` bytes, starting at the byte offset `offset`.
+    /// Reads `count` bytes at a byte offset of the file.
     /// @throws DataError if the file is too short
     SharedBytes part(std::uint64_t offset, std::uint64_t count) const;
 
@@ -38,8 +38,8 @@ private:
     std::uint64_t size_ = 0;
 };
 
-/// Caches unpacked chunks by their byte offset. Keeps only a few recent chunks, because
-/// the messages of a chunk are usually read one after another.
+/// Caches the last unpacked chunks by their byte offset. A few are enough, because the
+/// messages of a chunk are usually read one after another.
 class ChunkCache {
 public:
     SharedBytes get(std::uint64_t offset, const std::function<SharedBytes()>& unpack) const;
@@ -50,10 +50,10 @@ private:
     mutable std::deque<std::pair<std::uint64_t, SharedBytes>> chunks_;
 };
 
-/// Returns the unpacked bytes of a chunk. The compression is "", "none", "lz4", "zstd" or
-/// "bz2". An uncompressed chunk is returned without a copy.
-/// @param count unpacked size as stated in the file; an impossible size is rejected
-/// before memory is allocated
+/// Unpacks a chunk. The compression is "", "none", "lz4", "zstd" or "bz2". Uncompressed
+/// chunks are not copied.
+/// @param count unpacked size according to the file; impossible sizes are rejected before
+/// memory is allocated
 /// @throws DataError if the chunk is damaged
 SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& chunk, std::uint64_t count);
 

@@ -33,8 +33,8 @@ namespace {
 
 constexpr std::size_t kRun = 64, kMostStreams = 256, kMostPending = 64, kMostDatagram = 65535;
 constexpr unsigned kIpv4 = 0x0800, kIpv6 = 0x86dd, kUdp = 17;
-// Maximum time between the fragments of a datagram. A later fragment with the same
-// identification belongs to another datagram.
+// All fragments of a datagram arrive within this time. Identification numbers repeat
+// later for other datagrams.
 constexpr std::int64_t kTogether_ns = 1000000000;
 
 unsigned read_big_endian(std::string_view bytes, std::size_t offset) {
@@ -46,10 +46,10 @@ unsigned get_byte_at(std::string_view bytes, std::size_t offset) {
     return offset < bytes.size() ? static_cast<unsigned char>(bytes[offset]) : 0u;
 }
 
-/// An IP packet, or one fragment of an IP packet.
+/// An unfragmented IP packet, or one fragment of an IP packet.
 struct IpPacket {
-    /// Address of the sender as text, and the bytes that identify the datagram of a
-    /// fragment.
+    /// Address of the sender as text, and the bytes that are equal in all fragments of a
+    /// datagram.
     std::string from, key;
     std::size_t offset = 0;  ///< byte offset of the fragment in the packet; 0 for an unfragmented packet
     bool has_more = false;   ///< true if more fragments follow this fragment
@@ -58,8 +58,8 @@ struct IpPacket {
 
 std::optional<IpPacket> read_ipv4(std::string_view packet) {
     const std::size_t head = 4 * (get_byte_at(packet, 0) & 15);
-    // Remove the padding of the Ethernet frame. A length of 0 is ignored, because network
-    // cards that split packets write no length.
+    // Removes the padding of the Ethernet frame. A length of 0 is ignored, because
+    // network cards that split packets do not write the length.
     if (const std::size_t length = read_big_endian(packet, 2); length >= 20)
         packet = packet.substr(0, length);
     if (head < 20 || packet.size() < head || get_byte_at(packet, 9) != kUdp) return std::nullopt;
@@ -94,8 +94,8 @@ std::optional<IpPacket> read_ipv6(std::string_view packet) {
     return next == kUdp ? std::optional(std::move(result)) : std::nullopt;
 }
 
-/// Returns the UDP packet that a captured frame contains. Returns nothing for other
-/// frames.
+/// Returns the UDP packet in a captured network frame, or nothing if the frame contains
+/// another protocol.
 std::optional<IpPacket> parse_ip_packet(std::string_view frame, int link) {
     std::size_t head = 0;
     unsigned type = 0;
@@ -122,8 +122,8 @@ struct Datagram {
     std::string bytes;
 };
 
-/// Joins the fragments of IP packets. Fragments may arrive late or twice, and the
-/// fragments of several datagrams may be interleaved.
+/// Reassembles fragmented IP packets. Fragments may be late or repeated, and fragments of
+/// several packets may be interleaved.
 class Fragments {
 public:
     /// Adds an IP packet or a fragment.
@@ -260,8 +260,8 @@ public:
     }
 
 private:
-    /// Identifies a stream: sender and destination port, product, and metadata of an
-    /// Ouster. The product is null if the datagrams are not LiDAR packets.
+    /// What distinguishes the streams of a capture: sender and destination port, LiDAR
+    /// product, and metadata of an Ouster. The product is null for other datagrams.
     using Key = std::tuple<std::string, const packets::Product*, const packets::OusterFormat*>;
     struct Stream {
         std::size_t topic = 0;
@@ -269,15 +269,14 @@ private:
         const packets::Product* product = nullptr;
         std::string run;
         std::size_t n = 0;
-        /// Byte offset of the first frame of the current message, and byte offset of its
-        /// first datagram. The two differ if fragments of several datagrams are
-        /// interleaved.
+        /// Byte offsets in the file of the first frame of the current message, and of its
+        /// first datagram. They differ if fragments of several datagrams are interleaved.
         std::uint64_t at = 0, first_at = 0;
         std::int64_t log_ns = 0;
-        /// Byte offset of the first datagram of a message, by the byte offset of the
-        /// message. Contains only messages for which the two differ.
+        /// Maps the byte offset of a message to the offset of its first datagram, if the
+        /// two differ.
         std::map<std::uint64_t, std::uint64_t> late_runs;
-        /// Number of datagrams by size in bytes. Counted only if the product is unknown.
+        /// Histogram of datagram sizes in bytes, for streams of unknown products.
         std::map<std::size_t, std::size_t> n_of_bytes;
         std::shared_ptr<const packets::OusterFormat> ouster;  ///< metadata of the sensor
         std::string livox_frame;  ///< frame name of the clouds of a Livox; empty for other products
@@ -314,8 +313,7 @@ private:
             throw DataError(fmt::format("{}: cannot go to byte {} of the file", path_.string(), offset));
     }
 
-    /// Reads the next UDP datagram from the file. The result contains the UDP header and
-    /// the payload.
+    /// Reads the next UDP datagram of the file, with its UDP header.
     /// @param pass  receives a note if the file is truncated
     std::optional<Datagram> next(Fragments& fragments, const Pass* pass) const {
         for (;;) {
@@ -357,9 +355,8 @@ private:
         return {datagram.source, packets::find_product(payload(datagram), {{}, ouster}), ouster.get()};
     }
 
-    /// Adds notes about packets that probably come from an Ouster but cannot be decoded.
-    /// Such packets have a size that Ouster sensors use, or the size that the metadata
-    /// states. Also adds a note if two senders match the same metadata.
+    /// Adds notes for the user about packets that look like Ouster packets by their size
+    /// but cannot be decoded. Also adds a note if two senders match the same metadata.
     void note_unread_ousters(const Pass& pass) const {
         std::map<const packets::OusterFormat*, std::string> senders;
         for (const auto& [key, stream] : streams_) {
@@ -394,8 +391,8 @@ private:
         if (stream.product) stream.ouster = find_ouster_format(datagram);
         if (packets::is_livox(payload(datagram))) stream.livox_frame = datagram.source;
         std::string name = datagram.source;
-        // adds the serial number if two Ousters send from the same address to the same
-        // port
+        // If two Ousters use the same address and port, the serial number distinguishes
+        // them.
         for (const auto& [other, known] : streams_)
             if (stream.ouster && known.ouster && std::get<0>(other) == datagram.source)
                 name = fmt::format("{} ({})", datagram.source, stream.ouster->serial);
@@ -407,7 +404,7 @@ private:
         return &streams_.emplace(std::move(key), std::move(stream)).first->second;
     }
 
-    /// Returns true if the current message of a stream is complete.
+    /// Returns true if no more datagrams fit into the current message of a stream.
     /// @param count  number of datagrams in the message
     /// @param passed_ns  time from the first to the last datagram of the message
     static bool is_full(const Stream& stream, std::size_t count, std::int64_t passed_ns) {
@@ -415,14 +412,14 @@ private:
                    ? count == kRun
                    : passed_ns >= packets::kLivoxCloud_ns || count == packets::kMostLivoxPackets;
     }
-    /// Returns true if a datagram follows a pause of the sensor, so that it begins a new
-    /// message. Only clouds of a Livox end at a pause.
-    /// @param count  number of datagrams in the message before it
+    /// Returns true if the sensor paused before a datagram, so that the datagram begins a
+    /// new message. Only for Livox sensors.
+    /// @param count  number of datagrams in the message so far
     /// @param passed_ns  time from the first datagram of the message to this datagram
     static bool is_pause(const Stream& stream, std::size_t count, std::int64_t passed_ns) {
         return count > 0 && !stream.livox_frame.empty() && passed_ns >= 2 * packets::kLivoxCloud_ns;
     }
-    /// Converts the datagrams of a message to the message type of the stream's topic.
+    /// Encodes datagrams as one message of the stream's topic.
     static std::string make_message(const Stream& stream, std::string run) {
         return stream.livox_frame.empty() ? run : packets::decode_livox_cloud(run, stream.livox_frame);
     }

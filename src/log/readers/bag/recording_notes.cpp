@@ -14,10 +14,10 @@ namespace relidar::bag {
 namespace {
 
 constexpr std::size_t kMostLines = 40;
-// A step longer than this multiple of the usual time step means that a sweep is missing.
+// A sweep is missing if a time step is longer than this multiple of the usual step.
 constexpr double kGap = 1.6;
-// A larger change of the difference "time stamp minus recording time" is reported as a
-// jump.
+// Time stamps have jumped if their difference from the recording time changes by more
+// than this.
 constexpr double kJump_s = 0.5;
 
 std::string format_clouds(const CloudTopic& clouds) {
@@ -61,8 +61,8 @@ std::vector<std::string> list_topic_lines(const Bag& bag, const Survey& survey,
         const Topic& topic = bag.topics()[t];
         const TopicFacts& facts = survey.facts[t];
         std::string line = fmt::format("topic {}: {}", make_excerpt(topic.name), make_excerpt(topic.type));
-        // The reader groups the packets of a capture into messages, so the message rate
-        // is not a property of the recording.
+        // For a network capture, the reader itself groups packets into messages, so the
+        // number and rate of messages mean nothing.
         const bool is_run = topic.type == packets::kDatagrams;
         if (!is_run) line += fmt::format(", {} messages", facts.n);
         if (!is_run && facts.rate_hz() > 0.0) line += fmt::format(", {:.1f} Hz", facts.rate_hz());

@@ -16,11 +16,11 @@ namespace relidar::bag {
 std::vector<std::string> list_topic_lines(const Bag& bag, const Survey& survey,
                                           const std::vector<bool>& used);
 
-/// Returns a text about missing sweeps. A sweep is missing if a time step is much longer
-/// than usual. Returns an empty string if no sweep is missing.
+/// Describes missing sweeps, which cause time steps that are much longer than usual.
+/// Returns an empty string if no sweep is missing.
 std::string describe_gaps(const std::vector<double>& times_s, double step_s);
-/// Returns a text about time stamps that decrease, or that jump relative to the recording
-/// times. Returns an empty string if no time stamps do.
+/// Describes time stamps that decrease, or that jump relative to the recording times.
+/// Returns an empty string if there are none.
 std::string describe_time_jumps(const CloudTopic& clouds);
 
 }  // namespace relidar::bag

@@ -105,7 +105,7 @@ public:
     }
 
 private:
-    /// A record's header, and the byte offset of its data.
+    /// Header of a record in a ROS 1 bag, and the position of its data.
     struct Extent {
         SharedBytes header;
         std::uint64_t data_at = 0;
@@ -117,8 +117,8 @@ private:
     ChunkCache chunks_;
     std::map<std::uint32_t, std::size_t> connections_;  ///< topic of each connection
 
-    /// Returns the header of a record and the offset of its data. Returns nothing if the
-    /// file ends before the end of the record.
+    /// Returns the header of a record and the position of its data, or nothing if the
+    /// file ends within the record.
     std::optional<Extent> read_extent(std::uint64_t offset) const {
         const auto length_at = [&](std::uint64_t place) -> std::optional<std::uint32_t> {
             if (place > file_.size() || file_.size() - place < 4) return std::nullopt;

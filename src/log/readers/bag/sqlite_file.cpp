@@ -53,9 +53,8 @@ public:
     SqliteFile(const std::filesystem::path& path, bool packed)
         : name_(path.string()), packed_(packed), bytes_(PartFile(path).size()) {
         std::error_code failed;
-        // A -wal file (write-ahead log) may contain the last messages. SQLite ignores
-        // this file in immutable mode, so use immutable mode only if the file does not
-        // exist.
+        // A -wal file (write-ahead log) can contain the last messages. SQLite ignores it
+        // in immutable mode, so this mode is used only without such a file.
         const bool is_open = std::filesystem::exists(path.string() + "-wal", failed);
         sqlite3* database = nullptr;
         const int code =
@@ -63,7 +62,7 @@ public:
                             SQLITE_OPEN_READONLY | SQLITE_OPEN_URI | SQLITE_OPEN_NOMUTEX, nullptr);
         database_.reset(database);
         if (code != SQLITE_OK) fail("opening it");
-        // limits the size of a value to the size of the file plus 1 MiB
+        // No value can be larger than the file; 1 MiB is added as a margin.
         sqlite3_limit(database, SQLITE_LIMIT_LENGTH,
                       int(std::min<std::uint64_t>(bytes_ + (1 << 20), 1 << 30)));
         sqlite3_db_config(database, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
@@ -94,7 +93,7 @@ public:
             pass.done(last > 0 ? double(row) / double(last) : 0.0);
             Message message{topic->second, sqlite3_column_int64(rows.get(), 2), {}, {std::uint64_t(row)}};
             SharedBytes unpacked;
-            // reads the bytes of a message only if the caller requested them
+            // Reads only the bytes of messages that the caller requested.
             if (pass.wanted(topics.topics()[topic->second])) {
                 message.bytes = get_bytes_column(rows.get(), 3);
                 if (packed_) {
@@ -143,8 +142,8 @@ private:
         if (code != SQLITE_ROW && code != SQLITE_DONE) fail("reading its messages");
         return code == SQLITE_ROW;
     }
-    /// Reads the next row of a query. If the file is damaged or truncated, adds a note
-    /// and ends the query, so that earlier messages remain usable.
+    /// Reads the next row of a query. In a damaged file, ends the query with a note, so
+    /// that earlier messages remain usable.
     bool step(sqlite3_stmt* statement, const Pass& pass) const {
         const int code = sqlite3_step(statement);
         if (code != SQLITE_CORRUPT && (code & 0xFF) != SQLITE_IOERR) {
@@ -161,7 +160,7 @@ private:
         return step(row.get()) ? sqlite3_column_int64(row.get(), 0) : 0;
     }
 
-    /// Checks that a name belongs to a real table and not to a view. A view could run an
+    /// Checks that a name belongs to a real table. A view with this name could run an
     /// endless query.
     void check_table(const char* table) const {
         const Statement row = prepare_statement(fmt::format(

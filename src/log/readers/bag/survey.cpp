@@ -42,8 +42,8 @@ public:
         }
     }
 
-    /// Returns true if some packets were recorded before the metadata that is needed to
-    /// decode them. The reader then decodes these packets in a second pass.
+    /// Returns true if some packets precede the metadata that is needed to decode them.
+    /// They are then decoded in a second pass.
     bool needs_late_packets() const { return !late_.empty(); }
     bool is_late(std::size_t topic) const { return late_.contains(topic); }
     void add_late_packet(const Message& message) {
@@ -54,8 +54,8 @@ public:
             if (facts.n_broken++ == 0) facts.broken = error.what();
         }
     }
-    /// Reads the metadata files in the folder of the recording. A bag needs these files
-    /// before the second pass. A network capture needs them before its first packet.
+    /// Reads sensor metadata from files next to the recording. A network capture needs
+    /// them before its first packet, a bag before the second pass.
     void read_nearby_metadata() {
         if (has_read_metadata_) return;
         has_read_metadata_ = true;
@@ -69,8 +69,7 @@ public:
 private:
     const Bag& bag_;
     Survey& survey_;
-    /// Angle corrections from files in the recording's folder. Unset until the first
-    /// packets.
+    /// Angle correction files next to the recording, read when the first packet arrives.
     std::optional<std::vector<packets::Correction>> corrections_;
     packets::OusterFormats ousters_;  ///< metadata known so far
     std::set<std::size_t> late_;      ///< topics with packets that were recorded before their metadata
@@ -120,8 +119,8 @@ private:
         clouds.packets.add(views, message.log_ns, message.place, calibration);
     }
 
-    /// Adds the metadata message of a topic. Uses only the first message, because the
-    /// driver repeats it. Ignores messages with other content.
+    /// Adds the sensor metadata in a message. Drivers repeat it, so only the first
+    /// message of a topic is used. Ignores messages with other content.
     void add_metadata(const Topic& topic, const Message& message) {
         if (std::ranges::any_of(ousters_, [&](const auto& known) { return known->where == topic.name; }))
             return;
@@ -164,9 +163,8 @@ private:
     }
 };
 
-/// Adds missing transforms for Ouster LiDARs whose packets do not name a frame. Uses the
-/// transform of Ouster's driver, rotated by 180 degrees, because relidar's sensor frame
-/// faces the opposite direction.
+/// Adds missing transforms of Ouster LiDARs, whose packets do not name a frame. Uses the
+/// frames of Ouster's driver, rotated by 180 degrees to relidar's sensor frame.
 void place_ousters(const Bag& bag, Survey& survey) {
     std::vector<CloudTopic*> ousters;
     for (CloudTopic& clouds : survey.clouds)
@@ -189,9 +187,9 @@ void place_ousters(const Bag& bag, Survey& survey) {
     }
 }
 
-/// Joins clouds that are parts of a revolution to full revolutions. The time of a
-/// revolution is the time of its middle part, because a revolution begins when the head
-/// faces backward.
+/// Joins clouds that are parts of a revolution. The revolution gets the time of its
+/// middle part, because it begins at the back and the middle part is measured facing
+/// forward.
 void join_parts(CloudTopic& topic) {
     const JoinedTurns joined = join_turns(std::exchange(topic.arcs, {}));
     if (joined.turns.empty()) return;

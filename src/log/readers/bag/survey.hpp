@@ -34,8 +34,8 @@ struct CloudEntry {
     std::uint32_t n_points = 0;
     Place place;
     std::size_t turn = 0;  ///< index in CloudTopic::turns; used only for a topic of packets
-    /// Clouds that together form one revolution of the LiDAR. Empty if this cloud is a
-    /// full revolution.
+    /// Clouds that are joined to this revolution. Empty if the cloud itself is a full
+    /// revolution.
     std::vector<TurnPart> parts = {};
 
     std::int64_t time_ns(Clock clock) const { return clock == Clock::stamps ? stamp_ns : log_ns; }
@@ -44,18 +44,17 @@ struct CloudEntry {
 struct CloudTopic {
     std::size_t topic = 0;
     std::string frame;  ///< frame of the first cloud
-    /// Names of the frames in which drivers publish clouds that they compute from these
-    /// packets. Empty unless the topic contains packets.
+    /// For a topic of packets: frames in which drivers publish the clouds that they
+    /// compute from these packets.
     std::vector<std::string> driver_frames;
     std::vector<Cloud::Field> fields;  ///< fields of the first cloud
-    /// Clouds with at least one point, in the order of the recording. If each cloud is
-    /// only a part of a revolution, contains the joined revolutions instead.
+    /// Clouds with points, in the order of the recording. Clouds that are parts of a
+    /// revolution are joined to full revolutions.
     std::vector<CloudEntry> clouds;
     std::string parts_about;     ///< text about the joined clouds; empty if no clouds are joined
     std::vector<TurnPart> arcs;  ///< used during the survey
     std::size_t n_empty = 0;
-    /// index of the packets; used for a topic of packets, whose revolutions become the
-    /// clouds
+    /// index of the packets, for a topic of packets; each revolution becomes a cloud
     packets::PacketLog packets;
     std::vector<packets::PacketTurn> turns;
 
@@ -80,7 +79,7 @@ struct BoxTopic {
     std::string frame;  ///< frame of the first box
     std::vector<BoxEntry> lists;
     std::size_t n_boxes = 0, n_named = 0;  ///< number of boxes, and number of boxes that have a track id
-    /// number of boxes that were ignored because they have no size or no pose
+    /// number of boxes that are ignored because their size or their pose is invalid
     std::size_t n_left_out = 0;
 };
 
@@ -92,8 +91,8 @@ struct Survey {
     FrameTree frames;
 };
 
-/// Reads all messages of a recording once and collects its content. Does not throw for an
-/// invalid message, but counts it.
+/// Reads all messages of a recording once and lists its content. Counts invalid messages
+/// instead of throwing.
 /// @throws DataError if a file is damaged
 Survey survey_bag(Bag& bag, const Progress& progress);
 

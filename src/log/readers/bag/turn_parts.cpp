@@ -15,24 +15,22 @@ namespace relidar::bag {
 namespace {
 
 constexpr std::size_t kSamples = 256, kBins = 60;
-// Maximum azimuth range of a cloud that is a part of a revolution. A cloud with a larger
-// range is a full revolution in which the vehicle blocks some directions.
+// A cloud that covers a wider azimuth range is not a part of a revolution. It is a full
+// one, in which the vehicle blocks some directions.
 constexpr double kMostOfPart = 300.0 * kPi / 180.0;
-// If all clouds together leave an azimuth range of this size empty, the LiDAR does not
-// rotate. It scans a window.
+// If the clouds together leave a wider azimuth range empty, the LiDAR scans a window
+// instead of rotating.
 constexpr double kLeastGap_rad = kPi / 3.0;
-// kTogether: Each azimuth step from one cloud to the next is written as a unit vector.
-// The mean of these vectors must have at least this length; it is 1 if all steps are
-// equal. kAbut: A step and the azimuth range of a cloud may differ at most by this share
-// of the step.
+// Clouds are joined if their azimuth steps are similar. kTogether: minimum length of the
+// mean of the steps as unit vectors; 1 if all steps are equal. kAbut: maximum relative
+// difference between a step and the azimuth range of a cloud.
 constexpr double kTogether = 0.8, kAbut = 0.4;
-// A time step longer than this multiple of the usual time step means that a part is
-// missing.
+// A part of a revolution is missing if a time step is longer than this multiple of the
+// usual step.
 constexpr double kPause = 1.6;
 constexpr double kDegrees = 180.0 / kPi;
 
-/// Reads a field of a point as a number. The field is float or double, in either byte
-/// order.
+/// Returns the value of a float or double field of a point, in either byte order.
 double number_at(const Cloud& cloud, const Cloud::Field& field, std::size_t point) {
     const std::size_t row = point / cloud.width * (cloud.height > 1 ? cloud.row_step : 0);
     char raw[8] = {};
@@ -51,11 +49,10 @@ const Cloud::Field* find_real(const Cloud& cloud, const char* name) {
     return field == cloud.fields.end() || field->kind != 'F' ? nullptr : &*field;
 }
 
-/// Returns the azimuth range that contains points. This is the full circle without the
-/// widest range of empty bins.
+/// Returns the azimuth range that contains points: the circle without its widest gap.
 std::optional<Arc> compute_arc_of_bins(const std::array<bool, kBins>& is_covered) {
     std::size_t widest = 0, end = 0, run = 0;
-    // scans the circle twice, because a gap may continue after the last bin
+    // Visits the bins twice, because a gap may cross the end of the circle.
     for (std::size_t b = 0; b < 2 * kBins; ++b) {
         run = is_covered[b % kBins] ? 0 : run + 1;
         if (run > widest) widest = run, end = b + 1;
@@ -77,15 +74,15 @@ double compute_gap_of_all(const std::vector<TurnPart>& clouds) {
     return 2.0 * kPi - double(all ? all->extent_rad : 0.0f);
 }
 
-/// Azimuth range of a part of a revolution, and step from one part to the next.
+/// How clouds divide a revolution of the LiDAR into parts.
 struct Parts {
     /// Median azimuth range of a part, and mean azimuth step to the next part. The step
-    /// is negative for a clockwise rotation. For halves of a revolution, the direction of
-    /// rotation is unknown, and the step is negative, too.
+    /// is negative for clockwise rotation, and for half revolutions, whose direction is
+    /// unknown.
     double extent_rad, step_rad;
     double step_s;
-    /// Azimuth at which a revolution begins. It is a boundary between two parts, near the
-    /// back of the sensor.
+    /// Azimuth at which a revolution begins: the boundary between two parts that is
+    /// nearest to the back of the sensor.
     double cut_rad;
 };
 
@@ -134,7 +131,7 @@ JoinedTurns join_turns(std::vector<TurnPart> clouds) {
     const std::optional<Parts> parts = select_parts(clouds);
     JoinedTurns joined;
     if (!parts) return joined;
-    // angle from the start of the revolution to the part, 0 to 2 pi
+    // Returns the rotation from the start of the revolution to a part, 0 to 2 pi.
     const auto turned = [&](const TurnPart& part) {
         const double angle =
             (parts->step_rad < 0.0 ? -1.0 : 1.0) * (double(part.arc.middle_rad) - parts->cut_rad);

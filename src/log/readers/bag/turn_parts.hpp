@@ -12,12 +12,12 @@
 
 namespace relidar::bag {
 
-/// Azimuth range that a set of points covers about the z axis.
+/// Range of azimuths about the z axis that contains a set of points.
 struct Arc {
     float middle_rad = 0.0f, extent_rad = 0.0f;
 };
-/// Computes the azimuth range of a cloud from about 256 points, with a resolution of 6
-/// degrees. Returns nothing if the cloud has no field x or y.
+/// Computes the azimuth range of a cloud, in steps of 6 degrees, from about 256 of its
+/// points. Returns nothing if the cloud has no field x or y.
 std::optional<Arc> compute_arc(const Cloud& cloud);
 
 /// A cloud that is a part of a revolution.
@@ -29,14 +29,13 @@ struct TurnPart {
 };
 
 struct JoinedTurns {
-    /// Clouds of each revolution, sorted by time stamp. Empty if no clouds were joined,
-    /// because each cloud is a full revolution or the LiDAR scans a window.
+    /// Clouds of each revolution, sorted by time. Empty if clouds need not be joined.
     std::vector<std::vector<TurnPart>> turns;
     std::size_t n_left_out = 0;  ///< parts of incomplete revolutions
     std::string about;
 };
-/// Joins the clouds of a topic to full revolutions. Joins no clouds if each cloud is a
-/// full revolution, or if the LiDAR scans a window and does not rotate.
+/// Joins clouds that are parts of a revolution. Joins nothing if the clouds are full
+/// revolutions, or if the LiDAR scans a window instead of rotating.
 /// @param clouds  all clouds of a topic
 JoinedTurns join_turns(std::vector<TurnPart> clouds);
 

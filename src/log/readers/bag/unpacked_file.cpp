@@ -56,7 +56,8 @@ UnpackedFile open_unpacked(const std::filesystem::path& path) {
             throw DataError(fmt::format("cannot unpack {}: no space is left in {}", path.string(),
                                         std::filesystem::temp_directory_path().string()));
     };
-    // Captures of LiDARs shrink to a half or a fifth. A much larger factor shows damage.
+    // Captures of LiDARs unpack to two to five times their size. A much larger factor
+    // means that the file is damaged.
     constexpr std::uint64_t kMostGrowth = 100, kSmall = std::uint64_t(64) << 20;
     const std::uint64_t most = std::max(kSmall, kMostGrowth * std::filesystem::file_size(path));
     std::uint64_t n_unpacked = 0;

@@ -21,23 +21,24 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Number of values per line: east, north, up, three velocities, roll, pitch, yaw, three
-// angular rates.
+// Numbers per line of a pose file: east, north, up, three velocities, roll, pitch, yaw,
+// three angular rates.
 constexpr std::size_t kPoseNumbers = 12;
 constexpr std::size_t kFirstAngle = 6;
 constexpr double kMicrosecond = 1e-6;
 constexpr double kMostGap_s = 0.5;  // maximum time between two poses; the dataset has one pose per scan
-// Minimum advantage of another angle convention: increase of the forward component of the
-// driving direction. Curves cause a smaller difference.
+// Another angle convention is better if it increases the forward component of the driving
+// direction by this value. Curves have a smaller effect.
 constexpr double kClearlyForward = 0.05;
-// Another angle convention is better if it reduces the vertical spread of the steps to
-// less than this ratio.
+// Another angle convention is also better if the vertical spread of the motions decreases
+// to less than this ratio.
 constexpr double kClearlyLevel = 0.7;
-// Minimum number of steps. With fewer steps, the vertical spreads are not compared.
+// The vertical spread is compared only if the vehicle has made this many steps of a
+// metre.
 constexpr std::size_t kFewestSteps = 50;
 constexpr double kBrightest = 255.0;
 
-/// Direction in which the vehicle drives forward, in the frame of the LiDAR.
+/// Forward direction of the vehicle, in the frame of the LiDAR.
 struct Forward {
     glm::dvec3 direction{1.0, 0.0, 0.0};
     bool is_known = false;
@@ -45,9 +46,9 @@ struct Forward {
     double azimuth_rad() const { return std::atan2(direction.y, direction.x); }
 };
 
-/// Reads the forward direction from T_applanix_lidar.txt. This file contains the 4x4
-/// transform from the LiDAR to the Applanix frame (x right, y forward, z up). If the file
-/// does not exist, returns an unknown direction.
+/// Reads the forward direction of the vehicle from T_applanix_lidar.txt, the 4x4
+/// transform from the LiDAR to the Applanix frame (x right, y forward, z up). Without
+/// this file, the direction is unknown.
 Forward read_forward(const fs::path& file) {
     if (!does_path_exist(file)) return {};
     const auto m = parse_numbers(read_text(file));
@@ -61,8 +62,8 @@ Forward read_forward(const fs::path& file) {
     return {inverse(applanix_from_lidar).rotation * glm::dvec3(0, 1, 0), true};
 }
 
-/// A convention that converts roll, pitch and yaw to the rotation from the LiDAR to the
-/// world.
+/// Convention of the angles in pose files: how roll, pitch and yaw give the rotation from
+/// the LiDAR to the world.
 struct AngleOrder {
     const char* name;
     double sign;     ///< sign of the angles
@@ -93,14 +94,14 @@ PoseTrack make_pose_track(const std::vector<stamped::StampedRow>& rows, const st
     return track;
 }
 
-/// Returns how well the driving direction matches the forward direction of the vehicle.
-/// The maximum is 1.
+/// Returns how well the motion of the vehicle agrees with its forward direction, at most
+/// 1.
 double score_forward_direction(const stamped::Driving& driving, const Forward& forward) {
     return forward.is_known ? glm::dot(driving.mean, forward.direction) : glm::length(driving.mean);
 }
 
-/// Reads the poses of the LiDAR. Uses the documented angle convention of Boreas, unless
-/// another convention clearly fits the driving direction better.
+/// Reads the poses of the LiDAR. Boreas documents an angle convention. Another convention
+/// is used only if the vehicle then clearly drives forward better.
 PoseTrack read_boreas_poses(const fs::path& file, const stamped::StampedLog& log, const Forward& forward,
                             std::vector<std::string>& notes) {
     const std::vector<stamped::StampedRow> rows = stamped::read_rows(file, kPoseNumbers);
@@ -126,7 +127,7 @@ PoseTrack read_boreas_poses(const fs::path& file, const stamped::StampedLog& log
     return best;
 }
 
-/// Rotates the sensor frame of all poses, so that the x axis points forward.
+/// Rotates the sensor frame of all poses so that its x axis points forward.
 void rotate_to_front(PoseTrack& track, double forward_rad) {
     const Pose lidar_from_turned{make_rotation(forward_rad, 0.0, 0.0), {}};
     for (Pose& pose : track.pose) pose = pose * lidar_from_turned;

@@ -9,9 +9,9 @@
 
 namespace relidar {
 
-/// Loads a sequence. The frames are the scans, sorted by time. The vehicle frame is the
-/// frame of the LiDAR, rotated so that x points forward. The world frame of the dataset
-/// is the East-North-Up frame.
+/// Loads a sequence of the Boreas dataset. Its scans become the frames, sorted by time.
+/// The vehicle frame is the LiDAR frame, rotated so that x points forward. The world
+/// frame is East-North-Up.
 /// @throws DataError with file and line
 /// @throws UsageError if no scan is in the requested range
 Sequence load_boreas(const std::filesystem::path& folder, const DatasetOptions& options);

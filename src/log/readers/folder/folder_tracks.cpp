@@ -21,15 +21,15 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// A frame may be before the first pose or after the last pose by at most this time, about
-// one sweep.
+// Frames up to this time before the first and after the last pose are accepted, about one
+// sweep.
 constexpr double kMostBeyond_s = 0.1;
 constexpr double kLargestOfTrack = 1e12;  // maximum value of all lengths and times
 constexpr double kUnit = 1e-3;            // tolerance of a quaternion's length
 
 const std::vector<std::string> kPoseNames{"time_s", "x", "y", "z", "qw", "qx", "qy", "qz"};
 
-/// Returns a line without its comment, which begins with '#'.
+/// Removes a comment, which begins with '#', from a line.
 std::string_view strip_comment(const std::string& line) {
     return trim_spaces(std::string_view(line).substr(0, line.find('#')));
 }
@@ -44,8 +44,8 @@ std::vector<std::string_view> split_pose_words(std::string_view text) {
     return words;
 }
 
-/// Returns true if a line contains the names of the columns. Either it is a comment that
-/// contains "qw", or its first word is not a number.
+/// Returns true for a line with column names: a comment that contains "qw", or a line
+/// whose first word is not a number.
 bool is_column_header(const std::string& line) {
     const std::vector<std::string_view> words =
         split_pose_words(trim_spaces(line).substr(trim_spaces(line).starts_with('#') ? 1 : 0));
@@ -69,8 +69,8 @@ std::vector<int> find_pose_columns(const std::string& line, const std::string& l
     return at;
 }
 
-/// Numbers of a pose file with times, one row per pose. A row contains a time, a
-/// position, and a quaternion or three angles.
+/// Rows of numbers in a pose file. Each row contains a time, a position, and a quaternion
+/// or three angles.
 struct PoseRows {
     std::vector<std::vector<double>> rows;
     bool has_names = false;  ///< true if a line with column names defines the order of the columns
@@ -89,8 +89,8 @@ std::vector<double> parse_pose_row(const std::string& line, std::size_t count, c
     return *v;
 }
 
-/// Refuses rows of x y z and a quaternion. Without this check, they would be read as a
-/// time, a position and three angles.
+/// Rejects pose files without times. Their rows x y z and a quaternion would otherwise be
+/// read as a time, a position and three angles.
 void check_have_times(const PoseRows& rows, const std::string& file) {
     const auto ends_with_quaternion = [](const std::vector<double>& row) {
         return row.size() == 7 &&
@@ -137,7 +137,7 @@ PoseRows read_rows(const std::vector<std::string>& lines, const std::string& fil
 }
 
 /// Converts the rows of a pose file to a track.
-/// @param rotation_of_row  returns the rotation of a row
+/// @param rotation_of_row  function that returns the rotation in a row
 template <class RotationOf>
 PoseTrack track_of(const PoseRows& rows, const RotationOf& rotation_of_row) {
     PoseTrack track;
@@ -153,8 +153,8 @@ PoseTrack invert_track(PoseTrack track) {
     return track;
 }
 
-/// Adds the inverse poses of each reading to the list, because a file may contain
-/// sensor-from-world poses.
+/// Adds the inverse poses to a list of possible interpretations, because a pose file may
+/// contain sensor-from-world poses.
 std::vector<PoseReading> add_inverses(std::vector<PoseReading> readings) {
     const std::size_t n = readings.size();
     for (std::size_t k = 0; k < n; ++k)
@@ -163,8 +163,8 @@ std::vector<PoseReading> add_inverses(std::vector<PoseReading> readings) {
     return readings;
 }
 
-/// Returns all ways in which the rows of a pose file can be read. The documented way is
-/// first.
+/// Returns all possible interpretations of a pose file, for example with another order of
+/// the quaternion. The documented one is first.
 std::vector<PoseReading> list_readings(const PoseRows& rows) {
     using Row = std::vector<double>;
     const auto angles = [](const Row& row, double unit) {
@@ -251,8 +251,8 @@ std::optional<std::vector<Pose>> read_poses(const fs::path& file, const std::vec
             throw DataError(
                 fmt::format("{}: the file has no pose, expected lines of 12 or 8 numbers", file.string()));
         const std::vector<PoseReading> readings = list_readings(rows);
-        // Only relidar writes files with these column names, so no other meaning is
-        // tested.
+        // Only relidar writes these column names, so the meaning of the numbers is
+        // certain.
         if (rows.has_names && lines[0].find(kPoseNames[0]) != std::string::npos)
             return interpolate_track(readings[0].world_from_vehicle, frames, file.string());
         const std::size_t k = choose_reading(readings, read_pairs, file.string(), notes);

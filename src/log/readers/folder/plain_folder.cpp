@@ -46,7 +46,7 @@ std::vector<HeadFrame> select_frames(const folder::Head& head, const DatasetOpti
 }
 
 /// Reads pairs of consecutive scans of the first LiDAR, evenly spread over the log. Skips
-/// images, and files that cannot be read.
+/// image files and unreadable files.
 folder::ScanPairs read_pairs(const folder::Head& head, const std::vector<HeadFrame>& frames) {
     constexpr std::size_t kPairs = 4;
     folder::ScanPairs pairs;
@@ -76,8 +76,8 @@ folder::ScanPairs read_pairs(const folder::Head& head, const std::vector<HeadFra
     return pairs;
 }
 
-/// Returns the poses in poses.txt. If the file does not exist and the user requested
-/// other poses, returns identity poses.
+/// Reads the vehicle poses in poses.txt. Without this file, returns identity poses if the
+/// user selects another source of poses.
 std::vector<Pose> read_scan_poses(const fs::path& folder, const folder::Head& head,
                                   const std::vector<HeadFrame>& frames, const DatasetOptions& options,
                                   std::vector<std::string>& notes) {
@@ -91,14 +91,14 @@ std::vector<Pose> read_scan_poses(const fs::path& folder, const folder::Head& he
                     file.string()));
 }
 
-/// Replaces the vehicle poses of the log by poses from a file. Keeps the positions of
-/// boxes relative to the vehicle.
+/// Replaces the vehicle poses of the log by poses from a file. Boxes keep their positions
+/// relative to the vehicle.
 void replace_poses(Sequence& sequence, const folder::Head& head, const std::vector<HeadFrame>& frames,
                    const fs::path& file) {
     PoseTrack track{sequence.world_from_vehicle.time_s, {}};
     if (file == kNoPoses) {
         track.pose.resize(track.time_s.size());
-        // used to check whether a converted log already has this note
+        // A log that relidar has converted may already contain this note.
         const auto& notes = sequence.notes;
         if (std::find(notes.begin(), notes.end(), kitti::kNoPosesNote) == notes.end())
             sequence.notes.push_back(kitti::kNoPosesNote);

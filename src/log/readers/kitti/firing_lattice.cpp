@@ -20,13 +20,13 @@
 namespace relidar::kitti {
 namespace {
 
-// Number of encoder ticks per revolution of an HDL-64E (0.09 degrees per tick), measured
-// on KITTI (2011_09_26_drive_0005).
+// Ticks of the rotary encoder per revolution of an HDL-64E (0.09 degrees per tick),
+// measured on KITTI (2011_09_26_drive_0005).
 constexpr int kEncoderTicks = 4000;
-// maximum azimuth offset of a beam; HDL-64E calibrations have at most 0.16 rad
+// maximum azimuth offset of a beam from the head; real HDL-64Es have at most 0.16 rad
 constexpr double kMaxOffset_rad = 0.35;
-// An encoder tick counts as a firing if at least this many beams have a return at this
-// tick. Stray points occur in fewer beams.
+// The sensor fired at an encoder tick if at least this many beams have a return there.
+// Stray points occur in fewer beams.
 constexpr int kMinLasers = 4;
 
 /// Azimuth and inverse distance from the spin axis, for each point of one beam.
@@ -40,8 +40,8 @@ std::array<Polar, kRings> to_polar(const std::vector<const RawScan*>& scans) {
         for (std::size_t i = 0; i < scan->points.size(); ++i) {
             const glm::dvec4 p(scan->points[i]);
             const double rho = std::hypot(p.x, p.y);
-            // Skip near points, because the files have a resolution of about a
-            // millimetre. The azimuths of near points are therefore not accurate enough.
+            // Skips near points. The files have a resolution of about a millimetre, so
+            // the azimuths of near points are not accurate enough.
             if (rho < 2.0) continue;
             polar[scan->ring[i]].azimuth_rad.push_back(std::atan2(p.y, p.x));
             polar[scan->ring[i]].inverse_rho.push_back(1.0 / rho);
@@ -60,13 +60,14 @@ std::complex<double> compute_mean_phase(const Polar& polar, double tick_rad, dou
     return n > 0 ? sum / static_cast<double>(n) : sum;
 }
 
-/// Left offset and phase of the azimuths of one beam, for a given tick size. The
-/// concentration is 1 if all azimuths are multiples of the tick size plus the phase.
+/// How the azimuths of one beam fit a grid of encoder ticks. left_m: distance of the beam
+/// from the spin axis. phase_rad: offset from the grid. concentration: 1 for a perfect
+/// fit.
 struct Phase {
     double left_m = 0.0, phase_rad = 0.0, concentration = 0.0;
 };
 
-/// Improves the left offset and the phase of a beam by a least-squares fit: azimuth
+/// Improves the fit of a beam to the grid of encoder ticks by least squares: azimuth
 /// residual = phase + left / rho.
 void refine(Phase& phase, const Polar& polar, double tick_rad) {
     double n = 0, su = 0, se = 0, suu = 0, sue = 0;
@@ -77,7 +78,7 @@ void refine(Phase& phase, const Polar& polar, double tick_rad) {
         n += 1, su += u, se += e, suu += u * u, sue += u * e;
     }
     const double spread = n * suu - su * su;
-    // If all ranges are similar, the fit cannot separate the left offset from the phase.
+    // Points at similar distances cannot separate the left offset from the phase.
     if (n < 16 || spread < 1e-4 * n * n) return;
     const double left = (n * sue - su * se) / spread;
     phase.left_m += left;
@@ -90,8 +91,8 @@ Phase find_azimuth_phase(const Polar& polar, double tick_rad) {
     for (int mm = -60; mm <= 60; mm += 2) {
         const std::complex<double> mean = compute_mean_phase(polar, tick_rad, mm * 1e-3, stride);
         const double gain = std::abs(mean) - best.concentration;
-        // Use a left offset only if it clearly increases the concentration. Otherwise use
-        // the offset 0.
+        // Selects the left offset with the highest concentration. The offset 0 is
+        // preferred below unless another offset is clearly better.
         if (mm == -60 || gain > 0.0)
             best = {mm * 1e-3, std::arg(mean) * tick_rad / (2.0 * kPi), std::abs(mean)};
     }
@@ -123,8 +124,9 @@ Phases find_phases(const std::array<Polar, kRings>& polar, double tick_rad) {
     return phases;
 }
 
-/// Estimates the number of firings per revolution from the mean azimuth step between
-/// consecutive points of a beam. Ignores steps longer than 1.5 times the median step.
+/// Estimates the firings per revolution from the mean azimuth step between consecutive
+/// points of a beam. Steps longer than 1.5 times the median cross dropped rays and are
+/// ignored.
 int estimate_mean_steps(const std::vector<const RawScan*>& scans) {
     std::vector<double> steps;
     for (const RawScan* scan : scans) {
@@ -143,8 +145,8 @@ int estimate_mean_steps(const std::vector<const RawScan*>& scans) {
     return std::max(static_cast<int>(std::lround(2.0 * kPi * n / sum)), 1);
 }
 
-/// [beams] encoder ticks of the points of each beam in one scan, before beams are shifted
-/// by full ticks
+/// [beams] encoder ticks at which each beam has points in one scan, not yet corrected by
+/// the offset of the beam
 using Ticks = std::vector<std::vector<int>>;
 
 Ticks compute_ticks(const RawScan& scan, const FiringLattice& lattice) {
@@ -160,8 +162,9 @@ Ticks compute_ticks(const RawScan& scan, const FiringLattice& lattice) {
     return ticks;
 }
 
-/// Returns for each scan and each tick (step of the firing grid) whether at least
-/// `at_least` beams have a return. The ticks of each beam are first shifted by `shift`.
+/// Returns for each scan and each encoder tick whether at least `at_least` beams have a
+/// return there.
+/// @param shift  [beams] offset that is subtracted from the ticks of a beam
 std::vector<std::vector<char>> find_fired_ticks(const std::vector<Ticks>& ticks,
                                                 const std::vector<int>& shift, int n_ticks, int at_least) {
     std::vector<std::vector<char>> pattern;
@@ -219,8 +222,8 @@ std::vector<int> find_shifts(const std::vector<Ticks>& ticks, int n_ticks) {
     }
     std::vector<int> shift(kRings, 0);
     auto pattern = find_fired_ticks(reference, shift, n_ticks, 1);
-    // The first pass compares each beam with the beam that has most points. The second
-    // pass compares each beam with all beams.
+    // First compares each beam with the beam that has the most points, then with all
+    // beams.
     for (int pass = 0; pass < 2; ++pass) {
         parallel_for(kRings, [&](int k) {
             shift[static_cast<std::size_t>(k)] =
@@ -231,8 +234,8 @@ std::vector<int> find_shifts(const std::vector<Ticks>& ticks, int n_ticks) {
     return shift;
 }
 
-/// Subtracts the mean azimuth offset from all beams, and adds it to the zero angle of the
-/// head. Then the head faces the mean direction of the beams.
+/// Shifts the azimuth offsets of all beams so that their mean is 0. The head then faces
+/// the mean direction of the beams.
 void centre_lattice(FiringLattice& lattice) {
     const double mean = std::accumulate(lattice.offset_rad.begin(), lattice.offset_rad.end(), 0.0) / kRings;
     for (double& offset : lattice.offset_rad) offset -= mean;
@@ -251,9 +254,8 @@ std::vector<Beam> FiringLattice::beams(const Cones& cones) const {
 }
 
 FiringLattice fit_lattice(const std::vector<const RawScan*>& scans) {
-    // Minimum concentration of the azimuths around the encoder ticks for a valid fit, as
-    // a mean over the beams. It is 0.98 on KITTI, and near 0 for evenly distributed
-    // azimuths.
+    // Minimum mean concentration of azimuths at the encoder ticks for a valid fit. It is
+    // 0.98 on KITTI, and near 0 for evenly distributed azimuths.
     constexpr double kFound = 0.8;
     const std::array<Polar, kRings> polar = to_polar(scans);
     FiringLattice lattice;

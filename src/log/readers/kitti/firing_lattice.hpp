@@ -18,30 +18,29 @@
 
 namespace relidar::kitti {
 
-/// Grid of the possible head angles, and azimuth and left offset of each beam.
+/// Possible azimuths of the LiDAR's head (a regular grid), and the offsets of each beam
+/// from the head.
 struct FiringLattice {
     HeadLattice head;
-    /// If true, the sensor is assumed to fire at every step of the grid. This is assumed
-    /// if the azimuths show no ticks of a rotary encoder.
+    /// True if the azimuths show no ticks of a rotary encoder. The sensor is then assumed
+    /// to fire at every step of the grid.
     bool every_tick = false;
     /// azimuth of each beam relative to the head; the mean of all beams is 0
     std::array<double, kRings> offset_rad{};
-    /// Distance of each beam from the spin axis. It is positive if the beam is left of
-    /// the axis.
+    /// distance of each beam from the spin axis, positive to the left
     std::array<double, kRings> left_m{};
 
-    /// Returns the beams of the sensor. The elevations are from the fitted cones. The
-    /// azimuth and left offsets are from this fit. The origin of a beam is z0
-    /// cos(elevation) above the origin of the sensor.
+    /// Returns the beams of the sensor, with elevations from the cones and offsets from
+    /// this fit. Each beam starts z0 cos(elevation) above the origin of the sensor.
     std::vector<Beam> beams(const Cones& cones) const;
 };
 
-/// Fits the head angles and the beam offsets to a few scans. If the azimuths are not
-/// multiples of a tick, as in a resampled log, returns even steps and zero offsets.
+/// Fits the head azimuths and the beam offsets to a few scans. If the azimuths show no
+/// encoder ticks, as in a resampled log, returns even steps and zero offsets.
 FiringLattice fit_lattice(const std::vector<const RawScan*>& scans);
 
-/// Returns the encoder ticks at which the sensor fired in a sweep, sorted by time. The
-/// head rotates clockwise, so the azimuths decrease from +pi.
+/// Returns the encoder ticks at which the sensor fired in a sweep, in order of time. The
+/// head rotates clockwise, so azimuths decrease from +pi.
 std::vector<int> find_firings(const RawScan& scan, const FiringLattice& lattice);
 
 }  // namespace relidar::kitti

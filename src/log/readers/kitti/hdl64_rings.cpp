@@ -26,8 +26,8 @@ double compute_residual(const Cone& cone, const Sample& sample) {
     return sample.z_m - cone.z0_m - sample.rho_m * cone.tan_el;
 }
 
-/// Fits a line z(rho) by least squares. Ignores samples whose distance from the line
-/// `previous` is more than limit_m.
+/// Fits a line z(rho) to points by least squares. Ignores points farther than limit_m
+/// from the line `previous`.
 Cone fit_line(const std::vector<Sample>& samples, const Cone& previous, double limit_m) {
     double n = 0, sr = 0, sz = 0, srr = 0, srz = 0;
     for (const Sample& s : samples) {
@@ -35,8 +35,8 @@ Cone fit_line(const std::vector<Sample>& samples, const Cone& previous, double l
         n += 1, sr += s.rho_m, sz += s.z_m, srr += s.rho_m * s.rho_m, srz += s.rho_m * s.z_m;
     }
     const double spread = n * srr - sr * sr;
-    // If the ranges are too similar, do not fit. Coordinates are rounded to 0.3 mm, which
-    // would change the slope by more than 5e-5.
+    // Points at similar distances do not determine the slope. Coordinates are rounded to
+    // 0.3 mm, so the slope would have an error above 5e-5.
     if (n < 16 || spread < 36.0 * n) return {};
     const double slope = (n * srz - sr * sz) / spread;
     return {(sz - slope * sr) / n, slope, static_cast<std::size_t>(n)};
@@ -47,16 +47,16 @@ Cone fit_cone(const std::vector<Sample>& samples) {
     for (int pass = 0; pass < 4 && cone.n > 0; ++pass) {
         std::vector<double> error;
         for (const Sample& s : samples) error.push_back(std::abs(compute_residual(cone, s)));
-        // Standard deviation of a normal distribution with this median absolute
-        // deviation.
+        // Converts the median absolute error to the standard deviation of a normal
+        // distribution.
         const double sigma = 1.4826 * compute_median(std::move(error));
         cone = fit_line(samples, cone, std::max(3.0 * sigma, 1e-3));
     }
     return cone;
 }
 
-/// Height of the lenses in a block of 32 beams, as a linear function of the slope of the
-/// beam: z0 = mean_z0 + slope * (tan_el - mean_tan).
+/// Height of the lasers in a block of 32, as a linear function of the slope of the beam:
+/// z0 = mean_z0 + slope * (tan_el - mean_tan).
 struct BlockLine {
     double mean_tan = 0.0, mean_z0 = 0.0, slope = 0.0;
     double at(double tan_el) const { return mean_z0 + slope * (tan_el - mean_tan); }
@@ -77,9 +77,9 @@ BlockLine fit_block(const Cones& cones, const std::vector<std::size_t>& good) {
     return line;
 }
 
-/// Returns the slope of a ring whose ranges are too similar for a fit of slope and
-/// height. Computes the height from the line of the block, then returns the median slope
-/// of the points.
+/// Estimates the slope of a beam whose points are at too similar distances to fit slope
+/// and height. The height follows from the other beams of its block. The slope is then
+/// the median over the points.
 double estimate_slope_at_height(const std::vector<Sample>& samples, const BlockLine& line, double tan_el) {
     std::vector<double> slope(samples.size());
     for (int pass = 0; pass < 3; ++pass) {
@@ -90,8 +90,8 @@ double estimate_slope_at_height(const std::vector<Sample>& samples, const BlockL
     return tan_el;
 }
 
-/// Estimates the cones of rings that could not be fitted. Uses the fitted beams in the
-/// same block of 32.
+/// Estimates the slopes and heights of beams that could not be fitted from the fitted
+/// beams in the same block of 32.
 void fill_gaps(Cones& cones, const std::array<std::vector<Sample>, kRings>& samples,
                const std::string& location) {
     for (std::size_t first : {std::size_t{0}, std::size_t{kRings / 2}}) {
@@ -118,8 +118,8 @@ void fill_gaps(Cones& cones, const std::array<std::vector<Sample>, kRings>& samp
     }
 }
 
-/// Returns the ring whose cone is nearest to a group of consecutive points. Compares the
-/// median distance of a sample of the points from each cone.
+/// Returns the ring whose cone has the smallest median distance from a group of
+/// consecutive points.
 int find_nearest_ring(const RawScan& scan, std::size_t begin, std::size_t end, const Cones& cones) {
     const std::size_t step = std::max<std::size_t>((end - begin) / 32, 1);
     int best = 0;
@@ -159,8 +159,8 @@ Cones fit_cones(const std::vector<const RawScan*>& scans, const std::string& loc
     int most = 0;
     for (const RawScan* scan : scans) {
         most = std::max(most, scan->n_rings);
-        // Also use scans with 65 rings, because a single stray point may appear to start
-        // a new ring.
+        // Accepts 65 rings too, because a single stray point can look like the start of a
+        // ring.
         if (scan->n_rings != kRings && scan->n_rings != kRings + 1) continue;
         for (std::size_t i = 0; i < scan->points.size(); ++i) {
             const glm::dvec4 p(scan->points[i]);

@@ -15,15 +15,15 @@ namespace relidar::kitti {
 
 constexpr int kRings = 64;
 
-/// The points of a scan in the order of the file, and the beam of each point. Beam 0 is
-/// the highest.
+/// The points of a scan in file order, and their beams. Beam 0 is the highest.
 struct RawScan {
     std::vector<glm::vec4> points;  ///< x, y, z in metres in the sensor frame, and reflectance
     std::vector<std::uint8_t> ring;
     int n_rings = 0;  ///< number of rings in the file; 64 in a complete scan
 };
 
-/// The cone on which the points of a beam lie, because the head rotates.
+/// All points of a rotating beam lie on this cone: z = z0 + tan_el * distance from the
+/// spin axis.
 struct Cone {
     double z0_m = 0.0;  ///< height at which the beam crosses the spin axis
     double tan_el = 0.0;
@@ -31,21 +31,19 @@ struct Cone {
 };
 using Cones = std::array<Cone, kRings>;
 
-/// Splits the points of a scan into rings. The file stores one ring after another, and in
-/// a ring the azimuth increases from the forward direction. Therefore a new ring begins
-/// where the azimuth changes from the 4th to the 1st quadrant. Ring numbers are limited
-/// to 63.
+/// Splits the points of a KITTI scan into rings. The file stores ring after ring, and
+/// each ring starts at the forward direction. A new ring begins where the azimuth steps
+/// from the 4th to the 1st quadrant. Ring numbers are limited to 63.
 RawScan split_rings(std::vector<glm::vec4> points);
 
-/// Fits the cone of each ring to several scans by least squares. Ignores outliers.
+/// Fits the cone of each ring to several scans by robust least squares.
 /// @param location  name of the log, for error messages
 /// @throws DataError if no scan has 64 rings
 Cones fit_cones(const std::vector<const RawScan*>& scans, const std::string& location);
 
-/// Corrects wrong ring numbers by comparing points with the fitted cones. The order of
-/// the points in the file gives a wrong ring number in two cases. Either a beam has no
-/// returns, or the last point of a ring was rounded to azimuth 0 and appears to start the
-/// next ring.
+/// Corrects ring numbers by the distances of points from the cones. The order of the
+/// points gives wrong numbers if a beam has no returns. It also does so if the last point
+/// of a ring was rounded to azimuth 0.
 void correct_rings(RawScan& scan, const Cones& cones);
 
 }  // namespace relidar::kitti

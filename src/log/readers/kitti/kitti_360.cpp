@@ -65,8 +65,7 @@ Drive choose_drive(const fs::path& folder, const DatasetOptions& options) {
         make_excerpt(fmt::format("{}", fmt::join(drives, ", ")))));
 }
 
-/// Returns the poses of the LiDAR in the world frame, by frame number. Some frames have
-/// no pose.
+/// Returns the LiDAR poses in the world frame, by frame number. Some frames have no pose.
 std::map<int, Pose> read_velo_poses(const fs::path& folder, const std::string& drive) {
     const fs::path calibration = folder / "calibration";
     const Pose imu_from_cam0 = read_transform(calibration / "calib_cam_to_pose.txt", "image_00");
@@ -77,9 +76,8 @@ std::map<int, Pose> read_velo_poses(const fs::path& folder, const std::string& d
     return poses;
 }
 
-/// Returns the pose of a frame. If it is missing, interpolates between the neighbouring
-/// poses. These poses must be at most half a second apart, or the car must stand still.
-/// Otherwise returns nothing.
+/// Returns the pose of a frame. A missing pose is interpolated if its neighbours are at
+/// most half a second apart, or if the car stands still. Otherwise returns nothing.
 std::optional<Pose> pose_at(const std::map<int, Pose>& poses, int frame) {
     constexpr int kNearFrames = 5;
     constexpr double kStanding_m = 0.2;
@@ -95,8 +93,8 @@ std::optional<Pose> pose_at(const std::map<int, Pose>& poses, int frame) {
     return interpolate(before->second, after->second, double(frame - before->first) / apart);
 }
 
-/// Adds all frames that have a pose to the log. Adds notes about frames with an
-/// interpolated pose and about frames without a pose.
+/// Adds all frames with a pose to the log, and notes for the user about interpolated and
+/// missing poses.
 void add_posed_frames(Sequence& sequence, const std::vector<int>& frames, const std::vector<double>& time_s,
                       const std::map<int, Pose>& poses) {
     std::vector<int> between, without;
@@ -119,8 +117,8 @@ void add_posed_frames(Sequence& sequence, const std::vector<int>& frames, const 
             fmt::format("frames that are skipped, because they have no pose: {}", list_text(without)));
 }
 
-/// Returns the file with the box labels of a drive. Searches the folder train_full first,
-/// then the smaller folder train.
+/// Returns the file with the box labels of a drive. The folder train_full has priority
+/// over the smaller folder train.
 /// @return empty path if neither folder contains the file
 fs::path find_boxes(const fs::path& folder, const std::string& drive) {
     for (const char* set : {"train_full", "train"}) {
@@ -130,8 +128,8 @@ fs::path find_boxes(const fs::path& folder, const std::string& drive) {
     return {};
 }
 
-/// Adds the frames, their poses and the boxes to the log. Boxes are labelled in the world
-/// frame of the dataset. So no boxes are loaded if the poses come from another file.
+/// Adds frames, poses and boxes to the log. The boxes are labelled in the dataset's world
+/// frame, so they are left out if the poses come from another file.
 void read_world(Sequence& sequence, const fs::path& folder, const Drive& drive,
                 const std::vector<int>& frames, const fs::path& poses_file) {
     const std::vector<double> time_s =

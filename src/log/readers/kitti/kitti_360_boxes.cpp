@@ -22,8 +22,8 @@
 namespace relidar::kitti {
 namespace {
 
-/// A class of objects that can move, with KITTI's class number. Objects of all other
-/// classes (buildings, ground, poles) belong to the background.
+/// A class of objects that can move. Objects of all other classes (buildings, ground,
+/// poles) are background.
 struct MovableClass {
     int id;
     const char* name;
@@ -35,8 +35,8 @@ constexpr MovableClass kMovable[] = {
     {19, "person", "pedestrian"}, {20, "rider", "rider"},           {34, "bus", "bus"},
 };
 
-/// Reads an integer from a child element. Returns `default_value` if the element does not
-/// exist.
+/// Reads an integer from an XML element, or returns `default_value` if the element does
+/// not exist.
 /// @throws DataError if the text is not an integer
 int read_integer_field(const pugi::xml_node& object, const char* field, std::optional<int> default_value,
                        const std::string& location) {
@@ -50,8 +50,8 @@ int read_integer_field(const pugi::xml_node& object, const char* field, std::opt
     return static_cast<int>(*value);
 }
 
-/// Returns the class of an object, or null if such objects cannot move. Objects of drive
-/// 0004 have text labels instead of class numbers.
+/// Returns the class of an object, or null if it cannot move. In drive 0004, objects have
+/// text labels instead of class numbers.
 const MovableClass* find_movable_class(const pugi::xml_node& object, const std::string& location) {
     const bool has_number = !object.child("semanticId").empty();
     const int id = has_number ? read_integer_field(object, "semanticId", {}, location) : 0;
@@ -61,8 +61,8 @@ const MovableClass* find_movable_class(const pugi::xml_node& object, const std::
     return nullptr;
 }
 
-/// Reads the 4x4 transform of an object: pose in the world, multiplied by the size of the
-/// box.
+/// Reads the 4x4 transform of an object from a unit box to the world. It contains the
+/// pose and the size of the object.
 glm::dmat4 transform_of(const pugi::xml_node& object, const std::string& location) {
     const pugi::xml_node matrix = object.child("transform");
     const int rows = read_integer_field(matrix, "rows", {}, location + ": transform"),
@@ -86,9 +86,9 @@ glm::dmat4 transform_of(const pugi::xml_node& object, const std::string& locatio
     return m;
 }
 
-/// Computes the size and the pose of a box from its transform. If the transform contains
-/// a reflection, flips the width axis, because a pose cannot be reflected. The box stays
-/// the same.
+/// Computes the size and the pose of a box from its transform. A transform with a
+/// reflection is no pose, so the width axis is then flipped, which does not change the
+/// box.
 void place(BoxLabel& label, const glm::dmat4& matrix, const std::string& location) {
     glm::dmat3 axes(matrix);
     label.size_m = {glm::length(axes[0]), glm::length(axes[1]), glm::length(axes[2])};
@@ -104,8 +104,7 @@ void place(BoxLabel& label, const glm::dmat4& matrix, const std::string& locatio
 }
 
 /// Returns the track id of an object: semanticId * 1000 + instanceId. Objects of drive
-/// 0004 do not have these numbers. For these, uses the class and the number of the moving
-/// or standing object.
+/// 0004 lack these numbers, so their id consists of class, "moving" and index.
 std::string track_of(const pugi::xml_node& object, const MovableClass& movable_class, bool moves,
                      const std::string& location) {
     if (object.child("instanceId").empty())

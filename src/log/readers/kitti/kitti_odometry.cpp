@@ -18,8 +18,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Reads the times of some frames in seconds. Line i of the file contains the time of
-/// frame i.
+/// Reads the times of frames in seconds. Line i of the file contains the time of frame i.
 std::vector<double> read_seconds(const fs::path& file, const std::vector<int>& frames) {
     const std::vector<std::string> lines = split_lines(read_text(file));
     std::vector<double> time_s;
@@ -37,9 +36,8 @@ std::vector<double> read_seconds(const fs::path& file, const std::vector<int>& f
     return time_s;
 }
 
-/// Returns the pose file of a sequence: poses.txt in the folder of the sequence
-/// (SemanticKITTI), or ../../poses/NN.txt (KITTI). KITTI publishes no poses for sequences
-/// 11 to 21.
+/// Returns the pose file of a sequence: poses.txt in its folder (SemanticKITTI), or
+/// ../../poses/NN.txt (KITTI). Sequences 11 to 21 have no published poses.
 fs::path find_poses(const fs::path& folder) {
     const fs::path here = folder / "poses.txt", beside = folder.parent_path().parent_path() / "poses" /
                                                          (folder.filename().string() + ".txt");
@@ -51,7 +49,7 @@ fs::path find_poses(const fs::path& folder) {
                     here.string(), beside.string()));
 }
 
-/// Reads the poses of the LiDAR in the world frame for some frames.
+/// Reads the LiDAR poses in the world frame for some frames.
 std::vector<Pose> read_odometry_poses(const fs::path& folder, const std::vector<int>& frames,
                                       const std::vector<double>& time_s, const fs::path& poses_file,
                                       std::vector<std::string>& notes) {

@@ -9,9 +9,8 @@
 
 namespace relidar {
 
-/// Loads a sequence. The scans of the dataset are motion-compensated, so all rays of a
-/// scan have the same pose. The world frame of the dataset is the frame of the LiDAR in
-/// frame 0.
+/// Loads a KITTI odometry sequence. Its scans are motion-compensated, so all rays of a
+/// scan have the same pose. The world frame is the LiDAR frame in frame 0.
 /// @throws DataError with file and field
 /// @throws UsageError if no scan is in the requested frame range
 Sequence load_kitti_odometry(const std::filesystem::path& folder, const DatasetOptions& options);

@@ -23,8 +23,8 @@ namespace {
 
 // Maximum coordinate of a pose in metres. UTM coordinates are smaller (up to 10^7).
 constexpr double kLargestCoordinate_m = 1e8;
-// Maximum distance between two poses of a log. Points are sorted into cells of 0.1 m, and
-// the keys of the cells (base/cell_key.hpp) only reach 105 km.
+// Maximum distance between two poses of a log. Farther points would get wrong keys of
+// grid cells, which are unique up to 105 km (base/cell_key.hpp).
 constexpr double kLongestLog_m = 1e5;
 
 /// Checks that the positions of all poses are plausible.
@@ -74,8 +74,8 @@ fs::path get_oxts_file(const fs::path& drive, int frame) {
     return drive / "oxts/data" / fmt::format("{:010d}.txt", frame);
 }
 
-/// Reads the pose of the IMU for a frame, in Mercator coordinates. Does not yet subtract
-/// the position of the first frame.
+/// Reads the pose of the IMU in one frame, in Mercator coordinates relative to latitude
+/// and longitude 0.
 Pose read_oxts(const fs::path& file, std::optional<double>& scale) {
     const std::vector<std::string> lines = split_lines(read_text(file));
     const std::vector<double> v = parse_finite_numbers(lines.empty() ? "" : lines[0], 30, file.string());
@@ -91,9 +91,8 @@ Pose read_oxts(const fs::path& file, std::optional<double>& scale) {
              v[2]}};
 }
 
-/// Returns the smallest frame number that has an OXTS file. This frame defines the
-/// Mercator scale and the origin, even if it is not loaded. So poses do not depend on the
-/// requested range.
+/// Returns the first frame with an OXTS file. It defines the Mercator scale and the
+/// origin of the poses, so that they do not depend on the requested frames.
 int find_first_oxts(const fs::path& drive) {
     const fs::path folder = drive / "oxts/data";
     if (does_path_exist(folder)) {
@@ -110,9 +109,8 @@ int find_first_oxts(const fs::path& drive) {
                     folder.string()));
 }
 
-/// Returns the path of calib_imu_to_velo.txt for a drive. KITTI stores this file one
-/// folder above the drive. It can also be in the folder of the drive, or in the folder
-/// that DATE_calib.zip creates.
+/// Returns the path of calib_imu_to_velo.txt for a drive. The file can be one folder
+/// above the drive, as in KITTI, in the drive, or in the folder from DATE_calib.zip.
 fs::path find_calibration(const fs::path& drive) {
     const char* name = "calib_imu_to_velo.txt";
     // date in a name such as 2011_09_26_drive_0005_sync
@@ -199,7 +197,7 @@ void use_pose_file(Sequence& sequence, const fs::path& poses_file) {
     if (poses_file.empty()) return;
     PoseTrack given{sequence.world_from_vehicle.time_s,
                     std::vector<Pose>(sequence.world_from_vehicle.time_s.size())};
-    // one frame number per pose, because LiDARs of the same sweep share a pose
+    // LiDARs of the same sweep share a pose, so each frame number is listed once.
     std::vector<int> frames;
     for (const Frame& frame : sequence.frames)
         if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);

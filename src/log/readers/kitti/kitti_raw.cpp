@@ -32,8 +32,8 @@ std::string describe_poses(const fs::path& poses_file) {
     return "poses from " + (poses_file.empty() ? "OXTS (Mercator)" : poses_file.string());
 }
 
-/// Returns notes about missing data. Scans may be missing in the middle of a drive: drive
-/// 0009 lacks four scans. Some drives have no labels or no poses.
+/// Returns notes for the user about missing scans, labels and poses. For example, drive
+/// 0009 lacks four scans in the middle.
 std::vector<std::string> collect_notes(const fs::path& drive, const std::vector<int>& frames,
                                        const DatasetOptions& options) {
     std::vector<std::string> notes;

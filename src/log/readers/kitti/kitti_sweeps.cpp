@@ -22,8 +22,8 @@
 namespace relidar::kitti {
 namespace {
 
-// Number of scans that are used to fit the sensor. A few scans are enough: the fit is
-// then far more accurate than the millimetre resolution of the files.
+// Number of scans for fitting the sensor. The fit to a few scans is already far more
+// accurate than the coordinates in the files, which are rounded to millimetres.
 constexpr std::size_t kFitScans = 6, kLatticeScans = 3;
 
 std::vector<const RawScan*> spread(const std::vector<RawScan>& scans, std::size_t count) {
@@ -40,19 +40,19 @@ Points make_points(const RawScan& raw) {
     return points;
 }
 
-/// Returns the azimuth of the last point of a scan, in degrees from 0 to 360. In each
-/// ring, the azimuth increases from 0, so the last point of a complete scan is near 360.
+/// Returns the azimuth of the last point of a scan, from 0 to 360 degrees. Azimuths
+/// increase from 0 in each ring, so a complete scan ends near 360.
 double end_azimuth_deg(const RawScan& scan) {
     if (scan.points.empty()) return 0.0;
-    // A stray point has started another ring, so the scan is complete.
+    // The scan is complete: a stray point after its last ring has started another ring.
     if (scan.n_rings > kRings) return 360.0;
     const double azimuth =
         std::atan2(double(scan.points.back().y), double(scan.points.back().x)) * 180.0 / kPi;
     return azimuth < 0.0 ? azimuth + 360.0 : azimuth;
 }
 
-/// Detects damaged files by comparing each scan with the scans before and after it. The
-/// missing points of a damaged file must not be treated as dropped rays.
+/// Detects damaged files by comparing each scan with its neighbours. Otherwise, the
+/// missing points of a damaged file would be treated as dropped rays.
 class ScanSizes {
 public:
     explicit ScanSizes(const std::vector<RawScan>& raw) {
@@ -63,14 +63,14 @@ public:
         }
     }
 
-    /// Returns the reason why scan `index` is incomplete, or an empty string if it is
-    /// complete. A scan without returns is incomplete. A scan is also incomplete if it
-    /// has far fewer points or rings than the neighbouring scans, or if its last ring
-    /// ends much earlier.
+    /// Returns why scan `index` is incomplete, or an empty string if it is complete. An
+    /// incomplete scan has far fewer points or rings than its neighbours, or its last
+    /// ring ends much earlier.
     std::string explain_incomplete_scan(std::size_t index, const std::string& file) const {
-        // one missing ring is accepted, because a single beam may have no returns
+        // A single missing ring is accepted, because one beam may have no returns.
         constexpr int kMissingRings = 2;
-        // in complete scans, the end of the last ring varies by up to 20 degrees
+        // In complete scans, the azimuth at the end of the last ring varies by up to 20
+        // degrees.
         constexpr double kEarly_deg = 60.0;
         if (n_points_[index] == 0) return fmt::format("{}: the scan has no returns", file);
         if (const std::size_t usual = compute_median_of_neighbours(n_points_, index);
@@ -97,8 +97,7 @@ private:
     std::vector<int> n_rings_;
     std::vector<double> end_deg_;
 
-    /// Returns the median over up to five scans before and up to five scans after scan
-    /// `index`.
+    /// Returns the median over up to five scans on each side of scan `index`.
     template <class T>
     static T compute_median_of_neighbours(const std::vector<T>& values, std::size_t index) {
         constexpr std::size_t kReach = 5;
@@ -113,13 +112,12 @@ private:
     }
 };
 
-/// Detects the range of the intensities. Divides them by 255 if the range is 0 to 255.
-/// @return a note; empty if the intensities are already in the range 0 to 1
+/// Scales intensities of 0 to 255 to the range 0 to 1.
+/// @return a note for the user; empty if the intensities are already in the range 0 to 1
 /// @throws DataError if the intensities are in neither range
 std::string scale_intensities(std::vector<RawScan>& raw, const std::string& folder) {
     constexpr float kBytes = 255.0f;
-    // fractional intensities up to this value are rejected, because they may be
-    // percentages
+    // Fractional intensities up to this value could be percentages, so they are rejected.
     constexpr float kPercent = 100.0f;
     float lowest = 0.0f, highest = 0.0f;
     bool are_whole = true;
@@ -139,9 +137,8 @@ std::string scale_intensities(std::vector<RawScan>& raw, const std::string& fold
                        are_whole ? "whole numbers" : "numbers", highest);
 }
 
-/// Checks the number of rays before memory is allocated for them. Limits the firings per
-/// sweep, and the number of rays per point.
-/// @throws DataError if there are too many rays
+/// Checks the numbers of firings and rays before memory is allocated for the rays.
+/// @throws DataError if there are too many firings per sweep or rays per point
 void check_rays(const std::vector<RawScan>& raw, const FiringLattice& lattice, const std::string& location) {
     constexpr int kMostFirings = 8192;            // an HDL-64E has up to 4170 firings per sweep
     constexpr std::size_t kMostRaysAPoint = 200;  // a complete sweep has about 1.1 rays per point
@@ -180,7 +177,7 @@ void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int di
             broken.add(at, why + "; the file is probably truncated or damaged");
     if (broken.size() == raw.size()) broken.tell(sequence, raw.size());
     for (std::size_t at = 0; at < raw.size(); ++at)
-        // clear the broken scan, so that it does not influence the fits
+        // Removes the points of a broken scan, so that the fits below ignore it.
         if (broken.has(at)) raw[at] = {};
     if (std::string note = scale_intensities(raw, folder.string()); !note.empty())
         sequence.notes.push_back(std::move(note));

@@ -21,13 +21,12 @@ namespace relidar::kitti {
 namespace fs = std::filesystem;
 namespace {
 
-/// Returns the number of days since 1970-01-01 in the Gregorian calendar. Leap years are
-/// divisible by 4, but not by 100 unless also by 400.
+/// Returns the days from 1970-01-01 to a date in the Gregorian calendar.
 std::int64_t count_days(int year, int month, int day) {
     static constexpr std::array<int, 12> kBefore{0, 31, 59, 90, 120, 151, 181, 212, 243, 273, 304, 334};
     const bool leap = year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
     const int y = year - 1;
-    // there are 477 leap days up to the year 1969
+    // 477 leap days precede the year 1970.
     const std::int64_t leap_days = y / 4 - y / 100 + y / 400 - 477;
     return 365ll * (year - 1970) + leap_days + kBefore[static_cast<std::size_t>(month - 1)] +
            (leap && month > 2) + day - 1;
@@ -99,7 +98,7 @@ std::vector<double> read_times(const fs::path& file, const std::vector<int>& fra
 
 namespace {
 
-/// Returns the median duration of a sweep. Throws if the median is not a valid period.
+/// Returns the median duration of sweeps. Throws if it is not a plausible period.
 /// @param lasts_s  durations of sweeps in seconds
 double compute_median_period(std::vector<double> lasts_s, const fs::path& file) {
     const double period_s = compute_median(std::move(lasts_s));

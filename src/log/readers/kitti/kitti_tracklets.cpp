@@ -17,12 +17,11 @@
 namespace relidar::kitti {
 namespace {
 
-// maximum value of all numbers in a label (metres, radians or frames)
+// Upper limit of all numbers in a label file: metres, radians and frame numbers.
 constexpr double kLargestOfLabel = 1e6;
 
-/// Reads a number from a child element.
-/// @throws DataError with track and field if the number is missing or outside the valid
-/// range
+/// Reads a number from an XML element.
+/// @throws DataError with track and field if the number is missing or out of range
 double number_of(const pugi::xml_node& node, const char* field, const std::string& location) {
     const std::string text = node.child_value(field);
     const auto value = parse_number(trim_spaces(text));

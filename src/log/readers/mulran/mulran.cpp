@@ -23,22 +23,24 @@ namespace fs = std::filesystem;
 constexpr std::size_t kBeams = 64, kColumns = 1024;
 constexpr double kTurn_s = 0.1;
 constexpr double kNanosecond = 1e-9;
-// maximum time between two poses that are interpolated; poses are recorded at 100 Hz
+// Poses farther apart in time than this are not interpolated. The dataset has 100 poses
+// per second.
 constexpr double kMostGap_s = 0.5;
-// Minimum range of points that are used to identify a beam by elevation. A beam starts
-// about a centimetre from the spin axis, which changes the elevation of nearer points.
+// Nearer points are not used to identify beams by elevation. A beam starts about a
+// centimetre from the spin axis, which changes the elevation of near points.
 constexpr double kLeastRange_m = 2.0;
-// If the assumed order of the points is right, the elevations of one beam differ by at
-// most this angle.
+// Maximum spread of the elevations of one beam, if the assumed order of the points is
+// right.
 constexpr double kMostSpread_rad = kPi / 180.0;
-// Minimum forward component of the mean driving direction. It is at most 1.
+// Minimum forward component of the mean driving direction, if the poses are right (at
+// most 1).
 constexpr double kForward = 0.9;
 
-/// Pose of the LiDAR on the vehicle as published by the authors. Position in metres;
-/// roll, pitch and yaw in degrees.
+/// Published pose of the LiDAR on the vehicle: position in metres; roll, pitch and yaw in
+/// degrees.
 constexpr double kPlace_m[3] = {1.7042, -0.021, 1.8047}, kAngles_deg[3] = {0.0001, 0.0003, 179.6654};
 
-/// Order in which a file stores the points: column by column or beam by beam.
+/// Order of the points in a file: one column after another, or one beam after another.
 enum class MulranOrder { by_column, by_beam };
 
 std::size_t get_beam_at(std::size_t index, MulranOrder order) {
@@ -48,9 +50,8 @@ std::size_t get_column_at(std::size_t index, MulranOrder order) {
     return order == MulranOrder::by_column ? index / kBeams : index % kColumns;
 }
 
-/// Returns the standard deviation of the elevations within a beam, averaged over all
-/// beams. The value is small if the assumed order is right. Returns infinity if there are
-/// no points.
+/// Returns the standard deviation of the elevations within a beam, over all beams. It is
+/// small if the assumed order of the points is right. Returns infinity without points.
 double measure_beam_spread(const folder::PointTable& table, MulranOrder order) {
     using enum folder::PointValue;
     const folder::FieldValues &xs = *table.find(x), &ys = *table.find(y), &zs = *table.find(z);
@@ -77,8 +78,7 @@ void check_points(const folder::PointTable& table, const std::string& location) 
                                     location, table.n, kBeams, kColumns));
 }
 
-/// Detects the order in which the files store the points. Uses the first scan that can be
-/// read.
+/// Detects the order of the points in the files from the first readable scan.
 MulranOrder find_order(const std::vector<fs::path>& files) {
     for (const fs::path& file : files) {
         folder::PointTable table;
@@ -100,8 +100,8 @@ MulranOrder find_order(const std::vector<fs::path>& files) {
     return MulranOrder::by_column;
 }
 
-/// Sets the beam and the time of each point from the index of the point in the file. The
-/// time stamp of the file is the middle of the revolution.
+/// Computes beam and time of each point from its index in the file. The time stamp of the
+/// file is the middle of the revolution.
 void add_beams_and_times(folder::PointTable& table, MulranOrder order, const std::string& location) {
     check_points(table, location);
     std::vector<std::uint16_t> ring(table.n);
@@ -133,8 +133,8 @@ PoseTrack read_mulran_poses(const fs::path& file, const stamped::StampedLog& log
     return track;
 }
 
-/// Returns the pose of the LiDAR on the vehicle. The frame of the LiDAR is rotated by 180
-/// degrees, so that the x axis points forward.
+/// Returns the pose of the LiDAR on the vehicle. Rotates the published LiDAR frame by 180
+/// degrees, so that x points forward.
 Pose compute_mounting() {
     const auto rad = [](double degrees) { return degrees * kPi / 180.0; };
     const Pose base_from_ouster{make_rotation(rad(kAngles_deg[2]), rad(kAngles_deg[1]), rad(kAngles_deg[0])),
@@ -195,8 +195,7 @@ Sequence load_mulran(const fs::path& log_folder, const DatasetOptions& options) 
     stamped::read_points(sequence, files, format_of_points(sequence, files), options);
     if (options.poses_file.empty()) {
         const PoseTrack track = shift_track(log.world_from_vehicle, -sequence.world_offset_m);
-        // Poses exist at all these times, because add_frames() skips scans without a
-        // pose.
+        // add_frames() skips scans without a pose, so all these times have one.
         const auto pose_at = [&](double t_s) { return std::optional(track.at(t_s)); };
         if (std::string note = bag::place_rays(sequence, pose_at); !note.empty())
             sequence.notes.push_back(std::move(note));

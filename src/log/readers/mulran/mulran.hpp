@@ -9,8 +9,8 @@
 
 namespace relidar {
 
-/// Loads a sequence. The frames are the scans, sorted by time. The vehicle frame and the
-/// world frame are the frames of global_pose.csv.
+/// Loads a MulRan sequence. Its scans become the frames, sorted by time. The vehicle
+/// frame and the world frame are those of global_pose.csv.
 /// @throws DataError with file and line
 /// @throws UsageError if no scan is in the requested range
 Sequence load_mulran(const std::filesystem::path& folder, const DatasetOptions& options);

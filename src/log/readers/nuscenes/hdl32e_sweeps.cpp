@@ -21,21 +21,21 @@ namespace fs = std::filesystem;
 
 constexpr std::size_t kBeams = 32, kPointBytes = 20;
 constexpr double kPeriod_s = 0.05;
-// Minimum range of a return. The dataset stores missing returns as points at the LiDAR.
-// Motion compensation then moves these points a little.
+// Nearer points are missing returns. The dataset stores them as points at the LiDAR,
+// which motion compensation has moved a little.
 constexpr double kNoReturn_m = 1.0;
 constexpr double kFarthestOfSweep_m = 1e4;
 constexpr std::size_t kMostColumnsOfSweep = 8192;
 
-/// Points of a file with rings and columns. Each point is in the frame of the LiDAR at
-/// the time of the point.
+/// Points of a file with rings and columns. Each point is in the frame of the moving
+/// LiDAR at the time of the point.
 struct ReadSweep {
     Points points;
     Sweep sweep;
 };
 
-/// Removes missing returns. The dataset stored them as points at the LiDAR, and then
-/// moved all points (motion compensation).
+/// Removes missing returns. The dataset stores them as points at the LiDAR, which motion
+/// compensation has moved a little.
 /// @param points  points in the frame of the LiDAR at the time of each point
 /// @param numbers  [points] column of each point
 void remove_unmeasured(Points& points, std::vector<int>& numbers) {

@@ -11,17 +11,14 @@
 
 namespace relidar::nuscenes {
 
-/// Returns the LiDAR of nuScenes, an HDL-32E. In relidar's sensor frame, x points
-/// forward. In the frame of nuScenes, x points to the right. So the function rotates the
-/// pose by 90 degrees.
+/// Returns the LiDAR of nuScenes, an HDL-32E. Rotates its pose by 90 degrees, because x
+/// points to the right in nuScenes and forward in relidar's sensor frame.
 /// @param ego_from_lidar  pose of the LiDAR in the convention of nuScenes
 Lidar make_hdl32e(const Pose& ego_from_lidar);
 
-/// Reads the scans of all frames in sequence.frames. Also sets the properties of the
-/// sensors that can be computed from the scans.
+/// Reads the scans of all frames, and computes sensor properties from the scans.
 /// @param files  [frames] file with the points of each frame
-/// @param vehicle_track vehicle poses of the dataset, with which the motion compensation
-/// is undone
+/// @param vehicle_track vehicle poses of the dataset, for undoing its motion compensation
 /// @throws DataError with file and point
 void read_hdl32e_sweeps(Sequence& sequence, const std::vector<std::filesystem::path>& files,
                         const PoseTrack& vehicle_track, const DatasetOptions& options);

@@ -13,11 +13,11 @@ namespace relidar {
 namespace {
 
 constexpr std::size_t kBlock = 1 << 20, kLongestRecord = 1 << 20;
-// Largest integer up to which a double represents all integers exactly.
+// Up to this integer, a double represents all integers exactly.
 constexpr double kLargestWhole = 9007199254740992.0;
 
-/// Reads the text of a JSON table in blocks. Splits the text into the objects of the
-/// table.
+/// Splits a JSON table (an array of objects) into its objects. Reads the file in blocks,
+/// because tables can be large.
 class RecordSplitter {
 public:
     explicit RecordSplitter(const std::filesystem::path& file)
@@ -72,8 +72,8 @@ private:
         character = block_[at_++];
         return true;
     }
-    /// Checks that a character is allowed between two objects.
-    /// @return true if the character is the start of an object
+    /// Checks a character between two objects of the table.
+    /// @return true if the character starts an object
     bool between(char character) {
         if (character == '{' && opened_ && !closed_) return true;
         const bool blank = character == ' ' || character == '\n' || character == '\r' || character == '\t';

@@ -15,20 +15,20 @@
 
 namespace relidar {
 
-/// One object of a JSON table. It is valid only during the callback. The functions throw
-/// a DataError with file, record and key if a value is missing or has another type.
+/// One object of a JSON table, valid only during the callback. Its functions throw a
+/// DataError with file, record and key if a value is missing or has another type.
 class JsonRecord {
 public:
     JsonRecord(std::string location, simdjson::dom::object object)
         : where_(std::move(location)), object_(object) {}
 
     std::string text(std::string_view key) const;
-    /// Returns a number, rounded to an integer. Rounding is needed because some tables
-    /// contain fractions of microseconds.
+    /// Returns a number as an integer. Rounds fractions, because some tables have
+    /// fractional microseconds.
     std::int64_t rounded(std::string_view key) const;
     bool boolean(std::string_view key) const;
     glm::dvec3 vector(std::string_view key) const;
-    /// Returns a unit quaternion. The table stores the quaternion as w, x, y, z.
+    /// Returns a unit quaternion, which the table stores as w, x, y, z.
     glm::dquat quaternion(std::string_view key) const;
     /// Returns the pose in the keys `translation` and `rotation`.
     Pose pose() const { return {quaternion("rotation"), vector("translation")}; }
@@ -43,9 +43,9 @@ private:
     void numbers(std::string_view key, std::size_t count, double* out) const;
 };
 
-/// Calls `read` for every object of a table.
-/// @throws DataError with the file if it is not an array of objects, if it is malformed,
-/// or if an object has more than 1 MB
+/// Calls `read` for every object of a JSON table.
+/// @throws DataError if the file is not a valid array of objects, or if an object has
+/// more than 1 MB
 void for_each_record(const std::filesystem::path& file, const std::function<void(const JsonRecord&)>& read);
 
 }  // namespace relidar

@@ -25,27 +25,28 @@ namespace {
 namespace fs = std::filesystem;
 using namespace nuscenes;
 
-// Maximum time between the sweeps of one frame, as a multiple of the sweep period of the
-// first LiDAR.
+// Sweeps of several LiDARs form a frame if their times differ by at most this share of
+// the first LiDAR's sweep period.
 constexpr double kBeside = 0.6;
-// A box is also used for this number of sweep periods before its first label and after
-// its last label. Labels have nearly the same times as sweeps.
+// A box exists for this share of a sweep period before its first and after its last
+// label. Times of labels and sweeps differ slightly.
 constexpr double kBeyondLabels = 0.5;
 constexpr double kMostIntensity = 255.0;
-// Assumed duration of a revolution. Such LiDARs rotate ten times per second, although the
-// dataset contains only five sweeps per second.
+// Assumed duration of a revolution. The dataset has only five sweeps per second, but such
+// LiDARs rotate ten times per second.
 constexpr double kTurnOfLyft_s = 0.1;
-// Maximum time difference between the sweeps of two LiDARs in a frame. If the points have
-// no times and the difference is larger, a note is added.
+// If points have no times, and LiDAR sweeps of a frame differ in time by more than this,
+// the user gets a note.
 constexpr double kStampsApart_s = 1e-3;
 
-/// File format of a dataset. The extension of the LiDAR files identifies the format.
+/// File format of a nuScenes-like dataset, recognised by the extension of its LiDAR
+/// files.
 struct Format {
     const char* ending;
     const char* dataset;
     const char* conventions;  ///< conventions of the dataset, except units and vehicle axes
-    /// True if each file contains the columns of one HDL-32E, motion-compensated to the
-    /// end of the revolution.
+    /// True if files contain the columns of one HDL-32E, motion-compensated to the end of
+    /// the revolution.
     bool is_compensated;
     bool has_times;  ///< true: points have times
 };
@@ -65,8 +66,8 @@ constexpr Format kFormats[] = {
      false, false},
 };
 
-/// Format of T4 datasets. The points are in the frame of the vehicle. The points of
-/// several LiDARs may be merged.
+/// Format of T4 datasets. Points are in the vehicle frame, and several LiDARs may be
+/// merged.
 constexpr Format kT4 = {
     ".pcd.bin", "T4",
     "Points are motion-compensated and in the frame of the vehicle. The time of a frame is the stamp of "
@@ -74,7 +75,7 @@ constexpr Format kT4 = {
     false, false};
 constexpr const char* kTablesOfT4 = "annotation";  // name of the folder that contains the tables
 
-/// Name of a scene, and the folder that contains the tables of the scene.
+/// Name of a scene, and the folder of its JSON tables.
 struct SceneName {
     std::string name;
     fs::path tables;
@@ -91,8 +92,8 @@ std::vector<SceneName> list_scenes_of(const fs::path& folder) {
     return scenes;
 }
 
-/// Returns the scene that the user requested: by its name, by its nuScenes number, or by
-/// the first characters of its name if they are unique.
+/// Returns the scene that the user requested by its name, by its nuScenes number, or by a
+/// unique beginning of its name.
 SceneName choose_scene(const std::vector<SceneName>& scenes, const std::string& scene_name) {
     if (scene_name.empty()) return scenes[0];
     const std::optional<int> number = parse_file_number(scene_name);
@@ -112,8 +113,7 @@ SceneName choose_scene(const std::vector<SceneName>& scenes, const std::string& 
         scenes.size(), names));
 }
 
-/// Interpolates the boxes between the labelled keyframes. Returns the boxes at the times
-/// of the frames.
+/// Returns the boxes at the times of the frames, interpolated between labelled keyframes.
 std::vector<BoxTrack> select_boxes_at(const std::vector<BoxLabel>& labels, const std::vector<double>& times_s,
                                       double beyond_s) {
     std::vector<BoxTrack> boxes;
@@ -130,7 +130,7 @@ std::vector<BoxTrack> select_boxes_at(const std::vector<BoxLabel>& labels, const
     return boxes;
 }
 
-/// A sweep of one LiDAR, and the number of the frame that contains it.
+/// A sweep of one LiDAR, with the number of its frame.
 struct NumberedSweep {
     int number = 0;         ///< number of the frame: index of the first LiDAR's sweep at the same time
     std::size_t lidar = 0;  ///< index in SceneTables::lidars
@@ -179,8 +179,8 @@ private:
     const SceneName chosen_;
     const SceneTables scene_;
     const Format& format_;
-    /// Prefix of the folder names. For example, the tables are in train_data and the
-    /// point files in train_lidar.
+    /// Prefix of folder names in Lyft's dataset, for example "train_" in train_data
+    /// (tables) and train_lidar (points).
     const std::string split_;
     std::vector<double> main_s_;       ///< times in seconds of the sweeps of the first LiDAR
     double step_s_ = 0.0;              ///< time between these sweeps
@@ -210,8 +210,8 @@ private:
         return split_.empty() || does_path_exist(file) ? file : folder_ / (split_ + sweep.file);
     }
 
-    /// Selects the LiDARs that the user requested. If the user requested none, selects
-    /// all LiDARs.
+    /// Selects the LiDARs that the user requested, or all LiDARs if the user requested
+    /// none.
     void choose_lidars() {
         std::vector<std::string> channels, left_out;
         for (const SceneLidar& lidar : scene_.lidars) channels.push_back(lidar.channel);
@@ -244,7 +244,7 @@ private:
         if (!left_out.empty()) note(fmt::format("LiDARs that are not read: {}", fmt::join(left_out, ", ")));
     }
 
-    /// Assigns frame numbers to the sweeps of the selected LiDARs. Returns the sweeps,
+    /// Assigns a frame number to each sweep of the selected LiDARs. Returns the sweeps,
     /// sorted by frame number.
     std::vector<NumberedSweep> number_sweeps() {
         std::vector<NumberedSweep> sweeps;
@@ -274,9 +274,8 @@ private:
         return sweeps;
     }
 
-    /// Selects the frames in the requested range. If the sweeps between keyframes have no
-    /// files, selects only keyframes. This happens if the user unpacked samples/ but not
-    /// sweeps/.
+    /// Selects the frames in the requested range. Selects only keyframes if no other
+    /// sweep has a file, because the user has unpacked samples/ but not sweeps/.
     void find_frames() {
         const std::vector<NumberedSweep> sweeps = number_sweeps();
         const auto is_between = [](const NumberedSweep& sweep) { return !sweep.record->is_keyframe; };
@@ -298,8 +297,8 @@ private:
             note("the files between keyframes are missing, so only the keyframes of the scene are read");
     }
 
-    /// Adds the selected frames to the log. All sweeps of a frame get the time of the
-    /// first LiDAR.
+    /// Adds the selected frames to the log. Sweeps of all LiDARs in a frame get the time
+    /// of the first LiDAR.
     /// @return vehicle poses of the dataset at the frames
     PoseTrack add_frames() {
         for (const NumberedSweep& frame : frames_) {
@@ -310,13 +309,13 @@ private:
         return sequence_.world_from_vehicle;
     }
 
-    /// Reads the point files of datasets whose points have no rings and are not
-    /// motion-compensated.
+    /// Reads point files of datasets without ring numbers and without motion
+    /// compensation.
     void read_clouds(const std::vector<fs::path>& files) {
         folder::Head head;
         head.name = sequence_.name;
-        // Ignore the last column, because it is always 1 in Lyft's files and -1 in T4's
-        // files.
+        // The last column has no information: it is always 1 in Lyft's files and -1 in
+        // T4's files.
         if (!format_.has_times) head.units.columns = {"x", "y", "z", "intensity", "-"};
         head.units.intensity_max = kMostIntensity;
         head.units.time_unit_s = 1e-6;

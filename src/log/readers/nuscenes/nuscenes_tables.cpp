@@ -27,7 +27,7 @@ using ByToken = std::unordered_map<std::string, T>;
 
 constexpr std::string_view kLidar = "LIDAR_";  // prefix of LiDAR channels
 constexpr const char* kFirstChannel = "LIDAR_TOP";
-// maximum time between a sweep and the vehicle pose in the sweep's record
+// maximum time difference between a sweep and the vehicle pose to which it refers
 constexpr double kFarthestPose_s = 0.1;
 
 std::string find_scene(const fs::path& tables, const std::string& name) {
@@ -93,7 +93,7 @@ Channels files_of(const fs::path& tables, const ByToken<std::int64_t>& samples,
     return files;
 }
 
-/// Sorts the files of a channel by time, starting with the first keyframe.
+/// Sorts the files of a LiDAR channel by time, starting with its first keyframe.
 /// @return an empty list if the channel has no keyframe
 std::vector<SweepRecord> sort_sweeps(const fs::path& tables, const ByToken<SweepRecord>& files) {
     const std::string where = (tables / "sample_data.json").string();
@@ -116,7 +116,7 @@ std::vector<SweepRecord> sort_sweeps(const fs::path& tables, const ByToken<Sweep
     return sweeps;
 }
 
-/// Returns the LiDARs that have at least one keyframe in the scene.
+/// Returns the LiDARs with at least one keyframe in the scene.
 std::vector<SceneLidar> read_lidars(const fs::path& tables, const ByToken<std::int64_t>& samples) {
     const ByToken<Mounted> mounted = read_calibrations(tables);
     std::vector<SceneLidar> lidars;
@@ -140,8 +140,8 @@ std::vector<SceneLidar> read_lidars(const fs::path& tables, const ByToken<std::i
     return lidars;
 }
 
-/// Returns the vehicle poses at the times of the sweeps. Interpolates between poses,
-/// because in TruckScenes a sweep refers only to the nearest pose of a finer track.
+/// Returns the vehicle poses at the times of the sweeps. Interpolates, because sweeps of
+/// TruckScenes refer only to the nearest pose.
 std::vector<Pose> read_poses(const fs::path& tables, const std::vector<SweepRecord>& sweeps) {
     const fs::path file = tables / "ego_pose.json";
     struct TimedPose {
@@ -180,7 +180,7 @@ std::vector<Pose> read_poses(const fs::path& tables, const std::vector<SweepReco
     return world_from_ego;
 }
 
-/// Reads the text of one key from the records of a table. Returns the texts by the token
+/// Reads one text value of each record in a table. Returns the values by the token (id)
 /// of the record.
 /// @param tokens  tokens of the records to read, or null for all records
 ByToken<std::string> read_column(const fs::path& file, const char* key, const Tokens* tokens) {
@@ -192,8 +192,8 @@ ByToken<std::string> read_column(const fs::path& file, const char* key, const To
     return values;
 }
 
-/// Reads the box labels of a scene. Returns no labels if the label table is missing,
-/// because test splits have no labels.
+/// Reads the box labels of a scene. Test splits have no label table, so their scenes have
+/// no labels.
 std::vector<BoxLabel> read_labels(const fs::path& tables, const SceneTables& scene,
                                   const ByToken<std::int64_t>& samples) {
     std::vector<BoxLabel> labels;

@@ -12,11 +12,10 @@
 
 namespace relidar::nuscenes {
 
-/// Table record of one LiDAR file. The file is a keyframe or a sweep between two
-/// keyframes.
+/// Table record of one LiDAR file: a keyframe, or a sweep between two keyframes.
 struct SweepRecord {
-    /// Tokens of this record and of the next record. `next` is empty at the end of the
-    /// scene.
+    /// Tokens (ids) of this record and of the next record of the scene. `next` is empty
+    /// for the last one.
     std::string token, next;
     std::string sample;  ///< token of the keyframe that the file belongs to
     std::string ego_pose, calibration;
@@ -25,7 +24,7 @@ struct SweepRecord {
     bool is_keyframe = false;
 };
 
-/// A LiDAR of the scene. The name of its channel begins with LIDAR_.
+/// A LiDAR of the scene: a channel whose name begins with LIDAR_.
 struct SceneLidar {
     std::string channel;
     Pose ego_from_lidar;              ///< in the dataset's convention
@@ -35,11 +34,11 @@ struct SceneLidar {
 /// Data of one scene, collected from all tables.
 struct SceneTables {
     std::string name;
-    /// At least one LiDAR. LIDAR_TOP is the first, and the others are sorted by name. The
-    /// sweeps of the first LiDAR define the frame numbers.
+    /// At least one LiDAR: LIDAR_TOP first, then the others by name. The sweeps of the
+    /// first LiDAR define the frame numbers.
     std::vector<SceneLidar> lidars;
     std::vector<Pose> world_from_ego;  ///< vehicle poses at the times of the first LiDAR's sweeps
-    /// Box labels at keyframes in the world frame. Their times are in seconds after the
+    /// Box labels of the keyframes in the world frame, with times in seconds after the
     /// first sweep.
     std::vector<BoxLabel> labels;
 
@@ -52,8 +51,7 @@ struct SceneTables {
 /// Returns the names of the scenes in the order of the table.
 std::vector<std::string> list_scenes(const std::filesystem::path& tables);
 
-/// Reads the data of a scene. Tables can have a gigabyte, so they are read one record at
-/// a time.
+/// Reads the data of a scene, record by record, because tables can have a gigabyte.
 /// @param tables  folder that contains the tables
 /// @throws DataError with file, record and key
 SceneTables read_scene(const std::filesystem::path& tables, const std::string& name);

@@ -24,10 +24,10 @@ namespace fs = std::filesystem;
 
 constexpr const char* kSensor = "Pandar40P";
 constexpr double kMillisecond = 1e-3;
-// Duration of a revolution. The LiDAR rotates ten times per second, although the dataset
-// contains only every fifth revolution.
+// Duration of a revolution. The LiDAR rotates ten times per second; the dataset contains
+// only every fifth revolution.
 constexpr double kTurn_s = 0.1;
-// rotation about z from the axes of ONCE (x left, y back) to relidar's axes (x forward, y
+// rotation about z from ONCE's axes (x left, y back) to relidar's axes (x forward, y
 // left)
 constexpr double kTurned_rad = kPi / 2.0;
 constexpr double kUnitLength = 1e-3;  // tolerance of a quaternion's length
@@ -93,7 +93,7 @@ OnceFile read_once_dataset_file(const fs::path& file, const fs::path& lidar, boo
     return content;
 }
 
-/// Returns the poses of the LiDAR over time, with the axes of ONCE (x left, y back).
+/// Returns the LiDAR poses over time in ONCE's axes (x left, y back).
 PoseTrack make_once_track(const std::vector<OncePose>& poses, const stamped::StampedLog& log,
                           bool is_w_first) {
     PoseTrack track;
@@ -107,8 +107,7 @@ PoseTrack make_once_track(const std::vector<OncePose>& poses, const stamped::Sta
     return track;
 }
 
-/// Returns the poses of the LiDAR over time, with the axes of relidar (x forward, y
-/// left).
+/// Returns the LiDAR poses over time in relidar's axes (x forward, y left).
 PoseTrack make_turned_track(const OnceFile& content, const stamped::StampedLog& log,
                             std::vector<std::string>& notes) {
     const PoseTrack w_last = make_once_track(content.poses, log, false),

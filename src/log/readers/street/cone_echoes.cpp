@@ -18,8 +18,8 @@ struct Return {
     float range_m = 0.0f, light = 0.0f;
 };
 
-/// Groups the hits in a cone to returns, sorted by range.
-/// @param n_back  output: number of rays of the cone that hit a surface
+/// Combines the hits of thin rays in the cone of a beam to returns, sorted by range.
+/// @param n_back  output: number of thin rays that hit a surface
 std::vector<Return> group_returns(const Scan& cone, std::size_t ray, int& n_back) {
     std::vector<std::pair<float, float>> hits;
     for (std::size_t i = ray * kConeRays; i < (ray + 1) * kConeRays; ++i)

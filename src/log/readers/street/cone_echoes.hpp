@@ -9,8 +9,8 @@ namespace relidar::street {
 
 inline constexpr int kConeRays = 53;  ///< number of thin rays that represent the cone of a beam
 
-/// Replaces each ray by kConeRays thin rays. The thin rays form a spiral that covers the
-/// cone of the ray evenly.
+/// Replaces each ray by kConeRays thin rays, which form a spiral in the cone of its
+/// divergence.
 /// @param rays  rays with a divergence
 RayTable make_cone_rays(const RayTable& rays);
 

@@ -14,7 +14,7 @@
 namespace relidar::street {
 namespace {
 
-/// Intersection of a ray with a shape, in the frame of the shape.
+/// Point at which a ray hits a shape, in the frame of the shape.
 struct Meeting {
     double t = std::numeric_limits<double>::infinity();
     glm::dvec3 normal{0.0};
@@ -59,7 +59,7 @@ Meeting intersect_cylinder(double radius, double half_height, const glm::dvec3& 
     return best;
 }
 
-/// Intersects a ray with a capsule. The axis of the capsule points down from the origin.
+/// Intersects a ray with a capsule whose axis points down from the origin.
 Meeting intersect_capsule(double radius, double length, const glm::dvec3& o, const glm::dvec3& direction) {
     Meeting best;
     const auto offer = [&](double t, double axis_z) {
@@ -79,33 +79,32 @@ Meeting intersect_capsule(double radius, double length, const glm::dvec3& o, con
     return best;
 }
 
-/// Rotates a vector about the z axis. The rotation angle has cosine c and sine s.
+/// Rotates a vector about the z axis by the angle with cosine c and sine s.
 glm::dvec3 rotate_vector(const glm::dvec3& vector, double c, double s) {
     return {c * vector.x - s * vector.y, s * vector.x + c * vector.y, vector.z};
 }
 
-/// Returns true if a point of a wall is inside a window. Windows are dark glass of 1.2 x
-/// 1.5 m with a spacing of 3 m. Only walls that face the y direction have windows.
+/// Returns true if a point of a wall is in a window. Walls that face the y direction have
+/// windows of dark glass, 1.2 x 1.5 m, every 3 m.
 bool is_in_window(const Shape& wall, const glm::dvec3& local, const glm::dvec3& normal) {
     if (std::abs(normal.y) < 0.5) return false;
     const double u = local.x + wall.half.x, v = local.z + wall.half.z;
     return u - 3.0 * std::floor(u / 3.0) < 1.2 && v > 1.0 && v - 3.0 * std::floor(v / 3.0) > 1.5;
 }
 
-/// Returns the reflectance of the ground at a point. The ground consists of a road with a
-/// dashed centre line, and pavements on both sides.
+/// Returns the reflectance of a point on the ground: a road with a dashed centre line,
+/// and pavements on both sides.
 double compute_ground_reflectance(const glm::dvec3& point) {
     const double middle = std::abs(point.y - 1.7);
     const bool dash = middle < 0.08 && point.x - 6.0 * std::floor(point.x / 6.0) < 3.0;
     return dash ? 0.8 : middle < 4.2 ? 0.18 : 0.32;
 }
 
-/// Returns a sphere that contains a shape. It is the sphere through the corners of the
-/// shape's box.
+/// Returns the bounding sphere of a shape, through the corners of its box.
 Sphere compute_bounding_sphere(const Shape& shape) { return {shape.centre, glm::length(shape.half)}; }
 
-/// Returns a sphere that contains several shapes. The centre of the sphere is the centre
-/// of the box around all shape centres.
+/// Returns a bounding sphere of several shapes, centred in the bounding box of their
+/// centres.
 Sphere compute_bounding_sphere(std::span<const Shape> shapes) {
     glm::dvec3 low = shapes.front().centre, high = low;
     for (const Shape& shape : shapes) low = glm::min(low, shape.centre), high = glm::max(high, shape.centre);
@@ -119,14 +118,14 @@ Sphere compute_bounding_sphere(std::span<const Shape> shapes) {
 
 }  // namespace
 
-/// Finds the first surface that a ray hits. Tests all shapes one after another.
+/// Finds the first surface that a ray hits. The caller passes all shapes to it, one after
+/// another.
 class StreetCaster::Walk {
 public:
     Walk(const WorldRay& ray, double max_range_m) : ray_(ray), nearest_m_(max_range_m) {}
 
-    /// Returns true if no shape inside a sphere can be the first hit, so that these
-    /// shapes can be skipped. Either the ray misses the sphere, or a nearer hit is
-    /// already known.
+    /// Returns true if the shapes in a sphere can be skipped: the ray misses the sphere,
+    /// or has a nearer hit already.
     bool misses_sphere(const Sphere& sphere, const glm::dvec3& origin, const glm::dvec3& direction) const {
         const glm::dvec3 to = sphere.centre - origin;
         const double along = glm::dot(to, direction), radius2 = sphere.radius_m * sphere.radius_m;
@@ -142,8 +141,7 @@ public:
         hit_ = Hit{t, -ray_.direction.z, compute_ground_reflectance(ray_.origin_m + t * ray_.direction)};
     }
 
-    /// Intersects the ray with a solid shape. Stores the hit if it is nearer than all
-    /// hits before.
+    /// Intersects the ray with a shape, and stores the hit if it is the nearest so far.
     /// @param origin,direction  ray in the frame of the shape's centre
     void solid(const Solid& solid, const glm::dvec3& origin, const glm::dvec3& direction) {
         if (misses_sphere(solid.around, origin, direction)) return;
@@ -159,8 +157,8 @@ public:
         hit_ = Hit{m.t, std::abs(glm::dot(m.normal, d)), glass ? 0.06 : shape.reflectance};
     }
 
-    /// Intersects the ray with an arm or a leg. Stores the hit if it is nearer than all
-    /// hits before.
+    /// Intersects the ray with an arm or a leg, and stores the hit if it is the nearest
+    /// so far.
     /// @param pitch_rad  swing angle of the limb, from straight down to the front
     /// @param origin,direction  ray in the frame of the person's box
     void limb(const Limb& limb, double pitch_rad, const glm::dvec3& origin, const glm::dvec3& direction) {
@@ -211,7 +209,7 @@ std::vector<StreetCaster::Solid> StreetCaster::make_solids(const std::vector<Sha
 }
 
 StreetCaster::StreetCaster(Street street) : solids_(make_solids(street.shapes)) {
-    // maximum size of a cluster, such as a car, a bush or a part of a fence
+    // maximum radius of a group of shapes, such as a car, a bush or a part of a fence
     constexpr double kWide_m = 4.0;
     const std::span<const Shape> shapes = street.shapes;
     for (std::size_t begin = 0, end = 1; begin < shapes.size(); begin = end, ++end) {

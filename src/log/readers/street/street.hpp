@@ -11,12 +11,10 @@
 
 namespace relidar::street {
 
-/// Materials of surfaces. They differ in their reflectance at the wavelength of the
-/// LiDAR.
+/// Materials of surfaces, which differ in reflectance for the laser of a LiDAR.
 enum class Material { road, pavement, wall, metal, paint, leaves };
 
-/// An upright box or an upright cylinder. A cylinder has the radius half.x and the height
-/// 2 half.z.
+/// An upright box or cylinder. A cylinder has the radius half.x and the height 2 half.z.
 struct Shape {
     enum class Kind { box, cylinder } kind = Kind::box;
     glm::dvec3 centre{0.0};
@@ -26,8 +24,8 @@ struct Shape {
     double reflectance = 0.5;  ///< reflectance from 0 to 1
 };
 
-/// A leg or an arm of a walking person. It is a capsule at a joint, which swings forward
-/// and backward once per stride.
+/// A leg or an arm of a walking person: a capsule that swings about its joint once per
+/// stride.
 struct Limb {
     glm::dvec3 joint_m{0.0};  ///< position of the joint in the frame of the person's box
     double length_m = 0.0;    ///< length of the capsule's axis, from the joint to the end
@@ -38,7 +36,7 @@ struct Limb {
 };
 
 /// A moving car, pedestrian or cyclist. It moves straight at constant speed, or along a
-/// track. The shapes are given in the frame of its box.
+/// track. Its shapes are in the frame of its box.
 struct MovingCar {
     const char* category = "Car";
     glm::dvec3 start_m{0.0};  ///< centre of the box at time 0, in the street frame
@@ -48,15 +46,13 @@ struct MovingCar {
     std::vector<Shape> shapes;
     std::vector<Limb> limbs;
     double stride_m = 0.0;  ///< length of a stride; a stride consists of two steps
-    /// Poses in the street frame. If the track is not empty, it is used instead of start,
-    /// yaw and speed.
+    /// Poses in the street frame. A non-empty track replaces start, yaw and speed.
     PoseTrack track;
 
     Pose world_from_box(double t_s) const;
-    /// Returns the distance that the person has walked at a time. Without a track, it is
-    /// 0 at time 0. With a track, it starts at the forward distance from `start_m` to the
-    /// first pose. Therefore the feet of two persons on the same path touch the ground at
-    /// the same places, even at different speeds.
+    /// Returns the distance that the person has walked at a time. It is 0 at time 0, or
+    /// at `start_m` if the person follows a track. Therefore all persons on the same path
+    /// step on the same places, even at different speeds.
     double compute_walked_m(double t_s) const;
 };
 
@@ -65,12 +61,12 @@ struct Street {
     std::vector<MovingCar> cars;
 };
 
-/// Creates the shapes of the street. The random seed in the options determines the
-/// positions of facades, poles, trees and parked cars.
+/// Creates the shapes of a synthetic street. The random seed in the options determines
+/// the positions of facades, poles, trees and parked cars.
 Street make_street(const SyntheticOptions& options);
 
-/// Returns the pose of the sensor in the street frame. The sensor swings gently across
-/// the lane, faces along its path, and has a small pitch. Time 0 is the time of frame 0.
+/// Returns the pose of the sensor on its drive along the street. The sensor swings gently
+/// across the lane, faces along its path, and has a small pitch. Frame 0 has the time 0.
 Pose compute_sensor_pose(const SyntheticOptions& options, double t_s);
 
 /// Returns the time of a frame in seconds. Frames are 0.1 s apart.
@@ -87,8 +83,7 @@ struct Hit {
     double reflectance;
 };
 
-/// Poses of all moving cars at one time. Stored so that consecutive rays with the same
-/// time can reuse them.
+/// Poses of all moving cars at one time. Consecutive rays with the same time reuse them.
 struct CarPlaces {
     std::optional<double> time_s;
     std::vector<glm::dvec3> centre_m;  ///< [cars] centre of the box of each car
@@ -99,16 +94,15 @@ struct CarPlaces {
 class StreetCaster {
 public:
     explicit StreetCaster(Street street);
-    /// Returns the first surface that a ray hits at a time. Ignores surfaces beyond
+    /// Returns the first surface that a ray hits at a time, if it is nearer than
     /// max_range_m.
-    /// @param places  poses of the cars from an earlier ray, or empty. They are
-    /// recomputed if their time differs from t_s.
+    /// @param places  cached poses of the cars, or empty; recomputed if their time
+    /// differs from t_s
     std::optional<Hit> cast(const WorldRay& ray, double t_s, double max_range_m, CarPlaces& places) const;
     std::optional<Hit> cast(const WorldRay& ray, double t_s, double max_range_m) const;
 
 private:
-    /// A shape and values that are computed once per shape, so that ray casting is
-    /// faster.
+    /// A shape with precomputed values for faster ray casting.
     struct Solid {
         Shape shape;
         Sphere around;
@@ -117,16 +111,16 @@ private:
     struct Car {
         MovingCar moving;
         std::vector<Solid> solids;
-        /// maximum distance between the centre of the car's box and a point of the car's
-        /// shapes
+        /// radius of a sphere around the centre of the box that contains all shapes of
+        /// the car
         double reach_m = 0.0;
     };
-    /// Consecutive shapes that are close together, such as the leaves of a bush. If a ray
-    /// misses the bounding sphere, the shapes are not tested.
+    /// A group of shapes that are close together, such as the leaves of a bush. They are
+    /// skipped if a ray misses their bounding sphere.
     struct Cluster {
         Sphere around;
-        /// index after the last shape of the cluster; its first shape follows the last
-        /// shape of the previous cluster
+        /// index after the last shape; the first shape is the `end` of the previous
+        /// cluster
         std::size_t end;
     };
     class Walk;

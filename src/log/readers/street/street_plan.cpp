@@ -17,15 +17,15 @@ namespace relidar::street {
 namespace {
 
 constexpr double kHalfLength_m = 80.0, kLongWay_m = 100.0, kBetweenCars_m = 120.0;
-// The sensor drives in the right-hand lane at y = 0. So the middle between the kerbs is y
-// = 1.1.
+// The sensor drives at y = 0, in the right-hand lane. The middle between the kerbs is at
+// y = 1.1.
 constexpr double kLeftKerb_m = 6.6, kRightKerb_m = -4.4;
 constexpr double kCarLength_m = 4.3, kCarWidth_m = 1.8;
-// Bottom and top of a car's box above the ground. The body of a car begins at 0.2 m. So
-// the box contains the full car but no ground.
+// Height of the bottom and the top of a car's box. Car bodies begin at 0.2 m, so the box
+// contains the full car but no ground.
 constexpr double kBoxBottom_m = 0.15, kBoxTop_m = 1.5;
 constexpr double kBoxCentre_m = 0.5 * (kBoxBottom_m + kBoxTop_m);
-// Start and end of the yard along the street. The yard is left of the pavement.
+// Start and end of the yard along the street, left of the pavement.
 constexpr double kYardBegin_m = 6.0, kYardEnd_m = 32.0;
 
 double compute_middle_time_s(const SyntheticOptions& options) {
@@ -36,8 +36,8 @@ double compute_driven_length_m(const SyntheticOptions& options) {
     return options.speed_mps * compute_frame_time_s(options.n_frames - 1);
 }
 
-/// Returns half the length of the street. In a short log, the sensor can see both ends of
-/// the street. In a long log, the street is longer than the sensor's path.
+/// Returns half the length of the street. The street is longer than the path of the
+/// sensor, so that it continues beyond both ends of a long log.
 double compute_half_length_m(const SyntheticOptions& options) {
     const double way = compute_driven_length_m(options);
     return way > kLongWay_m ? 0.5 * way + kHalfLength_m : kHalfLength_m;
@@ -50,8 +50,8 @@ struct Side {
     double half_m;  ///< half of the length of the street
 };
 
-/// Adds the house facades on one side of the street.
-/// @param yard  if true, leaves out facades along the yard
+/// Adds house facades on one side of the street.
+/// @param yard  if true, leaves a gap for the yard
 void add_facades(Street& street, Random& random, const Side& at, bool yard) {
     const auto& [side, kerb_m, half_m] = at;
     for (double x = -half_m; x < half_m;) {
@@ -95,8 +95,8 @@ void add_poles_and_trees(Street& street, Random& random, const Side& at) {
     }
 }
 
-/// Returns the shapes of a car relative to the centre of the car's box. The body is 0.20
-/// to 0.90 m above the ground, and the cabin 0.90 to 1.45 m.
+/// Returns the shapes of a car in the frame of its box: a body at a height of 0.20 to
+/// 0.90 m, and a cabin at 0.90 to 1.45 m.
 std::vector<Shape> make_car_shapes(double paint) {
     const Shape body{Shape::Kind::box,
                      {0.0, 0.0, 0.55 - kBoxCentre_m},
@@ -113,8 +113,8 @@ std::vector<Shape> make_car_shapes(double paint) {
     return {body, cabin};
 }
 
-/// Returns the shapes of a car with transparent windows. The cabin consists of pillars,
-/// seats and a roof.
+/// Returns the shapes of a car with transparent windows. Its cabin has pillars, seats and
+/// a roof, but no walls.
 std::vector<Shape> make_glazed_car_shapes(double paint) {
     const Shape body = make_car_shapes(paint)[0];
     const Shape roof{Shape::Kind::box,
@@ -158,8 +158,8 @@ void add_parked_cars(Street& street, Random& random, const Side& side, bool glaz
     }
 }
 
-/// Adds a yard with parked cars between a wall and a fence. The posts of the fence are as
-/// wide as the gaps. So a moving sensor sees another part of each car in every sweep.
+/// Adds a yard with parked cars between a wall and a fence. The fence hides about half of
+/// each car, so a moving sensor sees other parts in every sweep.
 void add_yard(Street& street, Random& random) {
     const double fence_y = kLeftKerb_m + 2.4;
     for (double x = kYardBegin_m; x < kYardEnd_m; x += random.uniform(0.4, 1.2))
@@ -188,8 +188,8 @@ MovingCar make_moving_car(const SyntheticOptions& options, double x_at_middle_m,
     return car;
 }
 
-/// Adds an oncoming car. In the middle of the log, the car is 14 m ahead of the sensor.
-/// On a long street, adds one oncoming car per 120 m of the sensor's path.
+/// Adds a car that is 14 m ahead of the sensor in the middle of the log and drives
+/// towards it. A long street has one oncoming car per 120 m.
 void add_oncoming(Street& street, Random& random, const SyntheticOptions& options) {
     constexpr double kSpeed_mps = 9.0, kLane_m = 3.2;
     street.cars.push_back(make_moving_car(options, 14.0, kLane_m, kPi, kSpeed_mps, 0.35));
@@ -201,7 +201,7 @@ void add_oncoming(Street& street, Random& random, const SyntheticOptions& option
                                                   kLane_m, kPi, kSpeed_mps, random.uniform(0.15, 0.8)));
 }
 
-/// Adds a bush that consists of leaves and twigs. Most rays pass between the leaves.
+/// Adds a bush of leaves and twigs, through which most rays pass.
 void add_bush(Street& street, Random& random, const glm::dvec2& at_m) {
     for (int leaf = 0; leaf < 60; ++leaf) {
         const glm::dvec3 place(at_m + glm::dvec2(random.uniform(-1.0, 1.0), random.uniform(-0.5, 0.5)),
@@ -211,8 +211,8 @@ void add_bush(Street& street, Random& random, const glm::dvec2& at_m) {
     }
 }
 
-/// Returns a pedestrian with a width of 0.25 to 0.35 m and a height of 1.75 m. The box
-/// begins 0.05 m above the ground, so it contains the feet but no ground.
+/// Returns a pedestrian, 1.75 m tall and 0.25 to 0.35 m wide. The box begins 0.05 m above
+/// the ground, so that it contains the feet but no ground.
 MovingCar make_walker(const SyntheticOptions& options, const glm::dvec2& at_middle_m, double yaw_rad,
                       double speed_mps) {
     constexpr double kTall_m = 1.75, kBottom_m = 0.05, kHalf_m = 0.5 * (kTall_m - kBottom_m);
@@ -233,9 +233,8 @@ MovingCar make_walker(const SyntheticOptions& options, const glm::dvec2& at_midd
     return walker;
 }
 
-/// Replaces the static legs of a pedestrian by swinging legs and arms. A foot on the
-/// ground moves backward relative to the body, as fast as the body moves forward. So the
-/// foot does not slide.
+/// Replaces the static legs of a pedestrian by swinging legs and arms. Feet on the ground
+/// do not slide, because they swing backward as fast as the body moves forward.
 void add_walking_gait(MovingCar& walker) {
     constexpr double kLeg_m = 0.72, kLegRadius_m = 0.075, kHip_m = 0.09, kArm_m = 0.5, kArmRadius_m = 0.045,
                      kShoulder_m = 0.23;
@@ -294,8 +293,8 @@ Street make_street(const SyntheticOptions& options) {
     add_parked_cars(street, random, left, options.people);
     add_parked_cars(street, random, right, options.people);
     if (options.moving_cars) {
-        // Initial distance of the car ahead. It is large enough that the sensor never
-        // overtakes the car.
+        // Initial distance of the car ahead, which is large enough that the sensor never
+        // overtakes it.
         const double ahead_m = compute_driven_length_m(options) > kLongWay_m
                                    ? 12.0 + 0.05 * 0.5 * compute_driven_length_m(options)
                                    : 12.0;

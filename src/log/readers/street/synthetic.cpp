@@ -27,8 +27,7 @@ namespace {
 using street::Hit;
 
 constexpr double kMaxRange_m = 80.0;
-// maximum number of rays of a log; a ray needs 44 bytes, so a log needs at most about 9
-// GB
+// Maximum number of rays of a log. A ray needs 44 bytes, so this limits a log to 9 GB.
 constexpr double kMostRays = 2e8;
 
 void check(const SyntheticOptions& options) {
@@ -69,10 +68,10 @@ double compute_echo_intensity(const Hit& hit) {
     return glm::clamp(hit.reflectance * (0.3 + 0.7 * hit.cosine) * (1.0 - hit.range_m / 160.0), 0.0, 1.0);
 }
 
-/// Returns the shapes of the street that rays of one sweep can reach. Fewer shapes make
-/// ray casting faster.
+/// Returns only the shapes that rays of one sweep can reach, which makes ray casting
+/// faster.
 street::Street crop_street(const street::Street& whole, const glm::dvec3& sensor_m, double time_s) {
-    // Maximum distance that the sensor, the ray origins and the cars move during a sweep.
+    // Upper bound of the distances that the sensor and the cars move during a sweep.
     constexpr double kSweep_m = 20.0;
     street::Street near;
     for (const street::Shape& shape : whole.shapes)
@@ -85,14 +84,15 @@ street::Street crop_street(const street::Street& whole, const glm::dvec3& sensor
     return near;
 }
 
-/// Casts every ray of a scan at its firing time. Calls `receive(ray, hit)` for each ray,
-/// which converts the hit to a measurement.
+/// Casts every ray of a scan at its firing time. Calls `receive(ray, hit)` for each ray
+/// that hits a surface.
 template <class Receive>
 void cast_rays(const street::Street& whole, const glm::dvec3& offset_m, const PoseTrack& track, double time_s,
                const RayTable& rays, const Receive& receive) {
     const street::StreetCaster street(crop_street(whole, track.at(time_s).translation + offset_m, time_s));
     const std::size_t columns = rays.rows > 1 ? std::size_t(rays.columns) : 1;
-    // Car poses for each column, because the rays of a column usually have the same time.
+    // One cache of car poses per column, because rays of a column usually have the same
+    // time.
     std::vector<street::CarPlaces> places(columns);
     for (std::size_t ray = 0; ray < rays.size(); ++ray) {
         WorldRay in_street = make_world_ray(track, time_s, rays, ray, true);
@@ -107,14 +107,14 @@ Scan make_empty_scan(const RayTable& rays) {
     return {rays, ScanArray<float>(rays.size(), 0.0f), ScanArray<float>(rays.size(), 0.0f)};
 }
 
-/// Returns the origin of the log in the street frame. It is the position of the sensor in
-/// the middle frame.
+/// Returns the origin of the log in the street frame: the sensor position in the middle
+/// frame.
 glm::dvec3 compute_origin(const SyntheticOptions& options) {
     return street::compute_sensor_pose(options, street::compute_frame_time_s(options.n_frames / 2))
         .translation;
 }
 
-/// Casts a scan without noise. Drops a ray if its drop probability is above 0.5.
+/// Casts a scan without noise. Rays with a drop probability above 0.5 are dropped.
 Scan cast_exactly(const street::Street& street, const glm::dvec3& offset_m, const RayTable& rays,
                   const PoseTrack& track, double time_s) {
     Scan scan = make_empty_scan(rays);
@@ -135,8 +135,8 @@ Scan cast_beams(const street::Street& street, const glm::dvec3& offset_m, const 
     return street::receive(rays, cast_exactly(street, offset_m, street::make_cone_rays(rays), track, time_s));
 }
 
-/// Returns the random seed of a frame. The first of several LiDARs has the same seeds as
-/// a single LiDAR with the same options.
+/// Returns the random seed of a frame. Further LiDARs do not change the seeds of the
+/// first LiDAR.
 std::uint64_t seed_of(const SyntheticOptions& options, const Frame& frame) {
     const std::uint64_t seed = combine_hashes(options.seed, static_cast<std::uint64_t>(frame.index));
     return frame.lidar == 0 ? seed : combine_hashes(seed, static_cast<std::uint64_t>(frame.lidar));
@@ -190,8 +190,8 @@ std::vector<BoxTrack> make_boxes(const street::Street& street, const std::vector
     return build_tracks(labels);
 }
 
-/// Returns the sensors of the rig file. If the options name no rig file, returns the
-/// default sensor.
+/// Returns the sensors in the rig file (a list of mounted sensors). Without a rig file,
+/// returns the default sensor.
 std::vector<MountedSensor> make_sensors(const SyntheticOptions& options) {
     if (options.rig.empty()) {
         const SpinningSensor own = make_sensor(options);

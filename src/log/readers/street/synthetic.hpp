@@ -17,7 +17,7 @@ namespace relidar {
 /// @throws UsageError if no frame is in the requested range or a poses file is given
 Sequence load_synthetic(const std::filesystem::path& folder, const DatasetOptions& options);
 
-/// Generates only the frames [begin, end) of the log that make_synthetic_street()
+/// Generates the frames [begin, end) of the synthetic log that make_synthetic_street()
 /// generates.
 Sequence make_synthetic_frames(const SyntheticOptions& options, int begin, int end);
 

@@ -25,16 +25,15 @@ namespace fs = std::filesystem;
 const std::vector<std::string> kKeys{"seed",      "n_frames",    "rows",   "columns", "range_noise_m",
                                      "speed_mps", "moving_cars", "people", "gait",    "rig"};
 
-/// Reads the value of a key, if the key exists.
-/// @throws DataError if the value has the wrong type; an integer is accepted as a real
-/// number
+/// Reads the value of a TOML key, if the key exists. Accepts an integer as a real number.
+/// @throws DataError if the value has another wrong type
 template <class T>
 void read_value(const toml::table& table, const char* key, const char* type, const std::string& file,
                 T& value) {
     const toml::node* node = table.get(key);
     if (!node) return;
-    // Check the type first, because toml++ converts a real number to an integer without
-    // an error.
+    // toml++ converts real numbers to integers without an error, so the type is checked
+    // first.
     const bool is_cut = std::is_integral_v<T> && node->is_floating_point();
     const auto found = is_cut ? std::nullopt : node->value<T>();
     if (!found)
@@ -43,11 +42,11 @@ void read_value(const toml::table& table, const char* key, const char* type, con
     value = *found;
 }
 
-/// Replaces the exact poses of a synthetic log by poses from a file in the same world
-/// frame. The scans stay unchanged, so this shows the effect of wrong poses.
+/// Replaces the exact poses of a synthetic log by poses from a file, but keeps the scans.
+/// Used to test the effect of wrong poses.
 void use_poses_file(Sequence& sequence, const fs::path& poses_file) {
     std::vector<int> frames;
-    // all LiDARs of a rig have the same vehicle pose, so use each frame number once
+    // All LiDARs of a frame share one vehicle pose, so each frame number is used once.
     for (const Frame& frame : sequence.frames)
         if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);
     PoseTrack track{sequence.world_from_vehicle.time_s, std::vector<Pose>(frames.size())};
@@ -92,7 +91,7 @@ SyntheticOptions read_options(const fs::path& path) {
     read_value(table, "people", "true or false", file, options.people);
     read_value(table, "gait", "true or false", file, options.gait);
     read_value(table, "rig", "a file", file, options.rig);
-    // The path of the rig file is absolute, or relative to the folder of street.toml.
+    // A relative path of the rig file starts in the folder of street.toml.
     if (!options.rig.empty()) options.rig = (path.parent_path() / options.rig).string();
     return options;
 }
@@ -112,8 +111,8 @@ Sequence load_synthetic(const fs::path& folder, const DatasetOptions& options) {
     Sequence sequence;
     try {
         sequence = make_synthetic_frames(street, options.frames.begin, end);
-        // reports a DataError, because the invalid value is in a file and not on the
-        // command line
+        // The wrong value is in a file and not on the command line, so the error becomes
+        // a DataError.
     } catch (const UsageError& error) {
         throw DataError(fmt::format("{}: {}", file.string(), error.what()));
     }

@@ -38,7 +38,7 @@ namespace {
 namespace fs = std::filesystem;
 using namespace waymo;
 
-// Names of the LiDARs. The index is a value of Waymo's enum LaserName.
+// Names of the LiDARs, indexed by Waymo's enum LaserName.
 constexpr const char* kLaserNames[] = {"", "TOP", "FRONT", "SIDE_LEFT", "SIDE_RIGHT", "REAR"};
 
 struct Segment {
@@ -81,7 +81,7 @@ Segment choose_segment(const fs::path& path, const DatasetOptions& options) {
                     make_excerpt(options.sequence), files.size(), path.string()));
 }
 
-/// Returns the range [begin, end) of records that contain the requested frames.
+/// Returns the records [begin, end) that contain the requested frames.
 std::pair<int, int> record_range(const TfRecords& records, const FrameRange& frames) {
     const int n = static_cast<int>(std::min<std::size_t>(records.size(), 1 << 30));
     const int end = frames.end < 0 ? n : std::min(frames.end, n);
@@ -96,8 +96,8 @@ std::string record_name(const TfRecords& records, int record) {
     return fmt::format("{}: record {}", records.file().string(), record);
 }
 
-/// Returns the vehicle pose at the time of a pixel. The pixel stores roll, pitch, yaw, x,
-/// y, z.
+/// Returns the vehicle pose when a pixel was measured. The pose image stores it as roll,
+/// pitch, yaw, x, y, z.
 Pose read_pixel_pose(const Image& poses, std::size_t pixel, const std::string& location) {
     const float* v = poses.pixel(pixel);
     if (!std::all_of(v, v + 6, [](float value) { return std::abs(value) <= 1e8f; }))
@@ -106,12 +106,12 @@ Pose read_pixel_pose(const Image& poses, std::size_t pixel, const std::string& l
     return {make_rotation(double(v[2]), double(v[1]), double(v[0])), {v[3], v[4], v[5]}};
 }
 
-// Number of channels of each image type. A range image has range, intensity, elongation
-// and no-label zone. A pose image has roll, pitch, yaw, x, y, z.
+// Channels of a range image (range, intensity, elongation, no-label zone) and of a pose
+// image (roll, pitch, yaw, x, y, z).
 constexpr int kImageChannels = 4, kPoseChannels = 6;
 
-/// Reads the image with the vehicle pose of each pixel and checks the image size. Returns
-/// nothing if the LiDAR has no such image.
+/// Reads the image with the vehicle pose of each pixel, or returns nothing if the LiDAR
+/// has none.
 std::optional<Image> read_pixel_poses(const LaserImages& laser, const Image& image,
                                       const std::string& location) {
     if (laser.pixel_pose.empty()) return std::nullopt;
@@ -130,8 +130,8 @@ const LaserImages& find_laser_images(const FrameRecord& frame, int laser, const 
                                 kLaserNames[laser]));
 }
 
-/// Returns the vehicle pose at the time when the head of TOP faces forward. Uses the pose
-/// of the pixel with a return that is nearest to the middle column.
+/// Returns the vehicle pose when the LiDAR TOP faces forward: the pose of the pixel that
+/// is nearest to the middle column, among pixels with a return.
 Pose find_forward_pose(const FrameRecord& frame, const std::string& location) {
     if (frame.images.empty() || frame.images.front().laser != kTop) return frame.world_from_vehicle;
     const std::string in_top = location + ": TOP";
@@ -146,8 +146,8 @@ Pose find_forward_pose(const FrameRecord& frame, const std::string& location) {
     return nearest ? read_pixel_pose(*poses, *nearest, in_top) : frame.world_from_vehicle;
 }
 
-/// Data of a frame that is read before any scan, because placing a ray needs the poses of
-/// all frames.
+/// Pose and labels of a frame. They are read for all frames before the scans, because
+/// placing rays needs the poses of all frames.
 struct FrameHead {
     std::int64_t timestamp_us = 0;
     Pose world_from_vehicle;       ///< vehicle pose at the time when the head of the LiDAR faces forward
@@ -201,12 +201,11 @@ Lidar make_lidar(const FrameRecord& frame, const LaserImages& images, double per
     return lidar;
 }
 
-/// Converts the range images of a LiDAR to a scan. Each pixel becomes one ray of the
-/// sensor.
+/// Converts the range images of a LiDAR in one frame to a scan, with one ray per pixel.
 class RangeImageReader {
 public:
-    /// Creates a reader for one frame of a LiDAR.
-    /// @param clamps  if true, intensities above 1 become 1; if false, intensities are
+    /// Creates a reader for one LiDAR in one frame.
+    /// @param clamps  if true, intensities are clamped to 1; if false, intensities are
     /// scaled with tanh
     RangeImageReader(const Sequence& sequence, const Frame& frame, RayTable model, std::string location,
                      bool clamps)
@@ -214,8 +213,7 @@ public:
         scan.rays = std::move(model);
         scan.range_m.assign(scan.rays.size(), 0.0f);
         scan.intensity.assign(scan.rays.size(), 0.0f);
-        // All rows of a column are fired at the same time, so compute one pose per
-        // column.
+        // All rays of a column fire at the same time, so one pose per column is enough.
         for (int column = 0; column < scan.rays.columns; ++column) {
             const double time_s = frame.time_s + double(scan.rays.time_offset_s[std::size_t(column)]);
             sensor_from_world_.push_back(
@@ -244,8 +242,7 @@ private:
     const Lidar& lidar_;
     std::string where_;
     bool clamps_;
-    /// [columns] transform from the world of the log to the sensor at the time of each
-    /// column
+    /// [columns] transform from the world of the log to the sensor when the column fires
     std::vector<Pose> sensor_from_world_;
 
     Image inflate_image_of_pixels(std::string_view packed) const {
@@ -274,8 +271,9 @@ private:
         }
     }
 
-    /// Places a ray in the world with a vehicle pose of the dataset. Then transforms the
-    /// ray to the sensor frame that the poses of the log give at the time of the ray.
+    /// Corrects a ray for the difference between two vehicle poses at its firing time:
+    /// the pose in the dataset, and the pose that is interpolated between the frames of
+    /// the log.
     void place(std::size_t ray, const Pose& world_from_vehicle) {
         const Pose moved = sensor_from_world_[ray % std::size_t(scan.rays.columns)] *
                            (world_from_vehicle * lidar_.vehicle_from_sensor);
@@ -284,8 +282,8 @@ private:
     }
 };
 
-/// Adds the LiDARs of the first frame, all frames, and the box labels to the log. Does
-/// not read scans.
+/// Adds LiDARs, frames and box labels to the log, but no scans. The first frame defines
+/// the LiDARs.
 void add_frames(Sequence& sequence, const TfRecords& records, const std::vector<FrameHead>& heads, int begin,
                 bool top_alone) {
     const double period_s = compute_median_period(heads, records.file().string());
@@ -301,8 +299,8 @@ void add_frames(Sequence& sequence, const TfRecords& records, const std::vector<
     const std::int64_t start_us = parse_frame(records.read(0), record_name(records, 0)).timestamp_us;
     std::vector<BoxLabel> labels;
     for (std::size_t i = 0; i < heads.size(); ++i) {
-        // The time stamp is the start of the sweep, when the head faces backward. The
-        // head faces forward half a period later.
+        // The time stamp is the start of the sweep, when the head faces backward. Half a
+        // period later it faces forward, which is the time of a frame.
         const double time_s = 1e-6 * double(heads[i].timestamp_us - start_us) + 0.5 * period_s;
         for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)
             add_frame(sequence, begin + int(i), time_s, heads[i].world_from_vehicle, lidar);
@@ -319,8 +317,8 @@ void read_scans(Sequence& sequence, const TfRecords& records, const DatasetOptio
     std::vector<RayTable> models;
     for (const Lidar& lidar : sequence.lidars) {
         RayTable& model = models.emplace_back(make_rays(lidar.sensor));
-        // The dataset contains no times for rays of the other LiDARs, so all their rays
-        // get the time of the frame.
+        // Rays of the other LiDARs have no times in the dataset, so they get the time of
+        // the frame.
         if (lidar.name != kLaserNames[kTop])
             std::fill(model.time_offset_s.begin(), model.time_offset_s.end(), 0.0f);
     }
@@ -328,8 +326,8 @@ void read_scans(Sequence& sequence, const TfRecords& records, const DatasetOptio
     for_each_with_progress(
         sequence.frames.size() / n_lidars, options.progress, "reading range images", [&](std::size_t sweep) {
             const int record = sequence.frames[sweep * n_lidars].index;
-            // The record is complete, because the pose of this record has already been
-            // read.
+            // The pose in this record has been read before, so the record is known to be
+            // complete.
             const std::string data = records.read(std::size_t(record)), where = record_name(records, record);
             const FrameRecord parsed = parse_frame(data, where);
             for (std::size_t lidar = 0; lidar < n_lidars; ++lidar) {

@@ -34,7 +34,7 @@ constexpr std::uint32_t make_single_real_tag(std::uint32_t field) {
     return protozero::tag_and_type(field, pbf_wire_type::fixed32);
 }
 
-// maximum size of a decompressed image; an image of TOP with six channels has 4 MB
+// Maximum size in bytes of a decompressed image. A six-channel image of TOP has 4 MB.
 constexpr std::size_t kMostInflated = std::size_t(32) << 20;
 constexpr double kLargestOfFrame = 1e8;  // maximum value of all numbers in a frame (metres or radians)
 
@@ -54,7 +54,7 @@ void append_packed(pbf_reader& from, std::vector<double>& to) {
     for (const double value : from.get_packed_double()) to.push_back(value);
 }
 
-/// Parses a Transform message, which is a 4x4 matrix of doubles, row-major.
+/// Parses a Transform message: a 4x4 matrix of doubles, row-major.
 Pose parse_transform(pbf_reader from, const std::string& location) {
     std::vector<double> m;
     while (from.next()) {
@@ -115,7 +115,7 @@ void parse_context(pbf_reader from, FrameRecord& frame, const std::string& locat
     }
 }
 
-/// Parses a RangeImage message. Returns two compressed images: the range image, and the
+/// Parses a RangeImage message. Its two compressed images are the range image and the
 /// vehicle poses of its pixels.
 void parse_range_image(pbf_reader from, std::string_view& image, std::string_view& pixel_pose) {
     while (from.next()) {
@@ -153,8 +153,7 @@ LaserImages parse_laser(pbf_reader from) {
     return laser;
 }
 
-/// Parses a Box message. The fields are centre, width, length, height and heading, in
-/// this order.
+/// Parses a Box message, whose fields are centre, width, length, height and heading.
 void parse_box(pbf_reader from, BoxLabel& label, const std::string& location) {
     double v[8] = {};
     while (from.next()) {
@@ -169,8 +168,8 @@ void parse_box(pbf_reader from, BoxLabel& label, const std::string& location) {
     label.world_from_box = {glm::angleAxis(v[7], glm::dvec3(0, 0, 1)), {v[1], v[2], v[3]}};
 }
 
-/// Returns the category of an object that can move. Returns null for signs, because signs
-/// belong to the background.
+/// Returns the category of an object, or null for signs, which cannot move and belong to
+/// the background.
 const char* get_category(int type) {
     constexpr int kVehicle = 1, kPedestrian = 2, kCyclist = 4;
     return type == kVehicle      ? "vehicle"
@@ -258,7 +257,8 @@ std::string inflate(std::string_view packed, const std::string& location) {
     return bytes;
 }
 
-/// Calls parse(). Converts exceptions of the protobuf library protozero to DataError.
+/// Calls a function that parses protobuf, and converts exceptions of the library
+/// protozero to DataError.
 template <class Parse>
 auto parse_with_context(const std::string& location, const Parse& parse) {
     try {

@@ -14,25 +14,24 @@ namespace relidar::waymo {
 
 inline constexpr int kTop = 1;  ///< LaserName of TOP, the long-range LiDAR on the roof
 
-/// Calibration of a LiDAR. In the frame of the LiDAR, x points forward, y left and z up.
+/// Calibration of a Waymo LiDAR. In its frame, x points forward, y left and z up.
 struct Calibration {
     int laser = 0;  ///< number of the LiDAR in Waymo's enum LaserName
     /// Elevation of each row, ascending. If empty, the rows are evenly spaced between the
-    /// limits.
+    /// minimum and the maximum.
     std::vector<double> inclination_rad;
     double min_inclination_rad = 0.0, max_inclination_rad = 0.0;
     Pose vehicle_from_laser;
 };
 
-/// Compressed range images of one LiDAR in a frame. The views point to memory of the
-/// record, so the record must stay valid.
+/// Compressed range images of one LiDAR in one frame. They are views of the record, which
+/// must stay in memory.
 struct LaserImages {
     int laser = 0;
-    /// images of the first and the second returns; `second` is empty if the file has no
-    /// second returns
+    /// images of the first and the second returns; `second` is empty if there are none
     std::string_view first, second;
-    /// Vehicle pose of each pixel of the first return. Empty if all pixels use the
-    /// vehicle pose of the record.
+    /// Image with the vehicle pose of each pixel of `first`. Empty if the record has only
+    /// one pose for all pixels.
     std::string_view pixel_pose;
 };
 
@@ -41,8 +40,8 @@ struct FrameRecord {
     Pose world_from_vehicle;          ///< vehicle pose at about the middle of the sweep
     std::vector<Calibration> lasers;  ///< sorted by LaserName
     std::vector<LaserImages> images;  ///< sorted by LaserName
-    /// Box labels of vehicles, pedestrians and cyclists in the vehicle frame. Their times
-    /// are not set.
+    /// Box labels of vehicles, pedestrians and cyclists in the vehicle frame, without
+    /// times.
     std::vector<BoxLabel> labels;
 };
 /// Parses one record of a .tfrecord file.
@@ -63,7 +62,7 @@ struct Image {
 /// channels
 Image inflate_image(std::string_view packed, int channels, const std::string& location);
 
-/// Returns the elevation of each row of a range image, from the highest to the lowest
+/// Returns the elevation of each row of a range image, from the top row to the bottom
 /// row.
 std::vector<double> compute_row_elevations(const Calibration& calibration, int rows,
                                            const std::string& location);

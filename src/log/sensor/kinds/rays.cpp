@@ -16,9 +16,8 @@ nlohmann::ordered_json make_vectors_json(const ScanArray<glm::vec3>& vectors) {
     return json;
 }
 
-/// Returns the number of rows of a ray table. If the member `rows` exists, uses it. If
-/// the vectors are nested by rows, uses the length of the outer list. Otherwise, returns
-/// 1.
+/// Returns the number of rows of a ray table: the member `rows` or, if the directions are
+/// nested by rows, the length of the outer list. Otherwise returns 1.
 std::size_t count_rows(const JsonField& field) {
     if (field.has("rows")) return std::size_t(field.at("rows").integer(1, std::int64_t(kMaxRays)));
     const JsonField list = field.at("directions");

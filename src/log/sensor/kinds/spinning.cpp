@@ -10,10 +10,10 @@
 namespace relidar {
 namespace {
 
-// maximum distance between a beam's origin and the sensor's origin
+// maximum distance of a beam's origin from the sensor's origin
 constexpr double kFarthestBeam_m = 100.0;
-// Maximum absolute value of intensity gains and intensity offsets, and of range offsets
-// in metres.
+// Maximum absolute value of gains and offsets of intensities, and of range offsets in
+// metres.
 constexpr double kLargestResponse = 1e3;
 constexpr double kLargestTurn_deg = 5730.0;  // 100 radians
 constexpr std::size_t kMostBeams = 65534;
@@ -69,8 +69,8 @@ nlohmann::ordered_json make_beam_json(const Beam& beam) {
 struct SpinningFunctions {
     using Pattern = SpinningSensor;
 
-    /// Reads a spinning sensor. The JSON object has no beams if only the scans of the
-    /// LiDAR are known, but not its beam table.
+    /// Reads a spinning sensor from JSON. The beams can be missing, for a LiDAR of which
+    /// only scans exist.
     static SensorModel parse(const JsonField& field, const std::string& text) {
         pattern_detail::check_members(field, {"beams", "columns", "clockwise"}, {"first_azimuth"});
         SpinningSensor sensor;

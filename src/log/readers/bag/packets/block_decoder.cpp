@@ -43,20 +43,20 @@ constexpr int kNoRing = -1;
 constexpr double kDegree = kPi / 180.0;
 constexpr double kLargestStep_deg = 5.0;  // maximum rotation between two blocks
 
-/// A beam of the decoded scan. A laser that fires in two firing sequences becomes two
-/// beams.
+/// A beam of the scan. Some sensors alternate between two firing sequences. A laser in
+/// both sequences becomes two beams.
 struct BlockBeam {
     std::size_t laser = 0;  ///< index of the laser in a firing, from 0
     std::size_t part = 0;   ///< index of the firing sequence
     std::size_t line = 0;   ///< row of the laser in the beam table of the built-in sensor
-    /// elevation from the sensor's angle correction file; 0 if the file is missing
+    /// elevation in the angle correction file of the sensor; 0 without such a file
     double elevation_deg = 0.0;
     /// time from the start of the first firing sequence to the firing of the laser
     double offset_us = 0.0;
 };
 
-/// Stores a return of a ray. A ray keeps at most two returns. A third return replaces the
-/// darker of the two if it is brighter and has another range than both.
+/// Stores a return of a ray. A ray keeps two returns. A third return with another range
+/// replaces the darker one if it is brighter.
 /// @param number  number of the return in the packet, from 0
 void add_echo(std::array<Echo, 2>& echoes, std::size_t number, const Echo& echo) {
     if (number < 2) {
@@ -147,18 +147,18 @@ private:
     Timing timing_;
     std::vector<BeamFiring> table_;
     std::int32_t first_ns_ = std::numeric_limits<std::int32_t>::max();  ///< earliest time in the loops
-    /// [lasers] angles of the lasers as calibrated by the manufacturer; empty if unknown
+    /// [lasers] angles of the lasers from the manufacturer's calibration; empty if
+    /// unknown
     std::vector<LaserAngles> angles_;
-    /// text about the source of the angles, for notes to the user
+    /// note for the user about the source of the angles
     std::string angles_about_ = "beam angles from the data sheet";
     std::vector<BlockBeam> beams_;  ///< [rings]
-    /// [firing sequences, lasers] ring of each laser, or kNoRing if the laser does not
-    /// fire
+    /// [firing sequences, lasers] ring of each laser; kNoRing if it does not fire in the
+    /// sequence
     std::vector<std::vector<int>> ring_of_;
 
-    /// Selects the angle correction file for this sensor by the number of lasers. If
-    /// several files match, uses none of them, because it is unknown which file is the
-    /// right one.
+    /// Selects the angle correction file with the right number of lasers. If several
+    /// files match, uses none, because it is unknown which one belongs to the sensor.
     void choose_angles(const std::vector<Correction>& corrections) {
         const std::size_t n = layout_.lasers();
         std::string files;
@@ -181,7 +181,7 @@ private:
         }
     }
 
-    /// Adds one beam for each firing sequence in which a laser fires.
+    /// Adds the beams of a laser, one for each firing sequence in which it fires.
     void add_beams(std::size_t line) {
         BlockBeam beam{std::size_t(table_[line].channel - layout_.first_channel), 0, line, 0.0,
                        table_[line].offset_us};
@@ -194,7 +194,8 @@ private:
         }
     }
 
-    /// Returns the index of the firing sequence that a firing belongs to.
+    /// Returns the index of the firing sequence of a firing, for sensors that alternate
+    /// between two sequences.
     /// @param number  number of the firing in the packet
     int find_part(std::string_view bytes, std::size_t number, std::size_t n_returns) const {
         if (layout_.part_rule == PartRule::none) return 0;
@@ -209,7 +210,7 @@ private:
         return layout_.is_big_endian ? std::uint16_t(value << 8 | value >> 8) : value;
     }
 
-    /// Reads the time of a packet by the sensor's clock, in nanoseconds.
+    /// Reads the time of a packet on the sensor's clock, in nanoseconds.
     std::int64_t read_clock(std::string_view bytes) const {
         bag::ByteReader reader(bytes.substr(layout_.time_at));
         if (!layout_.is_big_endian) return std::int64_t(1000) * reader.number<std::uint32_t>();
@@ -245,8 +246,8 @@ private:
         }
     }
 
-    /// Computes the time of each firing in a packet. Firings in the same block share one
-    /// azimuth, so also interpolates the azimuth of each firing.
+    /// Computes the time of each firing in a packet. Interpolates the azimuths of firings
+    /// in the same block, which stores only one azimuth.
     void add_times(Packet& packet) const {
         const int n = packet.n_slots, per_block = int(layout_.firings);
         double step_deg = 0.0;  // rotation between two blocks
@@ -260,8 +261,7 @@ private:
             if (slot % per_block == 0 && next < packet.firings.size()) {
                 const double to_next =
                     std::remainder(packet.firings[next].azimuth_deg - firing.azimuth_deg, 360.0);
-                // A larger step crosses a sector in which the sensor does not fire, so it
-                // is not used.
+                // A larger step crosses a sector in which the sensor does not fire.
                 if (std::abs(to_next) < kLargestStep_deg) step_deg = to_next;
             }
             firing.azimuth_deg = std::fmod(
@@ -278,7 +278,7 @@ std::unique_ptr<Decoder> make_block_decoder(const char* name, const Calibration&
     };
     const auto* layout =
         find_layout(std::string(name) + (calibration.has_two_returns ? " with two returns" : ""));
-    // only some sensors have another layout for packets with two returns
+    // Most sensors use the same layout for packets with one return and with two returns.
     if (layout == std::end(kLayouts)) layout = find_layout(name);
     return std::make_unique<BlockDecoder>(*layout, calibration.corrections);
 }

@@ -10,8 +10,8 @@
 
 namespace relidar::packets {
 
-/// [lasers] time from the start of a block to the firing of each laser, in nanoseconds.
-/// The value is -1 if the laser does not fire in the block.
+/// [lasers] time in nanoseconds from the start of a block until each laser fires; -1 if
+/// the laser does not fire in this block
 using LaserTimes = std::array<std::int32_t, 128>;
 
 // Firing times of the QT128, which alternates between two firing sequences. Lasers 65 to
@@ -77,7 +77,7 @@ inline constexpr LaserTimes kOt128State1 = {
 inline constexpr LaserTimes kOt128Standard[] = {kOt128All};
 inline constexpr LaserTimes kOt128States[] = {kOt128State0, kOt128State1};
 
-/// The field of a packet that contains the firing sequence of a block.
+/// How a packet states which of two firing sequences a block belongs to.
 enum class PartRule {
     none,           ///< no field, because all blocks have the same firing sequence
     mode_flag,      ///< number of the block; for packets with two returns, bit 0 of a byte
@@ -91,33 +91,32 @@ struct Layout {
     std::size_t blocks_at = 0, n_blocks = 12;
     bool flagged = false;   ///< true if two bytes precede the azimuth of each block
     std::size_t banks = 1;  ///< blocks per firing and return
-    /// number of lasers in a block, and number of bytes per laser (range and
-    /// reflectivity)
+    /// lasers per block, and bytes per laser (range and reflectivity)
     std::size_t block_lasers = 32, unit_bytes = 3;
     std::size_t firings = 1;        ///< firings per block
     std::size_t block_returns = 1;  ///< returns of a firing in the same block
-    /// Unit of the ranges in metres. 0 means that byte `unit_at` of the packet contains
-    /// the unit in millimetres.
+    /// Unit of the ranges in metres. If 0, byte `unit_at` of the packet contains the unit
+    /// in millimetres.
     double range_unit_m = 0.0;
     std::size_t unit_at = 9, time_at = 0;
     std::size_t mode_at = 0;  ///< byte offset of the return mode; 0 if all packets have one return
-    /// True if numbers are stored with the highest byte first. The time is then stored as
-    /// milliseconds and microseconds.
+    /// True if the highest byte of a number is first. Times then consist of milliseconds
+    /// and microseconds.
     bool is_big_endian = false;
     double wrap_us = 1e6, cycle_us = 50.0;
-    /// If true, the last firing starts `shift_us` after the packet's time. If false, the
-    /// first firing starts `shift_us` after the packet's time.
+    /// Whether `shift_us` refers to the last firing of a packet (true) or to its first
+    /// firing (false).
     bool at_end = true;
-    /// time from the packet's time to the start of its last or first firing
+    /// time from the packet's time stamp to the start of its last or first firing
     double shift_us = 0.0;
     double forward_deg = 90.0;        ///< azimuth of the sensor's x axis in the angles of the packet
     int first_channel = 1;            ///< number of the first channel in the beam table
     bool has_correction_file = true;  ///< true if each unit has a file with its beam angles
-    /// Highest range value that means "no return". The range 0 always means "no return".
+    /// Range values up to this one mean "no return".
     std::uint16_t last_marker = 0;
-    /// [firing sequences] firing times of the lasers in each firing sequence, if the
-    /// sensor alternates between sequences. The decoder subtracts the earliest of these
-    /// times. Empty if the sensor's beam table contains the firing times.
+    /// [firing sequences] firing times of the lasers, for sensors that alternate between
+    /// firing sequences. The decoder subtracts the earliest time. Empty for other
+    /// sensors, whose firing times are in the beam table.
     std::span<const LaserTimes> loops = {};
     PartRule part_rule = PartRule::none;
     std::size_t part_at = 0;  ///< byte offset of the field that contains the firing sequence

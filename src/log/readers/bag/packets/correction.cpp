@@ -30,7 +30,7 @@ bool is_word(std::string_view cell, std::string_view word) {
     });
 }
 
-/// Returns true if a file looks like an angle correction of a sensor.
+/// Returns true if a file looks like an angle correction file of a LiDAR.
 bool is_correction(const fs::path& file) {
     std::error_code failed;
     if (!is_word(file.extension().string(), ".csv") || !fs::is_regular_file(file, failed) ||
@@ -42,7 +42,7 @@ bool is_correction(const fs::path& file) {
     return header.size() >= 3 && is_word(header[1], "elevation") && is_word(header[2], "azimuth");
 }
 
-/// Reads all angle corrections in a folder. Ignores files that cannot be read.
+/// Reads all angle correction files in a folder. Ignores unreadable files.
 void add_corrections(const fs::path& folder, std::vector<Correction>& corrections) {
     std::vector<fs::path> files;
     std::error_code failed;

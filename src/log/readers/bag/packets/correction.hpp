@@ -20,7 +20,7 @@ struct Correction {
     std::vector<LaserAngles> lasers;  ///< measured angles of laser 1, 2 and so on
 };
 
-/// Reads an angle correction file from its text.
+/// Parses an angle correction file, which contains the measured angles of each laser.
 /// @param location  name of the file, for error messages
 /// @throws DataError if a line is invalid, or if a laser is missing
 Correction read_correction(const std::string& text, const std::string& location);

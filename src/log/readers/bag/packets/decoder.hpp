@@ -18,7 +18,7 @@
 
 namespace relidar::packets {
 
-/// The bytes of a packet as they were received, with the receive time.
+/// A received packet: its bytes and the time at which it was received.
 struct PacketView {
     std::int64_t stamp_ns = 0;
     std::string_view bytes;
@@ -32,20 +32,18 @@ struct Echo {
 
 /// One firing of all beams.
 struct Firing {
-    /// index of the firing in the packet; firings that were not measured also have an
-    /// index
+    /// index of the firing in the packet, also counting firings that were not measured
     int slot = 0;
     double after_us = 0.0;  ///< time from the packet's time to the first beam of the firing
-    /// Azimuth of the head when the first beam of the firing fires. It is clockwise from
-    /// the sensor's x axis, in [0, 360).
+    /// Azimuth of the head at the start of the firing, clockwise from the sensor's x
+    /// axis, in [0, 360).
     double azimuth_deg = 0.0;
-    /// index of the firing sequence, if the sensor alternates between sequences
-    /// (Timing::parts)
+    /// index of the firing sequence, for sensors that alternate between several sequences
     int part = 0;
 };
 
 struct Packet {
-    /// Time of the packet by the sensor's clock. The clock restarts at 0 after
+    /// Time of the packet on the sensor's clock, which restarts at 0 after
     /// Timing::wrap_us.
     std::int64_t clock_ns = 0;
     int n_slots = 0;  ///< firings per packet
@@ -57,24 +55,23 @@ struct Packet {
 /// Firing times of the lasers of a sensor.
 struct Timing {
     double cycle_us = 0.0;  ///< time between firings
-    /// Number of firing sequences between which the sensor alternates. Each sequence has
-    /// separate beams. One column of the scan contains one firing of each sequence.
+    /// Some sensors alternate between several firing sequences with different lasers.
+    /// This is their number. Each column of a scan contains one firing of each sequence.
     int parts = 1;
-    /// time after which the sensor's clock restarts at 0; 0 means that it never restarts
+    /// time after which the sensor's clock restarts at 0; 0: the clock never restarts
     double wrap_us = 0.0;
-    /// [rings] time of each beam after the start of the firing. With several firing
-    /// sequences, time after the start of the first sequence.
+    /// [rings] time from the start of a firing to each beam. With several firing
+    /// sequences, time from the start of the first one.
     std::vector<double> offset_us;
-    /// True if the head angle of a beam is interpolated between the azimuths of two
-    /// neighbouring firings. If false, the head is assumed to rotate at a constant rate.
+    /// How the head azimuth of a beam is computed. True: interpolated between two
+    /// firings. False: from a constant rotation rate.
     bool interpolates = false;
     /// [columns per revolution] true if the sensor fires at this column. Column 0 is at
-    /// 180 degrees. Empty if the sensor fires at any azimuth. If the list is not empty,
-    /// the sensor's clock defines all times. If it is empty, the time stamps of the
-    /// packets define them.
+    /// 180 degrees. Empty if the sensor can fire at any azimuth. The sensor's clock
+    /// defines all times if this list is not empty, otherwise the time stamps of packets.
     std::vector<bool> fires = {};
-    /// True if intensities can exceed 1. The intensity that is scaled to 1 is then
-    /// estimated from all intensities of the topic.
+    /// True if intensities can exceed 1. Their scale is then estimated from all
+    /// intensities of the topic.
     bool is_wide = false;
 };
 
@@ -89,51 +86,49 @@ public:
     /// the lowest.
     /// @param columns  columns per revolution
     virtual SpinningSensor sensor(int columns, double rate_hz) const = 0;
-    /// Returns a text with the product and the source of the beam angles.
+    /// Returns a text with the name of the product and the source of its beam angles.
     virtual std::string about() const = 0;
 };
 
 struct OusterFormat;
 
-/// Calibration data that the packets of a sensor do not contain.
+/// Calibration of a sensor, which its packets do not contain.
 struct Calibration {
     std::vector<Correction> corrections = {};  ///< angle corrections of Hesai's sensors
-    /// Packet format from the metadata of an Ouster sensor. Null if the sensor is not an
-    /// Ouster or its metadata is missing.
+    /// Packet format of an Ouster sensor, from its metadata. Null for other sensors, and
+    /// if the metadata is missing.
     std::shared_ptr<const OusterFormat> ouster = {};
-    /// True if the packets of an RS-LiDAR-16 contain two returns. See
-    /// have_two_returns().
+    /// For an RS-LiDAR-16: true if each firing in a packet has two returns.
     bool has_two_returns = false;
 };
 
 /// A LiDAR product whose packets relidar recognises.
 struct Product {
     const char* name;
-    /// Returns true if a packet has the size and the header of this product. The pointer
-    /// is null for Ouster, because Ouster packets do not contain the product.
+    /// Returns true if the size and header of a packet are those of this product. Null
+    /// for Ouster, whose packets have no identifying header.
     bool (*is)(std::string_view bytes);
-    /// Creates a decoder. The pointer is null if relidar cannot decode packets of this
-    /// product.
+    /// Creates a decoder. Null if relidar recognises packets of this product but cannot
+    /// decode them.
     /// @throws DataError if a calibration is damaged or belongs to another sensor
     std::unique_ptr<Decoder> (*make)(const char* name, const Calibration& calibration);
-    /// name of the driver that can convert the packets; used if relidar has no decoder
+    /// driver that the user can use instead, if relidar cannot decode the packets
     const char* driver = "";
 };
-/// Finds the product that sent a packet, by the size and the header of the packet. An
-/// Ouster packet is recognised by the packet size in the metadata.
+/// Returns the product that sent a packet, recognised by the size and header of the
+/// packet. An Ouster is recognised by the packet size in its metadata.
 /// @return null if no product matches
 const Product* find_product(std::string_view bytes, const Calibration& calibration);
-/// Returns an error message about a packet that relidar cannot decode, for example
-/// "packets of a VLS-128, expected those of ...".
+/// Returns the error message for packets that relidar cannot decode, for example "packets
+/// of a VLS-128, expected those of ...".
 std::string describe_unknown_packet(const Product* product, std::string_view bytes);
 
-/// Returns true if consecutive packets of an RS-LiDAR-16 contain two returns per firing.
-/// The packets do not state this. With two returns, a packet contains half as many
-/// firings, so the time between packets is half as long.
+/// Returns true if the packets of an RS-LiDAR-16 contain two returns per firing, which
+/// the packets do not state. With two returns, the time between packets is half as long.
 bool have_two_returns(const std::vector<PacketView>& packets);
 
-/// Creates a decoder for a product: the first function for Velodyne and Hesai, the second
-/// for Ouster.
+/// Creates a packet decoder, by name of the product: the first function for Velodyne and
+/// Hesai, the second for Ouster.
 std::unique_ptr<Decoder> make_block_decoder(const char* name, const Calibration& calibration);
 std::unique_ptr<Decoder> make_ouster_decoder(const char* name, const Calibration& calibration);
 

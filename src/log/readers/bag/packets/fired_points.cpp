@@ -8,10 +8,12 @@
 namespace relidar::packets {
 namespace {
 
-// A longer run of unmeasured columns is a sector in which the sensor did not measure.
+// If more consecutive columns than this have no measurement, the sensor did not measure
+// in this sector.
 constexpr std::size_t kMostUnmeasured = 8;
 
-/// Marks long runs of unmeasured columns as fired. Does not mark lost columns.
+/// Marks long runs of unmeasured columns as fired, so that their rays become dropped
+/// rays. Does not mark columns of lost packets.
 void add_unmeasured(std::vector<bool>& has_fired, const std::vector<bool>& fires,
                     const std::vector<bool>& is_lost) {
     std::size_t run = 0;
@@ -63,7 +65,7 @@ Scan make_fired_scan(FiredPoints& fired, const std::vector<bool>& fires, const s
         if (has_fired[c]) sweep.firings.push_back(int((has_fired.size() - c) % has_fired.size()));
     }
     for (const int column : fired.numbers) fired.points.firing.push_back(place[std::size_t(column)]);
-    // A turn with lost packets has a column for each firing that was received.
+    // After packet loss, the scan has only the columns that were received.
     const bool has_gaps = std::ranges::count(is_lost, true) > 0;
     sensor.columns = std::max(has_gaps ? 0 : int(std::ranges::count(fires, true)), int(sweep.firings.size()));
     return make_spinning_scan(fired.points, sensor, sweep);

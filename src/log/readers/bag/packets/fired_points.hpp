@@ -13,13 +13,11 @@
 
 namespace relidar::packets {
 
-/// Azimuth, time and number of a firing. The points of the firing are computed from
-/// these.
+/// Azimuth, time and number of a firing (all lasers at one azimuth).
 struct FiringPlace {
     double azimuth_deg, time_s;
     int number;  ///< number of the firing; for a sensor that fires at fixed azimuths, the column
-    /// rotation rate at this firing minus the average rotation rate, in degrees per
-    /// microsecond
+    /// current minus average rotation rate of the head, in degrees per microsecond
     double ahead_deg_us;
     double brightness;  ///< intensity value that becomes 1
 };
@@ -31,8 +29,8 @@ struct FiredPoints {
     std::map<int, double> head_rad;  ///< azimuth of each received firing, by its number
 };
 
-/// Adds the returns of all beams of a firing as points. If a ray has two returns, adds
-/// the brighter return first.
+/// Converts the returns of a firing to points. If a ray has two returns, the brighter one
+/// is the first return.
 void add_firing(FiredPoints& fired, const FiringPlace& place, const std::array<Echo, 2>* echoes,
                 const std::vector<BeamGeometry>& beams, const std::vector<double>& offset_us);
 

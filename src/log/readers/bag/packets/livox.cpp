@@ -31,7 +31,7 @@ T number_at(std::string_view bytes, std::size_t offset) {
     return bag::ByteReader(bytes.substr(offset)).number<T>();
 }
 
-/// Returns the size of a point in bytes, or 0 if the kind of points is unknown.
+/// Returns the bytes per point for a type of point data, or 0 if the type is unknown.
 std::size_t get_point_bytes(int kind) {
     constexpr std::size_t kBytes[] = {0, 14, 8, 10};
     return kind >= 1 && kind <= 3 ? kBytes[kind] : 0;
@@ -54,15 +54,15 @@ glm::vec3 read_position(bag::ByteReader& reader, int kind) {
                                           std::cos(from_z_rad)));
 }
 
-/// Returns the second time minus the first time, clamped to the range of -1 hour to 1
-/// hour.
+/// Returns the time from the first to the second time stamp, clamped to one hour in both
+/// directions.
 std::int64_t compute_time_between(std::int64_t first_ns, std::int64_t second_ns) {
     constexpr std::int64_t kHour_ns = 3'600'000'000'000;
     const auto passed_ns = std::int64_t(std::uint64_t(second_ns) - std::uint64_t(first_ns));
     return std::clamp(passed_ns, -kHour_ns, kHour_ns);
 }
 
-/// Appends the points of a packet to the points of a cloud.
+/// Appends the points of a packet to a cloud.
 /// @param after_ns  time of the first point of the packet, relative to the time of the
 /// cloud
 /// @return number of points
@@ -79,7 +79,7 @@ std::uint32_t append_points(std::string& points, std::string_view packet, std::i
         append(points, std::uint32_t(std::max(after_ns + std::llround(step_ns * i), 0ll)));
         append(points, position_m.x), append(points, position_m.y), append(points, position_m.z);
         points.append(reflectivity_and_tag);
-        // line of the laser; 0, because the packet does not contain the line
+        // laser line; always 0, because packets do not contain the line
         append(points, std::uint8_t(0));
         ++n_points;
     }
@@ -105,7 +105,8 @@ std::string decode_livox_cloud(std::string_view packets, std::string_view frame)
         if (!is_livox(packet)) continue;
         const auto clock_ns = number_at<std::int64_t>(packet, kLivoxTimeAt);
         if (is_first) first_stamp_ns = stamp_ns, first_clock_ns = clock_ns;
-        // If the sensor's clock has jumped, use the time stamps of the capture instead.
+        // If the sensor's clock has jumped, the receive times of the packets are used
+        // instead.
         const std::int64_t passed_ns = compute_time_between(first_stamp_ns, stamp_ns);
         const std::int64_t passed_clock_ns = compute_time_between(first_clock_ns, clock_ns);
         const bool has_jumped = std::abs(passed_clock_ns - passed_ns) > kLargestDrift_ns;

@@ -12,13 +12,12 @@ namespace relidar::packets {
 
 /// Encoding and message type of the clouds that decode_livox_cloud() returns.
 inline constexpr const char *kLivoxEncoding = "ros1", *kLivoxType = "livox_ros_driver2/CustomMsg";
-/// A cloud is complete when its packets span this time. The time is slightly below 0.1 s,
-/// so that clouds start about every 0.1 s.
+/// Duration of a cloud that is composed of packets. It is slightly below 0.1 s, so that
+/// clouds start about every 0.1 s.
 inline constexpr std::int64_t kLivoxCloud_ns = 99'000'000;
 inline constexpr std::size_t kMostLivoxPackets = 4096;  ///< maximum number of packets in one cloud
 
-/// Returns true if the bytes are a packet with points. Returns false for packets of the
-/// IMU.
+/// Returns true if the bytes are a Livox packet with points, false for IMU packets.
 bool is_livox(std::string_view bytes);
 
 /// Joins packets to a cloud. Returns the cloud as a message of Livox's driver in the

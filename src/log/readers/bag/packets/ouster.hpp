@@ -14,18 +14,18 @@
 
 namespace relidar::packets {
 
-/// Layout of the pixels in a packet. The sensor's setting `udp_profile_lidar` selects one
-/// of these layouts.
+/// Layout of the pixels in an Ouster packet, as selected by the sensor's setting
+/// `udp_profile_lidar`.
 struct OusterProfile {
     const char* name;
-    /// True for packets without header and footer. Each column then has a header of 16
-    /// bytes, and a status of 4 bytes after its pixels.
+    /// True for legacy packets, which have no header and no footer. Their columns have a
+    /// header of 16 bytes and a status of 4 bytes at the end.
     bool is_legacy;
     std::size_t pixel_bytes;
-    /// Bit mask that selects the range in the first 4 bytes of a pixel.
+    /// Bit mask of the range in the first 4 bytes of a pixel.
     std::uint32_t range_bits;
     double range_unit_m;
-    /// byte offset of the reflectivity, relative to the range of the same return
+    /// byte offset from the range to the reflectivity of the same return
     std::size_t reflectivity_at;
     bool is_wide;  ///< true if the reflectivity has 2 bytes, false if it has 1 byte
     int returns;   ///< number of returns; the second return is stored directly after the first
@@ -41,29 +41,29 @@ struct OusterFormat {
     std::size_t packet_bytes = 0;
     int port = 0;              ///< UDP port to which the sensor sends packets; 0 if unknown
     std::uint64_t serial = 0;  ///< serial number of the sensor; 0 if unknown
-    /// [columns per revolution] true if the column is inside the azimuth window in which
-    /// the sensor fires
+    /// [columns per revolution] true if the column is in the azimuth window in which the
+    /// sensor fires
     std::vector<bool> fires;
     SpinningSensor sensor;             ///< highest ring first
     std::vector<std::size_t> ring_of;  ///< [pixels of a column] ring to which each pixel belongs
 
-    /// Returns a text such as "packets of 12544 bytes (profile, beams, columns a packet,
-    /// port)".
+    /// Describes the packets, for example "packets of 12544 bytes (profile, beams,
+    /// columns a packet, port)".
     std::string about() const;
 };
 using OusterFormats = std::vector<std::shared_ptr<const OusterFormat>>;
 
-/// Returns true if a text looks like the metadata of an Ouster. Does not check all
-/// values, so the metadata may still be invalid.
+/// Returns true if a text looks like the metadata of an Ouster sensor. Values are not
+/// checked, so the metadata may be invalid.
 bool is_ouster_metadata(std::string_view text);
 /// Parses the metadata of an Ouster sensor.
 /// @param location  name of the file or topic, for error messages
 /// @throws DataError if the metadata is invalid
 std::shared_ptr<const OusterFormat> read_ouster_metadata(const std::string& text,
                                                          const std::string& location);
-/// Reads the metadata files in the folder of a recording. If the recording is X.pcap and
-/// X.json exists, reads X.json and all other files X*.json. Otherwise, reads all metadata
-/// files that do not belong to another recording.
+/// Reads Ouster metadata files in the folder of a recording. For a recording X.pcap with
+/// a file X.json, reads only the files X*.json. Otherwise reads all metadata files that
+/// do not belong to another recording.
 /// @param broken  output: error messages about files that cannot be read
 OusterFormats find_ouster_metadata(const std::filesystem::path& recording, std::vector<std::string>& broken);
 
@@ -74,10 +74,10 @@ OusterFormats find_ouster_metadata(const std::filesystem::path& recording, std::
 /// @return null if no metadata matches, or if more than one remains
 std::shared_ptr<const OusterFormat> format_of(const OusterFormats& formats, std::string_view topic,
                                               std::string_view packet);
-/// Returns true if an Ouster with a supported packet layout can send packets of this
+/// Returns true if packets of an Ouster sensor with a supported layout can have this
 /// size.
 bool is_ouster_size(std::size_t bytes);
-/// Returns an error message about packets that probably come from an Ouster but cannot be
+/// Returns the error message for packets that look like Ouster packets but cannot be
 /// decoded. The message tells the user what to do.
 /// @param formats  metadata that was read
 /// @param recording  recording in whose folder the user can put more metadata

@@ -84,8 +84,8 @@ public:
             packet.echoes.resize(packet.echoes.size() + rings);
             read_pixels(pixels, &packet.echoes[packet.echoes.size() - rings]);
         }
-        // The packet's time is the time of its last column, because the packet is sent
-        // after it.
+        // A packet is sent after its last column, so this column defines the packet's
+        // time.
         if (!times_ns.empty()) packet.clock_ns = times_ns.back();
         for (std::size_t f = 0; f < times_ns.size(); ++f)
             packet.firings[f].after_us = 1e-3 * double(times_ns[f] - packet.clock_ns);

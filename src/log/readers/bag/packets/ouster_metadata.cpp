@@ -31,8 +31,8 @@ constexpr OusterProfile kProfiles[] = {
     {"RNG19_RFL8_SIG16_NIR16_DUAL", false, 16, 0x7FFFF, 1e-3, 3, false, 2},
     {"RNG15_RFL8_NIR8", false, 4, 0x7FFF, 8e-3, 2, false, 1},
     {"RNG15_RFL8_NIR8_DUAL", false, 8, 0x7FFF, 8e-3, 2, false, 2},
-    // In newer firmware, header_type FUSA replaces this profile name. The header has the
-    // same size.
+    // Older name of the profile RNG15_RFL8_NIR8_DUAL. Newer firmware sets header_type to
+    // FUSA instead. The header has the same size.
     {"FUSA_RNG15_RFL8_NIR8_DUAL", false, 8, 0x7FFF, 8e-3, 2, false, 2},
 };
 constexpr int kUsualColumns = 16;  // columns per packet
@@ -48,8 +48,7 @@ std::size_t bytes_of(const OusterProfile& profile, int pixels, int columns) {
                              : 32 + std::size_t(columns) * (12 + column) + 32;
 }
 
-/// Returns the JSON object that contains a key: either the root or one of its nested
-/// objects.
+/// Returns the JSON object that contains a key: the root or one of its direct members.
 JsonField find_part_with_key(const Json& json, const std::string& location, const std::string& key) {
     const JsonField root(json, location, "");
     for (const char* part : {"data_format", "lidar_data_format", "config_params", "sensor_info"})
@@ -78,8 +77,8 @@ const OusterProfile& find_profile(const Json& json, const std::string& location)
         fmt::format("{}: the packet profile is {}, expected one of {}", location, make_excerpt(name), names));
 }
 
-/// Returns the ring of each row of pixels in a packet. The rows have the same order as
-/// the beams in the metadata.
+/// Returns the ring of each pixel in a column of a packet. Pixels are in the order of the
+/// beams in the metadata; rings are sorted by elevation.
 std::vector<std::size_t> read_rings(const Json& json, const std::string& location) {
     const JsonField root(json, location, "");
     const std::vector<double> altitude_deg =
@@ -93,8 +92,8 @@ std::vector<std::size_t> read_rings(const Json& json, const std::string& locatio
     return ring_of;
 }
 
-/// Returns for each column whether the sensor fires there. The azimuth window may wrap
-/// around from the last column to column 0.
+/// Returns for each column whether it is in the azimuth window in which the sensor fires.
+/// The window can cross the end of the image and continue at column 0.
 std::vector<bool> list_columns_in_window(const Json& json, const std::string& location, int columns) {
     const JsonField part = find_part_with_key(json, location, "column_window");
     if (!part.has("column_window")) return std::vector<bool>(std::size_t(columns), true);
@@ -110,8 +109,8 @@ std::vector<bool> list_columns_in_window(const Json& json, const std::string& lo
     }
 }
 
-/// Checks that values which occur twice in the metadata are equal. Also computes and
-/// checks the packet size.
+/// Checks that values which the metadata contains twice are equal. Also computes the
+/// packet size and checks it.
 void check_sizes(OusterFormat& format, const Json& json) {
     const int columns = format.sensor.columns, beams = int(format.sensor.beams.size());
     if (const int n = parse_integer(json, format.where, "columns_per_frame", columns, 65536); n != columns)
@@ -131,7 +130,7 @@ void check_sizes(OusterFormat& format, const Json& json) {
                                     format.where, format.about(), kMostDatagram));
 }
 
-/// Returns the port in the topic name of a network capture, for example 7502 for
+/// Returns the UDP port in the topic name of a network capture, for example 7502 in
 /// "192.168.1.201:7502". Returns 0 for a topic of a bag.
 int parse_port(std::string_view topic) {
     const std::size_t colon = topic.rfind(':');
@@ -167,8 +166,8 @@ bool is_metadata_file(const fs::path& file) {
            is_ouster_metadata(read_text(file));
 }
 
-/// Returns the files in a folder, sorted by name. Returns an empty list if the folder
-/// cannot be read.
+/// Returns the files in a folder, sorted by name, or an empty list if the folder cannot
+/// be read.
 std::vector<fs::path> list_files_of_folder(const fs::path& folder) {
     std::vector<fs::path> files;
     std::error_code failed;
@@ -243,9 +242,9 @@ std::shared_ptr<const OusterFormat> format_of(const OusterFormats& formats, std:
                                               std::string_view packet) {
     OusterFormats left;
     const int port = parse_port(topic);
-    // A packet with the layout LEGACY has no serial number. If there is only one
-    // metadata, use it even if the port differs, because the port may have been changed
-    // after the metadata was saved.
+    // Packets in the LEGACY layout have no serial number. If there is only one sensor's
+    // metadata, its port may differ, because users can change the port after saving the
+    // metadata.
     const bool is_alone = std::ranges::all_of(
         formats, [&](const auto& format) { return format->text == formats.front()->text; });
     for (const auto& format : formats) {

@@ -19,19 +19,21 @@
 namespace relidar::packets {
 namespace {
 
-// maximum number of firings per revolution; enough for a revolution of two seconds
+// maximum number of firings per revolution; a revolution of two seconds has fewer
 constexpr int kMostFirings = 40000;
 constexpr std::int64_t kLongestTurn_ns = 2000000000;
 constexpr std::size_t kMostInMessage = 0xFFFF;
 constexpr double kBehind_deg = 180.0;
 constexpr double kMostBright = 65535.0;
-// A larger azimuth step between two firings means that the sensor skips a sector.
+// A larger azimuth step between two firings shows a sector in which the sensor does not
+// fire.
 constexpr double kJump_deg = 5.0;
-// A revolution is reported as cut off if more than this fraction of it was recorded.
+// The user gets a note about an incomplete first or last revolution if more than this
+// share of it was recorded.
 constexpr double kCutOff = 0.02;
 
-// Returns true if the sensor fires at a column. The column may be outside one revolution;
-// it is wrapped.
+// Returns true if the sensor fires at a column. Columns outside the image continue on the
+// other side.
 bool is_firing_at(const std::vector<bool>& fires, std::int64_t column) {
     const auto n = std::int64_t(fires.size());
     return fires[std::size_t((column % n + n) % n)];
@@ -67,7 +69,7 @@ void PacketLog::check_product(const PacketView& packet, const Calibration& calib
     calibration_ = calibration;
 }
 
-/// Returns the angle between two columns of a sensor that fires at fixed azimuths.
+/// Returns the angle between two columns, for a sensor that fires at fixed azimuths.
 double PacketLog::step_deg() const { return 360.0 / double(decoder_->timing().fires.size()); }
 
 void PacketLog::add_packet(const PacketView& view, std::uint16_t in_message) {
@@ -81,7 +83,7 @@ void PacketLog::add_packet(const PacketView& view, std::uint16_t in_message) {
     const auto hash = std::uint32_t(std::hash<std::string_view>()(view.bytes));
     const std::size_t n = packet.firings.size();
     const bool is_at_end = packet.firings.back().after_us < -packet.firings.front().after_us;
-    // Returns the azimuth step from firing f to the next firing.
+    // azimuth step from firing f to the next firing
     const auto step_deg = [&](std::size_t f) {
         return compute_degrees_on(packet.firings[f].azimuth_deg, packet.firings[f + 1].azimuth_deg);
     };
@@ -118,8 +120,8 @@ void PacketLog::add_packet(const PacketView& view, std::uint16_t in_message) {
     if (decoder_->timing().is_wide) count_bright(packet);
 }
 
-/// Adds full periods to the sensor's clock, which restarts at 0. The time stamps of the
-/// packets show how often the clock has restarted.
+/// Unwraps the sensor's clock, which restarts at 0 after a fixed time. The time stamps of
+/// the packets show how often it has restarted.
 void PacketLog::unwrap_clock(Entry& entry) const {
     const double wrap_us = decoder_->timing().wrap_us;
     if (packets_.empty() || !(wrap_us > 0.0)) return;
@@ -149,8 +151,8 @@ void PacketLog::finish() {
     find_turns();
 }
 
-/// Returns the number of packets from the previous packet to this packet. It is 1 if no
-/// packet was lost. Valid only for a sensor that fires at fixed azimuths.
+/// Returns the number of packets that the sensor has sent since the previous packet; 1 if
+/// no packet was lost. For a sensor that fires at fixed azimuths.
 std::size_t PacketLog::count_steps_to(std::size_t packet) const {
     const Entry &entry = packets_[packet], &before = packets_[packet - 1];
     const double n =
@@ -159,9 +161,8 @@ std::size_t PacketLog::count_steps_to(std::size_t packet) const {
     return std::size_t(std::clamp(std::round(n), 1.0, 1e9));
 }
 
-/// Returns the number of firings in the packets that were lost before this packet. The
-/// sector that the sensor skips has no firings. Valid only for a sensor that fires at any
-/// azimuth.
+/// Returns the number of firings in lost packets before this packet, without the sector
+/// that the sensor skips. For a sensor that fires at any azimuth.
 double PacketLog::count_lost_slots(std::size_t packet) const {
     const Entry &entry = packets_[packet], &before = packets_[packet - 1];
     const double cycle_us = decoder_->timing().cycle_us,
@@ -170,8 +171,8 @@ double PacketLog::count_lost_slots(std::size_t packet) const {
     return slots - (skipped_deg > 0.0 ? skipped_deg / (deg_us_ * cycle_us) : 0.0) - before.n_slots;
 }
 
-/// Returns the number of packets that were lost before this packet. Does not count
-/// packets in which the sensor would not fire.
+/// Returns the number of packets that were lost before this packet. Packets without a
+/// firing are not counted, because the sensor may not send them.
 std::size_t PacketLog::count_missing_before(std::size_t packet) const {
     const std::vector<bool>& fires = decoder_->timing().fires;
     if (fires.empty())
@@ -192,9 +193,8 @@ std::size_t PacketLog::count_missing_before(std::size_t packet) const {
     return std::min(missing, n_lost);
 }
 
-/// Counts the lost packets of a revolution. The packets that were lost before its first
-/// packet, or after its last packet, may also belong to the neighbouring revolution. So
-/// the function counts only a share of them.
+/// Counts the lost packets of a revolution. If packets were lost at its start or end,
+/// counts only the share of them that belongs to this revolution.
 void PacketLog::count_missing(PacketTurn& turn) const {
     double n_missing = 0.0;
     const double compute_slot_deg = deg_us_ * decoder_->timing().cycle_us;
@@ -211,15 +211,14 @@ void PacketLog::count_missing(PacketTurn& turn) const {
     turn.has_gaps = n_missing > 0.0;
 }
 
-/// Returns the first and the last head angle that the packets cover. Includes adjacent
-/// azimuths at which the sensor does not fire.
+/// Returns the range of head angles that the packets cover. Adjacent angles at which the
+/// sensor never fires are included.
 std::pair<double, double> PacketLog::find_azimuth_reach_deg() const {
     const Entry &first = packets_.front(), &last = packets_.back();
     const std::vector<bool>& fires = decoder_->timing().fires;
     if (fires.empty()) {
         if (!(skipped_.width_deg > 0.0)) return {first.azimuth_deg, last.azimuth_deg};
-        // If a packet begins at the edge of the skipped sector, the range also includes
-        // the sector.
+        // Includes the skipped sector if the packets begin or end at its edge.
         const double slack_deg = deg_us_ * decoder_->timing().cycle_us;
         const double last_deg = last.azimuth_deg + double(last.turned_deg);
         const double before_deg = skipped_.between(first.azimuth_deg - slack_deg, first.azimuth_deg),
@@ -249,10 +248,11 @@ void PacketLog::find_turns() {
         turn.first = std::max(first_behind(begin), std::size_t(1)) - 1;
         turn.last = std::min(first_behind(begin + 360.0), packets_.size()) - 1;
         p = turn.last;
-        // The next packet may contain the second firing sequence of the last column, so
-        // add it.
+        // With two firing sequences, the next packet can contain the second sequence of
+        // the last column.
         if (decoder_->timing().parts > 1) turn.last = std::min(turn.last + 1, packets_.size() - 1);
-        // All packets of this revolution were lost, so continue at the next packet.
+        // All packets of this revolution were lost, so the search continues at the next
+        // packet.
         if (turn.first == turn.last) {
             const double next = packets_[std::min(p + 1, packets_.size() - 1)].azimuth_deg, lost = begin;
             begin = std::max(begin, kBehind_deg + 360.0 * (std::floor((next - kBehind_deg) / 360.0) - 1.0));
@@ -295,9 +295,8 @@ std::string PacketLog::problems() const {
     return fmt::format("{}", fmt::join(texts, "; "));
 }
 
-/// Computes the time at which the head faces forward in a revolution. If the sensor's
-/// clock defines the times, also computes the difference between this clock and the time
-/// stamps.
+/// Computes when the head faces forward in a revolution. If the sensor's clock defines
+/// the times, also computes the difference between time stamps and this clock.
 void PacketLog::find_times(PacketTurn& turn) const {
     const double forward = turn.begin_deg + 180.0;
     const auto behind =
@@ -315,8 +314,8 @@ void PacketLog::find_times(PacketTurn& turn) const {
     turn.forward_ns += before.clock_ns + turn.stamp_less_clock_ns - before.stamp_ns;
 }
 
-/// Returns true if the times of the packets are plausible: the sensor's clock advances
-/// from packet to packet, and the revolution is not too long.
+/// Returns true if the sensor's clock advances from packet to packet during a revolution,
+/// and if the revolution is not too long.
 bool PacketLog::is_even(const PacketTurn& turn) const {
     const double slot_ns = 1e3 * decoder_->timing().cycle_us;
     for (std::size_t i = turn.first + 1; i <= turn.last; ++i) {
@@ -326,8 +325,8 @@ bool PacketLog::is_even(const PacketTurn& turn) const {
     return packets_[turn.last].clock_ns - packets_[turn.first].clock_ns <= kLongestTurn_ns;
 }
 
-/// Returns the first message that contains packets of a revolution. Checks all packets,
-/// because they may be in another order than the messages.
+/// Returns the first message with packets of a revolution. Tests all packets, because
+/// packets are sorted by time and may have another order than the messages.
 std::uint32_t PacketLog::find_first_message(const PacketTurn& turn) const {
     std::uint32_t first = packets_[turn.first].message;
     for (std::size_t i = turn.first; i <= turn.last; ++i) first = std::min(first, packets_[i].message);
@@ -340,7 +339,7 @@ std::vector<PacketLog::Source> PacketLog::messages(const PacketTurn& turn) const
     return {messages_.begin() + find_first_message(turn), messages_.begin() + last + 1};
 }
 
-/// Returns the average azimuth step between two firings of a revolution.
+/// Returns the mean azimuth step from firing to firing in a revolution.
 double PacketLog::compute_slot_deg(const PacketTurn& turn) const {
     std::size_t n = 0;
     for (std::size_t i = turn.first; i < turn.last; ++i)
@@ -354,23 +353,22 @@ SpinningSensor PacketLog::sensor() const {
     const double period_s = std::clamp(360e-6 / std::max(deg_us_, 1e-9), 0.02, 1.0);
     const Timing& timing = decoder_->timing();
     if (!timing.fires.empty()) return decoder_->sensor(int(timing.fires.size()), 1.0 / period_s);
-    // The number of columns is the maximum number of firings in any revolution.
+    // The scan needs a column for each firing of the revolution with the most firings.
     double most = 1e6 * period_s / timing.cycle_us;
     for (const PacketTurn& turn : turns_) most = std::max(most, 360.0 / compute_slot_deg(turn));
     most /= double(timing.parts);
     return decoder_->sensor(std::min(int(std::ceil(most)) + 1, kMostFirings), 1.0 / period_s);
 }
 
-/// Returns the maximum intensity of all returns. The value 255 corresponds to intensity
-/// 1.
+/// Returns the maximum intensity of all returns, in units in which 255 means intensity 1.
 double PacketLog::find_max_intensity() const {
     std::size_t most = n_bright_.size();
     while (most > 0 && n_bright_[most - 1] == 0) --most;
     return most > 0 ? double(most - 1) : 0.0;
 }
 
-/// Returns the intensity that is scaled to 1. The rule is the same as for the intensities
-/// of point clouds.
+/// Returns the value that becomes the intensity 1: the 99.5th percentile, if some
+/// intensities exceed 1.
 double PacketLog::intensity_max() const {
     if (find_max_intensity() <= 255.0) return 1.0;
     std::uint64_t n = 0, left = 0;
@@ -387,7 +385,8 @@ std::string PacketLog::about() const {
                        decoder_->about(), find_max_intensity(), 255.0 * intensity_max());
 }
 
-/// Decodes a packet for the second time, when the scan of its revolution is read.
+/// Decodes a packet again to build the scan. Packets are first decoded when the index is
+/// built.
 /// @param message  index in `packets` of the message that contains the packet
 Packet PacketLog::reread_packet(std::size_t message, const Entry& entry,
                                 const std::vector<std::vector<PacketView>>& packets) const {
@@ -400,14 +399,14 @@ Packet PacketLog::reread_packet(std::size_t message, const Entry& entry,
     return decoder_->decode(view.bytes);
 }
 
-/// Converts an azimuth to a column of a revolution. If the azimuth is outside the
-/// revolution, the returned column is outside the valid range.
+/// Converts an azimuth to a column of a revolution. Azimuths outside the revolution give
+/// an invalid column.
 int PacketLog::compute_column(const PacketTurn& turn, double azimuth_deg) const {
     const double n = double(decoder_->timing().fires.size());
     return int(std::clamp(std::round((azimuth_deg - turn.begin_deg) / step_deg()), -n, 2.0 * n));
 }
 
-/// Returns the columns of a revolution whose packets were lost. The array is empty for a
+/// Returns for each column of a revolution whether its packet was lost. Empty for a
 /// sensor that fires at any azimuth.
 std::vector<bool> PacketLog::lost_columns(const PacketTurn& turn) const {
     const std::vector<bool>& fires = decoder_->timing().fires;
@@ -432,7 +431,8 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
     const double mean_deg_us = 360e-6 / sensor.period_s, brightness = intensity_max();
     const int n_columns = int(timing.fires.size());
     const std::uint32_t first_of_turn = find_first_message(turn);
-    // firings of the revolution before this packet, including firings in lost packets
+    // number of firings of the revolution before this packet, including those in lost
+    // packets
     std::size_t before = 0;
     int previous_number = -1;
     bool is_inside = false;
@@ -451,13 +451,14 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
             const Firing& firing = packet.firings[f];
             azimuth += f > begin ? step : 0.0;
             if (f + 1 < end) step = compute_degrees_on(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
-            // time from the first firing sequence of this column to this firing
+            // With several firing sequences per column: time from the first one to this
+            // one.
             const double late_us = timing.cycle_us * double(firing.part);
             const double start_deg = azimuth - late_us * mean_deg_us;
             const int slot = int(before) + firing.slot - entry.first_slot;
             const int number = n_columns > 0 ? compute_column(turn, azimuth)
                                              : (slot - firing.part + timing.parts) / timing.parts;
-            // all firing sequences of a column belong to the same revolution
+            // Firings of the same column (equal numbers) belong to the same revolution.
             if (number != previous_number)
                 is_inside = n_columns > 0 ? number >= 0 && number < n_columns
                                           : start_deg >= turn.begin_deg && start_deg < turn.begin_deg + 360.0;
@@ -480,8 +481,8 @@ Scan PacketLog::arrange_points(const PacketTurn& turn, FiredPoints& fired,
     if (!decoder_->timing().fires.empty())
         return make_fired_scan(fired, decoder_->timing().fires, lost_columns(turn), sensor);
     const Sweep sweep = sort_firings(fired.points, fired.numbers, fired.head_rad);
-    // All complete turns have the same number of columns. A turn with lost packets has a
-    // column for each firing that was received.
+    // Complete revolutions all have the same number of columns. After packet loss, the
+    // scan has only the columns that were received.
     SpinningSensor seen = sensor;
     seen.columns = int(std::ceil(double(sensor.columns) * (1.0 - skipped_.width_deg / 360.0)));
     if (turn.has_gaps) seen.columns = int(sweep.firings.size());

@@ -19,66 +19,64 @@ namespace relidar::packets {
 
 struct FiredPoints;
 
-/// One revolution of the LiDAR's head. It begins and ends when the head faces backward.
+/// One revolution of the LiDAR's head, from facing backward to facing backward again.
 struct PacketTurn {
-    /// Time at which the head faced forward, and time at which the packet of that moment
-    /// was recorded.
+    /// Time at which the head faces forward, and recording time of the packet sent at
+    /// that time.
     std::int64_t forward_ns = 0, log_ns = 0;
     std::size_t first = 0, last = 0;  ///< packets of the revolution
-    /// Unwrapped head angle at the start of the revolution, counted from the start of the
-    /// recording. The revolution ends 360 degrees later.
+    /// Head angle at the start of the revolution, unwrapped over the full recording.
     double begin_deg = 0.0;
-    /// number of packets of the revolution that were lost, also at its start and its end
+    /// number of lost packets, including those at the start and the end of the revolution
     std::size_t n_missing = 0;
     bool has_gaps = false;  ///< true if a part of a packet of the revolution was lost
-    /// Time stamp minus sensor clock, for the packet with the smallest network delay.
-    /// Used only if the sensor's clock defines the times.
+    /// Time stamp minus sensor clock, for the packet with the least network delay. Used
+    /// only if the sensor's clock defines the times.
     std::int64_t stamp_less_clock_ns = 0;
 };
 
-/// Index of the packets of a topic. Stores for each packet the time, the head angle, and
-/// the message that contains the packet.
+/// Index of the LiDAR packets of a topic, with the time, the head angle and the message
+/// of each packet.
 class PacketLog {
 public:
     /// Adds the packets of one message to the index.
-    /// @param calibration  calibration data of the sensor, as far as it is known
-    /// @throws DataError with the name of the product, if relidar cannot decode the
-    /// packets or if they come from another product than before
+    /// @param calibration  calibration of the sensor, as far as it is known
+    /// @throws DataError with the name of the product, if its packets cannot be decoded
+    /// or if earlier packets came from another product
     void add(const std::vector<PacketView>& packets, std::int64_t log_ns, const bag::Place& place,
              const Calibration& calibration);
-    /// Sorts the packets and finds the complete revolutions. Must be called once, after
-    /// all packets have been added.
+    /// Sorts the packets and finds the complete revolutions. Call it once, after the last
+    /// add().
     void finish();
     bool empty() const { return packets_.empty(); }
     std::size_t size() const { return n_packets_; }
     /// Returns the complete revolutions.
     const std::vector<PacketTurn>& turns() const { return turns_; }
-    /// Returns a text about late or repeated packets and about revolutions that were left
-    /// out, with the reasons. Returns an empty string if there are no problems.
+    /// Describes problems for the user: late and repeated packets, and why revolutions
+    /// were skipped. Returns an empty string if there are no problems.
     std::string problems() const;
-    /// Position of a message in the recording, and time at which the message was
-    /// recorded.
+    /// Position of a message in the recording, and time of recording.
     struct Source {
         bag::Place place;
         std::int64_t log_ns;
     };
     /// Returns the messages that contain the packets of a revolution.
     std::vector<Source> messages(const PacketTurn& turn) const;
-    /// Returns the model of the sensor. Its rotation rate was measured from the packets.
+    /// Returns the sensor model with the measured rotation rate.
     SpinningSensor sensor() const;
     std::string about() const;
-    /// Decodes the packets of a revolution and returns its scan. The times of the rays
-    /// are relative to `zero_ns`.
+    /// Decodes the packets of a revolution to a scan, with ray times relative to
+    /// `zero_ns`.
     /// @param packets  packets of each message that messages() returns
     Scan scan(const PacketTurn& turn, const std::vector<std::vector<PacketView>>& packets,
               const SpinningSensor& sensor, std::int64_t zero_ns) const;
 
 private:
     using Entry = PacketEntry;
-    /// Number of revolutions that were left out, for each reason.
+    /// Number of skipped revolutions by reason.
     struct LeftOut {
         std::size_t n_cut_off = 0;  ///< incomplete at the start or the end of the recording
-        std::size_t n_lost = 0;     ///< more than half of the packets were lost
+        std::size_t n_lost = 0;     ///< at least a third of the packets were lost
         std::size_t n_jumps = 0;    ///< the sensor's clock jumped
     };
     std::shared_ptr<const Decoder> decoder_;
@@ -86,7 +84,7 @@ private:
     Calibration calibration_;
     int n_slots_ = 1;            ///< slots per packet
     std::size_t n_packets_ = 0;  ///< number of packets without repeats
-    /// number of packets without a firing since the last packet with a firing
+    /// number of packets without a firing since the last packet with firings
     std::uint16_t n_empty_ = 0;
     std::vector<Entry> packets_;
     std::vector<Source> messages_;
@@ -94,10 +92,9 @@ private:
     PacketFaults faults_;
     LeftOut left_out_;
     double deg_us_ = 0.0;  ///< mean rotation rate in degrees per microsecond
-    /// sector in which the sensor never fires; used only for sensors that fire at any
-    /// azimuth
+    /// sector in which the sensor never fires, for sensors that can fire at any azimuth
     SkippedSector skipped_;
-    /// [255 x intensity] number of returns with this intensity. Empty if intensities
+    /// Histogram of the intensities, indexed by 255 x intensity. Empty if intensities
     /// cannot exceed 1.
     std::vector<std::uint32_t> n_bright_;
 

@@ -12,28 +12,27 @@
 
 namespace relidar::packets {
 
-/// Message types of the topics that are created from a network capture. A message of the
-/// type kDatagrams contains LiDAR packets. For each packet, it has the time stamp (64
-/// bits), the length (32 bits) and the bytes. A message of the type kOtherDatagrams
-/// contains other datagrams.
+/// Types of the topics that are made from a network capture. A message of type kDatagrams
+/// contains several LiDAR packets, each with a time stamp (64 bits), a length (32 bits)
+/// and its bytes. Messages of type kOtherDatagrams contain other UDP data.
 inline constexpr const char *kDatagrams = "LiDAR packets", *kOtherDatagrams = "other UDP";
 
-/// Returns true if the messages of a topic contain LiDAR packets. The type of the topic
-/// does not always name the product, so the packets must be checked for it.
+/// Returns true if the messages of a topic contain LiDAR packets. The product is
+/// recognised by the packets, because the message type does not always name it.
 bool has_packets(const bag::Topic& topic);
-/// Returns true for a topic of Ouster's drivers. Its messages contain one packet and no
-/// other data.
+/// Returns true for a packet topic of Ouster's ROS drivers, whose messages contain
+/// nothing but one packet.
 bool has_ouster_packets(const bag::Topic& topic);
-/// Returns true if a topic may contain the metadata of an Ouster. Such a topic contains
-/// text and is in the namespace of a sensor with packets.
+/// Returns true if a topic may contain Ouster metadata: it contains text and is in the
+/// namespace of a topic with packets.
 bool can_be_ouster_metadata(const bag::Topic& topic);
 /// Returns the text of a std_msgs/String message.
 /// @throws DataError if the message is too short
 std::string read_text_message(const bag::Topic& topic, std::string_view bytes);
-/// Returns the packets that a message contains.
+/// Returns the packets in a message.
 /// @param log_ns  recording time of the message, used for packets without a time stamp
-/// @param header  output: header of the message. If the message has no header, the
-/// topic's name is used as the name of the frame.
+/// @param header  output: header of the message. A message without a header gets the
+/// topic's name as its frame.
 /// @throws DataError if the message is too short
 std::vector<PacketView> read_packets(const bag::Topic& topic, std::string_view bytes, std::int64_t log_ns,
                                      bag::Header& header);

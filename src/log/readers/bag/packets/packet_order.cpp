@@ -9,10 +9,10 @@ namespace relidar::packets {
 namespace {
 
 constexpr double kBackward_deg = 1.0;  // A smaller decrease of the encoder angle is accepted as noise.
-// Maximum delay of a packet in the network. If the sensor's clock decreases by more, the
-// packet is not late. The clock was set back.
+// Packets may be late by at most this network delay. A larger decrease of the sensor's
+// clock means that the clock was set back.
 constexpr std::int64_t kLatest_ns = 100000000;
-// A longer step between two packets is a pause of the recording.
+// If two packets are farther apart in time than this, the recording was paused.
 constexpr std::int64_t kPause_ns = 200000000;
 constexpr std::size_t kBins = 720;
 constexpr double kLeastSector_deg = 10.0;
@@ -21,9 +21,8 @@ bool is_repeat(const PacketEntry& first, const PacketEntry& second) {
     return first.hash == second.hash && first.first_slot == second.first_slot;
 }
 
-/// Unwraps the azimuth of a packet, starting from the previous packet. The azimuths alone
-/// do not show how many revolutions were lost in between. This number is computed from
-/// the time between the packets and the rotation rate.
+/// Unwraps the azimuth of a packet relative to the previous packet. Full revolutions
+/// between the two packets are computed from the time between them and the rotation rate.
 void follow(PacketEntry& entry, const PacketEntry& before, double passed_us, double deg_us) {
     const double azimuth =
         before.azimuth_deg + compute_degrees_on(std::fmod(before.azimuth_deg, 360.0), entry.azimuth_deg);
@@ -62,7 +61,8 @@ PacketFaults sort_packets(std::vector<PacketEntry>& packets) {
         while (at > 0 && is_later(at - 1) && packets[at - 1].clock_ns - entry.clock_ns <= kLatest_ns) --at;
         if (at > 0 && is_later(at - 1)) at = n;
         bool is_known = false;
-        // The limit keeps the search short if the clock of the sensor stands still.
+        // Limits the search if many packets have the same time, because the sensor's
+        // clock stands still.
         constexpr std::size_t kMostCompared = 64;
         for (std::size_t k = at, n_compared = 0;
              k > 0 && !is_known && n_compared < kMostCompared && packets[k - 1].clock_ns == entry.clock_ns;
@@ -72,9 +72,9 @@ PacketFaults sort_packets(std::vector<PacketEntry>& packets) {
         faults.n_repeated += is_known && counts;
         if (is_known) continue;
         if (at < n) {
-            // The time stamp of a late packet is the time of arrival, so compute it from
-            // a neighbouring packet. Later packets cannot have arrived before they were
-            // sent, so correct them too.
+            // The time stamp of a late packet is its time of arrival, so it is recomputed
+            // from a neighbouring packet. The stamps of the packets after it are
+            // corrected, because they cannot be earlier.
             const PacketEntry& beside = packets[at > 0 ? at - 1 : at];
             const std::int64_t stamp_less_clock_ns = beside.stamp_ns - beside.clock_ns;
             entry.stamp_ns = entry.clock_ns + stamp_less_clock_ns;
@@ -109,7 +109,7 @@ double unwrap_azimuths(std::vector<PacketEntry>& packets, const Timing& timing) 
     for (std::size_t p = 0; p < packets.size() && deg_us > 0.0; ++p) {
         PacketEntry& entry = packets[p];
         if (entry.skipped_deg == 0.0f) continue;
-        // Use the neighbouring packet on the same side of the skipped sector as the
+        // Uses the neighbouring packet on the same side of the skipped sector as the
         // reference.
         const std::size_t beside = entry.skipped_deg > 0.0f ? p + 1 : p - 1;
         std::int64_t skipped_ns = std::llround(1e3 * skipped_us(entry));
@@ -123,7 +123,7 @@ double unwrap_azimuths(std::vector<PacketEntry>& packets, const Timing& timing) 
 }
 
 double SkippedSector::between(double from_deg, double to_deg) const {
-    // Returns how many degrees of the sector are before an azimuth, summed over all
+    // Returns how many degrees of the skipped sector precede an azimuth, over all
     // revolutions.
     const auto until = [&](double azimuth_deg) {
         const double turns = std::floor((azimuth_deg - begin_deg) / 360.0);
@@ -138,7 +138,7 @@ SkippedSector find_skipped_sector(const std::vector<PacketEntry>& packets, doubl
         for (double on = 0.0; on <= std::min(double(entry.turned_deg), 360.0) + step_deg; on += 0.4)
             fires[std::size_t(std::max(entry.azimuth_deg + on, 0.0) / 360.0 * kBins) % kBins] = true;
     std::size_t widest = 0, end = 0, run = 0;
-    // scans the circle twice, because the sector may contain azimuth 0
+    // Visits the bins twice, because the sector may contain azimuth 0.
     for (std::size_t b = 0; b < 2 * kBins; ++b) {
         run = fires[b % kBins] ? 0 : run + 1;
         if (run > widest) widest = run, end = b + 1;
@@ -146,7 +146,7 @@ SkippedSector find_skipped_sector(const std::vector<PacketEntry>& packets, doubl
     const double bin_deg = 360.0 / kBins;
     if (double(widest) * bin_deg < kLeastSector_deg || widest >= kBins) return {};
     const double inside_deg = (double(end) - 0.5 * double(widest)) * bin_deg;
-    // angles from the middle of the sector to the nearest firing on each side
+    // angles from the middle of the skipped sector to the nearest firing on each side
     double before_deg = 360.0, behind_deg = 360.0;
     std::size_t n_skips = 0;
     for (std::size_t p = 0; p < packets.size(); ++p) {

@@ -12,16 +12,16 @@
 
 namespace relidar::packets {
 
-/// A packet in the index of a recording, or one of its two parts. A packet has two parts
-/// if the sensor skips a sector between two of its firings.
+/// A packet in the index of a recording. A packet that spans a sector without firings has
+/// two entries, one for each side of the sector.
 struct PacketEntry {
-    /// Times of the first firing. The sensor's clock is unwrapped: it does not restart at
-    /// 0.
+    /// Times of the first firing: receive time stamp, and unwrapped time on the sensor's
+    /// clock.
     std::int64_t stamp_ns, clock_ns;
     double azimuth_deg;  ///< unwrapped azimuth of the first firing in degrees
     float turned_deg;    ///< rotation of the head from the first to the last firing
-    /// Rotation without firings between this part and the time of the packet. It is
-    /// negative if this part is before the time of the packet. It is 0 for most packets.
+    /// Angle of the skipped sector between these firings and the packet's time. Negative
+    /// if the firings precede the sector. 0 for most packets.
     float skipped_deg;
     std::uint32_t message;
     std::uint16_t in_message;  ///< index in the message
@@ -29,27 +29,25 @@ struct PacketEntry {
     std::int16_t first_slot;  ///< slot of the first firing
     std::int16_t n_slots;     ///< number of slots
     std::uint32_t hash;       ///< hash of the packet's bytes
-    /// number of packets without a firing that were received immediately before this
-    /// packet
+    /// number of packets without a firing that directly precede this packet
     std::uint16_t n_empty_before = 0;
 };
 
-/// Returns the rotation from one azimuth to another in the direction of rotation, less
-/// than one revolution. A small decrease is returned as a negative angle, because it is
-/// noise of the encoder.
+/// Returns the rotation from one azimuth to another in the direction of rotation, below
+/// one revolution. A small step backward gives a negative angle, because it is encoder
+/// noise.
 double compute_degrees_on(double from_deg, double to_deg);
 
 /// Number of packets that were received twice or late.
 struct PacketFaults {
     std::size_t n_repeated = 0, n_late = 0;
 };
-/// Sorts packets by the sensor's clock and removes packets that occur twice. Does not
-/// move a packet whose clock is much earlier than before, because then the clock was set
-/// back.
+/// Sorts packets by the sensor's clock and removes repeated packets. A packet whose clock
+/// is much earlier is not moved, because its clock was set back.
 PacketFaults sort_packets(std::vector<PacketEntry>& packets);
 
-/// Unwraps the azimuths of sorted packets. Then corrects the times of packets that
-/// contain a sector without firings.
+/// Unwraps the azimuths of sorted packets, and corrects the times of packets that span a
+/// sector without firings.
 /// @return mean rotation rate in degrees per microsecond
 double unwrap_azimuths(std::vector<PacketEntry>& packets, const Timing& timing);
 
@@ -57,11 +55,11 @@ double unwrap_azimuths(std::vector<PacketEntry>& packets, const Timing& timing);
 struct SkippedSector {
     double begin_deg = 0.0, width_deg = 0.0;  ///< width 0: no such sector
 
-    /// Returns the part of the sector that is between two unwrapped azimuths, in degrees.
+    /// Returns how many degrees of the sector are between two unwrapped azimuths.
     double between(double from_deg, double to_deg) const;
 };
-/// Finds the azimuth sector in which the sensor never fires. At least two revolutions
-/// must skip this sector, because the packets of a single revolution may be lost.
+/// Finds the azimuth sector in which the sensor never fires. Requires the sector in at
+/// least two revolutions, because a gap in one revolution can be packet loss.
 /// @param step_deg  azimuth step between two firings
 SkippedSector find_skipped_sector(const std::vector<PacketEntry>& packets, double step_deg);
 

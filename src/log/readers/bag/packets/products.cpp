@@ -28,31 +28,32 @@ template <int product>
 bool is_velodyne_of(string_view packet) {
     return is_velodyne(packet) && has_byte(packet, kProductAt, product);
 }
-/// Returns true for packets of Hesai sensors since the XT. These packets begin with EE FF
-/// and the protocol version.
+/// Returns true for packets of newer Hesai sensors. These packets begin with EE FF and
+/// the protocol version.
 template <int major, int minor>
 bool is_hesai(string_view packet) {
     return packet.size() > 500 && packet.starts_with("\xee\xff") && has_byte(packet, 2, major) &&
            has_byte(packet, 3, minor);
 }
 /// Returns true for packets of a Hesai sensor with this protocol version, number of
-/// lasers and number of blocks. The packet may end with optional fields.
-/// @tparam bytes  packet size without the optional fields
+/// lasers and number of blocks.
+/// @tparam bytes  packet size without the optional fields at the end
+/// @tparam optional  size of the optional fields
 template <int major, int minor, int lasers, int blocks, std::size_t bytes, std::size_t optional>
 bool is_hesai_of(string_view packet) {
     return is_hesai<major, minor>(packet) && has_byte(packet, kLasersAt, lasers) &&
            has_byte(packet, kBlocksAt, blocks) &&
            (packet.size() == bytes || packet.size() == bytes + optional);
 }
-/// Returns true for packets of RoboSense's first spinning sensors. Older packets have the
-/// number of the model in byte 30, newer packets also in byte 31.
+/// Returns true for packets of RoboSense's first spinning sensors. The number of the
+/// model is in byte 31, or in byte 30 of older packets.
 template <int model>
 bool is_robosense(string_view packet) {
     return packet.size() == 1248 && packet.starts_with("\x55\xaa\x05\x0a\x5a\xa5\x50\xa0") &&
            has_byte(packet, has_byte(packet, 31, 0) ? 30 : 31, model);
 }
 constexpr auto is_rs16 = is_robosense<1>;
-/// Returns true for packets of RoboSense's later spinning sensors. The first two blocks
+/// Returns true for packets of RoboSense's later spinning sensors, whose first two blocks
 /// begin with the byte `flag`.
 template <int flag, std::size_t first_block_at, std::size_t second_block_at>
 bool is_robosense_with(string_view packet) {
@@ -64,7 +65,7 @@ template <std::size_t bytes>
 bool is_robosense_window(string_view packet) {
     return packet.size() == bytes && packet.starts_with("\x55\xaa\x5a\xa5");
 }
-// Sizes of the optional fields: packet number and digital signature.
+// Sizes of optional fields at the end of a packet: packet number and digital signature.
 constexpr std::size_t kNumberBytes = 4, kSignatureBytes = 32;
 constexpr std::size_t kOt128ModeAt = 816;  // 0: high resolution
 constexpr auto is_ot128 = is_hesai_of<1, 4, 128, 2, 861, kSignatureBytes>;
@@ -117,7 +118,7 @@ constexpr Product kProducts[] = {
     {"Livox", is_livox, nullptr, "livox_ros_driver2"},
 };
 
-/// Returns the time of a packet of an RS-LiDAR-16 within its second.
+/// Returns the time in an RS-LiDAR-16 packet, in microseconds within the current second.
 double rs16_clock_us(string_view packet) {
     const auto byte = [&](std::size_t at) { return double(static_cast<unsigned char>(packet[at])); };
     return 1e3 * (256.0 * byte(26) + byte(27)) + 256.0 * byte(28) + byte(29);
@@ -151,13 +152,14 @@ std::string describe_unknown_packet(const Product* product, string_view bytes) {
 }
 
 bool have_two_returns(const std::vector<PacketView>& packets) {
-    // time between two packets with one return, which contain 24 firings
+    // time between two packets with one return per firing (24 firings)
     constexpr double kSingle_us = 24 * 55.5;
     std::vector<double> steps_us;
     for (std::size_t i = 1; i < packets.size(); ++i)
         if (is_rs16(packets[i - 1].bytes) && is_rs16(packets[i].bytes)) {
             const double step_us = rs16_clock_us(packets[i].bytes) - rs16_clock_us(packets[i - 1].bytes);
-            // skips packets that were received twice, and the end of a second
+            // The time does not increase for repeated packets and when a new second
+            // begins.
             if (step_us > 0.0) steps_us.push_back(step_us);
         }
     return !steps_us.empty() && compute_median(steps_us) < 0.75 * kSingle_us;
