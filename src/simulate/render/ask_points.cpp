@@ -128,7 +128,8 @@ void ScanRenderer::submit_points(const SensorChoice& sensor, const ScanRequest& 
 RenderedPoints ScanRenderer::wait_for_points(Points memory) {
     Impl& s = *impl_;
     if (s.pending.empty())
-        throw UsageError("cannot read the points of a scan: no scan was requested; call submit_points() first");
+        throw UsageError(
+            "cannot read the points of a scan: no scan was requested; call submit_points() first");
     PendingPoints first = std::move(s.pending.front());
     s.pending.pop_front();
     return s.collect(first, std::move(memory));

@@ -81,8 +81,7 @@ reference::World make_world_near_rays(const BenchCase& bench, const std::vector<
 double measure_difference(const Rendering& rendering, std::size_t ray, const reference::Pixel& expected) {
     double worst = 0.0;
     const auto compare_value = [&](double value, double expected_value) {
-        const double difference =
-            std::abs(value - expected_value) / std::max(1.0, std::abs(expected_value));
+        const double difference = std::abs(value - expected_value) / std::max(1.0, std::abs(expected_value));
         worst = std::isfinite(difference) ? std::max(worst, difference) : HUGE_VAL;
     };
 #define RELIDAR_COMPARE(name, built, value, input, slope, meaning) \
@@ -111,16 +110,16 @@ Finding check_run(CheckedDevice& checked, Traversal traversal, const BenchCase& 
     const reference::BruteForce brute(world, settings.image, reference::Precision::double_record);
     std::vector<double> differences;
     for (std::size_t i = 0; i < rays.size(); ++i)
-        differences.push_back(
-            measure_difference(rendering, i, reference::render_all_at_once(world, brute, settings, exact_rays[i])));
-    const auto n_wrong =
-        std::ranges::count_if(differences, [](double d) { return !(d <= kValueTolerance); });
+        differences.push_back(measure_difference(
+            rendering, i, reference::render_all_at_once(world, brute, settings, exact_rays[i])));
+    const auto n_wrong = std::ranges::count_if(differences, [](double d) { return !(d <= kValueTolerance); });
     std::ranges::sort(differences);
-    return {double(n_wrong) <= kEdgeShare * double(rays.size()) ? Finding::Kind::right : Finding::Kind::wrong,
-            fmt::format("{} of {} rays differ by more than {:.0e}, expected at most {:.0f}; median difference "
-                        "{:.1e}",
-                        n_wrong, rays.size(), kValueTolerance, kEdgeShare * double(rays.size()),
-                        differences[differences.size() / 2])};
+    return {
+        double(n_wrong) <= kEdgeShare * double(rays.size()) ? Finding::Kind::right : Finding::Kind::wrong,
+        fmt::format("{} of {} rays differ by more than {:.0e}, expected at most {:.0f}; median difference "
+                    "{:.1e}",
+                    n_wrong, rays.size(), kValueTolerance, kEdgeShare * double(rays.size()),
+                    differences[differences.size() / 2])};
 }
 
 }  // namespace relidar::cli
