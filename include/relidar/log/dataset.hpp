@@ -21,10 +21,10 @@ struct FrameRange {
     int end = -1;  ///< -1: up to the last frame
 };
 
-/// Value of `DatasetOptions::poses_file` for a log without poses. All poses of the
-/// vehicle are the identity until the scans are registered. Until then, boxes have the
-/// poses of their labels in the sensor frame. Afterwards, set_vehicle_poses() moves the
-/// boxes together with the vehicle. To read a file with the name "none", write "./none".
+/// Value of `DatasetOptions::poses_file` that means "the log has no poses". All vehicle
+/// poses are then the identity until the scans are registered. set_vehicle_poses() later
+/// moves the labelled boxes together with the vehicle. To read a file with the name
+/// "none", write "./none".
 inline constexpr const char* kNoPoses = "none";
 
 /// Options that only the reader of ROS bags uses.
@@ -36,7 +36,7 @@ struct BagOptions {
 
 /// Options that only the reader of Waymo Open uses.
 struct WaymoOptions {
-    /// True: clamp intensities to 1. False: replace each intensity by its tanh.
+    /// True: intensities above 1 become 1. False: each intensity x becomes tanh(x).
     bool clamp_intensity = false;
 };
 
