@@ -151,8 +151,7 @@ struct Lidar {
 
 /// Sets the nominal sensor of a LiDAR.
 void set_sensor(Lidar& lidar, const SensorModel& sensor);
-/// Returns the nominal sensor of a LiDAR. The sensor has no beams if neither beams nor
-/// scan pattern are known.
+/// Returns the nominal sensor of a LiDAR. It has no beams if only the scans are known.
 SensorModel get_sensor(const Lidar& lidar);
 
 /// Returns the rays that a LiDAR nominally fires at a time. Returns no rays if neither
@@ -172,7 +171,7 @@ RayTable make_nominal_rays(const Lidar& lidar, double time_s);
 std::vector<float> find_azimuth_shift(const Scan& scan, const SpinningSensor& sensor,
                                       const RayTable& nominal);
 /// Rotates the nominal rays of each firing about the z axis to the measured azimuth.
-/// @param shift_rad  result of find_azimuth_shift(). Empty: the rays are not changed
+/// @param shift_rad  result of find_azimuth_shift(). Empty: no rotation
 RayTable shift_azimuths(RayTable rays, const SpinningSensor& sensor, const std::vector<float>& shift_rad);
 
 /// Category of moving objects that the dataset did not label and that discover_tracks()
@@ -296,7 +295,7 @@ PoseTrack mount_on_track(PoseTrack track, const Pose& sensor_from_moved);
 PoseTrack refine_turns(const PoseTrack& track);
 /// Returns the same poses in a world frame with another origin.
 /// @param by_m  vector that is added to every position. Sequence::world_offset_m converts
-/// from relidar's world frame to the dataset's. Its negative converts back.
+/// to the dataset's world frame. Its negative converts back.
 PoseTrack shift_track(PoseTrack track, const glm::dvec3& by_m);
 
 /// Replaces the poses of the vehicle. The times must stay the same. Each labelled box

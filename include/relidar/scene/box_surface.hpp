@@ -69,8 +69,8 @@ public:
     /// Returns the observed fraction of a side, 0 to 1.
     double seen(BoxSide side) const;
     /// Returns the observed fraction of the complete box surface, by area, 0 to 1.
-    /// mirrored() returns the fraction of which only the mirror image on the other half
-    /// was observed.
+    /// mirrored() returns the fraction that was observed only on the other half of the
+    /// box.
     double seen() const;
     double mirrored() const;
     /// Returns the fraction of a side that was not observed, but whose mirror image on

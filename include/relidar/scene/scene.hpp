@@ -113,8 +113,7 @@ struct Surfels {
     void resize(std::size_t count, ParameterSet parameter_set);
     void add_gait();  ///< Adds a gait without motion to all surfels if they have no gait.
     /// Appends other surfels. If this set is empty, it first adopts their primitive. If
-    /// only one of both sets has walking motions (gait), the other surfels get a motion
-    /// of zero.
+    /// only one set has walking motions (gait), the other set gets motions of zero.
     /// @throws DataError if the primitives differ
     void append(const Surfels& other);
     /// Returns a reordered copy: surfel i of the result is surfel order[i] of this set.
