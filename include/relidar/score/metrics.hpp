@@ -54,7 +54,7 @@ struct Region {
 ///                         all pixels, 0 if dropped, clamped to [1e-6, max_range_m]
 ///   peer/intensity_{rmse,mae,medae,psnr_db,ssim,lpips}
 ///                         all pixels, 0 if dropped, clamped to [1e-6, 1]
-///   peer/{cd_sq_m2,compute_f_score}
+///   peer/{cd_sq_m2,f_score}
 ///                         returned pixels; F-score at a squared distance of 0.05 m^2
 ///   strict/image_depth_*, strict/image_intensity_*
 ///                         like peer, with the strict drop threshold and without LPIPS
