@@ -21,8 +21,9 @@ void clear_sums() {
         for (uint k = 0u; k < RELIDAR_SH_FLOATS; ++k) sh_sums[k] = 0.0;
 }
 
-/// Adds the sums of this thread to a gradient row. No other thread adds to this row. Its
-/// spherical-harmonic coefficients need atomics, because two instances may share them.
+/// Adds the sums of this thread to a gradient row, to which no other thread adds. The
+/// gradients of spherical harmonics need atomics, because two instances may share the
+/// coefficients.
 void add_to_row(uint row, uint instance) {
     for (uint k = 0u; k < 16u; ++k) params.d_records.at[16u * row + k] += sums[k];
     if (SH_PER_SURFEL != 0u) return;

@@ -9,8 +9,8 @@
 #include "gaussian3d.glsl"
 
 /// Intersects a ray with a surfel or 3D Gaussian. The caller must compare the resulting
-/// alpha with the threshold.
-/// @return true if the ray hits the primitive
+/// alpha with alpha_min.
+/// @return false if there is no intersection
 bool intersect(SurfelRecord record, vec3 origin, vec3 direction, out SurfelHit hit) {
     if (PRIMITIVE == kPrimitive_gaussian) return intersect_gaussian(record, origin, direction, hit);
     return intersect_surfel(record, origin, direction, hit);
