@@ -47,8 +47,8 @@ struct BackwardPass::Impl {
     Kernel<shared::BackwardParams> trace;
     PoseGradients poses;
     std::unique_ptr<HitGather> gather;  ///< null if gradients are added with atomics
-    /// Counter that the tracing kernel needs as an output. Nobody reads it here, because
-    /// the forward pass has reported the same rays.
+    /// Counter that the tracing kernel needs as an output. The host ignores it, because
+    /// the forward pass has already reported the same rays.
     Array<std::uint32_t, shared::PassCapCount> pass_cap;
 
     static std::vector<Constant> constants(const Device& device, const ImageModel& model, Proxy proxy,
