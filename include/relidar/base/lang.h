@@ -41,8 +41,8 @@ public:
 
     Address() = default;
     friend bool operator==(const Address&, const Address&) = default;
-    /// Returns the same device address with another meaning. No other function converts
-    /// between meanings.
+    /// Returns this device address with another Meaning, the name of the array's content.
+    /// No other function converts between meanings.
     template <class Other>
     Of<Other> as() const {
         return Of<Other>(value_);

@@ -45,7 +45,8 @@ struct SurfelStatistics {
 /// Training batch whose gradients have been computed.
 struct ObservedBatch {
     const SurfelArrays* gradients = nullptr;
-    /// Flags, [n]: 1 for each surfel whose gradient is defined and not zero.
+    /// Flags, [n]: 1 for each surfel that gets a gradient from the batch. The gradients
+    /// of other surfels may be undefined.
     const Array<std::uint32_t, shared::TouchedSurfels>* touched = nullptr;
     std::uint32_t frame = 0;  ///< Index of the batch's frame in the list of training frames.
     /// True if the batch has all rays of the frame. False if it has only every s-th ray.

@@ -119,9 +119,9 @@ public:
     /// @throws DataError if the number of poses is wrong
     /// @throws UsageError if the image model and the scene have different primitives
     void place(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m);
-    /// Records GPU commands that use the current parameters and the new view. All
-    /// instances keep their poses. If no poses were set before, all instances are at the
-    /// origin.
+    /// Records GPU commands that prepare rendering with the current parameters from a new
+    /// sensor position. All instances keep their poses. If no poses were set before, all
+    /// instances are at the origin.
     void place(const glm::vec3& view_origin_m) { place(scene().poses(), view_origin_m); }
     /// Records GPU commands that set the poses of all instances. The trees of rigid
     /// models are not refitted. Use this function if no parameter has changed since the

@@ -56,8 +56,7 @@ struct LossTerms;
 struct TouchedSurfels;
 }  // namespace shared
 
-/// Selects a row of a device array. The kernels add the loss terms of a batch to this
-/// row.
+/// Row of a device array to which kernels add the loss terms of a batch.
 struct TermRow {
     const Array<float>& terms;  ///< Weighted loss terms, [rows, kLossTerms].
     std::uint32_t row = 0;

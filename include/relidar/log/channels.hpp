@@ -138,7 +138,7 @@ void append_return(ScanChannel& of_points, const ScanChannel& of_rays, std::size
 
 /// Checks names and sizes of channels before the channels are written to a file.
 /// @param count  expected number of values
-/// @param description  the rays or points, for the error message
+/// @param description  name of the elements in error messages, for example rays or points
 /// @throws DataError if a name is invalid or used twice, or if a channel does not have
 /// `count` values
 void check_channels(const std::vector<ScanChannel>& channels, std::size_t count,

@@ -29,8 +29,8 @@ inline constexpr const char* kNoPoses = "none";
 
 /// Options that only the reader of ROS bags uses.
 struct BagOptions {
-    /// TF frame or topic from which the reader takes the poses. If the text is empty, the
-    /// reader chooses a topic.
+    /// TF frame or topic of a ROS bag from which the poses are read. If the text is
+    /// empty, the reader chooses one.
     std::string poses_from = {};
 };
 
@@ -158,8 +158,8 @@ Scan cast_synthetic_street(const SyntheticOptions& options, const RayTable& rays
 Scan cast_synthetic_beams(const SyntheticOptions& options, const RayTable& rays,
                           const PoseTrack& world_from_sensor, double time_s);
 
-/// A car in an edited street. The car has the shape of one of the street's original cars.
-/// It follows a track in relidar's world frame.
+/// A car of an edited synthetic street. It has the shape of one of the original cars and
+/// follows a track in relidar's world frame.
 struct StreetCar {
     std::size_t shapes_of = 0;  ///< id of the original car: BoxTrack::id "0", "1", ...
     /// Track of the car. A sweep contains the car if the track covers the reference time

@@ -19,8 +19,8 @@ namespace relidar {
 struct RenderedIntensities {
     int rows = 0, columns = 0;
     std::vector<float> intensity;
-    /// Range of the surface that contributes the largest weight to the ray. 0 if the ray
-    /// hit nothing.
+    /// Median range of the ray in metres (RenderedScan::median_range_m). 0 if the ray hit
+    /// nothing.
     std::vector<float> range_m;
     std::vector<float> spread_m;  ///< result of compute_range_spread()
     /// Cosine of the angle between ray and surface normal. Negative if unknown.

@@ -250,7 +250,7 @@ struct Sequence {
     IntensityResponse intensity_response;
     std::string conventions;         ///< a single line for users: frames, units, time reference
     std::vector<std::string> notes;  ///< Messages about data that the log lacks, one line each
-    /// Indices of the frames with which published work tests this part of the dataset.
+    /// Indices of the test frames in published results on this part of the dataset.
     std::vector<int> test_frames = {};
     /// False: the log has no poses. All poses are the identity until the scans are
     /// registered.
@@ -366,7 +366,7 @@ struct LaserCalibration {
     double rms_after = 0.0;   ///< The same distance (RMS) after adding an offset for each beam.
     bool adopted = false;     ///< True if the offsets were stored in the beams.
 };
-/// Result of calibrate_intensity(): the errors of intensities before and after.
+/// Result of calibrate_intensity(): errors before and after the calibration.
 struct IntensityCalibration {
     std::size_t returns = 0;  ///< number of returns that were compared
     /// Root mean square difference between an intensity and the mean of returns at the

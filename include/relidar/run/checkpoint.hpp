@@ -76,7 +76,7 @@ public:
     void operator()(const std::string& name, const FirstOf<T>& first) {
         (*this)(name, first.array.download(first.n));
     }
-    /// Stores one array per parameter group, for example name/mean, [n,3].
+    /// Stores surfels as one array per group of parameters, for example name/mean, [n,3].
     void operator()(const std::string& name, const SurfelArrays& surfels);
 
 private:

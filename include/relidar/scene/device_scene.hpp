@@ -245,7 +245,7 @@ struct ActivationGradients {
     SurfelArrays* d_surfels = nullptr;  ///< Output: gradients with respect to the surfel parameters.
     /// Output: flags, [n]. 1 for each surfel whose record has a nonzero gradient.
     Array<std::uint32_t, shared::TouchedSurfels>* touched = nullptr;
-    /// Output: dL/d(view origin) of each surfel, [n,3], model frame. Used only with
+    /// Output: dL/d(sensor position) from each surfel, [n,3], model frame. Used only with
     /// ShDirection::surfel. Null if not needed.
     Array<float, shared::ViewGradients>* d_view = nullptr;
     bool zero_untouched = true;  ///< If true, activate_vjp() writes zeros for surfels without a gradient.

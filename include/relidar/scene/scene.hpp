@@ -377,16 +377,16 @@ std::vector<BoxTrack> find_unselected_boxes(const Sequence& sequence, const Init
 /// Returns a list of track ids and classes, at most eight: "3 (Pedestrian), 7 (Tram)".
 std::string list_boxes(const std::vector<BoxTrack>& boxes);
 
-/// Computes poses and motions of all instances in a sweep from the log. A box is absent
-/// before its first and after its last label.
+/// Computes poses and motions of all instances during a sweep, from the tracks of the
+/// log. A box is absent before its first and after its last label.
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence,
                                           const SweepMoment& sweep);
 
 /// Tracks of actors by name. Poses are box centres in relidar's world frame, interpolated
 /// over time. Actors without an entry are absent.
 using ActorPoses = std::map<std::string, PoseTrack>;
-/// Computes poses and motions of all instances in a sweep, with actor tracks from the
-/// caller. The sequence provides the motion and pose of the sensor.
+/// Computes poses and motions of all instances during a sweep, from actor tracks of the
+/// caller. The pose and motion of the sensor come from the sequence.
 /// @throws UsageError for a name that no instance has. The message suggests the most
 /// similar name.
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence,

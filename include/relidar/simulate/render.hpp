@@ -311,8 +311,8 @@ public:
     /// Sets the weather of all following scans. For a sampled scan, the seed of the
     /// sample also seeds the weather. Other scans use seed 0. Scans with weather have the
     /// channel `source`.
-    /// @throws UsageError as check_weather(), and for weather if all intensities of the
-    /// log are 0
+    /// @throws UsageError if all intensities of the log are 0
+    /// @throws errors of check_weather()
     void set_weather(const Weather& weather);
     /// Returns true if a ray-drop network corrects the drop probabilities of this
     /// sensor's scans.

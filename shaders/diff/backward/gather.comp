@@ -19,7 +19,7 @@
 RELIDAR_PARAMS(GatherParams);
 #include "gather.glsl"
 
-/// Adds the gradient of hit `index` to the sums of this thread.
+/// Adds the gradient of hit `index` to the local sums of this thread.
 /// @return the instance of the hit
 uint add_hit_gradients(TraceScene scene, uint index, uint row) {
     HitRecord h = params.hits.at[params.slots.at[index]];

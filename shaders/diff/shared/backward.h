@@ -85,7 +85,7 @@ struct PoseBlock {
 RELIDAR_POINTER(PoseBlocks, PoseBlock);
 
 // Number of floats of a pose gradient: force, torque about the model's origin, and
-// dL/d(view origin), all in the model frame.
+// dL/d(sensor position), all in the model frame.
 #define RELIDAR_POSE_SUMS 9
 
 struct PoseBlocksParams {

@@ -75,8 +75,7 @@ struct CheckSubgroupsParams {
     uint fault;     // 1: one lane adds nothing, so that a test can provoke a wrong sum.
 };
 
-/// Returns the value that a thread of check_subgroups uses. The value is a hash below
-/// 65536.
+/// Returns the test value of a thread in kernel check_subgroups: a hash below 65536.
 RELIDAR_FUNCTION uint check_value(uint thread) {
     uint x = thread * 747796405u + 2891336453u;
     return (x ^ (x >> 15u)) >> 16u;

@@ -64,8 +64,8 @@ struct KnotGradientsParams {
     RayPlaces places;  // Input: position of each ray of the frame between two sensor poses.
     PoseKnots knots;   // input
     RELIDAR_OF(Floats, DeviceRayGradients) d_rays;  // input [n_rays,6]
-    // Output [n_rows,n_knots,6]: dL/d(translation), dL/d(rotation). Each row is the sum
-    // over the rays of one workgroup.
+    // Output [n_rows,n_knots,6]: dL/d(translation) and dL/d(rotation) of each sensor
+    // pose. Each row is the sum over the rays of one workgroup.
     RELIDAR_OF(Floats, KnotGradientRows) rows;
     uint n_rays;
     uint first_ray;
