@@ -20,7 +20,7 @@ struct ForcedWays {
     /// structure.
     bool brute_force = false;
     /// True: neighbouring threads read neighbouring floats. False: each thread reads a
-    /// row of its own. The default depends on the device.
+    /// separate row. The default depends on the device.
     std::optional<bool> coalesces = std::nullopt;
     /// Number of scans that a ScanRenderer renders concurrently.
     std::optional<int> side_by_side = std::nullopt;

@@ -78,7 +78,7 @@ struct Report {
     std::vector<ReportBars> bars;
     /// Tables. A table without rows below the titles is left out.
     std::vector<ReportTable> tables;
-    /// Metrics to show first. A key metric is left out if `metrics` does not contain it.
+    /// Metrics to show first. A metric that is not in `metrics` is left out.
     std::vector<ReportKeyMetric> key_metrics;
     std::vector<std::pair<std::string, std::string>> facts;  ///< device, sizes, times
     /// Curves to draw. The scale is logarithmic if all values are positive and span more

@@ -107,7 +107,8 @@ struct TrainSession {
 struct PrepareSession {
     /// Callback for one line of text about each estimate, as soon as it is available.
     std::function<void(const std::string&)> tell;
-    /// Callback that is polled during the preparation. It returns true to stop it.
+    /// Callback that is polled during the preparation. It returns true to stop the
+    /// preparation.
     std::function<bool()> stop;
     Progress progress = {};        ///< Function that receives the progress of slow steps.
     StageTimes* stages = nullptr;  ///< Output: times of the stages "register", "calibrate" and "movers".
@@ -225,10 +226,11 @@ struct ScatterSession {
     std::function<bool()> stop = {};
 };
 
-/// Fits a statistical model of the measured intensities for each LiDAR, given the
-/// rendered ones. Renders some training frames of the run, whose sequence must contain
+/// Fits a statistical model of the measured intensities, given the rendered intensities,
+/// for each LiDAR. Renders some training frames of the run, whose sequence must contain
 /// the scans.
-/// @return [lidars] models. Empty for a LiDAR with too few returns. No entries if stopped
+/// @return [lidars] models, empty for a LiDAR with too few returns. An empty vector if
+/// stopped
 std::vector<IntensityScatter> learn_scatter(Device& device, const Run& run,
                                             const ScatterSession& session = {});
 

@@ -16,8 +16,8 @@ float compute_gate(float normalised, uint place, uint key, float dropout) {
 }
 
 // Returns the number of workgroups that process one channel of an image. No workgroup
-// processes two channels, so each computes its channel index only once. Integer divisions
-// are slow on a CPU.
+// processes two channels, so each computes its channel index only once, because integer
+// divisions are slow on a CPU.
 uint count_workgroups_per_plane(uint n_pixels) {
     uint stretch = gl_WorkGroupSize.x * RELIDAR_NORM_PIXELS;
     return (n_pixels + stretch - 1u) / stretch;

@@ -132,8 +132,8 @@ void insert(Key key, float alpha, float alpha_max) {
         nearer = next_nearer[nearer];
     }
     uint slot = find_insertion_index(alpha_max);
-    // The new hit may have got the entry of its farther neighbour, which was removed. The
-    // sentinel is then its farther neighbour.
+    // In a full buffer, the new hit gets the entry of the farthest hit. If this hit was
+    // the farther neighbour, the sentinel becomes the farther neighbour.
     if (slot == farther) farther = CHUNK;
     place_hit(slot, Hit(key.t, alpha, key.instance, key.surfel));
     latest = slot;

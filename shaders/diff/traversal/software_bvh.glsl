@@ -64,7 +64,8 @@ const float kSlack = 5e-7;
 const float kLeastSlope = 1e-12;
 
 uint stack_entry[SLOTS];  // Traversal stack. SLOTS is one larger than the number of used entries.
-// Distance at which the ray enters the node of a stack entry, or kNever if it misses it.
+// Distance at which the ray enters the node of a stack entry, or kNever if it misses the
+// node.
 float stack_t[SLOTS];
 uint stack_size;
 bool stack_full;

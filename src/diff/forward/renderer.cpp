@@ -71,7 +71,7 @@ struct Renderer::Impl {
     }
 
     void allocate_kept_hits(std::size_t n_threads) {
-        // Frees the old memory first, because both may not fit. Nothing reads the old
+        // Frees the old memory first, because both may not fit. No command reads the old
         // memory any more.
         kept.reset();
         if (options.keep_hits > 0) kept.emplace(device, n_threads, options.keep_hits);
