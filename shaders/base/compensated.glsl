@@ -4,8 +4,8 @@
 #ifndef RELIDAR_INCLUDED_BASE_COMPENSATED_GLSL
 #define RELIDAR_INCLUDED_BASE_COMPENSATED_GLSL
 
-/// Adds x to `sum`. Stores the rounding error in `lost`. The next call corrects the sum
-/// by this error.
+/// Adds x to `sum` with Kahan summation: the rounding error is stored in `lost`, and the
+/// next call corrects the sum by it.
 void add_with_compensation(inout float sum, inout float lost, float x) {
     precise float y = x - lost;
     precise float t = sum + y;

@@ -12,11 +12,11 @@ const float kFixedSteps = 1048576.0, kFixedWord = 4294967296.0;
 /// Returns -x for a 64-bit number of two words (two's complement).
 uvec2 negate(uvec2 x) { return uvec2(~x.x + 1u, ~x.y + uint(x.x == 0u)); }
 
-/// Adds x to the fixed-point number sums[entry]. The number consists of two words, the
-/// low word first. x must be finite and its absolute value below 1e12.
+/// Adds x to a sum. The sum is a fixed-point number of two words in `sums`, the low word
+/// first. x must be finite and its absolute value below 1e12.
 void add_fixed(Uints sums, uint entry, float x) {
-    // Splits the number of steps into two words. The split is exact, because a float has
-    // only 24 significant bits.
+    // Converts |x| to a fixed-point number with a low and a high word. This is exact,
+    // because a float has only 24 significant bits.
     float steps = trunc(abs(x) * kFixedSteps), high = floor(steps / kFixedWord);
     uvec2 amount = uvec2(uint(steps - high * kFixedWord), uint(high));
     if (x < 0.0) amount = negate(amount);
@@ -28,8 +28,8 @@ void add_fixed(Uints sums, uint entry, float x) {
 float read_fixed(Uints sums, uint entry) {
     uvec2 sum = uvec2(sums.at[2u * entry], sums.at[2u * entry + 1u]);
     bool negative = (sum.y & 0x80000000u) != 0u;
-    // Negates the integer instead of the float, because converting a negative integer to
-    // float would round its low word first.
+    // Makes a negative number positive before the conversion to float, because the low
+    // word of a negative number would be rounded separately.
     if (negative) sum = negate(sum);
     float steps = float(sum.y) * kFixedWord + float(sum.x);
     return (negative ? -steps : steps) / kFixedSteps;

@@ -17,8 +17,8 @@ uint get_thread_index() {
     return gl_GlobalInvocationID.y * gl_NumWorkGroups.x * gl_WorkGroupSize.x + gl_GlobalInvocationID.x;
 }
 
-/// Returns the number of threads of the launch. Loops use it as their stride if only the
-/// device knows the number of elements.
+/// Returns the number of threads of the launch. A kernel whose number of elements only
+/// the device knows uses it as the stride of its loop.
 uint get_thread_count() { return gl_NumWorkGroups.y * gl_NumWorkGroups.x * gl_WorkGroupSize.x; }
 
 /// Returns the index of this workgroup over both dimensions of the launch.
@@ -32,16 +32,15 @@ layout(push_constant, scalar) uniform Push {
 } push;
 // clang-format on
 
-/// Returns true if the host passed no array. In this case the host passes the address of
-/// a few zeros instead of address 0. Some drivers execute loads in branches that no lane
-/// takes (docs/debugging.md), so the first entries of every array must be readable.
+/// Returns true if the host passed no array for this pointer. The pointer is then the
+/// address of a few zeros, not 0. This keeps the first entries of every array readable,
+/// because some drivers execute loads in branches that no lane takes (docs/debugging.md).
 #define is_null(pointer) (uvec2(pointer) == push.nothing)
 
-// Declares the parameter block without `readonly`. The host adds this qualifier when it
-// loads the module (src/gpu/spirv.hpp), so that the compiler can keep parameters in
-// scalar registers. With `readonly` in GLSL, pointers in the block could not be passed to
-// functions. A copy of the struct would avoid this, but SwiftShader's compiler crashes on
-// such a copy.
+// Declares the parameter block without `readonly`, because pointers in a `readonly` block
+// cannot be passed to functions. The host adds the qualifier to the SPIR-V module
+// (src/gpu/spirv.hpp), so that the compiler can keep parameters in scalar registers.
+// Copying the struct instead crashes the compiler of SwiftShader.
 #define RELIDAR_PARAMS(Type) \
     layout(buffer_reference, scalar, buffer_reference_align = 16) buffer ParamsBlock { Type value; }
 #define params push.block.value

@@ -20,10 +20,10 @@ uvec4 pcg4d(uvec4 v) {
 }
 
 /// Returns two independent random numbers with a standard normal distribution (Box and
-/// Muller).
-/// @param key key of the launch
-/// @param item index of the item that needs the numbers
-/// @param draw index of the pair for this item
+/// Muller). Equal arguments give equal numbers.
+/// @param key seed of the kernel launch
+/// @param item index of the element that needs the numbers
+/// @param draw index of the pair for this element
 vec2 draw_normal_pair(uint key, uint item, uint draw) {
     uvec4 bits = pcg4d(uvec4(key, item, draw, 0u));
     float radius = sqrt(-2.0 * log((float(bits.x >> 8u) + 1.0) * (1.0 / 16777216.0)));

@@ -19,25 +19,25 @@ RELIDAR_PARAMS(RadixSortParams);
 #include "radix.glsl"
 
 const uint ROUNDS = RELIDAR_TILE_SIZE / RELIDAR_TILE_THREADS;
-// Number of words in a row of counters. Each word holds two 16-bit counts, because a tile
-// has fewer than 65536 keys.
+// Number of words in a row of counters. A word holds two 16-bit counts, which is enough
+// because a tile has fewer than 65536 keys.
 const uint WORDS = RELIDAR_SORT_DIGITS / 2u;
 const uint ROWS = 32u;  // Number of rows of counters that fit into 16 KiB of shared memory.
-// Number of keys with each digit in the part of the tile that a subgroup processes. Two
-// subgroups may share a row. sum_counters() replaces the counts by prefix sums over the
-// rows.
+// Number of keys with each digit, in the part of the tile that a subgroup processes.
+// Several subgroups may share a row. sum_counters() turns the counts into prefix sums
+// over the rows.
 shared uint counters[ROWS * WORDS];
-// Output position of the first key of this tile with each digit.
+// For each digit: output position of the tile's first key with this digit.
 shared uint digit_start[RELIDAR_SORT_DIGITS];
 uint rank[ROUNDS];  // Ranks of this lane's keys. The lane ranks one key per round.
 
-/// Returns the number of neighbouring subgroups that share a row of counters.
+/// Returns the number of consecutive subgroups that use the same row of counters.
 uint count_sharing_subgroups() { return (gl_NumSubgroups + ROWS - 1u) / ROWS; }
 
 uint extract_half_word(uint word, uint digit) { return (word >> (16u * (digit & 1u))) & 0xffffu; }
 
-/// Returns a bit mask of the lanes of this subgroup whose keys have the same digit as
-/// this lane's key. Lanes without a key form a separate group.
+/// Returns a bit mask of the lanes whose keys have the same digit as the key of this
+/// lane. Lanes without a key form a separate group.
 uvec2 find_lanes_with_same_digit(bool valid, uint digit) {
     uvec2 with_key = subgroupBallot(valid).xy;
     uvec2 peers = valid ? with_key : ~with_key;
@@ -75,7 +75,7 @@ void rank_keys(uint run, uint count, uint row, bool in_turn) {
     }
 }
 
-/// Replaces the counts of each row by their sums over all earlier rows.
+/// Replaces the count of each digit by the sum of its counts in all earlier rows.
 void sum_counters(uint n_rows) {
     if (get_scan_thread() >= WORDS) return;
     uint sum = 0u;

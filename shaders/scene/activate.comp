@@ -21,10 +21,10 @@
 #include "sh_rows.glsl"
 RELIDAR_PARAMS(ActivateParams);
 
-/// Evaluates the SH channels of a surfel in a direction. Every thread of the workgroup
-/// must call this function. Checks the coefficients for NaN, because max(NaN, 0) is 0 and
-/// hides a NaN.
-/// @return true if all active coefficients are finite
+/// Evaluates the spherical harmonics (intensity and logits) of a surfel in a direction.
+/// Every thread of the workgroup must call this function.
+/// @return false if an active coefficient is NaN or infinite. The values may hide a NaN,
+/// because max(NaN, 0) is 0
 bool compute_channels(uint surfel, bool is_surfel, vec3 direction, out vec3 values) {
     float basis[16];
     evaluate_sh_basis(direction, params.sh_degree, basis);
@@ -49,8 +49,8 @@ bool is_finite_vector(vec3 vector) { return !any(isnan(vector)) && !any(isinf(ve
 void main() {
     uint i = get_thread_index();
     bool is_surfel = i < params.n_surfels;
-    // If STAGED is set, threads without a surfel continue, because they load data for
-    // other threads.
+    // If STAGED is set, threads without a surfel continue, because they help to load
+    // coefficients into shared memory.
     if (!STAGED && !is_surfel) return;
     uint surfel = is_surfel ? i : 0u;
     Floats mean = params.surfels.mean, rotation = params.surfels.rotation,
@@ -70,7 +70,7 @@ void main() {
     s.axis_u = r[0] * exp(-log_scale.at[2 * surfel]);
     s.axis_v = r[1] * exp(-log_scale.at[2 * surfel + 1]);
     s.normal = r[2];
-    // 3D Gaussians have a third scale, which is along the normal
+    // 3D Gaussians also have a scale along the third axis, stored as the normal
     if (!is_null(params.surfels.log_scale_w)) s.normal *= exp(-params.surfels.log_scale_w.at[surfel]);
     s.opacity = gait.presence / (1.0 + exp(-params.surfels.opacity_logit.at[surfel]));
     vec3 values;

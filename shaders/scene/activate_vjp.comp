@@ -19,9 +19,8 @@
 #include "sh_rows.glsl"
 RELIDAR_PARAMS(ActivateVjpParams);
 
-/// Computes the gradient of a surfel's spherical-harmonic (SH) coefficients. The gradient
-/// is zero if the record gradient is zero. Every thread of the workgroup must call this
-/// function.
+/// Computes the gradient of a surfel's spherical-harmonic coefficients. It is zero if
+/// `any_gradient` is false. Every thread of the workgroup must call this function.
 /// @return dL/d(direction)
 vec3 backpropagate_channels(uint surfel, bool any_gradient, vec3 direction, vec3 d_channel) {
     float basis[16], d_basis[16];
@@ -54,7 +53,7 @@ void store_view(uint surfel, vec3 gradient) {
     for (uint k = 0u; k < 3u; ++k) params.d_view.at[3 * surfel + k] = gradient[k];
 }
 
-/// Loads the record gradient of a surfel, summed over all instances of its model.
+/// Loads the gradient of a surfel's record, summed over all instances of its model.
 /// @return true if any component is not zero
 bool load_row(uint surfel, ModelEntry model, out float row[16]) {
     for (uint k = 0u; k < 16u; ++k) row[k] = params.d_records.at[16u * surfel + k];
@@ -111,8 +110,8 @@ void store_geometry(uint surfel, Gait gait, vec3 d_mean, float row[16]) {
     for (uint k = 0u; k < 5u; ++k) params.d_surfels.gait.at[5 * surfel + k] = d_gait[k];
 }
 
-/// Computes the parameter gradients of a surfel. If STAGED is set, every thread of the
-/// workgroup must call this function.
+/// Computes the gradients of a surfel's parameters from the gradient of its record. If
+/// STAGED is set, every thread of the workgroup must call this function.
 void apply_chain_rule(uint surfel, bool is_surfel) {
     uint model = find_model(params.models, params.n_models, surfel);
     float row[16];

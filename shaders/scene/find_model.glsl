@@ -4,8 +4,8 @@
 #define RELIDAR_INCLUDED_SCENE_FIND_MODEL_GLSL
 #include "shared/scene.h"
 
-/// Returns the index of the model that contains a surfel. This is the last model whose
-/// first surfel is at or before the surfel. A model without surfels is never returned.
+/// Returns the index of the model that contains a surfel: the last model that starts at
+/// or before this surfel. A model without surfels is never returned.
 uint find_model(Models models, uint n_models, uint surfel) {
     uint low = 0u, high = n_models;
     while (high - low > 1u) {

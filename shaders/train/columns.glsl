@@ -3,9 +3,9 @@
 #ifndef RELIDAR_INCLUDED_TRAIN_COLUMNS_GLSL
 #define RELIDAR_INCLUDED_TRAIN_COLUMNS_GLSL
 
-/// Returns the frame column of batch column `index`. A batch consists of groups of
-/// RELIDAR_COLUMN_GROUP neighbouring columns. Consecutive groups start column_stride
-/// times the group width apart. Indices wrap around at the end of the frame.
+/// Returns the column of the frame that becomes column `index` of the batch. A batch
+/// consists of groups of RELIDAR_COLUMN_GROUP neighbouring columns. Consecutive groups
+/// start column_stride group widths apart. Indices wrap around at the end of the frame.
 uint get_frame_column(uint index, uint first_column, uint column_stride, uint n_columns_of_frame) {
     uint within = index % RELIDAR_COLUMN_GROUP;
     return (first_column + (index - within) * column_stride + within) % n_columns_of_frame;

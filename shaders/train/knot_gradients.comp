@@ -17,7 +17,7 @@
 RELIDAR_PARAMS(KnotGradientsParams);
 shared vec3 forces[RELIDAR_KNOT_WORKGROUP], torques[RELIDAR_KNOT_WORKGROUP];
 
-/// Returns the index in the frame of batch ray `index`.
+/// Returns the index in the complete frame of ray `index` of the batch.
 uint get_frame_ray(uint index) {
     if (params.columns == 0u) return params.first_ray + index * params.ray_stride;
     return index / params.n_columns * params.columns + get_frame_column(index % params.n_columns,
@@ -27,8 +27,7 @@ uint get_frame_ray(uint index) {
 
 vec3 load_vec3(Floats array, uint row) { return vec3(array.at[row], array.at[row + 1u], array.at[row + 2u]); }
 
-/// Sums the gradients of every n-th ray, starting with the ray whose index is the thread
-/// index.
+/// Sums the gradients of every n_threads-th ray, starting with ray number `thread`.
 void sum_rays(uint thread, uint n_threads, uint knot, out vec3 force, out vec3 torque) {
     force = torque = vec3(0.0);
     for (uint k = thread; k < params.n_rays; k += n_threads) {

@@ -21,8 +21,9 @@ namespace {
 
 double to_mib(std::uint64_t bytes) { return double(bytes) / 1048576.0; }
 
-/// Throws an error that names the size of a buffer and the free memory.
-/// @param cause reason of the failure, for example the result of the driver
+/// Throws an error that a buffer could not be allocated. The message contains the size of
+/// the buffer, the free memory and the cause.
+/// @param cause for example the error code of the driver
 [[noreturn]] void fail_allocation(const Device::Impl& device, std::size_t size,
                                   const std::string& description, const std::string& cause,
                                   const gpu::MemoryBudget& budget) {
@@ -42,8 +43,8 @@ void check_size(const Device::Impl& device, std::size_t size, const std::string&
                     to_mib(size), description, device.info.name, name, to_mib(limit)));
 }
 
-/// Checks the limit of the user, and the memory budget of the driver. Reading the budget
-/// takes longer than a small allocation, so the function reads it only for large arrays.
+/// Checks that an array fits into the memory limit of the user and into the memory budget
+/// of the driver. Reading the budget is slow, so it is read only for large arrays.
 void check_budget(const Device::Impl& device, std::size_t size, const std::string& description) {
     constexpr std::size_t kLarge = gpu::MemoryPools::kBlockBytes / 2;
     if (device.memory_limit_bytes != 0 && device.allocated + size > device.memory_limit_bytes)
@@ -53,7 +54,7 @@ void check_budget(const Device::Impl& device, std::size_t size, const std::strin
             to_mib(size), description, to_mib(device.allocated), to_mib(device.memory_limit_bytes)));
     if (size < kLarge) return;
     gpu::MemoryBudget budget = gpu::query_memory_budget(device.physical);
-    // Without VK_EXT_memory_budget, the driver does not report the used memory.
+    // Without VK_EXT_memory_budget, the driver does not report used memory (n_used is 0).
     budget.n_used = std::max(budget.n_used, device.allocated.load());
     if (budget.n_bytes > 0 && size > budget.n_free())
         fail_allocation(device, size, description, "the array does not fit", budget);
@@ -63,19 +64,20 @@ void check_budget(const Device::Impl& device, std::size_t size, const std::strin
 
 Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::MemoryUse used, const std::string& description)
     : device(&owner), use(used), n_bytes(size) {
-    // A driver without hardware can compile kernels but cannot allocate memory.
+    // A device that is opened only for compilation allocates no memory, because it may
+    // have no hardware.
     if (owner.compile_only) return;
     owner.free_orphans();
     check_size(owner, size, description);
-    // Checks the budget only for device memory, because all other buffers use host
-    // memory.
+    // Staging and parameter buffers are small or in host memory, so the budget does not
+    // apply.
     if (use == gpu::MemoryUse::device) check_budget(owner, size, description);
     VkBufferCreateInfo info{VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO};
     info.size = size;
     info.usage = VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_SHADER_DEVICE_ADDRESS_BIT |
                  VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT;
-    // Sets these usage flags only if the device traces with ray queries. Otherwise the
-    // extension for acceleration structures is not enabled, so the flags are not allowed.
+    // Vulkan allows these flags only if the extension for acceleration structures is
+    // enabled. This is the case if the device traces with ray queries.
     if (owner.traversal == Traversal::ray_query)
         info.usage |= VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_BUILD_INPUT_READ_ONLY_BIT_KHR |
                       VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_STORAGE_BIT_KHR;
@@ -87,7 +89,8 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::MemoryUse used, c
         gpu::name_object(owner.device, VK_OBJECT_TYPE_BUFFER, handle, description);
         VkMemoryRequirements needs;
         vkGetBufferMemoryRequirements(owner.device, handle, &needs);
-        // A piece of a sparse buffer has at least the size of one memory page.
+        // A piece of a sparse buffer must be a multiple of its memory page, and at least
+        // one page.
         const std::uint64_t piece_bytes =
             std::max(largest / needs.alignment * needs.alignment, needs.alignment);
         result = info.flags ? allocate_pieces(needs, piece_bytes) : allocate(needs);
@@ -152,9 +155,9 @@ VkResult Device::Impl::bind_pieces(VkBuffer buffer, const std::vector<gpu::Memor
 
 Buffer::Impl::~Impl() {
     if (!handle) return;
-    // Usually the code that frees a buffer has waited for the commands that use it. An
-    // exception skips this wait. Therefore waits here for the submitted commands. Keeps
-    // the buffer if a stream has recorded commands, because it may submit them later.
+    // Usually the owner of a buffer has waited for the commands that use it. An exception
+    // skips this wait, so the destructor waits for submitted commands. If a stream still
+    // has recorded commands, which it may submit, the buffer is freed later.
     if (std::uncaught_exceptions() > 0) {
         const std::lock_guard lock(device->orphans_mutex);
         if (device->n_recording > 0) {

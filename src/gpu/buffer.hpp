@@ -11,8 +11,8 @@ namespace relidar {
 struct Buffer::Impl {
     Device::Impl* device = nullptr;
     VkBuffer handle = VK_NULL_HANDLE;
-    /// Memory of the buffer. A buffer that is larger than the driver's largest allocation
-    /// has several pieces.
+    /// Memory of the buffer. It has several pieces if the buffer is larger than the
+    /// driver's maximum allocation.
     std::vector<gpu::MemoryPiece> memory;
     gpu::MemoryUse use;
     std::uint64_t address = 0;

@@ -23,8 +23,8 @@ namespace {
 
 using Words = std::vector<std::uint32_t>;
 
-/// Lets `count` threads add integers to `n_sums` sums on the device. Returns the largest
-/// relative error of a sum.
+/// Runs a kernel in which `count` threads add integers to `n_sums` sums. Returns the
+/// largest relative error of a sum.
 double measure_sum_error(Stream& stream, const Kernel<shared::CheckAtomicsParams>& kernel,
                          std::uint32_t count, std::uint32_t n_sums, bool fault, double* seconds = nullptr) {
     std::vector<double> expected(n_sums, 0.0);
@@ -51,12 +51,12 @@ constexpr std::array<const char*, RELIDAR_CHECK_RESULTS> kOperations = {
     "subgroupAdd in a branch", "prefix sum of workgroup",
     "sum of the workgroup",
 };
-/// Index of subgroupAdd in a branch. Vulkan guarantees its result only on devices whose
-/// lanes reconverge after a branch.
+/// Index of the operation "subgroupAdd in a branch". Its result is defined only on
+/// devices whose lanes reconverge after a branch.
 constexpr std::size_t kInBranch = 8;
 constexpr std::uint32_t kCheckWorkgroup = 256;
 
-/// Returns the correct results of one thread in a subgroup.
+/// Returns the correct results of all subgroup operations for one thread.
 /// @param values values of the lanes of this subgroup
 /// @param lane index of the thread in the subgroup
 /// @param before sum of all earlier subgroups of the workgroup
@@ -118,7 +118,8 @@ std::string find_wrong_operations(Device& device) {
     return {};
 }
 
-/// Sorts 5000 keys on the device. Returns an empty text if the order is correct.
+/// Sorts 5000 keys on the device. Returns an empty text if the order is right, otherwise
+/// a text about the first wrong key.
 std::string describe_sort_failure(Device& device) {
     if (!device.info().has_known_subgroups) return {};
     constexpr std::uint32_t kKeys = 5000;

@@ -11,25 +11,24 @@
 
 namespace relidar {
 
-/// Lets many threads add small integers to a few sums on the device.
+/// Tests atomic additions: many threads add small integers to a few sums on the device.
 /// @param swaps true: adds with compare-and-swap. false: adds with float atomics, which
 /// the device must support
-/// @return the largest relative error of a sum. 0 if all sums are correct
+/// @return the largest relative error of a sum. 0 if all sums are right
 double compute_sum_error(Device& device, bool swaps);
 
-/// Tests atomic addition with compare-and-swap. The threads of one dispatch add numbers
-/// to 1024 shared sums.
-/// @return the largest relative error, compared with the exact sums
+/// Tests atomic additions with compare-and-swap, for a given number of threads that add
+/// to 1024 sums.
+/// @return the largest relative error of a sum
 /// @param seconds receives the duration of the dispatch
 double measure_sum_error_of_kernel(Device& device, std::uint32_t n_threads, double& seconds);
 
 /// Returns the subgroup sizes that kernels can request, of 4 to 64 lanes.
 std::vector<int> list_subgroup_sizes(const Device& device);
 
-/// Checks subgroup operations with DeviceInfo::get_subgroup_size lanes per subgroup. Also
-/// checks a sort that uses subgroup operations.
-/// @return a text with the first wrong result and the expected result. Empty if all
-/// results are correct
+/// Tests subgroup operations, and a sort that uses them, with DeviceInfo::subgroup_size
+/// lanes per subgroup.
+/// @return text about the first wrong result. Empty if all results are right
 std::string find_wrong_subgroups(Device& device);
 
 }  // namespace relidar

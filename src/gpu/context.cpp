@@ -102,8 +102,8 @@ Instance::Instance(bool validation) {
     VkInstanceCreateInfo info{VK_STRUCTURE_TYPE_INSTANCE_CREATE_INFO};
     info.pApplicationInfo = &app;
     VkDebugUtilsMessengerCreateInfoEXT debug = make_messenger_info(this);
-    // Every instance enables VK_EXT_debug_utils if it is available, so that debuggers
-    // always show object names.
+    // VK_EXT_debug_utils is enabled even without validation, so that debuggers show the
+    // names of objects.
     if (validation || has_debug_utils()) {
         info.enabledExtensionCount = 1;
         info.ppEnabledExtensionNames = &extension;
@@ -156,8 +156,8 @@ std::vector<DeviceInfo> describe_all(const std::vector<VkPhysicalDevice>& physic
     return infos;
 }
 
-/// Returns the index of the requested device, or of the best device if none was
-/// requested. Prefers GPUs to CPUs. Among GPUs, prefers devices with ray queries.
+/// Returns the index of the requested device. If none is requested, prefers GPUs to CPUs,
+/// and among GPUs those with ray queries.
 int choose(const std::vector<DeviceInfo>& infos, const DeviceOptions& options) {
     if (infos.empty())
         throw DeviceError(
@@ -199,8 +199,8 @@ void require(const DeviceInfo& info, Traversal traversal) {
             "cannot open device {} ({}) with software traversal: it lacks these required features: "
             "{}; use --traversal auto",
             info.index, info.name, info.why_not_software));
-    // Accepts SwiftShader although it cannot run the tracing kernels, because tests run
-    // all other kernels on it.
+    // SwiftShader cannot run the tracing kernels. It is accepted, because tests run all
+    // other kernels on it.
     const bool runs_the_rest = gpu::is_swiftshader(info);
     if (traversal == Traversal::automatic && choose_best_traversal(info) == Traversal::automatic &&
         !runs_the_rest)
@@ -241,8 +241,8 @@ Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
     require(impl_->info, options.traversal);
     impl_->traversal =
         options.traversal == Traversal::automatic ? choose_best_traversal(impl_->info) : options.traversal;
-    // Falls back to the software traversal if the device supports no method. The
-    // constructors of the acceleration structures then reject the device.
+    // If no traversal method works, selects the software tree, whose constructor then
+    // throws an error with the reason.
     if (impl_->traversal == Traversal::automatic) impl_->traversal = Traversal::software;
     impl_->physical = physical[static_cast<std::size_t>(index)];
     impl_->memory_limit_bytes = options.memory_limit_bytes;
@@ -278,8 +278,8 @@ void Device::Impl::open(const std::filesystem::path& cache_folder) {
 
 namespace {
 
-/// Feature structs of Vulkan extensions with all features enabled. make_device() passes
-/// only the structs that the device supports.
+/// Feature structs of Vulkan extensions, with all features enabled. make_device()
+/// requests only those that the device supports.
 struct ExtensionFeatures {
     VkPhysicalDeviceAccelerationStructureFeaturesKHR accel{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_FEATURES_KHR};
@@ -387,14 +387,14 @@ void Device::Impl::read_limits() {
     vkGetPhysicalDeviceProperties2(physical, &properties);
     timestamp_period_ns = properties.properties.limits.timestampPeriod;
     compiles_ahead = info.type != "CPU" && !compile_only;
-    // Limits the duration of dispatches only on GPUs, because no watchdog resets a CPU.
+    // Long dispatches are split only on GPUs, because no watchdog resets a CPU device.
     if (info.type != "CPU") launch_limit.piece_s = 0.25;
     workgroup_size = std::max(32u, static_cast<std::uint32_t>(info.subgroup_size));
     largest_allocation = {allocations.maxMemoryAllocationSize, "maxMemoryAllocationSize"};
     largest_buffer = {sizes.maxBufferSize, "maxBufferSize"};
     if (info.memory_bytes && info.memory_bytes < largest_buffer.n_bytes)
         largest_buffer = {info.memory_bytes, "its memory"};
-    // The limit that lavapipe reports for sparse buffers is 2 GiB, but larger ones work.
+    // lavapipe reports a limit of 2 GiB for sparse buffers, but larger ones work.
     const std::uint64_t sparse_bytes = properties.properties.limits.sparseAddressSpaceSize;
     if (binds_sparse && sparse_bytes < largest_buffer.n_bytes && !info.driver.starts_with("llvmpipe"))
         largest_buffer = {sparse_bytes, "sparseAddressSpaceSize"};
@@ -422,13 +422,11 @@ Device::Impl::~Impl() {
     for (const Orphan& orphan : orphans) free_buffer(orphan);
     memory.reset();
     for (const auto& [key, made] : pipelines.by_key) {
-        // Skips kernels that were never launched, because they have no pipeline to
-        // destroy.
+        // A deferred pipeline was never created, because its kernel was never launched.
         if (made.wait_for(std::chrono::seconds(0)) == std::future_status::deferred) continue;
         try {
             vkDestroyPipeline(device, made.get().pipeline, nullptr);
-            // Ignores this error, because the launch of the kernel has already reported
-            // it.
+            // The launch of the kernel has already reported this error.
         } catch (const Error&) {}
     }
     pipeline_cache.reset();

@@ -26,8 +26,8 @@ namespace relidar::gpu {
 class PipelineCache;
 class Transfers;
 
-/// Checks the result of a Vulkan call. If the call failed, throws a DeviceError that
-/// contains `call` and the name of the VkResult.
+/// Throws a DeviceError if the result of a Vulkan call is not VK_SUCCESS. The message
+/// contains `call` and the name of the result.
 void check(VkResult result, const char* call);
 /// Throws an error for a failed Vulkan call.
 /// @throws DeviceLost if the driver has lost the device
@@ -39,9 +39,9 @@ std::string get_result_name(VkResult result);
 struct Instance {
     VkInstance handle = VK_NULL_HANDLE;
     VkDebugUtilsMessengerEXT messenger = VK_NULL_HANDLE;
-    /// Function that destroys the debug messenger of this instance. It is stored per
-    /// instance because volk's global pointer becomes null if another instance is opened
-    /// without the extension.
+    /// Destroys the debug messenger of this instance. Stored here, because volk's global
+    /// function pointer becomes null if an instance without the extension is opened
+    /// later.
     PFN_vkDestroyDebugUtilsMessengerEXT destroy_messenger = nullptr;
     std::atomic<std::size_t> n_messages{0};
 
@@ -68,7 +68,7 @@ void name_object(VkDevice device, VkObjectType type, Handle handle, const std::s
 /// Returns true if the physical device supports the extension `name`.
 bool has_extension(VkPhysicalDevice physical, const char* name);
 
-/// Collects the names of missing features for an error message.
+/// Collects the names of features that a device lacks, for an error message.
 struct Missing {
     std::string text;
     void need(bool present, const char* name) {
@@ -76,13 +76,13 @@ struct Missing {
     }
 };
 
-/// Optional device features for subgroups. Kernels rely on this subgroup behaviour.
-/// Without these features, the Vulkan specification does not guarantee it.
+/// Optional device features that guarantee the behaviour of subgroups. Kernels rely on
+/// this behaviour even on devices without these features.
 struct OptionalFeatures {
-    /// True if a kernel can request subgroups of exactly DeviceInfo::get_subgroup_size
-    /// lanes.
+    /// True if a kernel can request subgroups of exactly DeviceInfo::subgroup_size lanes.
     bool subgroup_size = false;
-    /// True if a kernel can request full subgroups, which have no inactive lanes.
+    /// True if a kernel can request full subgroups, in which all lanes are active at the
+    /// start.
     bool full_subgroups = false;
     bool subgroup_uniform_control_flow = false;
     bool maximal_reconvergence = false;
@@ -90,17 +90,17 @@ struct OptionalFeatures {
 OptionalFeatures query_optional_features(VkPhysicalDevice physical);
 
 /// Returns true if kernels can request full subgroups of exactly
-/// DeviceInfo::get_subgroup_size lanes.
+/// DeviceInfo::subgroup_size lanes.
 bool has_known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                          const OptionalFeatures& optional);
-/// Lists the features that the software traversal needs and the device lacks. Returns an
-/// empty text if no feature is missing.
+/// Returns the names of the features that the software traversal needs and the device
+/// lacks. Empty if no feature is missing.
 std::string list_missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
                                       const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                                       const OptionalFeatures& optional);
 
-/// Lists the features that neural networks need and the device lacks. Returns an empty
-/// text if no feature is missing.
+/// Returns the names of the features that neural networks need and the device lacks.
+/// Empty if no feature is missing.
 std::string list_missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup,
                                       const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                                       const OptionalFeatures& optional);
@@ -149,13 +149,13 @@ struct Device::Impl {
     std::uint32_t scratch_alignment = 256;
     /// True if a buffer may consist of several allocations (Vulkan's sparse binding).
     bool binds_sparse = false;
-    /// Size in bytes, and the name of the Vulkan limit that sets this size.
+    /// A limit of the driver: its value in bytes, and its name in Vulkan.
     struct Limit {
         std::uint64_t n_bytes;
         const char* name;
     };
-    /// Maximum size of an array, and maximum size of an allocation. A larger array
-    /// consists of several allocations if `binds_sparse` is true.
+    /// Maximum size of an array, and maximum size of one memory allocation. If
+    /// `binds_sparse` is true, a larger array consists of several allocations.
     Limit largest_buffer{}, largest_allocation{};
     std::unique_ptr<gpu::MemoryPools> memory;
     std::unique_ptr<gpu::Transfers> transfers;
@@ -163,34 +163,34 @@ struct Device::Impl {
     gpu::Pipelines pipelines;
     gpu::LaunchLimit launch_limit;
     std::mutex queue_mutex;
-    /// Layout that all compute pipelines share. The push constants contain two device
-    /// addresses.
+    /// Layout of all compute pipelines: push constants with two device addresses, those
+    /// of the parameter struct and of `nothing`.
     VkPipelineLayout pipeline_layout = VK_NULL_HANDLE;
-    /// Buffer that contains only zeros. If a launch omits an array, the kernel receives
-    /// the address of this buffer.
+    /// Buffer of zeros. Its address replaces the address of an array that a kernel launch
+    /// leaves out.
     std::unique_ptr<Buffer::Impl> nothing;
     std::uint64_t memory_limit_bytes = 0;  ///< Maximum size of all arrays in bytes. 0 means no limit.
     bool compile_only = false;
-    /// True if both methods of adding floats (float atomics and compare-and-swap) gave
-    /// wrong sums on this device.
+    /// True if the device failed the test of atomic additions with both methods (float
+    /// atomics and compare-and-swap).
     bool wrong_sums = false;
-    /// True if every kernel must request DeviceInfo::get_subgroup_size, because the
-    /// device check found wrong results with the driver's default size.
+    /// True if every kernel must request subgroups of DeviceInfo::subgroup_size lanes,
+    /// because the device failed the test with the driver's default size.
     bool forced_lanes = false;
     ForcedWays forced;  ///< Behaviour that a test selects instead of the default.
     /// If true (GPU), pipelines are compiled when their kernels are created. If false
     /// (CPU), each pipeline is compiled at its first launch.
     bool compiles_ahead = false;
     bool pipeline_statistics = false;  ///< True if VK_KHR_pipeline_executable_properties is enabled.
-    /// Compiler statistics of the pipelines. Collected only in the mode that compiles
-    /// kernels but does not run them.
+    /// Statistics of the driver's compiler for each pipeline. Collected only if the
+    /// device was opened for compilation only.
     std::vector<PipelineStatistics> compiled;
     std::atomic<std::uint64_t> allocated{0};  ///< Total size of all allocated arrays, in bytes.
     std::atomic<std::uint64_t> peak{0};
-    /// Number of streams that have recorded commands and not submitted them yet.
+    /// Number of streams with commands that are recorded but not submitted yet.
     std::atomic<int> n_recording{0};
-    /// Buffers that an exception destroyed while such a stream existed. They are freed
-    /// later, because the recorded commands may use them.
+    /// Buffer whose owner was destroyed by an exception while a stream had recorded
+    /// commands. It is freed later, because these commands may use it.
     struct Orphan {
         VkBuffer handle;
         std::vector<gpu::MemoryPiece> memory;
@@ -205,25 +205,25 @@ struct Device::Impl {
     Impl();
     ~Impl();
     /// Opens the Vulkan device.
-    /// @param find_cache_folder folder of the pipeline cache. If empty, no cache file is
-    /// used
+    /// @param cache_folder folder of the pipeline cache. If empty, pipelines are not
+    /// cached in a file
     void open(const std::filesystem::path& cache_folder);
     void find_compute_queues();
     void make_device();
     void read_limits();
     void make_pipeline_layout();
-    /// Submits work to the compute queue. Locks a mutex, because Vulkan allows only one
-    /// thread to use a queue at a time.
+    /// Submits work to the compute queue. Vulkan allows only one thread at a time to use
+    /// a queue, so this function locks a mutex.
     void submit(const VkSubmitInfo& work, VkFence fence = VK_NULL_HANDLE);
     /// Waits until the device has finished all submitted work. Ignores errors, because
-    /// destructors call this function and a lost device does no more work.
+    /// destructors call this function. A lost device does no more work.
     void wait_idle() noexcept;
-    /// Uses several pieces of memory as the memory of one sparse buffer, in the order of
-    /// the list. Waits until the queue has done this.
+    /// Binds pieces of memory to a sparse buffer, one after another. Waits until the
+    /// queue has done this.
     VkResult bind_pieces(VkBuffer buffer, const std::vector<gpu::MemoryPiece>& pieces);
     void free_buffer(const Orphan& buffer) noexcept;
-    /// Frees the buffers that exceptions have destroyed, unless a stream still has
-    /// recorded commands.
+    /// Frees the buffers that were kept after exceptions (Orphan), unless a stream still
+    /// has recorded commands.
     void free_orphans();
 };
 

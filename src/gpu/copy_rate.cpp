@@ -63,8 +63,7 @@ std::optional<double> copy_bytes_per_s(Device& device) {
         try {
             return 2.0 * static_cast<double>(n_bytes) /
                    measure_copy_seconds(device, n_bytes / sizeof(glm::vec4));
-            // The device has too little memory for this size, so the loop tries a smaller
-            // size.
+            // The array does not fit into memory, so the loop tries a smaller one.
         } catch (const OutOfDeviceMemory&) {}
     }
     return std::nullopt;

@@ -8,9 +8,9 @@ namespace relidar {
 
 class Device;
 
-/// Measures the memory bandwidth of a device in bytes per second. Counts the bytes that a
-/// copy reads and the bytes that it writes. Uses the fastest of several copies of 256
-/// MiB, because 256 MiB do not fit into any cache. Copies less if memory is short.
+/// Measures the memory bandwidth of a device in bytes per second, counting bytes read and
+/// bytes written. Uses the fastest of several copies of 256 MiB, which is larger than any
+/// cache. Copies less if memory is short.
 /// @return nullopt if less than 1 MiB is free
 std::optional<double> copy_bytes_per_s(Device& device);
 

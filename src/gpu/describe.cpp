@@ -103,8 +103,9 @@ bool has_known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& si
            (optional.subgroup_size && optional.full_subgroups);
 }
 
-/// Returns true for lavapipe (Mesa's CPU driver) before version 24.1. On some CPUs, these
-/// versions terminate the process when they compile our kernels (docs/debugging.md).
+/// Returns true for Mesa's CPU driver lavapipe before version 24.1. On some CPUs, its
+/// compiler terminates the process when it compiles relidar's kernels
+/// (docs/debugging.md).
 bool is_old_lavapipe(const VkPhysicalDeviceDriverProperties& driver) {
     int major = 0, minor = 0;
     return driver.driverID == VK_DRIVER_ID_MESA_LLVMPIPE &&
@@ -149,7 +150,7 @@ bool has_extension(VkPhysicalDevice physical, const char* name) {
 
 namespace {
 
-/// Lists the features that every kernel needs and the device lacks. Returns an empty text
+/// Returns the names of the features that every kernel needs and the device lacks. Empty
 /// if no feature is missing.
 std::string list_missing_for_kernels(const VkPhysicalDeviceProperties& properties,
                                      const VkPhysicalDeviceDriverProperties& driver,
@@ -171,8 +172,8 @@ std::string list_missing_for_kernels(const VkPhysicalDeviceProperties& propertie
     return base.text;
 }
 
-/// Lists the features that ray queries need and the device lacks. Returns an empty text
-/// if no feature is missing.
+/// Returns the names of the features that ray queries need and the device lacks. Empty if
+/// no feature is missing.
 std::string list_missing_for_ray_query(const std::vector<VkExtensionProperties>& extensions,
                                        const VkPhysicalDeviceAccelerationStructureFeaturesKHR& accel,
                                        const VkPhysicalDeviceRayQueryFeaturesKHR& query) {

@@ -13,20 +13,21 @@ namespace relidar {
 /// reported. Returns 0 if validation is disabled.
 std::size_t count_validation_messages(const Device& device);
 
-/// Device behaviour that a test selects instead of the default behaviour.
+/// Behaviour of a device that a test can select, although the device would choose another
+/// one.
 struct ForcedWays {
     /// If true, each ray tests every surfel instead of searching an acceleration
     /// structure.
     bool brute_force = false;
-    /// If true, neighbouring threads read neighbouring floats. This is the default on
-    /// GPUs.
+    /// True: neighbouring threads read neighbouring floats. False: each thread reads a
+    /// separate row. The default depends on the device.
     std::optional<bool> coalesces = std::nullopt;
     /// Number of scans that a ScanRenderer renders concurrently.
     std::optional<int> side_by_side = std::nullopt;
 };
 
-/// Selects the behaviour of a device in a test. Applies to objects that are created on
-/// the device while this scope object exists.
+/// While this scope object exists, objects that are created on the device have the given
+/// behaviour. Used by tests.
 class Forced {
 public:
     Forced(Device& device, const ForcedWays& ways);

@@ -30,13 +30,13 @@ std::span<const std::uint32_t> find_words(std::string_view name) {
                     name));
 }
 
-/// Kernels that need lanes to reconverge. They use subgroup operations inside branches,
-/// or in loops that lanes leave at different times.
+/// Kernels that need reconvergence of lanes. They use subgroup operations in branches, or
+/// in loops that lanes leave at different times.
 constexpr std::array<std::string_view, 3> kReconverging{"diff/accel/bvh_cluster", "diff/backward/trace",
                                                         "gpu/check_subgroups"};
 
-/// Returns true for lavapipe 25.0 and older. These versions skip a load inside a branch
-/// if no lane takes the branch.
+/// Returns true for lavapipe up to version 25.0. In these versions, a load in a branch
+/// does nothing if no lane takes the branch.
 bool loads_through_mask(const std::string& driver) {
     int major = 0, minor = 0;
     const std::size_t version = driver.find("Mesa ");
@@ -46,7 +46,7 @@ bool loads_through_mask(const std::string& driver) {
     return major < 25 || (major == 25 && minor == 0);
 }
 
-/// Returns the SPIR-V module of a kernel after the edits that this device needs.
+/// Returns the SPIR-V code of a kernel, after the edits that this device needs.
 std::vector<std::uint32_t> load_module_words(const Device::Impl& device, std::string_view name,
                                              std::string_view stem, const std::vector<Constant>& constants) {
     std::map<std::uint32_t, std::uint32_t> values;
@@ -85,8 +85,8 @@ gpu::Pipelines::Made make_pipeline(Device::Impl& device, std::span<const std::ui
     const VkSpecializationInfo specialisation{static_cast<std::uint32_t>(map.size()), map.data(),
                                               constants.size() * sizeof(Constant), constants.data()};
     VkComputePipelineCreateInfo info{VK_STRUCTURE_TYPE_COMPUTE_PIPELINE_CREATE_INFO};
-    // Requests support for a dispatch that begins at any workgroup. Large launches are
-    // split into several such dispatches.
+    // Large launches are split into several dispatches. This flag lets a dispatch begin
+    // at any workgroup.
     info.flags = VK_PIPELINE_CREATE_DISPATCH_BASE_BIT;
     if (device.pipeline_statistics) info.flags |= VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR;
     info.stage.sType = VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_CREATE_INFO;
@@ -119,8 +119,9 @@ std::string make_pipeline_key(std::string_view name, const std::vector<Constant>
     return key;
 }
 
-/// Limits the number of concurrent compilations. The constructor blocks until fewer
-/// compilations run. The destructor allows another compilation to start.
+/// Limits the number of pipelines that are compiled at the same time. While this object
+/// exists, it occupies one of the allowed compilations. The constructor waits for a free
+/// one.
 class Turn {
 public:
     explicit Turn(std::counting_semaphore<>& compilers) : compilers_(compilers) { compilers_.acquire(); }
@@ -143,9 +144,10 @@ std::string format_constants(std::span<const std::uint32_t> words, std::vector<C
     return text;
 }
 
-/// Returns the pipeline of a kernel from the cache, or creates it if the cache has none.
-/// @param launch_mode whether the pipeline is created at its first use or immediately in
-/// another thread
+/// Returns the pipeline of a kernel. Creates it if no kernel with the same name and
+/// constants exists.
+/// @param launch_mode create the pipeline at its first use (deferred), or immediately in
+/// another thread (async)
 std::shared_future<gpu::Pipelines::Made> find_or_begin_pipeline(Device::Impl& device,
                                                                 const KernelBase::Impl& kernel,
                                                                 std::launch launch_mode) {

@@ -38,9 +38,9 @@ struct Constant {
     std::uint32_t value;
 };
 
-/// Requirements of a kernel on subgroups. `full` means that every subgroup has exactly
-/// DeviceInfo::get_subgroup_size active lanes. Kernels that compute thread indices from
-/// subgroups need `full`, because some compilers choose smaller subgroups.
+/// Whether a kernel requires full subgroups, with exactly DeviceInfo::subgroup_size
+/// active lanes. Kernels that compute thread indices from subgroups require them, because
+/// some compilers choose smaller subgroups.
 enum class Subgroups { any, full };
 
 /// Returns the name of the parameter struct of a kernel. Returns an empty text if the
@@ -54,21 +54,21 @@ constexpr std::string_view find_params_of_kernel(std::string_view name) {
 /// Returns the name of a struct without its namespaces.
 template <class Struct>
 consteval std::string_view get_struct_name() {
-    // Compiler-generated text that contains the struct's name, for example "... [with
-    // Struct = relidar::shared::AdamParams; ...]".
+    // Text of the compiler that contains the name, for example "... [with Struct =
+    // relidar::shared::AdamParams; ...]".
     std::string_view text = __PRETTY_FUNCTION__;
     const std::size_t begin = text.find("Struct = ") + 9;
     text = text.substr(begin, text.find_first_of(";]", begin) - begin);
     return text.substr(text.rfind(':') + 1);
 }
 
-/// Compute pipeline of a device. Kernels with the same name and constants share one
-/// pipeline. The workgroup size is the default of the device, unless a constant sets it.
+/// Compute pipeline on a device. Equal kernels (same name and constants) share one
+/// pipeline. The workgroup size is the device's default unless a constant sets it.
 class KernelBase {
 public:
-    /// Creates a kernel. On a GPU, another thread compiles the kernel immediately. On a
-    /// CPU, the kernel is compiled at its first launch. If the driver rejects the kernel,
-    /// its first launch throws a DeviceError.
+    /// Creates a kernel. A GPU pipeline is compiled immediately by another thread, a CPU
+    /// pipeline at the first launch. If the driver rejects it, the first launch throws a
+    /// DeviceError.
     /// @param name name of an embedded kernel
     KernelBase(Device& device, std::string_view name, const std::vector<Constant>& constants = {},
                Subgroups subgroups = Subgroups::any);
@@ -82,13 +82,13 @@ public:
 private:
     std::unique_ptr<Impl> impl_;
 
-    /// Creates the pipeline if it does not exist yet. Stores the statistics that the
-    /// driver's compiler reports.
+    /// Compiles the pipeline without running it, and stores the statistics of the
+    /// driver's compiler.
     void compile_only();
 };
 
-/// Name of a kernel whose parameter struct is Params, for example "stage/stem". The name
-/// of a kernel with a different parameter struct is a compile error.
+/// Name of a kernel, for example "stage/stem". Does not compile if the kernel of this
+/// name has another parameter struct than Params.
 template <class Params>
 class KernelName {
 public:
@@ -111,8 +111,8 @@ struct KernelVariant {
     explicit KernelVariant(std::string of_name) : suffix(std::move(of_name)) {}
 };
 
-/// Compute kernel with a typed parameter struct. `Params` must be the struct that the
-/// shader declares.
+/// Compute kernel with the type of its parameter struct. `Params` must be the struct that
+/// the shader declares.
 template <class Params>
 class Kernel : public KernelBase {
 public:
@@ -124,27 +124,25 @@ public:
         : KernelBase(device, std::string(name.text()) + variant.suffix, constants, subgroups) {}
 };
 
-/// Returns true if neighbouring threads should read neighbouring addresses, even if this
-/// needs more threads or shared memory. On a GPU this is faster, because a subgroup loads
-/// complete cache lines. On a CPU, one thread per row is faster, because each core loads
-/// its own cache lines.
+/// Returns true if neighbouring threads should read neighbouring addresses. This is
+/// faster on a GPU, because a subgroup then loads complete cache lines. On a CPU it is
+/// faster if each thread reads consecutive addresses.
 bool prefers_coalesced_access(const Device& device);
-/// Returns true if rays must test every surfel instead of searching an acceleration
-/// structure. Only tests set this mode.
+/// Returns true if a test has disabled the acceleration structure, so that rays must test
+/// every surfel.
 bool must_test_every_surfel(const Device& device);
 
-/// Returns true if the device guarantees that the lanes of a subgroup reconverge after a
-/// branch or loop. The guarantee needs a Vulkan extension.
+/// Returns true if the lanes of a subgroup reconverge after a branch or loop. Vulkan
+/// guarantees this only with an extension.
 bool does_reconverge(const Device& device);
 
-/// Lists the features that neural networks need and the device lacks. Returns an empty
-/// text if no feature is missing.
+/// Returns the names of the features that neural networks need and the device lacks.
+/// Empty if no feature is missing.
 std::string list_missing_for_networks(const Device& device);
 
-/// Returns the variant of a kernel that adds floats to memory atomically. The variant
-/// uses float atomics if the device has them, otherwise compare-and-swap.
-/// @param variant variant of a tracing kernel, for example "@ray_query". The suffix for
-/// atomics is appended to it
+/// Returns the variant of a kernel that adds floats with atomics: float atomics if the
+/// device has them, otherwise compare-and-swap.
+/// @param variant other part of the variant name, for example "@ray_query"
 KernelVariant choose_accumulating_variant(const Device& device,
                                           const KernelVariant& variant = KernelVariant("@"));
 

@@ -17,16 +17,17 @@ double KernelSpeed::estimate_seconds(std::uint32_t n_groups) const { return s_pe
 
 bool KernelSpeed::should_measure(double piece_s, std::uint32_t n_groups) {
     constexpr std::uint64_t kFirst = 8, kEvery = 64;
-    // Skips small launches, because their fixed cost would make the kernel look slow.
-    // A kernel whose pieces are small is still measured, because it may become faster.
+    // Small launches are not measured, because their fixed cost would make the kernel
+    // look slow. If all dispatches of a kernel are small, they are measured, because it
+    // may have become faster.
     if (n_groups < std::min(kUnknownGroups / 4, choose_groups_per_piece(piece_s) / 2)) return false;
     const std::uint64_t n = n_dispatches_++;
     return n < kFirst || n % kEvery == 0;
 }
 
 void KernelSpeed::add(std::uint32_t n_groups, double seconds) {
-    // Forgets old speeds slowly. The slowest recent launch counts, because the same
-    // kernel may be slower in another scene.
+    // The slowest recent launch counts, because a kernel may be slower in another scene.
+    // Each new measurement reduces the weight of older ones.
     constexpr double kForget = 0.9;
     s_per_group_ = std::max(seconds / n_groups, kForget * s_per_group_);
 }

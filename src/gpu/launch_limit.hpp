@@ -12,19 +12,19 @@
 
 namespace relidar::gpu {
 
-/// Measured speed of a kernel on a device. Several threads may use the same object. It
-/// has no lock, because every launch reads it. If two threads add a measurement at the
-/// same time, one of the measurements can be lost.
+/// Measured speed of a kernel on a device. Several threads may share an object. It has no
+/// lock, because every launch reads it. If two threads add measurements simultaneously,
+/// one can be lost.
 class KernelSpeed {
 public:
     /// Number of workgroups per dispatch for a kernel whose speed is unknown.
     static constexpr std::uint32_t kUnknownGroups = 4096;
 
-    /// Returns the number of workgroups that one dispatch should have.
+    /// Returns the number of workgroups for a dispatch of a given duration.
     /// @param piece_s target duration of a dispatch in seconds
     std::uint32_t choose_groups_per_piece(double piece_s) const;
-    /// Returns the expected duration of `n_groups` workgroups in seconds. Returns 0 if
-    /// the speed is unknown.
+    /// Returns the expected duration of a dispatch with `n_groups` workgroups in seconds,
+    /// or 0 if the speed is unknown.
     double estimate_seconds(std::uint32_t n_groups) const;
     /// Returns true if the next dispatch should be measured. The first 8 dispatches of a
     /// kernel are measured, and then every 64th.
@@ -39,12 +39,13 @@ private:
 /// Measured speeds of all kernels of a device.
 class LaunchLimit {
 public:
-    /// Target duration of a dispatch and of a submission, in seconds. The target is half
-    /// of the allowed duration, because speeds vary. 0 means no limit.
+    /// Target duration of a dispatch and of a submission, in seconds. Half of the
+    /// duration that drivers allow, because speeds vary. 0 = no limit.
     double piece_s = 0.0;
 
     bool is_set() const { return piece_s > 0.0; }
-    /// Returns the speed of a kernel. The reference stays valid. Thread-safe.
+    /// Returns the speed of a kernel. The reference stays valid. Several threads may call
+    /// this function.
     KernelSpeed& speed(const std::string& kernel);
 
 private:

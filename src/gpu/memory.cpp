@@ -14,8 +14,8 @@ namespace relidar::gpu {
 
 namespace {
 
-// Alignment of all buffers in bytes. It satisfies the largest requirement, which comes
-// from acceleration structures and cache lines.
+// Alignment of all buffers in bytes. Acceleration structures need this alignment, which
+// is the largest.
 constexpr std::uint64_t kAlignment = 256;
 
 /// Returns the memory properties to request, best first.
@@ -93,17 +93,18 @@ MemoryPools::~MemoryPools() {
     for (std::uint32_t type = 0; type < VK_MAX_MEMORY_TYPES; ++type) release_empty(type, 0);
 }
 
-/// Returns the size of a memory block that several buffers share. The size depends on the
-/// heap, because a heap may have only 256 MiB. Such a heap exists if the host can access
-/// only a part of the device memory.
+/// Returns the size of a memory block that several buffers share. It is smaller for a
+/// small heap, for example of 256 MiB if the host can access only a part of the device
+/// memory.
 std::uint64_t MemoryPools::shared_bytes(std::uint32_t type) const {
     const std::uint64_t heap_bytes = properties_.memoryHeaps[properties_.memoryTypes[type].heapIndex].size;
-    // Uses the default size for a heap size of 0, which drivers without hardware report.
+    // Drivers without hardware report a heap size of 0.
     return heap_bytes ? std::min(kBlockBytes, heap_bytes / 16) : kBlockBytes;
 }
 
-/// Returns the memory types that satisfy the requirements, best first. Small buffers may
-/// use device memory that the host can access. Other device buffers do not use it.
+/// Returns the memory types that satisfy the requirements, best first. Only small
+/// parameter buffers may use device memory that the host can access, because there may be
+/// little of it.
 std::vector<std::uint32_t> MemoryPools::types(const VkMemoryRequirements& needs, MemoryUse use) const {
     std::vector<std::uint32_t> suitable_types;
     for (const VkMemoryPropertyFlags properties_mask : list_preferred_properties(use))
@@ -120,7 +121,8 @@ std::vector<std::uint32_t> MemoryPools::types(const VkMemoryRequirements& needs,
     return suitable_types;
 }
 
-/// Returns a free piece of a block of this memory type, if a block has enough space.
+/// Allocates memory from an existing block of this type. Returns nothing if no block has
+/// enough space.
 std::optional<MemoryPiece> MemoryPools::allocate_of_type(const VkMemoryRequirements& needs,
                                                          std::uint32_t type) {
     for (const std::unique_ptr<MemoryBlock>& block : blocks_[type])
@@ -148,7 +150,8 @@ VkResult MemoryPools::grow(const VkMemoryRequirements& needs, std::uint32_t type
                            std::optional<MemoryPiece>& piece) {
     const std::uint64_t shared = shared_bytes(type);
     VkResult result = VK_SUCCESS;
-    // If the first attempt fails, the second attempt allocates only the required size.
+    // Tries to allocate a block for several buffers first, and then only the required
+    // size.
     for (const std::uint64_t n_bytes : {needs.size > shared / 2 ? needs.size : shared, needs.size}) {
         result = add_block(type, n_bytes);
         if (result == VK_SUCCESS && (piece = allocate_of_type(needs, type))) return VK_SUCCESS;
@@ -181,16 +184,16 @@ VkResult MemoryPools::map(MemoryBlock& block) {
     return result;
 }
 
-/// Releases the memory of a buffer. Keeps one empty block of each memory type, because
-/// otherwise each short-lived array would allocate and free a block.
+/// Releases the memory of a buffer. Keeps one empty block of each memory type. Otherwise
+/// short-lived buffers would repeatedly allocate and free a block.
 void MemoryPools::release(const MemoryPiece& piece) {
     const std::lock_guard lock(mutex_);
     piece.block->free.release(piece.offset, piece.n_bytes);
     if (piece.block->free.all_free()) release_empty(piece.block->type, 1);
 }
 
-/// Frees the empty blocks of a memory type.
-/// @param n_kept number of empty shared blocks to keep
+/// Frees the empty memory blocks of a memory type.
+/// @param n_kept number of empty blocks of normal size that are kept
 void MemoryPools::release_empty(std::uint32_t type, std::size_t n_kept) {
     std::erase_if(blocks_[type], [&](const std::unique_ptr<MemoryBlock>& block) {
         if (!block->free.all_free()) return false;

@@ -18,16 +18,16 @@
 
 namespace relidar::gpu {
 
-/// Purpose of memory, which determines its Vulkan memory type. All purposes except
-/// `device` use host-coherent memory that stays mapped.
+/// Purpose of a buffer, which determines its Vulkan memory type. All buffers except those
+/// for `device` stay mapped and are host-coherent.
 enum class MemoryUse {
     device,  ///< Arrays that kernels read and write.
-    /// Parameters that the host writes and kernels read. They are stored in device memory
-    /// if the host can write to it.
+    /// Parameters that the host writes and kernels read. In device memory if the host can
+    /// write to it.
     parameters,
     upload,  ///< Staging memory that the host writes and copy commands read.
-    /// Staging memory that copy commands write and the host reads. It is host-cached if
-    /// such memory exists.
+    /// Staging memory for copies from the device, which the host reads. Host-cached if
+    /// the device has such memory.
     readback,
 };
 
@@ -38,9 +38,8 @@ struct MemoryBudget {
 
     std::uint64_t n_free() const { return n_bytes > n_used ? n_bytes - n_used : 0; }
 };
-/// Returns the current memory budget. With VK_EXT_memory_budget, the driver considers the
-/// memory that other programs use. Otherwise the budget is the size of the heap, and
-/// n_used is 0.
+/// Returns the current memory budget. With VK_EXT_memory_budget, memory of other programs
+/// is subtracted. Otherwise the budget is the size of the heap, and n_used is 0.
 MemoryBudget query_memory_budget(VkPhysicalDevice physical);
 
 /// Free ranges of a memory block.
@@ -56,8 +55,7 @@ public:
 
 private:
     std::uint64_t n_bytes_;
-    /// Map from the offset of each free range to its size in bytes. Adjacent free ranges
-    /// are merged.
+    /// Free ranges: map from offset to size, in bytes. Adjacent free ranges are merged.
     std::map<std::uint64_t, std::uint64_t> ranges_;
 };
 

@@ -26,8 +26,8 @@ struct FileHeader {
     std::uint64_t hash = 0;
 };
 
-/// Returns the FNV-1a hash of the bytes, which detects damaged files. A damaged file may
-/// crash the driver, because drivers check only the header of their data.
+/// Returns a hash (FNV-1a) with which damaged cache files are detected. A damaged file
+/// may crash the driver, because drivers check only the header of their data.
 std::uint64_t compute_hash(std::string_view bytes) {
     std::uint64_t hash = 0xcbf29ce484222325u;
     for (const char byte : bytes) hash = (hash ^ static_cast<unsigned char>(byte)) * 0x100000001b3u;
@@ -41,8 +41,8 @@ FileHeader make_file_header(std::string_view bytes) {
     return header;
 }
 
-/// Returns the driver's data from a cache file. Returns an empty string if the file is
-/// missing, truncated, damaged, or written by another driver.
+/// Returns the driver's data from a cache file. Empty if the file is missing, truncated,
+/// damaged, or written by another driver.
 std::string read_file(const std::filesystem::path& path, const VkPhysicalDeviceProperties& device) {
     std::ifstream file(path, std::ios::binary);
     FileHeader header;
@@ -68,8 +68,8 @@ std::string read_file(const std::filesystem::path& path, const VkPhysicalDeviceP
 void replace_file(const std::filesystem::path& path, std::string_view bytes) {
     std::error_code failed;
     std::filesystem::create_directories(path.parent_path(), failed);
-    // Gives each temporary file a number, because one process may close several devices
-    // simultaneously.
+    // Makes the names of temporary files unique, because one process may close several
+    // devices simultaneously.
     static std::atomic<unsigned> count{0};
     const std::filesystem::path temporary = fmt::format("{}.{}-{}", path.string(), ::getpid(), count++);
     std::ofstream file(temporary, std::ios::binary);
@@ -108,8 +108,8 @@ void PipelineCache::save() const {
     std::size_t n_bytes = 0;
     if (vkGetPipelineCacheData(device_, handle_, &n_bytes, nullptr) != VK_SUCCESS || n_bytes <= read_bytes_)
         return;
-    // Ignores data that is smaller than the header of a valid cache. The lavapipe of Mesa
-    // 26.2 returns such data (20 bytes).
+    // Does not write data without a complete header. The lavapipe of Mesa 26.2 returns
+    // such data (20 bytes).
     if (n_bytes < sizeof(VkPipelineCacheHeaderVersionOne)) return;
     std::string bytes(n_bytes, '\0');
     if (vkGetPipelineCacheData(device_, handle_, &n_bytes, bytes.data()) != VK_SUCCESS) return;

@@ -13,9 +13,8 @@
 
 namespace relidar::gpu {
 
-/// Replaces a file of the cache folder atomically, because other processes may read it at
-/// the same time. Ignores failures, because a missing cache file only makes the next
-/// start slower.
+/// Replaces a file of the cache folder atomically, because other processes may read it.
+/// Ignores failures, because a missing cache file only makes the next start slower.
 void replace_file(const std::filesystem::path& path, std::string_view bytes);
 
 /// Returns a file name that is unique for the device and its driver version.
@@ -23,10 +22,10 @@ std::string make_device_key(const VkPhysicalDeviceProperties& properties);
 
 class PipelineCache {
 public:
-    /// Opens the pipeline cache.
-    /// @param folder folder of the cache file. If empty, no file is used
+    /// Reads the cache file of the device, if there is one.
+    /// @param folder folder of the cache file. If empty, no file is read or written
     PipelineCache(VkPhysicalDevice physical, VkDevice device, const std::filesystem::path& folder);
-    /// Writes the cache file if the cache contains more data than the file.
+    /// Writes the cache to its file if it has grown since the file was read.
     ~PipelineCache();
     PipelineCache(const PipelineCache&) = delete;
     PipelineCache& operator=(const PipelineCache&) = delete;

@@ -20,13 +20,13 @@ public:
     /// Allocates scratch memory, about 1/4 byte per key.
     /// @param capacity maximum number of keys
     /// @param key_words number of 32-bit words per key
-    /// @throws DeviceError if the number of lanes per subgroup is below 4, above 64 or
-    /// not constant
+    /// @throws DeviceError if subgroups have fewer than 4 or more than 64 lanes, or their
+    /// size is not constant
     RadixSort(Device& device, std::uint32_t capacity, std::uint32_t key_words);
     std::uint32_t capacity() const { return capacity_; }
 
-    /// Returns the number of sort passes for keys with `key_bits` bits. If the number is
-    /// odd, the result is in the second set of arrays.
+    /// Returns the number of passes that sort keys of `key_bits` bits, 8 bits per pass.
+    /// If it is odd, the result is in the second set of arrays.
     static std::uint32_t passes(std::uint32_t key_bits) { return key_bits > 8 ? (key_bits + 7) / 8 : 1; }
     /// Submits kernels that sort keys by their low `key_bits` bits. Equal keys keep their
     /// order. Overwrites both sets.

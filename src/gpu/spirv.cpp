@@ -15,7 +15,7 @@ constexpr std::uint32_t kOpMemberDecorate = 72, kOffset = 35, kNonWritable = 24;
 constexpr std::uint32_t kOpExtension = 10, kOpEntryPoint = 15, kOpExecutionMode = 16, kOpCapability = 17;
 
 std::vector<std::uint32_t> make_extension_instruction(std::string_view name) {
-    // Adds space for the zero byte at the end of the name.
+    // The name ends with a zero byte, which may need another word.
     std::vector<std::uint32_t> words(1 + name.size() / 4 + 1, 0u);
     std::memcpy(words.data() + 1, name.data(), name.size());
     words[0] = static_cast<std::uint32_t>(words.size()) << 16 | kOpExtension;
@@ -46,8 +46,8 @@ std::vector<std::uint32_t> add_execution_mode(std::span<const std::uint32_t> wor
 
 std::vector<std::uint32_t> make_parameters_read_only(std::span<const std::uint32_t> words) {
     std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
-    // Id of the struct type of the parameter block. SPIR-V stores names before
-    // decorations, so this loop has read the id before it reaches the decorations.
+    // Id of the type of the parameter block. SPIR-V lists names before decorations, so
+    // the id is known when the decorations are read.
     std::uint32_t block = 0;
     for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
         if (opcode == kOpName && std::strcmp(get_name_in(instruction), "ParamsBlock") == 0)

@@ -14,31 +14,31 @@
 
 namespace relidar::gpu {
 
-/// SPIR-V execution mode without operands, and the extension that defines the mode.
+/// SPIR-V execution mode without operands, and the SPIR-V extension that defines it.
 struct ExecutionMode {
     std::uint32_t mode;
     std::string_view extension;
 };
 
-/// Guarantees that lanes reconverge after a branch if all lanes of the subgroup entered
-/// the branch together.
+/// Guarantees that the lanes of a subgroup reconverge after a branch, if all of them
+/// entered it together.
 inline constexpr ExecutionMode kSubgroupUniformControlFlow{4421, "SPV_KHR_subgroup_uniform_control_flow"};
-/// Guarantees that all lanes that diverged reconverge, even in loops.
+/// Guarantees that lanes reconverge after every branch and loop.
 inline constexpr ExecutionMode kMaximallyReconverges{6023, "SPV_KHR_maximal_reconvergence"};
 
-/// Returns a copy of a module in which each entry point has an additional execution mode.
+/// Returns a copy of a SPIR-V module in which each entry point has an additional
+/// execution mode.
 /// @param words module with at least one entry point
 std::vector<std::uint32_t> add_execution_mode(std::span<const std::uint32_t> words,
                                               const ExecutionMode& mode);
 
-/// Returns a copy of a module whose parameter block (RELIDAR_PARAMS) is decorated as
-/// NonWritable.
+/// Returns a copy of a SPIR-V module in which the parameter block of the kernel
+/// (RELIDAR_PARAMS) is decorated as NonWritable.
 std::vector<std::uint32_t> make_parameters_read_only(std::span<const std::uint32_t> words);
 
-/// Returns a copy of a module that loads all parameters into private variables at the
-/// start of the kernel. Used only for the CPU driver lavapipe, which repeats a load for
-/// each lane if the load is in a loop or branch. A GPU's compiler chooses a better time
-/// for each load.
+/// Returns a copy of a SPIR-V module that loads all parameters once, at the start of the
+/// kernel. Used only for the CPU driver lavapipe, which otherwise repeats loads in loops
+/// and branches for each lane. Compilers of GPUs choose a better time for each load.
 std::vector<std::uint32_t> move_parameters_first(std::span<const std::uint32_t> words);
 
 /// Returns a copy of a module in which the compiler cannot prove that array indices are
@@ -50,15 +50,15 @@ std::vector<std::uint32_t> move_parameters_first(std::span<const std::uint32_t> 
 /// parameters.
 std::vector<std::uint32_t> use_lane_indices(std::span<const std::uint32_t> words);
 
-/// Returns a copy of a module in which branches that depend only on specialisation
-/// constants are unconditional. Unreachable blocks stay in the module. A driver also
-/// removes such branches, but only after it has inlined all functions. Therefore lavapipe
-/// compiles large kernels faster with this edit.
-/// @param constants values by id. Other constants keep the default value of the module
+/// Returns a copy of a SPIR-V module without branches that depend only on specialisation
+/// constants. Unreachable blocks stay in the module. lavapipe then compiles large kernels
+/// faster, because it would remove these branches only after inlining all functions.
+/// @param constants values by id. Other constants keep their default value
 std::vector<std::uint32_t> resolve_branches(std::span<const std::uint32_t> words,
                                             const std::map<std::uint32_t, std::uint32_t>& constants);
 
-/// Returns the byte offset of each device address in the parameter block of a module.
+/// Returns where the parameter block of a SPIR-V module contains device addresses, as
+/// byte offsets.
 std::vector<std::uint32_t> list_parameter_addresses(std::span<const std::uint32_t> words);
 
 /// Returns the ids of the module's specialisation constants.

@@ -21,11 +21,11 @@ public:
 
     std::uint32_t block() const { return block_; }
 
-    /// Appends the byte offsets of all device addresses in a value of this type.
+    /// Finds all device addresses in a value of a type. Appends their byte offsets.
     /// @param begin byte offset of the value
     void collect(std::uint32_t type, std::uint32_t begin, std::vector<std::uint32_t>& offsets) const {
         const auto known = types_.find(type);
-        // Numbers and vectors contain no address, so they are not in the map.
+        // Numbers and vectors contain no address. The map does not list them.
         if (known == types_.end()) return;
         const Instruction t = known->second;
         switch (t[0] & 0xffffu) {
@@ -44,7 +44,7 @@ public:
 
 private:
     enum Number : std::uint32_t {
-        // SPIR-V opcodes. The last two values of the enumeration are decorations.
+        // SPIR-V opcodes, except the last two values, which are decorations.
         type_array = 28,
         type_struct = 30,
         type_pointer = 32,
@@ -57,7 +57,8 @@ private:
     std::uint32_t block_ = 0;
     std::map<std::uint32_t, Instruction> types_;  ///< Pointer, array and struct types.
     std::map<std::uint32_t, std::uint32_t> constants_, strides_;
-    /// Byte offset of each member. The key is the struct's id and the member's index.
+    /// Byte offset of each struct member. The key is the id of the struct and the index
+    /// of the member.
     std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t> offsets_;
 
     void read(std::uint32_t opcode, Instruction i) {

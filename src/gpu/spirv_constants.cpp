@@ -22,7 +22,8 @@ constexpr std::uint32_t kOpLogicalOr = 166, kOpLogicalAnd = 167, kOpLogicalNot =
 constexpr std::uint32_t kOpPhi = 245, kOpLoopMerge = 246, kOpSelectionMerge = 247, kOpLabel = 248,
                         kOpBranch = 249, kOpBranchConditional = 250, kOpSwitch = 251;
 
-/// Integers and booleans (0 or 1) of a module whose values are known when it is loaded.
+/// Integers and booleans (0 or 1) of a SPIR-V module that depend only on specialisation
+/// constants.
 class Values {
 public:
     explicit Values(const std::map<std::uint32_t, std::uint32_t>& constants) : constants_(constants) {}
@@ -139,10 +140,9 @@ public:
         });
     }
 
-    /// Returns true if the module stays valid without the branch from block `from` to
-    /// block `left`. A phi instruction names all predecessors of its block, so the
-    /// predecessors must stay reachable. Blocks that become unreachable must not end or
-    /// continue an enclosing loop.
+    /// Returns true if the branch from block `from` to block `left` can be removed.
+    /// Blocks behind it become unreachable. They must not be predecessors in a phi
+    /// instruction, and must not end or continue an enclosing loop.
     /// @param merge block in which both paths of the branch join
     bool can_be_left(std::uint32_t from, std::uint32_t left, std::uint32_t merge) const {
         if (left == merge) return !with_phi_.contains(merge);
@@ -162,7 +162,7 @@ public:
 
 private:
     std::map<std::uint32_t, std::vector<std::uint32_t>> next_;
-    // Header block of the loop that a block ends or continues. The key is this block.
+    // Map from a block that ends or continues a loop to the header block of this loop.
     std::map<std::uint32_t, std::uint32_t> header_of_;
     std::set<std::uint32_t> with_phi_;
 };

@@ -46,8 +46,7 @@ private:
         variable = 59,
         load = 61,
         store = 62,
-        // SPIR-V opcodes. The enumeration then continues with storage classes and
-        // decorations.
+        // SPIR-V opcodes. Storage classes and decorations follow at the end.
         access_chain = 65,
         decorate = 71,
         iadd = 128,
@@ -68,8 +67,8 @@ private:
     std::uint32_t next_, uint_ = 0, entry_ = 0, push_ = 0, lane_ = 0, block_ = 0, block_pointer_ = 0;
     std::uint32_t input_pointer_ = 0, private_pointer_ = 0, push_pointer_ = 0, zero_ = 0, constant_0_ = 0,
                   constant_1_ = 0, constant_255_ = 0;
-    /// Ids of the types of pointers to device memory, and ids of the addresses of the
-    /// parameter block.
+    /// Types of pointers to device memory, and values that are the address of the
+    /// parameter block, as SPIR-V ids.
     std::set<std::uint32_t> storage_pointers_, parameters_;
     bool is_new_lane_ = false, decorated_ = false, declared_ = false, in_entry_ = false, filled_ = false;
 

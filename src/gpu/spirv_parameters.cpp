@@ -39,7 +39,7 @@ enum Op : std::uint32_t {
 constexpr std::uint32_t kPrivate = 6, kPhysicalStorage = 5349, kAliasedPointer = 5356, kAligned = 2;
 
 using Words = std::vector<std::uint32_t>;
-// Indices of the nested struct members that lead from the parameter block to a value.
+// Position of a value in the parameter block, as member indices of nested structs.
 using Path = std::vector<std::uint32_t>;
 
 Words instruction(Op op, std::initializer_list<std::uint32_t> operands) {
@@ -51,14 +51,14 @@ Words instruction(Op op, std::initializer_list<std::uint32_t> operands) {
 /// Types, constants and parameters of a module.
 struct Module {
     std::uint32_t bound = 0, block = 0, block_pointer = 0, int_type = 0;
-    /// Instruction that computes the pointer to the block's address in the push
-    /// constants.
+    /// Instruction that computes a pointer to the push constant with the address of the
+    /// parameter block.
     Words push_chain;
     std::uint32_t entry = 0;
     std::map<std::uint32_t, Words> types;              ///< Types by id.
     std::map<std::uint32_t, std::uint32_t> constants;  ///< 32-bit integer constants by id.
     std::set<std::uint32_t> addresses;  ///< Ids that contain the address of the parameter block.
-    /// Member path in the parameter block that each pointer id refers to.
+    /// Map from the id of a pointer to the parameter to which it points.
     std::map<std::uint32_t, Path> places;
 
     explicit Module(std::span<const std::uint32_t> words) : bound(words[3]) {
@@ -98,13 +98,14 @@ private:
     }
 };
 
-/// Edits a module. Declares private variables before its functions. Replaces loads from
-/// the parameter block by loads of these variables.
+/// Edits a SPIR-V module so that it loads parameters only once: declares private
+/// variables, and replaces loads of parameters by loads of these variables.
 class ParametersFirst {
 public:
     explicit ParametersFirst(const Module& module) : module_(module), next_(module.bound) {}
 
-    /// Returns true if private variables can store values of this type.
+    /// Returns true if the edit supports parameters of this type: numbers, vectors,
+    /// addresses and structs of these.
     bool can_store(std::uint32_t type) const {
         const Words& t = module_.types.at(type);
         if ((t[0] & 0xffffu) != kTypeStruct) return align_of(type).has_value();
@@ -113,7 +114,7 @@ public:
         return true;
     }
 
-    /// Appends the instructions that load one parameter.
+    /// Appends SPIR-V instructions that load one parameter from its private variable.
     /// @param code receives the instructions
     /// @param path member indices of the parameter
     /// @param id id of the loaded value
@@ -134,8 +135,8 @@ public:
     }
 
     /// Returns the edited SPIR-V module.
-    /// @param code functions of the module, from the first OpFunction on, with their
-    /// loads already replaced
+    /// @param code all functions of the module, in which loads of parameters were already
+    /// replaced
     Words written(std::span<const std::uint32_t> words, const Words& code) {
         const Words first = fill();
         Words result(words.begin(), words.begin() + kHeaderWords);
@@ -202,7 +203,7 @@ private:
         variables_[path] = {id, type};
         return id;
     }
-    /// Returns the instructions that copy the parameters to the private variables.
+    /// Returns the SPIR-V instructions that copy the parameters to the private variables.
     Words fill() {
         Words code, chain = module_.push_chain;
         const std::uint32_t block = next_ + 1;
@@ -228,8 +229,8 @@ private:
         words[0] = std::uint32_t(words.size()) << 16 | kEntryPoint;
         return words;
     }
-    /// Appends the functions to the module. Inserts the instructions `first` after the
-    /// variable declarations of the entry point.
+    /// Appends all functions to the SPIR-V module. In the entry point, inserts the
+    /// instructions `first` after the variable declarations.
     void append_code(Words& result, const Words& code, const Words& first) const {
         bool in_entry = false, filled = false;
         for (std::size_t at = 0; at < code.size(); at += code[at] >> 16) {

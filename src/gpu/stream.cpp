@@ -115,9 +115,9 @@ void Stream::Impl::keep(const std::string& name, Command command) {
     barrier();
 }
 
-/// Records the commands of all concurrent sequences, step by step. Each step has only one
-/// pair of timestamps, because timestamps inside a step would force its commands to wait
-/// for each other.
+/// Records the commands of all lanes (concurrent sequences), step by step. Each step has
+/// a single pair of timestamps. More timestamps would make its commands wait for each
+/// other.
 void Stream::Impl::record_lanes() {
     std::size_t n_steps = 0;
     for (const StreamLane& one : lanes) n_steps = std::max(n_steps, one.size());
@@ -225,9 +225,9 @@ std::uint64_t Stream::Impl::store_parameters(const KernelBase& kernel, const voi
     return store(params.data(), n_bytes).address;
 }
 
-/// Launch of n workgroups, arranged in rows and columns because Vulkan limits the number
-/// in one dimension. A launch that is too long is split into dispatches of consecutive
-/// rows.
+/// Launch of a kernel. Its workgroups form rows and columns, because Vulkan limits their
+/// number in one dimension. A launch that would take too long is split into dispatches of
+/// consecutive rows.
 struct Stream::Impl::Dispatch {
     VkPipeline pipeline;
     std::array<std::uint64_t, 2> pushed;
@@ -245,14 +245,15 @@ namespace {
 
 Stream::Impl::Dispatch make_dispatch(VkPipeline pipeline, const std::array<std::uint64_t, 2>& pushed,
                                      std::uint32_t n_groups, std::uint32_t groups_per_piece) {
-    // Number of workgroups per dimension that every Vulkan device supports.
+    // Maximum number of workgroups per dimension that every Vulkan device supports.
     constexpr std::uint32_t kMaxGroups = 65535;
     const std::uint32_t columns =
         std::max(std::min({n_groups, kMaxGroups, groups_per_piece}), (n_groups - 1) / kMaxGroups + 1);
-    // Distributes the workgroups evenly over the rows, so that few workgroups have no
-    // work.
+    // All rows have the same number of workgroups, so that few workgroups are
+    // superfluous.
     const std::uint32_t rows = (n_groups - 1) / columns + 1, even_columns = (n_groups - 1) / rows + 1;
-    // A launch that must not be split has all its rows in one piece.
+    // A launch that is short enough, or must not be split, is a single dispatch with all
+    // rows.
     const std::uint32_t rows_per_piece =
         groups_per_piece >= n_groups ? rows : std::max(1u, groups_per_piece / even_columns);
     return {pipeline, pushed, rows, even_columns, rows_per_piece};
@@ -274,8 +275,8 @@ void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, con
     const gpu::KernelSpeed* speed = limit.is_set() ? kernel.impl().speed : nullptr;
     const Dispatch dispatch = make_dispatch(pipeline, pushed, n_groups,
                                             speed ? speed->choose_groups_per_piece(limit.piece_s) : n_groups);
-    // Splits the launch only outside of concurrent sequences. The commands of concurrent
-    // sequences are recorded later and in a single submission.
+    // Launches in lanes (concurrent sequences) are not split, because their commands are
+    // recorded later and in a single submission.
     if (speed && lanes.empty()) return record_pieces(kernel.impl(), dispatch);
     record(name, [layout = device->pipeline_layout, dispatch](VkCommandBuffer commands) {
         for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece)
@@ -288,7 +289,8 @@ void Stream::Impl::record_pieces(const KernelBase::Impl& kernel, const Dispatch&
     for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece) {
         const std::uint32_t n_groups = dispatch.count_rows_from(row) * dispatch.columns;
         double expected_s = kernel.speed->estimate_seconds(n_groups);
-        // Each piece of a kernel with an unknown speed gets its own submission.
+        // While the speed of a kernel is unknown, each of its dispatches gets a separate
+        // submission.
         if (expected_s == 0.0 && n_groups < dispatch.rows * dispatch.columns) expected_s = piece_s;
         commands();
         if (recorded_s > 0.0 && recorded_s + expected_s > piece_s) submit_part();
@@ -325,7 +327,7 @@ void Stream::Impl::collect_times(Slot& slot) {
     double launch_ms = 0.0;  // sum of the pieces of a launch
     for (std::size_t i = 0; result == VK_SUCCESS && i < slot.launches.size(); ++i) {
         const auto& [name, speed, n_groups, continues] = slot.launches[i];
-        // The counter of the device may have fewer than 64 bits and start again at 0.
+        // The device's counter may have fewer than 64 bits and overflow to 0.
         const std::uint64_t ticks = (stamps[2 * i + 1] - stamps[2 * i]) & device->timestamp_mask;
         const double ms = double(ticks) * device->timestamp_period_ns * 1e-6;
         launch_ms = continues ? launch_ms + ms : ms;
@@ -372,7 +374,8 @@ StreamLanes::StreamLanes(Stream& stream, std::size_t count) : stream_(stream) {
 
 StreamLanes::~StreamLanes() {
     Stream::Impl& s = stream_.impl();
-    // An exception discards the commands, because it may have destroyed their arrays.
+    // After an exception the commands are dropped, because the arrays that they use may
+    // be destroyed.
     if (std::uncaught_exceptions() == 0) s.record_lanes();
     s.lanes.clear();
 }

@@ -25,12 +25,13 @@ struct KernelBase::Impl {
     std::vector<Constant> constants;
     Subgroups subgroups = Subgroups::any;
     std::uint32_t workgroup_size = 0;  ///< Number of threads per workgroup.
-    /// Measured speed of the kernel. Null if its launches must not be split.
+    /// Measured speed of the kernel. Null if its launches must not be split into several
+    /// dispatches.
     gpu::KernelSpeed* speed = nullptr;
-    /// Byte offsets of the device addresses in the parameter struct.
+    /// Byte offsets at which the parameter struct contains device addresses.
     std::vector<std::uint32_t> addresses = {};
 
-    /// Returns the compute pipeline, which the device owns. Waits until the pipeline is
+    /// Returns the compute pipeline, which belongs to the device. Waits until it is
     /// compiled.
     /// @throws DeviceError if the driver rejects the kernel
     VkPipeline pipeline();
@@ -43,7 +44,7 @@ private:
 
 struct Stream::Impl {
     static constexpr std::size_t kSlots = 3;  ///< Maximum number of pending submissions.
-    /// Minimum size of a memory block for values that the host writes, in bytes.
+    /// Minimum size in bytes of a memory block for values that the host sends to kernels.
     static constexpr std::size_t kBlockBytes = 1 << 16;
     /// Maximum number of timed launches per submission.
     static constexpr std::uint32_t kMaxLaunches = 256;
@@ -52,26 +53,28 @@ struct Stream::Impl {
         VkCommandPool pool = VK_NULL_HANDLE;
         /// Command buffer that commands are currently recorded to.
         VkCommandBuffer commands = VK_NULL_HANDLE;
-        /// Command buffers of a submission. A long submission has several, which are
-        /// submitted in order. The next recording uses the same command buffers again.
+        /// Command buffers of the submission. A long submission has several, which are
+        /// submitted one after another. They are reused by later submissions.
         std::vector<VkCommandBuffer> buffers;
         std::size_t n_buffers = 0;  ///< Number of command buffers of the current recording.
         VkQueryPool queries = VK_NULL_HANDLE;
-        /// Commands between a pair of timestamps. The list has the same order as the
-        /// timestamps.
+        /// Commands whose duration is measured with a pair of timestamps. The list has
+        /// the order of the timestamps.
         struct Timed {
             std::string name;
-            /// Speed of the kernel that the timestamps measure, or null.
+            /// Speed of the measured kernel, which is updated with this measurement. May
+            /// be null.
             gpu::KernelSpeed* speed;
             std::uint32_t n_groups;  ///< Number of workgroups.
-            /// True if these commands are a later piece of the launch before them.
+            /// True if these commands and the previous entry belong to the same launch,
+            /// which was split.
             bool continues;
         };
         std::vector<Timed> launches;
-        /// Memory blocks for values that the host writes. Blocks are added until the
-        /// largest submission fits.
+        /// Memory blocks for values that the host sends to kernels. Their number grows
+        /// until the largest submission fits.
         std::vector<std::unique_ptr<Buffer::Impl>> blocks;
-        /// Block and byte offset at which the next host value is stored.
+        /// Position for the next value from the host: index of the block and byte offset.
         std::size_t block = 0, block_bytes = 0;
         /// Buffers that stay allocated until the submission is complete.
         std::vector<std::shared_ptr<const Buffer::Impl>> kept;
@@ -79,8 +82,8 @@ struct Stream::Impl {
     };
 
     using Command = std::function<void(VkCommandBuffer)>;
-    /// Commands between two barriers in one of several concurrent sequences. A sequence
-    /// is called a lane.
+    /// Commands of a lane between two barriers. A lane is one of several concurrent
+    /// sequences of commands (StreamLanes).
     struct Step {
         std::string name;  ///< Name of the first command of the step.
         std::vector<Command> commands;
@@ -95,8 +98,8 @@ struct Stream::Impl {
     std::size_t current = 0;
     bool recording = false;  ///< True if commands were recorded but not submitted yet.
     int n_concurrent = 0;    ///< Number of open Concurrent scopes.
-    /// True if the current scope has recorded commands, so that it must record a barrier
-    /// at its end.
+    /// True if commands were recorded in the open Concurrent scope, so that a barrier
+    /// must follow at its end.
     bool owes_barrier = false;
     /// Concurrent command sequences (lanes) of the current Strands scope.
     std::vector<StreamLane> lanes = {};
@@ -117,8 +120,8 @@ struct Stream::Impl {
     /// Returns the command buffer that commands are recorded to. Starts a new recording
     /// if there is none.
     VkCommandBuffer commands();
-    /// Records a command with timestamps and a barrier after it. In a Strands scope, only
-    /// stores the command until record_lanes() is called.
+    /// Records a command with timestamps, and a barrier after it. In a StreamLanes scope,
+    /// only stores the command; record_lanes() records it later.
     /// @param name name of the command in the measured times
     template <class Recorded>
     void record(const std::string& name, Recorded command) {
@@ -131,28 +134,27 @@ struct Stream::Impl {
         barrier();
     }
     void end_concurrent();
-    /// Records the stored commands of several concurrent sequences (lanes) and then
-    /// clears the sequences. Step n of one sequence may run concurrently with step n of
-    /// the other sequences.
+    /// Records the stored commands of all lanes (concurrent sequences) and clears the
+    /// lanes. Step n of a lane may run concurrently with step n of the other lanes.
     void record_lanes();
-    /// Memory that holds values from the host until the submission is complete.
+    /// Where a value from the host is stored until the submission is complete.
     struct Stored {
         VkBuffer buffer;
         std::size_t offset;
         std::uint64_t address;
     };
-    /// Copies host values to memory that the kernels of this submission can read.
+    /// Stores a value from the host where the kernels of this submission can read it.
     Stored store(const void* bytes, std::size_t n_bytes);
-    /// Copies an array from the host to memory that the kernels of this submission can
-    /// read. Returns its device address.
+    /// Stores an array from the host where the kernels of this submission can read it.
+    /// Returns its device address.
     template <class T>
     Address<T> values(const std::vector<T>& values) {
         return Address<T>(store(values.data(), values.size() * sizeof(T)).address);
     }
     /// Records a copy of host bytes to a device buffer.
     void write(const Buffer& buffer, const void* bytes, std::size_t n_bytes);
-    /// Records a copy from a device buffer to host-readable memory. Keeps the
-    /// host-readable memory alive until the submission is complete.
+    /// Records a copy from a device buffer to host-readable memory, which stays alive
+    /// until the submission is complete.
     void read_back(const Buffer::Impl& source, const std::shared_ptr<const Buffer::Impl>& target,
                    const VkBufferCopy& region);
     void launch(const KernelBase& kernel, std::uint32_t n_threads, const void* params, std::size_t n_bytes);
@@ -161,8 +163,8 @@ struct Stream::Impl {
     struct Dispatch;
 
 private:
-    /// Stores the parameter struct of a launch. Replaces each address 0 by the address of
-    /// a buffer with zeros.
+    /// Stores the parameter struct of a launch. Each address 0 in it becomes the address
+    /// of a buffer with zeros.
     /// @return device address of the stored struct
     std::uint64_t store_parameters(const KernelBase& kernel, const void* bytes, std::size_t n_bytes);
     void keep(const std::string& name, Command command);
@@ -171,19 +173,19 @@ private:
     void barrier();
     void record_barrier();
     /// Writes the timestamp before a command.
-    /// @param speed speed of the kernel that the timestamps may measure, or null
-    /// @param n_groups number of workgroups that run at this speed
-    /// @param continues true for the later pieces of a launch that is split
+    /// @param speed speed of the launched kernel, or null
+    /// @param n_groups number of workgroups of the command
+    /// @param continues true if the command continues a launch that was split
     void begin_timing(const std::string& name, gpu::KernelSpeed* speed = nullptr, std::uint32_t n_groups = 0,
                       bool continues = false);
     void end_timing();
-    /// Begins a region that debuggers show with a name. end_label() ends the region.
+    /// Begins a named region that debuggers show. end_label() ends it.
     void begin_label(const std::string& name);
     void end_label();
     void record_pieces(const KernelBase::Impl& kernel, const Dispatch& dispatch);
     void begin_buffer(Slot& slot);
-    /// Submits the commands recorded so far, without ending the submission. Later
-    /// commands are recorded to a new command buffer.
+    /// Sends the commands recorded so far to the device. The submission continues in a
+    /// new command buffer.
     void submit_part();
 };
 

@@ -5,8 +5,8 @@
 
 namespace relidar::gpu {
 
-/// Returns true if the driver is SwiftShader. Tracing kernels must not be compiled with
-/// SwiftShader, because its compiler terminates the process (docs/debugging.md).
+/// Returns true if the driver is SwiftShader. Its compiler terminates the process when it
+/// compiles tracing kernels (docs/debugging.md).
 inline bool is_swiftshader(const DeviceInfo& info) { return info.driver.starts_with("SwiftShader"); }
 
 }  // namespace relidar::gpu

@@ -71,8 +71,8 @@ void Transfers::copy(const Buffer::Impl& source, const Buffer::Impl& target, std
     copy_and_wait(source.handle, target.handle, {0, 0, n_bytes});
 }
 
-/// Copies and waits until the copy is complete. Records no barrier before the copy,
-/// because every submission of a stream ends with a barrier.
+/// Copies and waits until the copy is complete. No barrier is needed before it, because
+/// every submission of a stream ends with a barrier.
 void Transfers::copy_and_wait(VkBuffer source, VkBuffer target, const VkBufferCopy& region) {
     if (!done_) make_commands();
     check(vkResetCommandPool(device_.device, pool_, 0), "vkResetCommandPool");

@@ -25,7 +25,7 @@ std::string& collect_all_faults() {
     return faults;
 }
 
-/// Check results that this process could not store in a file. The key contains the
+/// Test results of devices that could not be stored in a file. The key consists of the
 /// device, the driver and the faults that a test has forced.
 struct UnstoredTrust {
     std::mutex mutex;
@@ -36,11 +36,11 @@ UnstoredTrust& unstored_trust() {
     return results;
 }
 
-/// Check results that a Trusting object selects for this thread, or null.
+/// Test results that a Trusting object has set for this thread, or null.
 thread_local const DeviceTrust* fixed_trust = nullptr;
 
-/// Returns the text of a file with check results. A stored file is used only if it equals
-/// this text exactly, so that damaged files are ignored.
+/// Returns the text of the file with a device's test results. A file is accepted only if
+/// it equals this text exactly, so that damaged files are ignored.
 std::string format_trust(const std::string& driver, const DeviceTrust& trust) {
     return fmt::format(
         "relidar {} checked this device at its first use. Delete this file to repeat the check.\n"
@@ -92,8 +92,8 @@ DeviceTrust find_trust(const Device::Impl& device, const DeviceOptions& options)
     VkPhysicalDeviceProperties properties;
     vkGetPhysicalDeviceProperties(device.physical, &properties);
     std::filesystem::path path;
-    // Stores results only if no test has forced a fault, because a forced fault must not
-    // affect later runs.
+    // Results with faults that a test has forced must not affect later runs, so they are
+    // not stored.
     if (!options.pipeline_cache.empty() && collect_all_faults().empty())
         path = options.pipeline_cache / ("check_" + make_device_key(properties) + ".txt");
     const auto is_complete = [&](const std::optional<DeviceTrust>& trust) {

@@ -18,13 +18,13 @@ namespace relidar::gpu {
 /// process remembers them. Trusts every method if the program has set no check.
 DeviceTrust find_trust(const Device::Impl& device, const DeviceOptions& options);
 
-/// Replaces the methods that gave wrong results, and prints one line for each. Call this
-/// function before the device is opened.
+/// Replaces the methods that failed the device test by others, and prints one line for
+/// each. Call this function before the device is opened.
 void replace_faulty_methods(Device::Impl& device, const DeviceTrust& trust);
 
-/// Sets the checks that fail in a test, separated by commas: float_atomics, float_swaps,
-/// subgroups:N, ray_query. In builds with RELIDAR_ASSERTS, from_environment() reads them
-/// from RELIDAR_FAULTS.
+/// Makes parts of the device test fail, for tests. The names are separated by commas:
+/// float_atomics, float_swaps, subgroups:N, ray_query. In builds with RELIDAR_ASSERTS,
+/// from_environment() reads them from RELIDAR_FAULTS.
 void set_faults(const std::string& faults);
 bool has_fault(const std::string& fault);
 

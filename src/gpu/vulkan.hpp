@@ -6,7 +6,7 @@
 #include <volk.h>
 
 #if defined(__GNUC__)
-// Disables a warning about missing initialisers, because Vulkan structs are initialised
-// with {sType} and then filled member by member.
+// Vulkan structs are initialised with {sType} and then filled member by member, which
+// causes a warning about missing initialisers.
 #pragma GCC diagnostic ignored "-Wmissing-field-initializers"
 #endif

@@ -52,8 +52,7 @@ struct DeviceLost : DeviceError {
 /// as equal.
 /// @return empty string if there are no known names
 std::string find_nearest_name(std::string_view query, const std::vector<std::string>& known_names);
-/// Returns the text ", did you mean 'NAME'?" with the known name that is most similar to
-/// the query.
+/// Returns the text ", did you mean 'NAME'?", where NAME is the most similar known name.
 /// @param quote quotation mark around the name: "'", "\"" or empty
 /// @return `otherwise` if no known name is similar
 std::string suggest_name(std::string_view query, const std::vector<std::string>& known_names,

@@ -20,9 +20,9 @@ namespace relidar {
 /// DataError that names the path. Other relidar errors are passed on unchanged.
 void write_atomically(const std::filesystem::path& path,
                       const std::function<void(const std::filesystem::path&)>& write);
-/// Returns a unique temporary path in the folder of `path`. The caller writes the file to
-/// this temporary path and then renames it to `path`. remove_temporaries() removes
-/// temporary files that were never renamed.
+/// Returns a unique temporary path in the same folder as `path`. The caller writes the
+/// file there and then renames it to `path`. remove_temporaries() removes temporary files
+/// that were never renamed.
 std::filesystem::path make_temporary_path(const std::filesystem::path& path);
 /// Removes temporary files and folders that a killed process has left in a folder. These
 /// files have names of the form .NAME.tmp-PID-COUNT. Call this function only for a folder

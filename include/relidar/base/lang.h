@@ -11,8 +11,9 @@
 #define RELIDAR_SHARED_BEGIN namespace relidar::shared {
 #define RELIDAR_SHARED_END }
 // RELIDAR_FUNCTION marks a function that both C++ and GLSL compile. RELIDAR_EXACT marks a
-// variable that both languages must compute with exactly the same operations. C++ files
-// that call such functions are compiled without fused multiply-add.
+// variable whose arithmetic the compiler must not reorder or fuse, so that both languages
+// compute the same value. C++ files that call such functions are compiled without fused
+// multiply-add.
 #define RELIDAR_FUNCTION inline
 #define RELIDAR_EXACT
 #define RELIDAR_POINTER(name, type) using name = Address<type>
@@ -29,9 +30,9 @@ template <class T, class Meaning = void>
 class Array;
 class Stream;
 
-/// Device address of an array of T, 8 bytes. Only an Array<T, Meaning> can create an
-/// address that is not null. An address converts to another address type only if both the
-/// element type and the meaning match. This prevents passing the wrong array to a kernel.
+/// Device address of an array of T, 8 bytes. `Meaning` names the content of the array.
+/// Only Array<T, Meaning> creates addresses other than null. An assignment requires the
+/// same T and the same Meaning, so that a kernel cannot get the wrong array.
 template <class T, class Meaning = void>
 class Address {
 public:
@@ -40,8 +41,8 @@ public:
 
     Address() = default;
     friend bool operator==(const Address&, const Address&) = default;
-    /// Returns the same device address with another meaning. No other function converts
-    /// between meanings.
+    /// Returns this device address with another Meaning, the name of the array's content.
+    /// No other function converts between meanings.
     template <class Other>
     Of<Other> as() const {
         return Of<Other>(value_);
@@ -52,8 +53,8 @@ private:
     friend class Address;
     template <class, class>
     friend class Array;
-    // Stream is a friend because it creates the addresses of kernel parameters. These
-    // addresses are valid for one submission.
+    // Stream may create addresses, because it stores the parameters of each kernel
+    // launch. Such an address is valid for one submission.
     friend class Stream;
     explicit Address(std::uint64_t value) : value_(value) {}
     std::uint64_t value_ = 0;
@@ -77,7 +78,7 @@ using uint = std::uint32_t;
 #define RELIDAR_EXACT precise
 #define RELIDAR_POINTER(name, type) \
     layout(buffer_reference, scalar, buffer_reference_align = 16) buffer name { type at[]; }
-// Declares a pointer type that only the driver dereferences, never relidar's kernels.
+// Declares a pointer type for memory that only the driver reads, never relidar's kernels.
 #define RELIDAR_HANDLE(name) RELIDAR_POINTER(name, uint)
 #define RELIDAR_OF(pointer, meaning) pointer
 // Shaders never convert an address to a 64-bit integer, because some devices lack 64-bit

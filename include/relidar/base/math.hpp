@@ -74,12 +74,13 @@ inline Twist compute_twist(const Pose& from, const Pose& to) {
     return {v.x, v.y, v.z, w.x, w.y, w.z};
 }
 
-/// Motion of an object during a sweep, with constant velocity and turn rate within a time
-/// span. The object is at rest before and after the span. If all fields are zero, the
-/// object does not move.
+/// Motion of an object during a sweep. The object moves with constant velocity and turn
+/// rate within a time span. Before and after the span it is at rest. If all fields are
+/// zero, the object does not move.
 struct PoseMotion {
     glm::dvec3 velocity_mps{0.0};  ///< Velocity in the world frame, metres per second.
-    /// Rotation vector per second, rad/s, in world axes about the object's origin.
+    /// Rotation vector per second, rad/s, in world axes. The object rotates about its
+    /// origin.
     glm::dvec3 turn_radps{0.0};
     /// Middle of the time span, in seconds after the reference time of the sweep.
     double middle_s = 0.0;

@@ -12,9 +12,8 @@
 namespace relidar {
 
 /// Group of processes that execute the same steps in the same order. A slow step is split
-/// into parts that do not depend on the number of processes. Each process computes some
-/// of the parts, and then all processes receive all results. A single process computes
-/// all parts.
+/// into parts. Each process computes some of the parts and then receives the results of
+/// all parts. The split does not depend on the number of processes.
 struct ProcessGroup {
     int rank = 0, size = 1;
     /// Function that concatenates the bytes of all processes in rank order and returns

@@ -16,39 +16,38 @@ namespace relidar {
 
 class DeviceScene;
 namespace shared {
-// Tag types that name the content of device arrays. Arrays of equal element type but
-// different content then have different types. This prevents passing the wrong array to a
-// kernel.
+// Empty types that name the content of a device array, used as the second template
+// argument of Array. They make it a compile error to pass the wrong array to a kernel.
 struct ProxyReach;
 struct ModelRadii;
 }  // namespace shared
 
-/// Geometry that encloses a surfel in the driver's acceleration structure. Boxes and
-/// triangles give the same hits. `boxes` are faster on lavapipe. `triangles` are faster
-/// on ray-tracing hardware: two per surfel, or an icosahedron per 3D Gaussian. The
+/// Shape that encloses a surfel in the driver's acceleration structure. Both shapes give
+/// the same hits. Boxes are faster on lavapipe (a CPU driver). Triangles are faster on
+/// ray-tracing hardware: two per surfel, or an icosahedron per 3D Gaussian. relidar's
 /// software tree always uses boxes.
 enum class Proxy { automatic, triangles, boxes };
 
 struct AccelOptions {
     Proxy proxy = Proxy::automatic;
-    /// Factor and length by which the geometry around a surfel is enlarged. Without this
+    /// Factor and length by which the shape around a surfel is enlarged. Without this
     /// margin, rounding errors of the driver's intersection test could lose hits.
     float margin_scale = 1.002f;
     float margin_m = 1e-4f;
-    /// Conditions under which trees are rebuilt instead of refitted. A tree is rebuilt
+    /// Conditions for rebuilding a tree instead of refitting its boxes. A tree is rebuilt
     /// after `rebuild_every` refits (0 = never). The software tree is also rebuilt if its
-    /// measured traversal cost is too high: more than `rebuild_growth` times the cost
-    /// after the last build.
+    /// measured traversal cost exceeds `rebuild_growth` times the cost after the last
+    /// build.
     int rebuild_every = 1000;
     float rebuild_growth = 1.3f;
 };
 
-/// Device addresses of the acceleration structure. Only the addresses that the device's
-/// traversal method needs are set. All other addresses are null.
+/// Device addresses of the acceleration structure. A device traces either with ray
+/// queries or with the software tree. The addresses of the unused method are null.
 struct AccelAddresses {
     shared::TlasHandle tlas;  ///< Top-level acceleration structure, for ray queries.
-    /// Largest distance between a hit and the point where the ray leaves the icosahedron
-    /// of that surfel, [1]. Used by ray queries over icosahedra.
+    /// Largest distance, over all 3D Gaussians, between a hit and the far side of the
+    /// icosahedron around the Gaussian, [1] metres. Used by ray queries over icosahedra.
     Address<float, shared::ProxyReach> proxy_reach;
     /// Instances that move during the sweep, [n_moving]. Used by ray queries.
     Address<shared::MovingInstance> moving;
@@ -58,8 +57,8 @@ struct AccelAddresses {
     shared::BvhPointers bvh;     ///< Addresses of the software tree.
 };
 
-/// Returns the kind of enclosing geometry to use on a device. Replaces `automatic` by the
-/// kind that is faster on this device.
+/// Returns the shape that encloses surfels on a device. Replaces `automatic` by the shape
+/// that is faster on this device.
 Proxy resolve(Proxy proxy, const Device& device);
 
 class Accel {
@@ -67,10 +66,10 @@ public:
     Accel(Device& device, const DeviceScene& scene, const AccelOptions& options);
     ~Accel();
 
-    /// Records GPU commands that recompute the enclosing geometry, build or refit all
-    /// trees, and update the top-level tree. The trees are built at the first call, if
-    /// `rebuild` is true, or if the options require a rebuild. Otherwise the trees are
-    /// refitted.
+    /// Records GPU commands that update all trees to the current surfels. Trees are built
+    /// at the first call, if `rebuild` is true, or if the options require a rebuild.
+    /// Otherwise only their boxes are refitted. The top-level tree over the instances is
+    /// always updated.
     void update(Stream& stream, const DeviceScene& scene, bool rebuild = false);
     /// Records GPU commands that refit the trees of actors with changing shape, for
     /// example walking persons, and update the top-level tree. Use this function if the
@@ -89,7 +88,8 @@ public:
 
     AccelAddresses addresses() const;
     Proxy proxy() const;
-    /// Device memory of the trees, the enclosing geometry and the scratch buffers, bytes.
+    /// Device memory of the trees, of the shapes around surfels and of scratch buffers,
+    /// bytes.
     std::uint64_t memory_bytes() const;
     std::uint64_t updates() const;   ///< Number of builds and refits recorded so far.
     int refits_since_build() const;  ///< Number of refits recorded since the last build.

@@ -14,9 +14,8 @@
 
 namespace relidar {
 
-// Tag types that name the content of device arrays. Arrays of equal element type but
-// different content then have different types. This prevents passing the wrong array to a
-// kernel.
+// Empty types that name the content of a device array, used as the second template
+// argument of Array. They make it a compile error to pass the wrong array to a kernel.
 namespace shared {
 struct DeviceRayGradients;
 struct InstancePoseGradients;
@@ -33,13 +32,13 @@ struct GradientSelection {
 /// pose of the sensor.
 struct Gradients {
     SurfelArrays surfels;  ///< dL/d(parameter) of every surfel, in the layout of Surfels.
-    /// Gradients with respect to the surfel records, [DeviceScene::gradient_rows,16]. A
-    /// record holds the 16 floats that tracing kernels read for a placed surfel.
+    /// Gradients with respect to the surfel records, [DeviceScene::gradient_rows(),16]. A
+    /// surfel record is the 16 floats of a surfel that tracing kernels read.
     Array<float, shared::RecordGradients> records;
-    /// Flags, [n]: 1 for each surfel that has a gradient in this batch.
+    /// Flags, [n]: 1 for each surfel that gets a gradient from this batch, otherwise 0.
     Array<std::uint32_t, shared::TouchedSurfels> touched;
-    /// If true, surfels without a gradient get parameter gradients of zero. If false,
-    /// these values are undefined, and Adam treats them as zero.
+    /// If true, surfels that get no gradient from this batch have gradients of zero. If
+    /// false, their gradients are undefined, and the Adam optimiser treats them as zero.
     bool zero_untouched = true;
     /// dL/d(origin) and dL/d(direction) of every ray, [n_rays,6], world frame. Empty
     /// unless GradientSelection::rays is set.
@@ -99,11 +98,12 @@ enum class Reduction { automatic, atomics, gather };
 
 struct BackwardOptions {
     Reduction reduction = Reduction::automatic;
-    /// If true, `atomics` exchanges hits between threads, so that neighbouring threads
-    /// add the floats of the same hit. Default: true on a GPU.
+    /// Used only with Reduction::atomics. If true, threads exchange their gradients, so
+    /// that neighbouring threads add to neighbouring floats in memory. Default: true on a
+    /// GPU.
     std::optional<bool> coalesced_atomics = std::nullopt;
-    /// Number of hit records per ray that `gather` allocates for the largest batch. A
-    /// record has 38 bytes (50 with ShDirection::ray).
+    /// Used only with Reduction::gather. Memory is allocated for this number of hits per
+    /// ray of the largest batch. A hit needs 38 bytes (50 with ShDirection::ray).
     std::uint32_t hits_per_ray = 64;
 };
 
@@ -114,20 +114,21 @@ public:
     BackwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options,
                  const BackwardOptions& backward = {});
     ~BackwardPass();
-    /// Records GPU commands that trace the rays again and compute the gradients of all
-    /// parameters. The commands overwrite all arrays in `gradients`.
-    /// @param view_origin_m view origin of the last DeviceScene::activate(), [3] world
-    /// frame
+    /// Records GPU commands that compute the gradients of all parameters for the rays of
+    /// a batch. The commands overwrite all arrays in `gradients`.
+    /// @param view_origin_m position of the sensor that was passed to the last
+    /// DeviceScene::activate(), [3] world frame
     void run(Stream& stream, DeviceScene& scene, const Accel& accel, const RenderedBatch& batch,
              const glm::vec3& view_origin_m, Gradients& gradients);
     void set_sh_degree(int degree);
-    /// Returns the largest number of hits of a batch as a device array, [1], or null with
-    /// Reduction::atomics. The value grows until the caller sets it to 0. If a batch has
-    /// more than hit_capacity() hits, the additional hits are added with atomics. Their
-    /// sums are correct, but not bit-equal between runs.
+    /// Returns the largest number of hits of any batch so far, [1] on the device. The
+    /// caller may reset it to 0. Null with Reduction::atomics. If a batch has more than
+    /// hit_capacity() hits, the additional hits are summed with atomics, so that runs are
+    /// not bit-equal.
     const Array<std::uint32_t>* most_hits() const;
     std::uint64_t hit_capacity() const;
-    /// Increases the capacity to at least n_hits records. Waits until the stream is idle.
+    /// Allocates memory for at least n_hits hits of a batch. Waits until the stream is
+    /// idle.
     void reserve_hits(Stream& stream, std::uint64_t n_hits);
 
 private:

@@ -18,16 +18,16 @@
 ///
 /// The background adds 1 to drop_logit and 0 to all other values.
 
-// All image values except the range D. The backward pass sums these values first and adds
-// the range last, because the range is much larger.
+// All blended values except the range D. The backward pass sums these values separately
+// from D, because D is much larger.
 #define RELIDAR_CHANNEL_VALUES(VALUE)                                                \
     VALUE(weight, true, 1.0, nowhere, 0.0, "sum of w")                               \
     VALUE(intensity, true, channels.x, d_channel.x, 1.0, "sum of w times intensity") \
     VALUE(hit_logit, true, channels.y, d_channel.y, 1.0, "sum of w times hit logit") \
     VALUE(drop_logit, true, channels.z, d_channel.z, 1.0, "sum of w times drop logit, + transmittance")
 
-// Values of every ray that the host can read. The host can also set the gradients of
-// these values.
+// Blended values that are copied to the host as arrays with one value per ray. The host
+// can also provide their gradients.
 #define RELIDAR_IMAGE_VALUES(VALUE)                                                        \
     VALUE(depth, true, hit.t, d_t, 1.0, "sum of w times distance, not normalised, metres") \
     RELIDAR_CHANNEL_VALUES(VALUE)

@@ -19,20 +19,20 @@ RELIDAR_SHARED_BEGIN
 /// 0. Otherwise the slot is empty and has an inverted box (low 255, high 0).
 struct BvhNode {
     vec3 origin;  // Lower corner of the node's box, metres.
-    // Exponents e of the box scale with bias 127: x in bits 0-7, y in bits 8-15, z in
-    // bits 16-23. Bits 24-31 contain inner_mask, one bit per slot.
+    // Exponents e of the quantisation steps 2^(e - 127): x in bits 0-7, y in bits 8-15, z
+    // in bits 16-23. Bits 24-31 contain inner_mask, which has one bit per child slot.
     uint exponents;
-    // Index of the child node in the first inner slot. The nodes of the other inner slots
-    // follow in slot order.
+    // Index of the child node in the first slot that holds an inner node. The child nodes
+    // of the other slots follow in slot order.
     uint first_child;
-    // Index in the array `order` at which the leaves of this node start. The entries of a
-    // leaf slot start at first_leaf plus the offset of the slot.
+    // Index in the array `order` of the first entry of this node's leaves. The entries of
+    // one leaf start at first_leaf plus the offset that `leaves` stores for its slot.
     uint first_leaf;
-    // One byte per slot. For a leaf, bits 0-4 hold the offset of its entries, and bits
-    // 5-7 hold the number of entries. The byte is 0 for inner and empty slots.
+    // One byte per child slot. For a leaf, bits 0-4 hold the offset of its first entry,
+    // and bits 5-7 hold its number of entries. The byte is 0 if the slot holds no leaf.
     uint leaves[2];
-    // Lower bounds of the child boxes along x, quantised to one byte per slot. The next
-    // five fields hold the other bounds in the same form.
+    // Lower x bounds of the child boxes, quantised to one byte per child. The next five
+    // fields hold the other bounds in the same form.
     uint low_x[2];
     uint low_y[2];
     uint low_z[2];
@@ -44,14 +44,14 @@ RELIDAR_POINTER(BvhNodes, BvhNode);
 
 RELIDAR_HANDLE(TlasHandle);  // Handle of the driver's top-level acceleration structure.
 
-// Cull mask bit of instances that do not move during the sweep. Moving instances use the
-// next bits.
+// Bit of the ray query's cull mask for all instances that do not move during the sweep.
+// Instances that move use the higher bits.
 #define RELIDAR_STANDING_MASK 1u
 #define RELIDAR_MOVING_MASKS 7u  // Number of cull mask bits for moving models.
 
-/// Instance that moves during a sweep. A separate ray query searches only this instance.
-/// Before this query, the ray is transformed to compensate the motion, so the instance
-/// can keep its pose in the driver's structure.
+/// Instance that moves during a sweep. The driver's structure stores it at one pose only.
+/// A separate ray query searches this instance, with a ray that is moved to compensate
+/// the motion.
 struct MovingInstance {
     uint instance;
     uint model;
@@ -62,9 +62,9 @@ RELIDAR_POINTER(MovingInstances, MovingInstance);
 /// Addresses of the two-level software tree that traversal kernels read.
 struct BvhPointers {
     BvhNodes nodes;  // Tree nodes of all models.
-    // Surfel of each leaf entry, as an index relative to the first surfel of its model.
+    // Index of the surfel of each leaf entry, counted from the first surfel of its model.
     RELIDAR_OF(Uints, LeafOrder) order;
-    // Index in `nodes` of the root node for each instance, [n_instances]. The value is
+    // Root node of each instance's tree, as an index in `nodes`, [n_instances].
     // RELIDAR_BVH_NO_NODE if the model has no surfels or the instance is absent.
     RELIDAR_OF(Uints, InstanceRoots) roots;
     BvhNodes top_nodes;  // Nodes of the top-level tree over the instances. Node 0 is the root.

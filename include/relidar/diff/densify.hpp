@@ -19,9 +19,8 @@ class DeviceScene;
 struct Scene;
 struct SurfelArrays;
 
-// Tag types that name the content of device arrays. Arrays of equal element type but
-// different content then have different types. This prevents passing the wrong array to a
-// kernel.
+// Empty types that name the content of a device array, used as the second template
+// argument of Array. They make it a compile error to pass the wrong array to a kernel.
 namespace shared {
 struct GradientSums;
 struct SeenBatches;
@@ -29,8 +28,8 @@ struct SeenFrames;
 struct TouchedSurfels;
 }  // namespace shared
 
-/// Statistics of each surfel since the last densification. Checkpoints store these
-/// statistics. The arrays may have more than n entries.
+/// Statistics of each surfel since the last densification, which adds and removes
+/// surfels. Checkpoints store these statistics. The arrays may have more than n entries.
 struct SurfelStatistics {
     /// Norm of the gradient with respect to the surfel's mean position, summed over
     /// batches, [n].
@@ -46,7 +45,8 @@ struct SurfelStatistics {
 /// Training batch whose gradients have been computed.
 struct ObservedBatch {
     const SurfelArrays* gradients = nullptr;
-    /// Flags, [n]: 1 for each surfel whose gradient is defined and not zero.
+    /// Flags, [n]: 1 for each surfel that gets a gradient from the batch. The gradients
+    /// of other surfels may be undefined.
     const Array<std::uint32_t, shared::TouchedSurfels>* touched = nullptr;
     std::uint32_t frame = 0;  ///< Index of the batch's frame in the list of training frames.
     /// True if the batch has all rays of the frame. False if it has only every s-th ray.
@@ -68,8 +68,8 @@ public:
     /// Returns true unless the strategy is DensifyStrategy::none. An inactive densifier
     /// does nothing and has no statistics.
     bool is_active() const;
-    /// Records GPU commands that add the gradients of a batch to the densification
-    /// statistics.
+    /// Records GPU commands that add the gradients of a batch to the statistics of the
+    /// surfels.
     void observe(Stream& stream, const DeviceScene& scene, const ObservedBatch& batch);
     /// Returns true if run() should add and remove surfels after this step.
     bool due(int step) const;

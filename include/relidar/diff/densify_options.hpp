@@ -31,11 +31,13 @@ struct DensifyOptions {
     /// Threshold for the mean norm of dL/d(mean position), 1/m. A surfel with a larger
     /// norm is cloned or split. The loss L is a mean over the rays of a frame.
     double gradient_threshold = 2e-4;
-    /// Size threshold between cloning and splitting, relative to the extent of the model.
-    /// Smaller surfels are cloned. Larger surfels are split.
+    /// Size limit between cloning and splitting, relative to the extent of the model. A
+    /// surfel with a large gradient is cloned if it is smaller, and split if it is
+    /// larger.
     double clone_extent_share = 2e-4;
-    /// Minimum opacity. Surfels with a lower opacity are removed. The larger of this
-    /// value and ImageModel::alpha_min (the limit in ray tracing) is used.
+    /// Minimum opacity. Surfels with a lower opacity are removed. If
+    /// ImageModel::alpha_min, the opacity limit of ray tracing, is larger, it is used
+    /// instead.
     double min_opacity = 0.003;
     /// Maximum scale of a surfel, relative to the extent of the model. Larger surfels are
     /// removed after step `large_from`.
@@ -56,20 +58,19 @@ struct DensifyOptions {
 struct DensifyReport {
     std::uint32_t before = 0, after = 0;
     std::uint32_t added = 0;  ///< Number of added surfels. Each clone or split adds one surfel.
-    /// Numbers of surfels that should be cloned or split because of their gradients. If
-    /// the sum of `clones` and `splits` exceeds `added`, the memory was not sufficient
-    /// for all new surfels.
+    /// Numbers of surfels whose gradients are large enough for cloning or splitting.
+    /// Fewer surfels are added (`added`) if max_surfels is reached or memory is short.
     std::uint32_t clones = 0, splits = 0;
     /// Number of removed surfels by reason: value not finite, low opacity, large scale,
     /// outside the actor's box.
     std::uint32_t invalid = 0, faint = 0, large = 0, outside = 0;
     /// Message that there is too little memory for more surfels. Only the first report
-    /// with this problem contains the message. Empty in all other reports.
+    /// about this problem contains it. Empty otherwise.
     std::string note;
 
     std::uint32_t removed() const { return invalid + faint + large + outside; }
-    /// Adds the counts of a later report to this report. Copies the later surfel number
-    /// `after`, and the later note unless it is empty.
+    /// Adds the counts of a later report to this report. `after` and a non-empty `note`
+    /// are copied from the later report.
     void add(const DensifyReport& later);
 };
 

@@ -23,14 +23,14 @@ namespace relidar {
 struct GradientOptions {
     BackwardOptions sums{};
     GradientSelection wanted{};
-    /// If true, surfels without a gradient get gradients of zero. If false, these values
-    /// are undefined.
+    /// If true, surfels that get no gradient from a batch have gradients of zero. If
+    /// false, their gradients are undefined.
     bool zero_untouched = true;
 };
 
-/// Gradients of the loss with respect to the rendered values of every ray. There is one
-/// array for each differentiable array of Rendering. An empty array means that all its
-/// gradients are zero.
+/// Gradients of the loss with respect to the rendered values of every ray. Each
+/// differentiable array of Rendering has an array here. An empty array means gradients of
+/// zero.
 struct RenderedGradients {
     /// Gradients with respect to depth (1/m), weight, intensity, hit_logit and drop_logit
     /// of each ray, [n].
@@ -89,11 +89,11 @@ public:
     Gradients& gradients();
     BackwardPass& backward_pass();
 
-    /// Calls `change`, which adds or removes surfels. Before the call, this function
-    /// releases memory whose size depends on the number of surfels. After the call, it
-    /// allocates this memory again. Waits until the stream is idle. The caller must call
-    /// Renderer::place() next.
-    /// @param change receives the number of bytes per surfel that will be allocated again
+    /// Calls `change`, which adds or removes surfels. Frees all memory that depends on
+    /// the number of surfels before the call, and allocates it again after the call.
+    /// Waits until the stream is idle. The caller must call Renderer::place() next.
+    /// @param change its argument is the number of bytes per surfel that will be
+    /// allocated again
     void change_surfels(const std::function<void(double others_bytes)>& change);
 
 private:

@@ -28,10 +28,10 @@ struct Rendering {
     /// 0.5.
     std::vector<float> median_depth;
     std::vector<std::uint32_t> hits;  ///< Number of blended surfels.
-    /// Index into Scene::instances of the object that the ray hits, or -1 without hits.
-    /// This is the object of the surfel at which the transmittance falls below 0.5.
-    /// Therefore a faint surfel in front does not hide an object. If the transmittance
-    /// stays above 0.5, the object of the nearest blended surfel is used.
+    /// Object that the ray hits, as an index into Scene::instances. -1 without hits. The
+    /// surfel at which the transmittance falls below 0.5 determines the object, so a
+    /// faint surfel in front does not count. If the transmittance stays above 0.5, the
+    /// nearest blended surfel counts.
     std::vector<std::int32_t> instance;
     /// Sum of w n over the hits, world frame. w is the weight of a hit, and n is the unit
     /// normal that faces the sensor. Empty unless TraceOptions::normals is set.
@@ -57,15 +57,15 @@ public:
     void run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch,
              Array<shared::RenderedRay>& rendered, KeptHits* kept = nullptr,
              const Array<shared::RenderedSurface>* surfaces = nullptr);
-    /// Returns the number of rays that reached the maximum number of passes since the
-    /// last call. Such rays end too early, so the image is wrong. Waits for the GPU.
+    /// Returns the number of rays since the last call that had too many hits to be traced
+    /// completely. Such rays end too early, so the image is wrong. Waits for the GPU.
     std::uint32_t reset_pass_cap_count();
-    /// Number of rays that reached the maximum number of passes, [1] on the device. The
-    /// value grows until the caller sets it to 0. Reading it does not require waiting for
-    /// the stream.
+    /// Number of rays that had too many hits to be traced completely, [1] on the device.
+    /// The count grows until the caller sets it to 0. The host can copy it without
+    /// waiting.
     const Array<std::uint32_t>& pass_cap_count() const;
-    /// Number of rays with more hits than the buffer keeps for the backward pass, [1] on
-    /// the device. The value grows until the caller sets it to 0.
+    /// Number of rays with more hits than are stored for the backward pass, [1] on the
+    /// device. The count grows until the caller sets it to 0.
     const Array<std::uint32_t>& overfull_count() const;
     void set_sh_degree(int degree);
 
@@ -119,33 +119,33 @@ public:
     /// @throws DataError if the number of poses is wrong
     /// @throws UsageError if the image model and the scene have different primitives
     void place(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m);
-    /// Records GPU commands that use the current parameters and the new view. All
-    /// instances keep their poses. If no poses were set before, all instances are at the
-    /// origin.
+    /// Records GPU commands that prepare rendering with the current parameters from a new
+    /// sensor position. All instances keep their poses. If no poses were set before, all
+    /// instances are at the origin.
     void place(const glm::vec3& view_origin_m) { place(scene().poses(), view_origin_m); }
-    /// Records GPU commands that set the poses of all instances, but does not refit the
-    /// trees of rigid models. Use this function if no parameter has changed since the
+    /// Records GPU commands that set the poses of all instances. The trees of rigid
+    /// models are not refitted. Use this function if no parameter has changed since the
     /// last place() or move(). The first call does the same as place().
     void move(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m);
 
     /// Renders rays and waits for the result.
     /// @param rays [n] world frame, directions of length 1
     /// @throws UsageError if place() was not called before
-    /// @throws DeviceError if a ray reaches the maximum number of passes
+    /// @throws DeviceError if a ray has too many hits to be traced completely
     Rendering forward(const WorldRays& rays);
     /// Records GPU commands that render rays on the device. The ray array must stay valid
     /// until the stream has finished. rendered() then contains the results.
     void record_forward(const RayBatch& rays);
-    /// Returns the last rendered batch. Its pointer to gradients is always null.
-    /// Its pointer to the rays is null until the first batch is rendered.
+    /// Returns the last rendered batch. Its pointer to the rays is null before the first
+    /// batch is rendered. Its pointer to gradients (`upstream`) is always null.
     const RenderedBatch& rendered() const;
     /// Waits for the GPU and returns the rendered values of the last batch as host
     /// arrays.
-    /// @throws DeviceError if a ray reached the maximum number of passes
+    /// @throws DeviceError if a ray had too many hits to be traced completely
     Rendering download_rendering();
-    /// Waits for the GPU and checks that no ray has reached the maximum number of passes
-    /// since the last call.
-    /// @throws DeviceError if a ray reached the maximum and therefore ended too early
+    /// Waits for the GPU and checks that all rays since the last call were traced
+    /// completely.
+    /// @throws DeviceError if a ray had too many hits and therefore ended too early
     void check_passes();
 
     /// Returns the number of hits per ray that are kept for the backward pass.
@@ -160,8 +160,7 @@ public:
     /// degree of the image model. The caller must call place() next.
     void set_sh_degree(int degree);
     const ImageModel& model() const;  ///< Image model with the active SH degree.
-    /// Copies new values of all parameters to the device. Waits until the copy is
-    /// complete.
+    /// Replaces all surfel parameters on the device. Waits until the copy is complete.
     /// @throws DataError if the number of surfels or the primitive differs
     void upload(const Surfels& surfels);
     /// Waits for the GPU and returns the scene with its current parameters.

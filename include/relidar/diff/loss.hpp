@@ -49,16 +49,14 @@ struct TargetBatch {
     ImageShape image{};  ///< Image layout of the rays, if the batch is an image.
 };
 
-// Tag types that name the content of device arrays. Arrays of equal element type but
-// different content then have different types. This prevents passing the wrong array to a
-// kernel.
+// Empty types that name the content of a device array, used as the second template
+// argument of Array. They make it a compile error to pass the wrong array to a kernel.
 namespace shared {
 struct LossTerms;
 struct TouchedSurfels;
 }  // namespace shared
 
-/// Selects a row of a device array. The kernels add the loss terms of a batch to this
-/// row.
+/// Row of a device array to which kernels add the loss terms of a batch.
 struct TermRow {
     const Array<float>& terms;  ///< Weighted loss terms, [rows, kLossTerms].
     std::uint32_t row = 0;
@@ -81,10 +79,10 @@ struct SurfelGradients {
 class Loss {
 public:
     virtual ~Loss() = default;
-    /// Records GPU commands for the terms that compare rendered and measured rays. Called
-    /// between the forward and the backward pass.
+    /// Records GPU commands for the terms that compare rendered with measured rays. They
+    /// run between the forward and the backward pass.
     /// @param rendered rays to compare. The loss adds its gradients to `upstream`. Only
-    /// ImageLoss overwrites `upstream`, because it is the first loss.
+    /// ImageLoss, the first loss, overwrites `upstream`.
     /// @param terms row to which the loss adds its terms
     virtual void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
                          const TermRow& terms);
@@ -101,9 +99,9 @@ public:
 std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights& weights,
                                                std::uint32_t n_rays);
 
-/// Computes depth, intensity and ray-drop losses per pixel, and the structural similarity
-/// (SSIM) of the intensity. If intensity_ssim > 0, the batch must be an image. SSIM
-/// ignores the intensities of dropped and unknown pixels.
+/// Computes depth, intensity and ray-drop losses per pixel. If intensity_ssim > 0, also
+/// computes the structural similarity (SSIM) of the intensities, without dropped and
+/// unknown pixels. The batch must then be an image.
 class ImageLoss final : public Loss {
 public:
     /// Creates the image loss.
@@ -139,9 +137,10 @@ public:
     ~ChamferLoss() override;
     void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
                  const TermRow& terms) override;
-    /// Returns two arrays: the nearest measured point of each simulated point of the last
-    /// batch, and the nearest simulated point of each measured point. A point is given by
-    /// the index of its ray; ~0 means no point. Waits for the GPU.
+    /// Returns two arrays. The first contains, for each simulated point of the last
+    /// batch, the nearest measured point. The second contains the nearest simulated point
+    /// of each measured point. Points are given by their ray's index; ~0 means no point.
+    /// Waits for the GPU.
     std::array<std::vector<std::uint32_t>, 2> nearest() const;
 
 private:

@@ -27,7 +27,8 @@ struct LossWeights {
     float box_scale_share = 0.2f;
     /// Scale of the spread of measured ranges around the true surface, metres.
     float likelihood_scale_m = 0.05f;
-    /// Fraction of returns that are treated as outliers. An outlier may have any range.
+    /// Fraction of returns that are treated as outliers. An outlier can have any range
+    /// with equal probability.
     float likelihood_floor = 0.01f;
 
     bool operator==(const LossWeights&) const = default;

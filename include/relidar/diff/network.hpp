@@ -44,8 +44,8 @@ struct RefineOptions {
     bool operator==(const RefineOptions&) const = default;
 };
 
-/// Input of the network for one scan, with the measured drops as the target of the
-/// training.
+/// Network input for one scan. For training, it also has the measured drops as the
+/// target.
 struct DropImage {
     int rows = 0, columns = 0;
     /// Input channels, [channels of the network, rows, columns]. list_drop_channels()
@@ -72,8 +72,8 @@ struct DropNetwork {
     /// Number of pixels that a convolution kernel covers: 9 for 3 x 3, or 1 if each pixel
     /// is processed separately.
     std::uint32_t taps = 9;
-    /// If true, the output is added to the rendered drop logit. If false, the output
-    /// replaces the rendered drop logit.
+    /// If true, the network predicts a correction that is added to the rendered drop
+    /// logit. If false, its output replaces the rendered drop logit.
     bool residual = true;
     std::vector<float> normalisation;  ///< Scale and shift of each input channel, [channels, 2].
     std::vector<float> parameters;     ///< Network parameters, layer by layer, in the order of evaluation.
@@ -107,7 +107,8 @@ struct RefineState {
     std::vector<float> moment1, moment2;  ///< First and second moments of Adam, [parameters].
     /// Running means and variances of the normalisation layers, as in DropNetwork.
     std::vector<float> running;
-    /// Sums of the entropy and the accuracy over the steps of the current epoch.
+    /// Sums of the entropy and of the accuracy over the steps of the current epoch so
+    /// far.
     double entropy = 0.0, accuracy = 0.0;
     double seconds = 0.0;  ///< Seconds of training so far.
 

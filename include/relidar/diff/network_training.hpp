@@ -30,8 +30,8 @@ public:
     const DropNetwork& network() const;
     /// Records GPU commands that evaluate the network for one image.
     /// @param channels [network().inputs, rows, columns] as DropImage::channels
-    /// @return drop probabilities, [rows, columns]. The object keeps buffers for two
-    /// image shapes, so the result is valid until an image of a third shape is evaluated.
+    /// @return drop probabilities, [rows, columns]. The result becomes invalid when
+    /// images of two other shapes have been evaluated.
     /// @throws DataError if the image is smaller than network().smallest_side()
     const Array<float, shared::DropProbabilities>& run(Stream& stream, int rows, int columns,
                                                        const Array<float, shared::DropSamples>& channels);

@@ -16,8 +16,8 @@ struct AdamOptions {
     double beta1 = 0.9;
     double beta2 = 0.999;
     double epsilon = 1e-15;
-    /// If true, surfels without a gradient in the batch keep their values and Adam
-    /// moments. If false, the moments of these surfels decay and still change the values.
+    /// If true, a surfel that gets no gradient from the batch keeps its parameters and
+    /// its Adam moments. If false, its moments decay and still change its parameters.
     bool only_touched = false;
     /// Number of fixed surfels at the start of the arrays. Fixed surfels never change and
     /// have no Adam moments.

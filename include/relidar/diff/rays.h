@@ -10,8 +10,8 @@
 RELIDAR_SHARED_BEGIN
 
 #define RELIDAR_NO_INSTANCE 0xffffffffu
-// Firing time for rays without a time. For such a ray, every instance has the pose in the
-// instance table.
+// Firing time of a ray that has none. The ray sees each instance at the pose that the
+// instance table stores, without motion.
 #define RELIDAR_NO_TIME 3.0e38f
 
 struct DeviceRay {
@@ -33,16 +33,16 @@ RELIDAR_POINTER(Targets, DeviceTarget);
 
 #define RELIDAR_FIELD(name, built, value, input, slope, meaning) float name;
 
-/// Result of the forward pass for one ray (M5): the blended values and information about
-/// the hits.
+/// Result of the forward pass for one ray: the blended values (docs/method.md M5) and
+/// information about the hits.
 struct RenderedRay {
     RELIDAR_BLENDED_VALUES(RELIDAR_FIELD)
     float transmittance;  // Transmittance T after the last blended surfel.
     float median_depth;   // Distance t at which T crosses 0.5, metres. 0 if T stays above 0.5.
     uint n_hits;
-    // Instance of the surfel at which the transmittance crosses 0.5. If the transmittance
-    // stays above 0.5, the instance of the nearest blended surfel. RELIDAR_NO_INSTANCE if
-    // the ray has no hits.
+    // Instance of the surfel at which the transmittance falls below 0.5. If it stays
+    // above 0.5, the instance of the nearest blended surfel. Without hits,
+    // RELIDAR_NO_INSTANCE.
     uint instance;
 };
 RELIDAR_POINTER(RenderedRays, RenderedRay);
@@ -59,8 +59,8 @@ struct RenderedSurface {
     // Sum of w n over the hits, world frame. w is the weight of a hit, and n is the
     // surfel's unit normal that faces the sensor.
     vec3 normal;
-    // Mean distance of the surface with the largest total weight along the ray (M13),
-    // metres. 0 if the ray has no hits.
+    // Mean distance of the surface with the largest total weight along the ray
+    // (docs/method.md M13), metres. 0 if the ray has no hits.
     float mode;
 };
 RELIDAR_POINTER(RenderedSurfaces, RenderedSurface);

@@ -32,23 +32,24 @@ struct RayBatch {
     std::uint32_t first = 0;
     std::uint32_t stride = 1;
     std::uint32_t n_rays = 0;
-    /// Number of columns if the batch is an image in row order, otherwise 0. n_rays must
-    /// be a multiple of the number of columns. In an image, neighbouring threads trace
-    /// tiles of 16 x 2 neighbouring rays, because these rays visit the same tree nodes.
-    /// Without an image, threads trace rays in list order.
+    /// Number of columns if the rays form an image in row order, otherwise 0. n_rays must
+    /// be a multiple of it. Neighbouring threads trace tiles of 16 x 2 pixels of an
+    /// image, because these rays visit the same tree nodes. Without an image, threads
+    /// trace rays in list order.
     std::uint32_t columns = 0;
     /// Measured targets of the rays, with the same indices as `rays`. Used only with
     /// TraceOptions::likelihood. Null = no targets.
     const Array<shared::DeviceTarget>* targets = nullptr;
 };
 
-/// Method for traversing the software tree. `lane`: each ray is traversed separately.
-/// `subgroup`: all rays of a GPU subgroup are traversed together.
+/// Method for traversing the software tree. `lane`: each thread traverses the tree for
+/// its ray alone. `subgroup`: the threads of a GPU subgroup visit the same nodes
+/// together.
 enum class Walk { automatic, lane, subgroup };
 
-/// Method for sorting the hits of a ray. `chunks`: the kernel sorts hits in a per-ray
-/// buffer while it finds them. `lists`: the kernel appends all hits to a list in memory
-/// and sorts the list afterwards.
+/// Method for sorting the hits of a ray. `chunks`: the kernel inserts each hit into a
+/// small sorted buffer. `lists`: the kernel appends all hits to a list in memory, which
+/// is sorted afterwards.
 enum class HitOrder { automatic, chunks, lists };
 
 /// Function k(t) for the likelihood of a measured range z (docs/method.md M12): k(t) = 1
@@ -67,9 +68,9 @@ struct TraceOptions {
     /// Method for sorting hits in the forward pass. automatic = lists on a GPU, chunks on
     /// a CPU.
     HitOrder order = HitOrder::automatic;
-    /// Initial number of hits that a ray's hit list can store, 1..512. The number is
-    /// doubled while any ray has more hits. A ray with too many hits for its list is
-    /// traced in chunks.
+    /// Initial number of hits that the list of a ray can store, 1..512. The number is
+    /// doubled as long as a ray has more hits. Until then, such a ray is traced in
+    /// chunks.
     int list_room = 64;
     /// If true, computes a blended surface normal for each ray. Normals have no gradient.
     bool normals = false;
@@ -85,16 +86,16 @@ struct TraceOptions {
     bool has_surfaces() const { return normals || mode_gap_m; }
 };
 
-/// Returns the number of threads that trace a batch. An image is traced in complete tiles
-/// of 16 x 2 rays, so some threads may have no ray. A batch without an image has one
-/// thread per ray.
+/// Returns the number of threads that trace a batch. An image is traced in tiles of 16 x
+/// 2 pixels, so threads at its border may have no ray. Without an image, every ray has
+/// one thread.
 std::size_t trace_threads(const RayBatch& batch);
 
-/// First hits of each ray of a batch, stored by the forward pass. The backward pass reads
-/// these hits instead of searching for them again.
+/// First hits of each ray, stored by the forward pass. The backward pass reads these
+/// hits, so that it need not search for them again.
 struct KeptHits {
-    /// Stored hits. The hits of two threads are interleaved, [ceil(n_threads / 2),
-    /// per_ray, 2].
+    /// Stored hits. The hits of two neighbouring threads alternate in memory,
+    /// [ceil(n_threads / 2), per_ray, 2].
     Array<shared::Hit> hits;
     /// Number of hits stored per ray. If a ray has more hits, the backward pass searches
     /// for the remaining hits again.
@@ -104,8 +105,8 @@ struct KeptHits {
     /// @param n_threads number of threads that trace the largest batch
     KeptHits(Device& device, std::size_t n_threads, std::uint32_t hits_per_ray)
         : hits(device, side_by_side(n_threads) * hits_per_ray, "kept hits"), per_ray(hits_per_ray) {}
-    /// Rounds a number of threads up to a multiple of RELIDAR_SIDE_BY_SIDE. The hits of
-    /// RELIDAR_SIDE_BY_SIDE threads are interleaved in memory.
+    /// Rounds a number of threads up to a multiple of RELIDAR_SIDE_BY_SIDE, the number of
+    /// threads whose hits alternate in memory.
     static std::size_t side_by_side(std::size_t n_threads) {
         return (n_threads + RELIDAR_SIDE_BY_SIDE - 1) / RELIDAR_SIDE_BY_SIDE * RELIDAR_SIDE_BY_SIDE;
     }

@@ -86,9 +86,9 @@ struct DeviceOptions {
     bool validation = false;  ///< Enables the Khronos validation layer.
     /// Maximum device-local memory that relidar may allocate, bytes. 0 = no limit.
     std::uint64_t memory_limit_bytes = 0;
-    /// If true, pipelines are compiled but no kernel runs. Each distinct pipeline is
-    /// compiled once, and the driver's statistics are kept (Device::pipelines). Use this
-    /// option to inspect pipelines. It also works with a driver that has no hardware.
+    /// If true, pipelines are compiled but no kernel runs. Use this option to read the
+    /// driver's statistics of each pipeline (Device::pipelines). It also works with a
+    /// driver that has no hardware.
     bool compile_only = false;
     /// Folder in which compiled pipelines are cached between processes. If empty, each
     /// process compiles all pipelines.

@@ -7,7 +7,7 @@
 namespace relidar {
 
 /// Error for an array that does not fit into the free device memory, or that is larger
-/// than the device allows. A caller can catch this error and use less memory.
+/// than the device allows. The caller may catch it and try a smaller array.
 struct OutOfDeviceMemory : DeviceError {
     using DeviceError::DeviceError;
 };

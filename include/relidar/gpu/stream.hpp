@@ -64,13 +64,12 @@ public:
     }
 
     std::size_t size() const { return n_; }
-    /// Returns the device address of entry `first`, to be passed to a kernel. Arrays
-    /// start at multiples of 16 bytes, so that kernels can load a record in 16-byte
-    /// pieces. If `first` makes the address unaligned, kernels may use it only with
-    /// atomics or with indices computed at run time.
+    /// Returns the device address of entry `first`, to be passed to a kernel. Kernels may
+    /// load 16 bytes at a time, so the address should be a multiple of 16. For any other
+    /// address, a kernel may use only atomics or indices computed at run time.
     Address<T> address(std::size_t first = 0) const { return address_as<T>(first); }
-    /// Returns the device address of entry `first` for a kernel that reads the memory as
-    /// type U or with another meaning. `first` counts entries of T.
+    /// Returns the device address of entry `first` as an address of type U, for a kernel
+    /// that reads the memory as U. `first` counts entries of T.
     template <class U, class Meaning = void>
     Address<U, Meaning> address_as(std::size_t first = 0) const {
         static_assert(sizeof(T) % sizeof(U) == 0 || sizeof(U) % sizeof(T) == 0);
@@ -105,9 +104,8 @@ private:
 };
 
 /// Device array whose type also names its content, for example Array<float,
-/// shared::LossTerms>. A kernel parameter declares the required content with RELIDAR_OF,
-/// so passing another array does not compile. On the host, the class behaves like
-/// Array<T>.
+/// shared::LossTerms>. Passing it to a kernel parameter with another content (RELIDAR_OF)
+/// is a compile error. On the host, the class behaves like Array<T>.
 template <class T, class Meaning>
 class Array : public Array<T> {
 public:
@@ -126,8 +124,8 @@ Address<T, Meaning> get_address(const Array<T, Meaning>* array) {
 }
 
 /// Records GPU commands and submits them to the device. A kernel launch sees the results
-/// of all earlier launches, with two exceptions: earlier launches in the same Concurrent
-/// scope, and launches in other lanes of the same StreamLanes scope.
+/// of all earlier launches. Exceptions are launches in the same Concurrent scope and in
+/// other lanes of a StreamLanes scope.
 class Stream {
 public:
     explicit Stream(Device& device, bool timing = false);
@@ -192,8 +190,8 @@ public:
     ~StreamLanes();
     StreamLanes(const StreamLanes&) = delete;
     StreamLanes& operator=(const StreamLanes&) = delete;
-    /// Selects the lane in which the next launches are recorded. The scope starts with
-    /// lane 0.
+    /// Selects the lane (sequence of launches) in which the next launches are recorded.
+    /// The scope starts with lane 0.
     void choose(std::size_t lane);
 
 private:

@@ -13,35 +13,36 @@ namespace relidar {
 /// Result of a check.
 enum class Trust { unknown, right, wrong };
 
-/// Results of the check at the first use of a device. They determine which methods
-/// relidar uses on this device.
+/// Results of the test that a device must pass at its first use. relidar does not use the
+/// methods that failed.
 struct DeviceTrust {
     bool float_atomics = true;  ///< True if float atomics add correctly.
     bool float_swaps = true;    ///< True if compare-and-swap loops add correctly.
-    /// Subgroup size with right results. 0 = the default of the driver.
+    /// Subgroup size that kernels request if the driver's default size failed the test. 0
+    /// = use the default size.
     int subgroup_size = 0;
-    /// States whether ray queries find the same surfels as a search without a tree.
+    /// Whether ray queries find the same surfels as a search that tests every surfel.
     Trust ray_query = Trust::unknown;
 };
 
 /// Functions that Device calls when it opens a device.
 struct FirstUse {
-    /// Checks a device when it is first used with a driver version. The results are
-    /// stored in the folder of the pipeline cache. Null = no check; all methods are
-    /// trusted.
+    /// Tests a device at its first use, and again after an update of its driver. The
+    /// results are stored in the folder of the pipeline cache. Null = no test; all
+    /// methods are used.
     std::function<DeviceTrust(const DeviceOptions&)> check;
-    /// Receives a line of text for each method that relidar replaces. A method is
-    /// replaced if the check found wrong results.
+    /// Receives a one-line message for each method that gave wrong results and was
+    /// replaced.
     std::function<void(const std::string&)> note;
 };
 
-/// Sets the functions for all devices that this process opens later. A program calls this
-/// function once, before it opens a device. check_device_at_first_use() in
-/// relidar/diff/first_use.hpp is the standard check.
+/// Sets the test for all devices that this process opens later. A program calls this
+/// function once, before it opens a device. The standard test is
+/// check_device_at_first_use() in relidar/diff/first_use.hpp.
 void set_first_use(FirstUse first_use);
 
-/// Scope object that replaces the check of devices. While the object exists, this thread
-/// opens devices with the given results.
+/// While this scope object exists, the current thread opens devices with the given test
+/// results instead of running the test.
 class Trusting {
 public:
     explicit Trusting(const DeviceTrust& trust);

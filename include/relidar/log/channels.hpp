@@ -14,19 +14,20 @@
 
 namespace relidar {
 
-/// Rule that combines the values of several rays into one value. The rule is used in two
-/// cases. "Beam": several sub-rays simulate one beam. "Cell": several rays hit points in
-/// the same cell of a range image.
+/// Rule for combining the values of several rays into one value. Rays are combined in two
+/// cases: sub-rays sample the same laser beam, or points fall into the same cell of a
+/// range image.
 enum class ChannelJoin {
-    /// Beam: the value of the sub-ray nearest to the beam axis. Only sub-rays of the
-    /// strongest return count. Cell: the value of the ray that was selected for the cell.
+    /// Sub-rays of a beam: value of the sub-ray nearest to the beam axis, among those of
+    /// the strongest return. Points in an image cell: value of the selected point's ray.
     nearest,
-    /// Beam: mean over the sub-rays of the strongest return, weighted by their light.
-    /// Cell: distance from the origin of the range image to the point of the selected
-    /// ray.
+    /// Sub-rays of a beam: mean over the sub-rays of the strongest return, weighted by
+    /// their light. Points in an image cell: distance from the image origin to the
+    /// selected point.
     range,
-    /// Beam: the sum over the sub-rays of the strongest return is divided by the number
-    /// of all sub-rays. Cell: the value of the ray that was selected for the cell.
+    /// Sub-rays of a beam: sum over the sub-rays of the strongest return, divided by the
+    /// number of all sub-rays. Points in an image cell: value of the selected point's
+    /// ray.
     intensity,
     drop,  ///< Beam: mean over all sub-rays. Cell: minimum over all rays in the cell.
 };
@@ -36,20 +37,20 @@ struct ChannelInfo {
     std::string name;          ///< name in files: lower case letters, digits and _
     std::string unit = {};     ///< unit; empty for a plain number
     std::string meaning = {};  ///< description for users: a sentence without a full stop
-    /// Rule that combines float values of several rays. Integers and vectors always use
-    /// `nearest`.
+    /// Rule for combining the values of several rays. It applies to float values.
+    /// Integers and vectors always use `nearest`.
     ChannelJoin join = ChannelJoin::nearest;
-    /// True if the values are directions. Directions must be rotated when the points are
-    /// converted to another frame.
+    /// True if the values are direction vectors, which must be rotated when the points
+    /// are converted to another frame.
     bool turns = false;
     /// True if the value depends only on the ray. The first and the second return of a
     /// ray then have the same value.
     bool of_ray = false;
-    /// Default value of the channel. It is stored for rays that hit nothing, for second
-    /// returns, and for rays that do not have the channel.
+    /// Value that is stored where the true value is unknown, for example if the ray hits
+    /// nothing, or for second returns.
     double none = 0.0;
-    /// True if the channel needs surface normals. Surfels have normals, but 3D Gaussians
-    /// do not. Scenes of 3D Gaussians therefore cannot render this channel.
+    /// True if the channel needs surface normals. Only surfels have normals, so scenes of
+    /// 3D Gaussians cannot render this channel.
     bool needs_normals = false;
 };
 
@@ -121,8 +122,8 @@ std::vector<ChannelNumber> list_channel_numbers(const std::vector<ScanChannel>& 
 /// @param point  index of the ray or point in the arrays of the channels
 void append_row(std::string& bytes, const std::vector<ScanChannel>& channels, std::size_t point);
 
-/// Returns the default value of a channel. The default value is stored if the ray hits
-/// nothing or if the value is unknown.
+/// Returns the value of a channel for rays that hit nothing, or whose true value is
+/// unknown.
 template <class T>
 T get_missing_value(const ChannelInfo& channel) {
     return T(static_cast<float>(channel.none));
@@ -137,7 +138,7 @@ void append_return(ScanChannel& of_points, const ScanChannel& of_rays, std::size
 
 /// Checks names and sizes of channels before the channels are written to a file.
 /// @param count  expected number of values
-/// @param description  the rays or points, for the error message
+/// @param description  name of the elements in error messages, for example rays or points
 /// @throws DataError if a name is invalid or used twice, or if a channel does not have
 /// `count` values
 void check_channels(const std::vector<ScanChannel>& channels, std::size_t count,

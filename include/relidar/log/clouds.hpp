@@ -81,8 +81,8 @@ void recover_rings(Points& points, const std::vector<Beam>& beams);
 /// Model of a spinning LiDAR that was fitted to its points.
 struct FittedSensor {
     SpinningSensor sensor;  ///< Fitted sensor. The dataset reader must set its name and its range limits.
-    /// [highest ring + 1] index of the beam that measured the points of each ring. A ring
-    /// without points has the value kNoBeam.
+    /// [highest ring + 1] index of the beam that measured the points of each ring of the
+    /// dataset. kNoBeam for a ring without points.
     std::vector<std::uint16_t> beam_of_ring;
 };
 inline constexpr std::uint16_t kNoBeam = 0xFFFF;
@@ -99,9 +99,9 @@ inline constexpr std::uint16_t kNoBeam = 0xFFFF;
 /// @throws DataError if the azimuths are not in steps
 FittedSensor fit_sensor(const std::vector<Points>& scans, double period_s);
 
-/// Reverts the motion compensation of a scan. The input points are in the sensor frame at
-/// the reference time `time_s`. The function converts each point to the sensor frame at
-/// the firing time of the point.
+/// Reverts the motion compensation of a scan, in which all points are in the sensor frame
+/// at time `time_s`. Converts each point to the sensor frame at the firing time of the
+/// point.
 /// @param points  points with firing times
 /// @param world_from_sensor  poses of the LiDAR that measured the points
 void undo_compensation(Points& points, const PoseTrack& world_from_sensor, double time_s);
@@ -111,9 +111,8 @@ void undo_compensation(Points& points, const PoseTrack& world_from_sensor, doubl
 /// @throws DataError if the matrix is not a rotation within 1e-3
 Pose make_rigid_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const std::string& location);
 
-/// Appends a frame with an empty scan to the sequence. Also appends the pose of the
-/// vehicle at this time. The pose is not appended again if a frame of another LiDAR has
-/// the same time.
+/// Appends a frame with an empty scan to the sequence. Also appends the vehicle's pose at
+/// this time, unless a frame of another LiDAR with the same time has already added it.
 Frame& add_frame(Sequence& sequence, int index, double time_s, const Pose& world_from_vehicle, int lidar = 0);
 
 /// Moves the world origin to the position of the vehicle at the middle pose of the log.

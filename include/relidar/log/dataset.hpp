@@ -21,22 +21,22 @@ struct FrameRange {
     int end = -1;  ///< -1: up to the last frame
 };
 
-/// Value of `DatasetOptions::poses_file` for a log without poses. All poses of the
-/// vehicle are the identity until the scans are registered. Until then, boxes have the
-/// poses of their labels in the sensor frame. Afterwards, set_vehicle_poses() moves the
-/// boxes together with the vehicle. To read a file with the name "none", write "./none".
+/// Value of `DatasetOptions::poses_file` that means "the log has no poses". All vehicle
+/// poses are then the identity until the scans are registered. set_vehicle_poses() later
+/// moves the labelled boxes together with the vehicle. To read a file with the name
+/// "none", write "./none".
 inline constexpr const char* kNoPoses = "none";
 
 /// Options that only the reader of ROS bags uses.
 struct BagOptions {
-    /// TF frame or topic from which the reader takes the poses. If the text is empty, the
-    /// reader chooses a topic.
+    /// TF frame or topic of a ROS bag from which the poses are read. If the text is
+    /// empty, the reader chooses one.
     std::string poses_from = {};
 };
 
 /// Options that only the reader of Waymo Open uses.
 struct WaymoOptions {
-    /// True: clamp intensities to 1. False: replace each intensity by its tanh.
+    /// True: intensities above 1 become 1. False: each intensity x becomes tanh(x).
     bool clamp_intensity = false;
 };
 
@@ -159,8 +159,8 @@ Scan cast_synthetic_street(const SyntheticOptions& options, const RayTable& rays
 Scan cast_synthetic_beams(const SyntheticOptions& options, const RayTable& rays,
                           const PoseTrack& world_from_sensor, double time_s);
 
-/// A car in an edited street. The car has the shape of one of the street's original cars.
-/// It follows a track in relidar's world frame.
+/// A car of an edited synthetic street. It has the shape of one of the original cars and
+/// follows a track in relidar's world frame.
 struct StreetCar {
     std::size_t shapes_of = 0;  ///< id of the original car: BoxTrack::id "0", "1", ...
     /// Track of the car. A sweep contains the car if the track covers the reference time

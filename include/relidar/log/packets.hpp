@@ -35,9 +35,9 @@ struct PacketOptions {
     /// chooses RNG19_RFL8_SIG16_NIR16, or RNG19_RFL8_SIG16_NIR16_DUAL for two returns per
     /// ray.
     std::string ouster_profile = {};
-    /// True: the times of the scans are the times at which a computer received the
-    /// packets of a real sensor, so they jitter. The encoder then computes the number of
-    /// firings between two times from the azimuths.
+    /// True: the times of the scans jitter, because a computer stamped the packets when
+    /// they arrived. The encoder then counts firings by their azimuths instead of their
+    /// times.
     bool times_jitter = false;
 };
 
@@ -57,12 +57,12 @@ std::string read_ouster_profile(const std::filesystem::path& file);
 std::int64_t log_start_ns(const Sequence& sequence);
 
 /// Converts the scans of a sensor to packets. A packet holds a fixed number of firings,
-/// so it may contain the end of one scan and the start of the next scan. After the last
-/// scan and before a long gap, the encoder adds a packet without returns, because a
-/// driver needs this packet to complete the scan.
+/// so it may contain the end of one scan and the start of the next. An extra packet
+/// without returns follows the last scan and precedes a long gap. With this packet,
+/// drivers detect the end of the scan.
 class PacketEncoder {
 public:
-    /// @param sensor  its name selects the product
+    /// @param sensor  sensor whose name selects the packet format
     /// @throws UsageError if packets of this sensor cannot be written. The message lists
     /// the sensors that can be written.
     PacketEncoder(const SpinningSensor& sensor, const PacketOptions& options);

@@ -14,13 +14,13 @@
 namespace relidar {
 
 struct RegisterOptions {
-    /// Maximum difference, in metres, between the pose correction of a scan and the
-    /// corrections of its neighbours. If the difference is larger, the scan could not be
-    /// registered. This is also the maximum initial distance between two observations of
+    /// Largest pose error, metres, that registration can correct. Registration of a scan
+    /// has failed if its correction differs by more from the corrections of the
+    /// neighbouring scans. Also limits the initial distance between two observations of
     /// the same surface.
     double largest_m = 1.0;
-    /// True: the given poses define the motion from scan to scan. False: this motion is
-    /// estimated from the scans alone.
+    /// True: the motion between consecutive scans is computed from the given poses.
+    /// False: it is estimated from the scans alone.
     bool use_pose_motion = true;
     std::vector<BoxTrack> movers;  ///< Boxes of moving objects. Points inside these boxes are ignored.
     double mover_margin_m = kMoverMargin_m;  ///< boxes are enlarged by this margin
@@ -51,11 +51,11 @@ struct Registration {
     /// Scans that could not be registered, as indices into world_from_vehicle. The poses
     /// of these scans get the same correction as the neighbouring poses.
     std::vector<std::size_t> lost;
-    /// Fraction of a scan's points that lie on planes observed by several scans. This
-    /// value is the median over all training scans.
+    /// Median over all training scans of the fraction of points that lie on planes which
+    /// several scans observe.
     double on_planes = 0.0;
-    /// Number of loop closures. A loop closure aligns two passes over the same road: the
-    /// later pass with the earlier pass.
+    /// Number of loop closures. A loop closure aligns the second pass over a road with
+    /// the first pass.
     std::size_t n_loop_closures = 0;
     double largest_loop_error_m = 0.0;  ///< Largest position error, in metres, that a loop closure corrected.
     bool stopped = false;
@@ -127,7 +127,8 @@ struct ScanPlacement {
 ScanPlacement place_scan(const Sequence& sequence, std::size_t pose, const SceneView& view,
                          const RegisterOptions& options);
 
-/// Result of register_actors(), which corrects the tracks of moving objects.
+/// Result of register_actors(), which corrects the tracks of moving objects with the
+/// measured points.
 struct ActorRegistration {
     std::size_t n_actors = 0;      ///< number of moving boxes that are long enough
     std::size_t n_registered = 0;  ///< number of tracks with new poses

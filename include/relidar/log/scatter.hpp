@@ -19,8 +19,8 @@ namespace relidar {
 struct RenderedIntensities {
     int rows = 0, columns = 0;
     std::vector<float> intensity;
-    /// Range of the surface that contributes the largest weight to the ray. 0 if the ray
-    /// hit nothing.
+    /// Median range of the ray in metres (RenderedScan::median_range_m). 0 if the ray hit
+    /// nothing.
     std::vector<float> range_m;
     std::vector<float> spread_m;  ///< result of compute_range_spread()
     /// Cosine of the angle between ray and surface normal. Negative if unknown.
@@ -37,10 +37,11 @@ struct MeasuredIntensities {
     std::vector<float> measured;  ///< [rows*columns] kNoIntensity for rays without a return
 };
 
-/// Decision tree whose leaves hold measured intensities of a LiDAR.
+/// Model of the random scatter of a LiDAR's intensities: a decision tree whose leaves
+/// hold measured intensities.
 struct IntensityScatter {
-    /// Node of the decision tree. Each node refers to a range of entries in `values`, the
-    /// measured intensities. The range of an inner node contains the ranges of both
+    /// Node of the decision tree. It refers to a range of entries in `values`, which are
+    /// measured intensities. The range of an inner node contains the ranges of its
     /// children.
     struct Node {
         /// Index of the feature that is compared with the threshold `at`. Features are
@@ -80,9 +81,9 @@ double find_step(std::vector<float> values);
 /// @throws DataError if an array has another size than its image
 IntensityScatter fit_scatter(std::span<const MeasuredIntensities> images);
 
-/// Draws random intensities that a sensor could have measured. The rays are processed
-/// beam by beam, starting with the highest beam, because each intensity depends on the
-/// intensities that were already drawn.
+/// Draws random intensities that a sensor could have measured. Processes the rays beam by
+/// beam from top to bottom, because an intensity depends on intensities that were drawn
+/// before.
 /// @param returns [rows*columns] 0 for rays without a return
 /// @return [rows*columns] kNoIntensity for rays without a return
 std::vector<float> draw_intensities(const IntensityScatter& scatter, const RenderedIntensities& rendered,

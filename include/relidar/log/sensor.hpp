@@ -90,8 +90,8 @@ struct RayTable {
     ScanArray<float> time_offset_s;
     ScanArray<std::uint16_t> channel;  ///< [rows*columns] beam number, 0 = highest
     float divergence_rad = 0.0f;       ///< full beam divergence of all rays; 0 = ideal ray
-    /// [rows*columns] divergence of each ray, used instead of `divergence_rad`. If the
-    /// array is empty, all rays have the divergence `divergence_rad`.
+    /// [rows*columns] divergence of each ray. If the array is empty, all rays have the
+    /// divergence `divergence_rad`.
     ScanArray<float> ray_divergence_rad = {};
 
     std::size_t size() const { return direction.size(); }
@@ -143,7 +143,7 @@ struct Beam {
 };
 
 /// Returns the calibration of the beam with this number. If no such beam exists, returns
-/// an ideal beam, which measures the values of the surface without a change.
+/// the calibration of an ideal beam, which changes neither range nor intensity.
 const Beam& find_beam(const std::vector<Beam>& beams, std::size_t channel);
 
 /// Range limits of a sensor. A ray whose range is outside the limits is dropped.
@@ -166,8 +166,8 @@ struct SpinningSensor {
     int columns = 0;          ///< azimuth steps in a sweep
     double period_s = 0.1;    ///< Duration of a sweep. If it is 0, the sensor does not spin.
     bool clockwise = true;    ///< direction of rotation, seen from above
-    /// Azimuth of the centre of column 0. If the centres of the columns are half a step
-    /// off the multiples of the step, use pi - pi/columns.
+    /// Azimuth of the centre of column 0. With pi - pi/columns, column 0 begins exactly
+    /// at azimuth pi.
     double first_azimuth_rad = 0.0;
     double min_range_m = 0.0;
     double max_range_m = 80.0;
@@ -192,9 +192,10 @@ BeamRay compute_beam_ray(const Beam& beam, double head_azimuth_rad);
 /// @return radians, not wrapped to a range
 double compute_head_azimuth(const Beam& beam, const glm::dvec3& point_m);
 
-/// Returns the number of columns by which a beam is shifted in the image. With this
-/// shift, all pixels of an image column have the same azimuth. Image column j holds
-/// firing (j + shift) mod columns, where shift = azimuth_offset in columns, rounded.
+/// Returns the shift between the firings of a beam and the image columns. It compensates
+/// the beam's azimuth offset, so that all pixels of a column have the same azimuth. Image
+/// column j holds firing (j + shift) mod columns, where shift is the azimuth offset in
+/// columns, rounded.
 int compute_column_shift(const Beam& beam, int columns);
 
 /// Returns the rays of a sweep. At time 0 the head faces forward (azimuth 0). A head that
@@ -202,8 +203,8 @@ int compute_column_shift(const Beam& beam, int columns);
 /// @throws UsageError if the sensor has no beams, no columns, more than kMaxRays rays, a
 /// value that is not finite, or an empty range between its limits
 RayTable make_rays(const SpinningSensor& sensor);
-/// Maximum number of rays in a sweep, enough for 128 beams with azimuth steps of 0.003
-/// degrees. Such a sweep and its scan use 500 MB.
+/// Maximum number of rays in a sweep: 128 beams with azimuth steps of 0.003 degrees. Such
+/// a sweep and its scan use 500 MB.
 inline constexpr std::size_t kMaxRays = std::size_t(1) << 24;
 
 /// Probability that the sensor itself drops a ray, for each beam and azimuth bin (paper
@@ -255,8 +256,8 @@ RayTable make_rays(const RangeGrid& grid);
 /// arcsin(z, d).
 std::optional<int> project(const RangeGrid& grid, const glm::dvec3& point_m);
 
-/// A range image that was made by projecting points. If several points fall into a pixel,
-/// the pixel holds the nearest point.
+/// A range image that was made by projecting points onto a grid. If several points fall
+/// into the same pixel, the pixel holds the nearest one.
 struct GridImage {
     int rows = 0;
     int columns = 0;
@@ -282,8 +283,8 @@ GridImage project_points(const RangeGrid& grid, const std::vector<glm::vec3>& po
 /// This is the paraxial form of two thin prisms with equal wedge angles.
 struct Rosette {
     std::string name;
-    /// Deflection by each prism. The two prisms together deflect the beam by at most
-    /// twice this angle, the half angle of the scanned cone.
+    /// Deflection by each of the two prisms. The scanned cone has a half angle of twice
+    /// this value.
     double deflection_rad = 0.0;
     /// Rotation rates of the prisms. A positive rate means counter-clockwise rotation,
     /// seen from behind the sensor.
@@ -335,8 +336,8 @@ struct AzimuthSweep {
 /// Properties of a scan pattern that are known without generating its rays.
 struct PatternSummary {
     std::size_t n_rays = 0;  ///< number of rays in a scan
-    /// Duration of a scan. The value is 0 if only the time offsets of the rays define the
-    /// duration.
+    /// Duration of a scan. 0 if the pattern has no fixed duration and only stores the
+    /// time offsets of its rays.
     double period_s = 0.0;
     bool has_rays_by_time = false;  ///< True if scans at different times have different rays.
     /// Azimuths of the sweep. Empty if the sensor spins, or if it does not fire column by
@@ -345,8 +346,8 @@ struct PatternSummary {
 };
 /// Returns the number of rays, duration and sweep of a scan pattern.
 PatternSummary describe_pattern(const SensorPattern& pattern);
-/// Returns the duration of a scan in seconds. Returns 0 if only the time offsets of the
-/// rays define the duration.
+/// Returns the duration of a scan in seconds. Returns 0 if the pattern has no fixed
+/// duration and only stores the time offsets of its rays.
 double get_period(const SensorPattern& pattern);
 
 /// A sensor to simulate: its scan pattern and its range limits.

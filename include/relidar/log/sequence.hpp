@@ -13,9 +13,9 @@
 
 namespace relidar {
 
-/// Position of a time between two entries of a track, `left` and `left + 1`. `s` is the
-/// fraction between these entries. It is below 0 before the first entry and above 1 after
-/// the last entry.
+/// Position of a time in a track, between the entries `left` and `left + 1`. `s` is the
+/// fraction of the way between both entries: below 0 before the first entry, above 1
+/// after the last entry.
 struct TrackPosition {
     std::size_t left = 0;
     double s = 0.0;  ///< 0 if the track has only one entry
@@ -31,9 +31,9 @@ struct PoseTrack {
     /// the nearest segment.
     /// @throws DataError if the track is empty
     Pose at(double t_s) const;
-    /// Returns the pose at `t_s` of an object that is mounted on the moving object of
-    /// this track. `mounted` is the pose of the mounted object in the moving frame. Same
-    /// as mount_on_track(*this, mounted).at(t_s).
+    /// Returns the pose at `t_s` of an object that is mounted on the object of this
+    /// track. `mounted` is the pose of the mounted object in the frame of its carrier.
+    /// Same as mount_on_track(*this, mounted).at(t_s).
     Pose at(double t_s, const Pose& mounted) const;
     /// Returns the two entries of the track between which at(t_s) interpolates.
     /// @throws DataError if the track is empty
@@ -68,16 +68,16 @@ struct Scan {
 /// returns outside the limits.
 void drop_outside_limits(Scan& scan, const RangeLimits& limits);
 
-/// State of a LiDAR at the start of a sweep: the azimuth of its head, and the time since
-/// the frame's reference time.
+/// Azimuth of a LiDAR's head at the start of a sweep, and the time of this start relative
+/// to the reference time of the frame.
 struct SweepStart {
     double azimuth_rad = 0.0;  ///< azimuth of the head; 0 for a LiDAR that does not spin
     double time_s = 0.0;
 };
 
-/// Computes the start of a sweep from the times and azimuths of its rays. Returns nothing
-/// in these cases:
-/// - The sweep has the default start: facing backward, half a period before time 0.
+/// Computes azimuth and time of a sweep's start from its rays. Returns nothing in these
+/// cases:
+/// - The start is the default: facing backward, half a period before time 0.
 /// - The LiDAR does not spin.
 /// - The times and azimuths of the rays are inconsistent.
 std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor& sensor);
@@ -92,8 +92,8 @@ struct Frame {
     int lidar = 0;  ///< index into Sequence::lidars
     /// Azimuth and time at the start of the sweep; empty if both have default values
     std::optional<SweepStart> start = {};
-    /// [columns] deviation of the head from the nominal azimuth at each firing, in
-    /// radians. load_sequence() sets it. Empty if there is no deviation.
+    /// [columns] difference between the measured and the nominal azimuth of the head at
+    /// each firing, in radians. Empty if there is none. load_sequence() sets it.
     std::vector<float> azimuth_shift_rad = {};
 };
 
@@ -108,12 +108,13 @@ struct SweepMoment {
     int lidar = 0;        ///< index into Sequence::lidars
     std::optional<SweepStart> start = {};
 };
-/// Returns the LiDAR, time and start of a frame's sweep.
+/// Returns the time, the LiDAR and the start of the sweep that a frame recorded.
 inline SweepMoment get_sweep_moment(const Frame& frame) { return {frame.time_s, frame.lidar, frame.start}; }
 
 struct Lidar;
-/// Computes the start of a sweep for any LiDAR. For a LiDAR that does not spin, returns
-/// nothing if its pattern is unknown or the frame's time is the middle of the scan.
+/// Computes azimuth and time of a sweep's start for any LiDAR. Returns nothing for a
+/// non-spinning LiDAR with an unknown pattern, or if the frame's time is the middle of
+/// the scan.
 std::optional<SweepStart> find_start(const RayTable& rays, const Lidar& lidar);
 
 /// Standard deviation of a sensor's measured ranges, as a table over the range and the
@@ -133,14 +134,14 @@ struct RangeNoise {
 /// A LiDAR of a log.
 struct Lidar {
     std::string name;  ///< Name in the dataset. Empty if the log has only one LiDAR.
-    /// Nominal sensor, from which rays are generated for frames without a scan. If the
-    /// LiDAR does not spin, this sensor has no beams and period 0.
+    /// Nominal sensor. Frames without a scan get the rays of this sensor. If the LiDAR
+    /// does not spin, this sensor has no beams and period 0.
     SpinningSensor sensor;
     /// Pose of the sensor in the vehicle frame. If the log has a single LiDAR, the pose
     /// is the identity, because the vehicle frame is then the sensor frame.
     Pose vehicle_from_sensor;
-    /// Nominal pattern of a LiDAR that does not spin. Empty if the LiDAR spins, or if
-    /// only its scans are known.
+    /// Nominal scan pattern of a LiDAR that does not spin. Empty for a spinning LiDAR,
+    /// and if the pattern is unknown.
     std::optional<SensorPattern> pattern = {};
     RangeNoise range_noise = {};  ///< range noise; empty unless it was measured
 
@@ -150,12 +151,11 @@ struct Lidar {
 
 /// Sets the nominal sensor of a LiDAR.
 void set_sensor(Lidar& lidar, const SensorModel& sensor);
-/// Returns the nominal sensor of a LiDAR. If only its scans are known, the sensor has no
-/// beams.
+/// Returns the nominal sensor of a LiDAR. It has no beams if only the scans are known.
 SensorModel get_sensor(const Lidar& lidar);
 
-/// Returns the rays that a LiDAR nominally fires at a time. Returns no rays if only the
-/// scans of the LiDAR are known.
+/// Returns the rays that a LiDAR nominally fires at a time. Returns no rays if neither
+/// its beams nor its scan pattern are known.
 RayTable make_nominal_rays(const Lidar& lidar, double time_s);
 
 /// Measures the difference between the actual and the nominal azimuth of a spinning head,
@@ -170,16 +170,15 @@ RayTable make_nominal_rays(const Lidar& lidar, double time_s);
 /// is no deviation.
 std::vector<float> find_azimuth_shift(const Scan& scan, const SpinningSensor& sensor,
                                       const RayTable& nominal);
-/// Rotates the rays of each firing about the z axis, to the azimuth that was measured for
-/// this firing.
-/// @param shift_rad  result of find_azimuth_shift(); empty: no rotation
+/// Rotates the nominal rays of each firing about the z axis to the measured azimuth.
+/// @param shift_rad  result of find_azimuth_shift(). Empty: no rotation
 RayTable shift_azimuths(RayTable rays, const SpinningSensor& sensor, const std::vector<float>& shift_rad);
 
-/// Category of moving objects that have no label in the dataset, and that
-/// discover_tracks() found in the scans (relidar/scene/scene.hpp).
+/// Category of moving objects that the dataset did not label and that discover_tracks()
+/// found in the scans (relidar/scene/scene.hpp).
 inline constexpr const char* kDiscoveredCategory = "Discovered";
-/// Moving boxes are enlarged by this margin when their points are removed, because
-/// labelled boxes do not fit their objects exactly.
+/// Margin by which boxes of moving objects are enlarged before their points are removed,
+/// because labelled boxes do not fit exactly.
 inline constexpr double kMoverMargin_m = 0.2;
 
 /// A tracked box. Box frame: x along the length, y along the width, z up, origin at the
@@ -190,8 +189,8 @@ struct BoxTrack {
     glm::dvec3 size_m{0.0};  ///< length, width, height
     /// Poses at the times of the frames in which the box was labelled or discovered.
     PoseTrack world_from_box;
-    /// Kind of object whose typical size the box has. Set only for discovered boxes of
-    /// which the scans show one side.
+    /// Kind of object, for example a car, whose typical size the box got. Set only for a
+    /// box without a label of which the scans show only one side.
     std::string size_guess = {};
     /// Numbers of poses that discover_tracks() added before the first and after the last
     /// label of the box.
@@ -206,8 +205,8 @@ struct BoxTrack {
     /// - Between two successive averages the object moves faster than 0.5 m/s and by more
     ///   than 0.2 m.
     bool moves() const;
-    /// Returns true if the box was observed at a time. The tolerance before and after an
-    /// observation is half the mean time step.
+    /// Returns true if the box was observed at a time, with a tolerance of half the mean
+    /// time step between observations.
     bool present(double t_s) const;
     /// Returns the track without the poses that were added before its first and after its
     /// last label.
@@ -225,7 +224,8 @@ struct IntensityResponse {
     /// empty, the factor is 1 at all ranges.
     std::vector<double> range_m;
     std::vector<double> factor;  ///< [knots] factor, interpolated linearly
-    /// Dependence on the angle of incidence: 0 none, 1 Lambert's cosine law.
+    /// 0: no dependence on the angle of incidence. 1: Lambert's cosine law. Values
+    /// between 0 and 1 interpolate.
     double incidence = 0.0;
 
     double at_range(double at_m) const;  ///< uses the first or last factor outside the knots
@@ -245,22 +245,22 @@ struct Sequence {
     /// Offset from relidar's world to the dataset's world. Add this vector to coordinates
     /// in relidar's world frame to get coordinates in the dataset's world frame.
     glm::dvec3 world_offset_m{0.0};
-    /// Dependence of the intensity on range and incidence. All LiDARs share it. The
-    /// factor is 1 unless it was estimated.
+    /// Model of how the intensity depends on range and incidence, for all LiDARs. Without
+    /// an estimate, the intensity does not depend on them.
     IntensityResponse intensity_response;
     std::string conventions;         ///< a single line for users: frames, units, time reference
     std::vector<std::string> notes;  ///< Messages about data that the log lacks, one line each
-    /// Indices of the test frames that published results on this part of the dataset use.
+    /// Indices of the test frames in published results on this part of the dataset.
     std::vector<int> test_frames = {};
-    /// False: all poses are identity until they are estimated by a registration of the
-    /// scans.
+    /// False: the log has no poses. All poses are the identity until the scans are
+    /// registered.
     bool has_poses = true;
     /// True: the rays of a scan were fired at different times, and the scans are not
     /// motion-compensated.
     bool rolling_shutter = true;
 
     const Lidar& get_lidar(const Frame& frame) const { return lidars[std::size_t(frame.lidar)]; }
-    /// Returns the index into world_from_vehicle of the pose at the time of a frame.
+    /// Returns the index of the vehicle pose that has the time of a frame.
     /// @throws DataError if there is no such pose
     std::size_t get_pose_index(const Frame& frame) const;
     /// Returns the poses of a LiDAR at the times of the vehicle's poses. Each pose is the
@@ -268,13 +268,13 @@ struct Sequence {
     PoseTrack world_from_sensor(int lidar) const;
     /// Returns the total number of beams of all LiDARs.
     std::size_t count_beams() const;
-    /// Returns the number of a beam when the beams of all LiDARs are numbered
-    /// consecutively, in the order of `lidars`. Returns nothing if the LiDAR does not
-    /// have the beam.
+    /// Returns the number of a beam among the beams of all LiDARs. Beams are numbered
+    /// consecutively in the order of `lidars`. Returns nothing if the LiDAR does not have
+    /// the beam.
     std::optional<std::uint16_t> find_beam_number(int lidar, std::uint16_t channel) const;
 };
 
-/// Returns the box with this id, or null if no box has this id. An empty id means the
+/// Returns the box with this id, or null if there is none. An empty id stands for the
 /// background and gives null.
 const BoxTrack* find_box(const Sequence& sequence, const std::string& id);
 
@@ -290,17 +290,17 @@ int find_lidar(const Sequence& sequence, const std::string& name);
 /// @param track  poses of the moving object
 /// @param sensor_from_moved  pose of the mounted object in the frame of the moving object
 PoseTrack mount_on_track(PoseTrack track, const Pose& sensor_from_moved);
-/// Returns the same motion with additional poses in curves. A mounted object then follows
-/// the curve, instead of straight lines between the poses.
+/// Returns the same motion with additional poses where the object turns. A mounted object
+/// then moves on a curve instead of straight lines between the poses.
 PoseTrack refine_turns(const PoseTrack& track);
 /// Returns the same poses in a world frame with another origin.
 /// @param by_m  vector that is added to every position. Sequence::world_offset_m converts
-/// from relidar's world to the dataset's world. The negative vector converts back.
+/// to the dataset's world frame. Its negative converts back.
 PoseTrack shift_track(PoseTrack track, const glm::dvec3& by_m);
 
-/// Replaces the poses of the vehicle, at the same times. Boxes are labelled relative to
-/// the scans, so they move too: each box keeps its pose relative to the vehicle at the
-/// time of its label.
+/// Replaces the poses of the vehicle. The times must stay the same. Each labelled box
+/// keeps its pose relative to the vehicle, because boxes are labelled relative to the
+/// scans.
 void set_vehicle_poses(Sequence& sequence, PoseTrack world_from_vehicle);
 
 /// A ray in the world frame at the time at which it was fired.
@@ -338,8 +338,8 @@ struct SurfaceReturn {
 SurfaceReturn compute_surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray,
                                      std::size_t number = 0);
 
-/// End point of a returned ray in the world frame, and the time at which the ray was
-/// fired. The range offset and the intensity response of the beam are removed.
+/// End point of a returned ray in the world frame, and the firing time of the ray. The
+/// beam's range offset and intensity response are removed.
 struct WorldReturn {
     glm::dvec3 point_m;
     glm::dvec3 direction;
@@ -358,15 +358,15 @@ WorldReturn compute_world_return(const Sequence& sequence, const Frame& frame, s
 bool is_in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s,
                       double margin_m);
 
-/// Result of calibrate_ranges(): how well the points of different beams lie on common
-/// planes.
+/// Result of calibrate_ranges(): distances of the points from common planes, before and
+/// after the calibration of the beams.
 struct LaserCalibration {
     std::size_t returns = 0;  ///< number of returns that were compared
     double rms_before = 0.0;  ///< Root mean square distance of points from their plane, in metres.
     double rms_after = 0.0;   ///< The same distance (RMS) after adding an offset for each beam.
     bool adopted = false;     ///< True if the offsets were stored in the beams.
 };
-/// Result of calibrate_intensity(): the errors of intensities before and after.
+/// Result of calibrate_intensity(): errors before and after the calibration.
 struct IntensityCalibration {
     std::size_t returns = 0;  ///< number of returns that were compared
     /// Root mean square difference between an intensity and the mean of returns at the

@@ -25,7 +25,7 @@ struct Block {
     /// Indices in Sequence::frames of the sweeps recorded in this section, including
     /// held-out sweeps.
     std::vector<int> own;
-    /// Indices of the training frames that see the section: the sweeps recorded in the
+    /// Indices of the training frames that train this section: the sweeps recorded in the
     /// section or within a fixed distance of it (the halo).
     std::vector<int> train;
 };
@@ -40,11 +40,11 @@ std::vector<Block> plan_blocks(const Sequence& sequence, const Split& split, con
 struct BlockLog {
     Sequence sequence;
     Split split;
-    /// Settings for the training of one block. These settings do not divide the log
-    /// again, and they list only the tracks of this block.
+    /// Settings for the training of one block. They switch the division into blocks off,
+    /// and list only the tracks of this block.
     Config config;
 };
-/// Copies the part of a prepared log that is needed to train one block.
+/// Copies the frames and boxes that are needed to train one block from a log.
 /// @param config settings of the complete training
 BlockLog load_block_log(const Sequence& sequence, const Split& split, const Block& block,
                         const Config& config);

@@ -76,7 +76,7 @@ public:
     void operator()(const std::string& name, const FirstOf<T>& first) {
         (*this)(name, first.array.download(first.n));
     }
-    /// Stores one array per parameter group, for example name/mean, [n,3].
+    /// Stores surfels as one array per group of parameters, for example name/mean, [n,3].
     void operator()(const std::string& name, const SurfelArrays& surfels);
 
 private:
@@ -126,9 +126,9 @@ public:
 private:
     const Checkpoint& checkpoint_;
 
-    /// Returns the array with this name after checking its type and shape. find_rows()
-    /// accepts any length. read_surfels() returns the arrays of n surfels. copy() copies
-    /// all bytes of an array.
+    /// Returns the stored array with this name after checking its type and shape.
+    /// Variants: find_rows() accepts any length, read_surfels() returns the arrays of n
+    /// surfels, copy() copies all bytes.
     const NamedArray& find(const std::string& name, const char* dtype,
                            const std::vector<std::size_t>& shape) const;
     const NamedArray& find_rows(const std::string& name, const char* dtype) const;

@@ -63,8 +63,8 @@ enum class RollingShutter { automatic, yes, no };
 struct SensorConfig {
     /// Layout of range images for rendering and scores: "native" or "kitti360".
     std::string grid = "native";
-    /// Method for computing grid images. "project": simulate the native scan and bin its
-    /// points into cells, in the same way as measured points. "cast": cast one ray
+    /// Method for computing an image on a grid. "project": simulate the scan of the
+    /// sensor and bin its points into cells, like measured points. "cast": cast one ray
     /// through each cell centre.
     std::string grid_method = "project";
     RollingShutter rolling_shutter = RollingShutter::automatic;
@@ -93,7 +93,8 @@ struct SensorConfig {
 struct TrainConfig {
     int iterations = 30000;
     /// Layout of the training frames. "native": rays as the sensor fired them.
-    /// "kitti360": a range image of cells, as in published results.
+    /// "kitti360": range image whose cells contain the nearest points, as in published
+    /// results.
     std::string grid = "native";
     int rays_per_iteration = 0;     ///< Number of rays per iteration. 0 = all rays of one frame (paper).
     int sh_degree_start = 0;        ///< Degree of the spherical harmonics (SH) at the first iteration.
@@ -104,8 +105,8 @@ struct TrainConfig {
     double mean_rate_final = 1.6e-6;
     double rotation_rate = 1e-3;
     double scale_rate = 5e-3;
-    /// Maximum ratio between a surfel's standard deviation and the initial value of this
-    /// deviation (paper: unlimited).
+    /// Limit on the growth of a surfel: maximum ratio of its standard deviation to the
+    /// initial value (paper: unlimited).
     double max_growth = 1000.0;
     double opacity_rate = 0.05;
     double sh_rate = 2.5e-3;
@@ -118,8 +119,8 @@ struct TrainConfig {
     double rate_decay = 1.0;
     bool only_touched = false;   ///< If true, Adam skips surfels without a gradient in the current batch.
     bool deterministic = false;  ///< If true, two runs on one device give bit-equal parameters.
-    /// If true, training estimates which rays the sensor never returns, independently of
-    /// the scene. This estimate replaces the paper's U-Net.
+    /// If true, training estimates the probability that the sensor itself drops a ray,
+    /// independently of the scene (replaces the paper's U-Net).
     bool sensor_drop = false;
     /// Poses that are optimised together with the scene: "none", "sensor", "actors" or
     /// "sensor,actors".
@@ -127,16 +128,16 @@ struct TrainConfig {
     /// If true, the scans are registered before the scene is initialised. Pose
     /// optimisation then starts from the registered poses.
     bool pose_register = true;
-    /// If true, the poses of held-out scans are corrected after training, by registration
-    /// to the trained scene.
+    /// If true, the poses of held-out scans are corrected after training: the scans are
+    /// registered to the trained scene.
     bool place_held_out = true;
     /// If true, training continues even if many scans could not be registered.
     bool allow_lost_scans = false;
-    /// Initial learning rate of the sensor's translations, metres. Learning rates of its
-    /// rotations and of actors' boxes are computed from this value.
+    /// Initial learning rate of the sensor's translations, metres. The learning rates of
+    /// its rotations and of the actors' boxes are derived from it.
     double pose_rate_m = 2e-4;
-    /// Device memory for the rays of training frames, MiB. If a frame does not fit, its
-    /// rays are uploaded again each time.
+    /// Device memory for storing the rays of training frames, MiB. The rays of frames
+    /// that do not fit are uploaded again in each iteration.
     int frame_memory_mib = 2048;
     int log_every = 50;
     /// Number of iterations between checkpoints. 0 = checkpoints depend only on time.
@@ -160,28 +161,27 @@ struct BlockConfig {
     /// Distance around a block, metres. Sweeps within this distance are also used to
     /// train the block.
     double halo_m = 40.0;
-    /// Number of times that each training frame is used to train the actors in the joined
-    /// scene, after all blocks are trained. 0 = off.
+    /// Number of times that training repeats all frames for the actors, after the blocks
+    /// were trained and joined. 0 = off.
     int actor_epochs = 4;
     bool operator==(const BlockConfig&) const = default;
 };
 
 struct RenderConfig {
-    /// Quantity in range images: "expected" (D, paper), "normalised" (D / W), "median" or
-    /// "mode".
+    /// Kind of range in range images: blended "expected" D (paper), "normalised" D / W,
+    /// "median", or "mode" (surface with the largest weight).
     std::string range = "normalised";
-    /// If true, a scan at the time of a recorded sweep uses the measured rotation of the
-    /// LiDAR's head.
+    /// If true, a scan at the time of a recorded sweep uses the head azimuths that were
+    /// measured during this sweep.
     bool follow_sweeps = false;
     /// Comma-separated names of optional channels that a scan gets in addition to the
     /// basic channels.
     std::string channels;
-    /// Range at which points of point clouds are placed. "median": range at which the
-    /// transmittance of the ray falls to 0.5. "range": the same quantity as in range
-    /// images.
+    /// Range at which the points of point clouds are placed. "median": range at which the
+    /// ray's transmittance falls to 0.5. "range": range of the range image.
     std::string points = "median";
-    /// Device memory for caching background blocks, MiB. Blocks that the current scan
-    /// needs are not counted.
+    /// Device memory for caching background blocks, MiB, in addition to the blocks that
+    /// the current scan needs.
     int memory_mib = 1024;
     bool operator==(const RenderConfig&) const = default;
 };
@@ -209,9 +209,9 @@ struct Config {
     RenderConfig render;
     TraceConfig trace;
 
-    /// Returns true if a loss compares neighbouring pixels. A training step then uses
-    /// windows of adjacent columns. If no loss does, a step uses groups of columns from
-    /// all directions.
+    /// Returns true if a loss compares neighbouring pixels. A training step then renders
+    /// windows of adjacent columns. Otherwise it renders columns that are spread over all
+    /// directions.
     bool needs_images() const { return loss.intensity * loss.intensity_ssim > 0.0f; }
     bool operator==(const Config&) const = default;
 };

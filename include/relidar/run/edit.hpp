@@ -28,8 +28,8 @@ struct Start {
     /// Poses of the box centre at the times of the log's frames, in the dataset's world
     /// frame. If the path is empty, the actor moves straight ahead.
     PoseTrack dataset_path = {};
-    /// Length of the part of the path on which the log has not observed any ground,
-    /// metres. On this part the actor keeps the mean slope of its path.
+    /// Length of the path, metres, on which the log has observed no ground. There the
+    /// height of the actor follows the mean slope of its path.
     double unseen_m = 0.0;
 };
 
@@ -71,10 +71,9 @@ std::optional<double> measure_ground_clearance(const DrivingView& owner, const s
 Start start_on_ground(const DrivingView& driving, const GroundPlace& place, const DrivingView& owner,
                       const std::string& track);
 
-/// Removes an actor and its track. Rays then hit the surfaces behind the actor. All
-/// functions below that have a parameter `track` throw the same error.
+/// Removes an actor and its track. Rays then hit the surfaces behind the actor.
 /// @throws UsageError if no instance has this track. The message suggests the most
-/// similar name.
+/// similar name. All functions below with a parameter `track` throw the same error.
 DrivingScene remove_track(DrivingScene driving, const std::string& track);
 
 /// Moves an actor by a constant offset relative to its box (x forward, y left, z up,
@@ -102,14 +101,14 @@ std::string describe_lost_frames(const BoxTrack& before, const Sequence& edited)
 DrivingScene replace_trajectory(DrivingScene driving, const std::string& track,
                                 const PoseTrack& dataset_from_box);
 
-/// Adds a second instance of an actor's model at the end of the instance list. The first
-/// copy of track "0" gets the name "0-copy-1".
+/// Adds a copy of an actor that uses the same model, at the end of the instance list. The
+/// first copy of track "0" gets the name "0-copy-1".
 DrivingScene copy_track(DrivingScene driving, const std::string& track, const Start& start);
 
-/// Adds an actor from another scene at the end of the instance list. The actor keeps its
-/// track name if this name is free. Otherwise "0" becomes "0-insert-1". The spherical
-/// harmonics of the actor are evaluated up to the SH degree of the new scene. The
-/// intensities of the actor remain those of the sensor that recorded it.
+/// Adds an actor from another scene at the end of the instance list. It keeps its track
+/// name unless the name is in use; then "0" becomes "0-insert-1". Its spherical harmonics
+/// above the new scene's degree are ignored. Its intensities remain those of the sensor
+/// that recorded it.
 DrivingScene insert_track(DrivingScene driving, const DrivingScene& other, const std::string& track,
                           const Start& start);
 
@@ -118,8 +117,8 @@ DrivingScene insert_track(DrivingScene driving, const DrivingScene& other, const
 DrivingScene keep_background(DrivingScene driving);
 DrivingScene keep_actors(DrivingScene driving);
 
-/// Compares the number of an actor's surfels with the number of LiDAR rays that hit the
-/// actor at the smallest distance.
+/// Resolution of an actor's model: the number of its surfels, compared with the number of
+/// LiDAR rays that hit the actor at the smallest distance.
 struct ActorDetail {
     /// Smallest distance between the LiDAR and the box centre, over all frames that have
     /// both, metres.
@@ -128,8 +127,8 @@ struct ActorDetail {
     std::size_t rays = 0;  ///< Number of rays that hit the box in the sweep with the smallest distance.
     std::size_t surfels = 0;
 
-    /// Returns true if the actor has too few surfels per ray, so that it looks like blobs
-    /// with gaps between them. Such an actor was trained from a larger distance.
+    /// Returns true if the actor has too few surfels per ray and therefore looks like
+    /// separate blobs. Its training data was recorded from a larger distance.
     bool is_sparse() const { return rays > 8 * surfels; }
 };
 /// Compares the resolution of an actor's model with one LiDAR of the log.
@@ -179,9 +178,8 @@ struct ScenarioEntity {
 /// an entity with a trajectory has no BoundingBox
 std::vector<ScenarioEntity> read_scenario(const std::filesystem::path& path);
 
-/// Returns the track of an actor that replaces a scenario entity. The box centres of the
-/// actor and the entity have the same x and y. The bottoms of both boxes have the same
-/// height.
+/// Converts the trajectory of a scenario entity to the track of an actor that replaces
+/// it. The boxes of actor and entity have the same centre in x and y and the same bottom.
 /// @param begin_s time of the log at which the scenario begins
 /// @param size_m [3] size of the actor's box, metres
 PoseTrack make_box_track(const ScenarioEntity& entity, double begin_s, const glm::dvec3& size_m);

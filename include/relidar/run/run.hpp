@@ -48,10 +48,11 @@ struct Run {
     /// Network that corrects drop probabilities. Empty if no network was trained.
     DropNetwork drop_network{};
     Coverage coverage{};  ///< Space that the training scans have observed. Empty if unknown.
-    /// Scatter of measured intensities for each LiDAR, [lidars]. Empty if unknown.
+    /// Random scatter of measured intensities around rendered ones, for each LiDAR,
+    /// [lidars]. Empty if unknown.
     std::vector<IntensityScatter> intensity_scatter{};
-    /// True if the poses of held-out scans were corrected with the trained scene. A
-    /// resumed training then does not correct these poses again.
+    /// True if the poses of held-out scans have been corrected with the trained scene.
+    /// Resumed training then skips this step.
     bool held_out_placed = false;
     /// Kinds of poses that training has corrected, in the format of train.refine_poses.
     /// Empty if all poses are those of the log.
@@ -74,10 +75,11 @@ struct Run {
 /// @throws DataError if the folder cannot be created or written, or if an option that is
 /// not a setting differs from its preset value
 void save_run(const Run& run);
-/// Writes a run into the folder of an earlier run, like save_run().
-/// @param remove_earlier called after all files are written and before they are renamed
+/// Writes a run like save_run() into a folder that contains an earlier run.
+/// @param remove_earlier called after all new files are written under temporary names and
+/// before they get their final names
 void replace_run(const Run& run, const std::function<void()>& remove_earlier);
-/// Writes a run and replaces an existing folder with all its contents. The replacement is
+/// Writes a run and deletes everything else in an existing folder. The replacement is
 /// atomic if the file system can exchange two folders in one operation.
 void replace_folder(const Run& run);
 
@@ -102,8 +104,7 @@ Scene load_model(const std::filesystem::path& path);
 /// @throws DataError if the file is invalid or its number of surfels differs from `block`
 Surfels read_block(const SceneBlock& block);
 /// Returns a copy of the scene whose background also contains the surfels of the selected
-/// blocks. The background is sorted in kd-tree order. The copy does not refer to the
-/// other blocks.
+/// blocks. All other blocks are left out. The background is sorted in kd-tree order.
 /// @param blocks indices in Scene::blocks
 /// @throws DataError if a block file is invalid
 Scene read_blocks(const Scene& scene, const std::vector<std::size_t>& blocks);
@@ -116,9 +117,9 @@ Scene load_all_blocks(const Scene& scene);
 void save_drop_network(const std::filesystem::path& path, const DropNetwork& network);
 DropNetwork load_drop_network(const std::filesystem::path& path);
 
-/// Converts models and instances of a scene to JSON text. read_layout_json() reads them
-/// back.
-/// @param where name of the source in messages
+/// Converts the models and instances of a scene to JSON text. read_layout_json() reads
+/// the text.
+/// @param location name of the text in messages
 /// @throws DataError naming the field that is missing or does not match the surfels of
 /// the scene
 std::string layout_to_json(const Scene& scene);

@@ -10,16 +10,16 @@
 
 namespace relidar {
 
-/// Returns the settings with a maximum range. If dataset.max_range_m is 0, it is replaced
-/// by the largest range limit of the log's LiDARs.
+/// Returns the settings with a maximum range. If the setting dataset.max_range_m is 0, it
+/// becomes the largest range limit of the log's LiDARs.
 Config use_farthest_return(Config config, const Sequence& sequence);
-/// Returns the options for ray tracing that are the same on every device.
+/// Returns the options for ray tracing that training and simulation have in common.
 TraceOptions trace_options(const Config& config);
-/// Returns the options for ray tracing during training. They enable additional outputs
-/// that only losses need.
+/// Returns the options for ray tracing during training, which enable values that only
+/// losses need.
 TraceOptions make_training_trace_options(const Config& config);
-/// Returns the options for ray tracing when scans are rendered. They enable normals and
-/// the search for the surface with the largest weight.
+/// Returns the options for ray tracing during simulation. They enable surface normals,
+/// and the surface with the largest weight on each ray if render.range is "mode".
 TraceOptions make_rendering_trace_options(const Config& config);
 /// Returns the options for the summation of gradients in the backward pass.
 BackwardOptions make_backward_options(const Config& config);

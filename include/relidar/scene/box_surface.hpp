@@ -11,15 +11,16 @@
 
 namespace relidar {
 
-/// Sides of a box for which the observed fraction is measured. The bottom is excluded.
+/// Sides of the box of an actor. For each side, relidar measures the fraction that LiDAR
+/// rays have observed. The bottom is left out.
 enum class BoxSide { front, rear, left, right, top };
 inline constexpr std::size_t kBoxSides = 5;
 /// Returns the name of a side: "front", "rear", "left", "right", "top".
 const char* get_name(BoxSide side);
 
-/// Axes of a side of a box. `normal` and `sign` define the outward normal. Patches are
-/// counted along the axes `first` and `second`. For vertical sides, `second` is the
-/// height.
+/// Axes of a side of a box. The outward normal is axis `normal` with the sign `sign`. The
+/// side is divided into patches along the axes `first` and `second`. On vertical sides,
+/// `second` is the height.
 struct SideFrame {
     int normal;
     double sign;
@@ -28,19 +29,19 @@ struct SideFrame {
 inline constexpr SideFrame kSideFrames[kBoxSides] = {
     {0, 1.0, 1, 2}, {0, -1.0, 1, 2}, {1, 1.0, 0, 2}, {1, -1.0, 0, 2}, {2, 1.0, 1, 0}};
 
-/// Observed fraction of each side of a box, 0 to 1. The order is that of the enumerators
-/// of BoxSide.
+/// Observed fraction of each side of a box, 0 to 1, in the order of the enumeration
+/// BoxSide.
 using SideShares = std::array<float, kBoxSides>;
-/// Minimum observed fraction of a side. If the log observed less, the side counts as
+/// Minimum observed fraction of a side of a box. A side below this fraction counts as
 /// unseen.
 inline constexpr float kUnseenSide = 0.1f;
 /// Returns the names of the unseen sides, for example "rear, left". Returns an empty text
 /// if the log observed all sides.
 std::string list_unseen_sides(const SideShares& shares);
-/// Returns the minimum cosine between a ray and the normal of a side. A ray at a smaller
-/// cosine does not observe the side, because such returns form separate streaks. The
-/// limit of the top is lower, because a LiDAR on a car hits the roofs of other cars only
-/// at grazing angles.
+/// Returns the minimum cosine between a ray and the normal of a side. Rays that graze the
+/// side more do not count as observations, because their returns form separate streaks.
+/// The limit of the top is lower, because a LiDAR on a car hits other roofs only at
+/// grazing angles.
 double least_cosine(BoxSide side);
 
 /// Surface of a box, divided into patches of about 0.3 m. The class stores which patches
@@ -49,7 +50,7 @@ double least_cosine(BoxSide side);
 /// near the ground. Every patch has a mirror patch on the other side of the x-z plane.
 class BoxSurface {
 public:
-    /// Creates a surface without observed patches.
+    /// Divides a box surface into patches, none of which is observed yet.
     /// @param size_m [3] length, width, height, all above 0
     explicit BoxSurface(const glm::dvec3& size_m);
     /// Marks the patch of a point as observed by a ray. The ray must hit the side from
@@ -59,41 +60,44 @@ public:
     /// @param point_m [3] box frame
     /// @param direction [3] direction of the ray, box frame
     void add(const glm::dvec3& point_m, const glm::dvec3& direction);
-    /// Returns true if the patch of a point was observed. Returns false if the point is
-    /// on the ignored lowest part of a side.
+    /// Returns true if a ray has observed the patch that contains a point of the box
+    /// surface. Returns false for the lowest part of a side, which is ignored.
     bool is_seen(const glm::dvec3& point_m) const;
     /// Returns true if the patch of a point was not observed, but its mirror patch on the
-    /// other side of the box was observed.
+    /// other half of the box was.
     bool is_mirrored(const glm::dvec3& point_m) const;
     /// Returns the observed fraction of a side, 0 to 1.
     double seen(BoxSide side) const;
     /// Returns the observed fraction of the complete box surface, by area, 0 to 1.
-    /// mirrored() returns the fraction of patches that were not observed themselves, but
-    /// whose mirror patch was observed.
+    /// mirrored() returns the fraction that was observed only on the other half of the
+    /// box.
     double seen() const;
     double mirrored() const;
-    /// Returns the fraction of a side's patches that were not observed, but whose mirror
-    /// images on the other half of the box were observed.
+    /// Returns the fraction of a side that was not observed, but whose mirror image on
+    /// the other half of the box was observed.
     double mirrored(BoxSide side) const;
 
-    /// If true, the model has mirrored surfels on the patches that were not observed but
-    /// whose mirror patches were observed. These patches are called completed.
+    /// If true, unobserved patches of the model were completed: they got mirrored surfels
+    /// if their mirror patches were observed.
     bool is_completed = false;
-    /// Returns the fraction of each side that is observed or completed.
+    /// Returns the fraction of each side that was observed, or completed with the mirror
+    /// image.
     SideShares known() const;
-    /// Returns the side of a point on a completed patch. Returns no value if the point is
-    /// on a different patch.
+    /// Returns the side of a point whose patch was completed with its mirror image.
+    /// Returns nothing for points on other patches.
     std::optional<BoxSide> completed_side(const glm::dvec3& point_m) const;
-    /// Compares observed patches with their observed mirror patches.
+    /// Measures how much the left and right half of an object differ, from patches that
+    /// were observed on both halves.
     /// @param points_m points of the surface, box frame
-    /// @return median difference between the mean distances of their points from the
-    /// plane through the box centre, metres. 0 if fewer than three pairs were observed.
+    /// @return median difference of the mean distances from the plane of symmetry,
+    /// metres. 0 with fewer than three pairs of patches
     double asymmetry_m(const std::vector<glm::vec3>& points_m) const;
 
     const glm::dvec3& half_size_m() const { return half_m_; }
-    /// Returns the patches of a side as a text, row by row: 1 was observed, 0 was not.
+    /// Returns the observed patches of a side as text, row by row. 1 means observed, 0
+    /// not observed.
     std::string patches(BoxSide side) const;
-    /// Sets the patches of a side.
+    /// Sets the observed patches of a side from the text that patches() returns.
     /// @return false if the text has a wrong length or wrong characters
     bool set_patches(BoxSide side, const std::string& text);
 
@@ -106,16 +110,18 @@ private:
     std::array<std::array<int, 2>, kBoxSides> n_{};  ///< number of patches of a side along its two axes
     std::array<std::vector<char>, kBoxSides> seen_;
 
-    /// Returns the patch of a point. Returns no value if the point belongs to no patch.
+    /// Returns the surface patch that contains a point. Returns nothing if the point
+    /// belongs to no patch.
     std::optional<Patch> find(const glm::dvec3& point_m) const;
     Patch mirror(Patch patch) const;  ///< returns the mirror patch
-    /// Returns true if the patch is above the ignored part near the ground.
+    /// Returns false if the surface patch is near the ground, where patches are ignored.
     bool counts(const Patch& patch) const;
     bool at(const Patch& patch) const;  ///< returns true if the patch was observed
-    /// Returns two areas in m2: the area of the observed (or mirrored) patches, and the
-    /// area of all patches.
+    /// Returns two areas of a side in m2: the area of its observed patches (or of its
+    /// mirrored ones), and the area of all patches.
     std::array<double, 2> areas(BoxSide side, bool mirrored) const;
-    /// Returns the observed (or mirrored) fraction of the area of all sides.
+    /// Returns the fraction of the complete box surface, by area, that is observed (or
+    /// mirrored).
     double share(bool mirrored) const;
 };
 

@@ -21,9 +21,8 @@
 
 namespace relidar {
 
-// Tag types that name the content of device arrays. Arrays of equal element type but
-// different content then have different types. This prevents passing the wrong array to a
-// kernel.
+// Empty types that name the content of a device array, used as the second template
+// argument of Array. They make it a compile error to pass the wrong array to a kernel.
 namespace shared {
 struct Means;
 struct Rotations;
@@ -39,8 +38,8 @@ struct TouchedCount;
 struct ViewGradients;
 }  // namespace shared
 
-/// Parameters, gradients or Adam moments of all surfels on a device. Each parameter group
-/// has one array with the same layout as in Surfels.
+/// Arrays on a device with a value for each surfel: its parameters, their gradients or
+/// their Adam moments. Each parameter group has one array, with the layout of Surfels.
 struct SurfelArrays {
     Array<float, shared::Means> mean;
     Array<float, shared::Rotations> rotation;
@@ -50,8 +49,8 @@ struct SurfelArrays {
     /// Logarithms of the scale along the third axis of 3D Gaussians. Not allocated for
     /// surfels.
     Array<float, shared::ThirdLogScales> log_scale_w;
-    /// Gait of each surfel: the phase of the motion at which the surfel is visible, and
-    /// its swing. Allocated only for scenes with actors whose shape changes.
+    /// Walking motion of each surfel: the phase at which it is visible, and its swing.
+    /// Allocated only for scenes with actors whose shape changes.
     Array<float, shared::Gaits> gait;
     std::uint32_t n = 0;  ///< Number of surfels. The arrays may have memory for more surfels.
     Primitive primitive = Primitive::surfel;
@@ -60,9 +59,9 @@ struct SurfelArrays {
     SurfelArrays() = default;
     SurfelArrays(Device& device, std::uint32_t n, const std::string& what, ParameterSet of = {});
     ParameterSet parameters() const { return {primitive, bends}; }
-    /// Uploads all parameter groups to the device.
-    /// @throws DataError if the array lengths, the primitive, or the presence of a gait
-    /// differ from those of these arrays
+    /// Uploads all parameters to the device.
+    /// @throws DataError if the number of surfels, the primitive, or the presence of
+    /// walking motions (gait) differs
     void upload(const Surfels& surfels);
     Surfels download() const;
     /// Returns the number of surfels for which all arrays have memory.
@@ -78,40 +77,40 @@ struct SurfelArrays {
 
 /// Learning rates of an optimiser step.
 struct LearningRates {
-    /// Learning rate of the mean positions, metres. The schedule multiplies it by the
-    /// extent of the scene.
+    /// Learning rate of the mean positions. The training schedule multiplies it by the
+    /// extent of the scene in metres.
     double mean = 1.6e-4;
     double rotation = 1e-3;
     double log_scale = 5e-3;  ///< Learning rate of all scales, including the third scale of 3D Gaussians.
     double opacity_logit = 0.05;
     double sh = 2.5e-3;            ///< Learning rate of the constant (DC) coefficient of each SH channel.
     double sh_rest_factor = 0.05;  ///< Learning rate of the other SH coefficients, relative to `sh`.
-    /// Learning rate of the gait parameters, for phases and for motions in metres.
+    /// Learning rate of the walking motion (gait): of its phases, and of its amplitudes
+    /// in metres.
     double gait = 1e-4;
     /// Learning rate of the intensity coefficients, relative to the rate of the drop
     /// logits.
     double intensity_factor = 1.0;
-    /// Table of models, DeviceScene::models(). Required if compute_mean_factors is not
-    /// empty.
+    /// Table of models, DeviceScene::models(). Required if `mean_factors` is not empty.
     const Array<shared::ModelEntry>* models = nullptr;
     /// Factor for the learning rate of the mean positions of each model, [models]. Empty
     /// = 1.
     std::vector<float> mean_factors = {};
 };
 
-/// Describes a parameter group. Optimiser, densification and file formats use this
-/// description to process all groups with the same code.
+/// Description of a group of surfel parameters, for example the rotations. With this
+/// table, optimiser, densification and file formats process all groups with the same
+/// code.
 struct ParameterGroup {
     const char* name;  ///< Name of the group's array in files.
-    /// Shape of the group's floats per surfel. {3, 1} is a row of 3 floats, and {1, 1} is
-    /// a single float.
+    /// Shape of the group's floats for one surfel, {rows, columns}. A vector of 3 floats
+    /// is {3, 1}, and a single float is {1, 1}.
     std::array<std::uint32_t, 2> row;
     double LearningRates::*rate;
     bool harmonics;  ///< True if the last dimension holds spherical harmonics (SH) coefficients.
     bool scales;     ///< True if the group holds standard deviations, which may have upper bounds.
-    /// Scenes in which the surfels have this group of parameters: all scenes (`all`),
-    /// scenes of 3D primitives (`third_scale`), or scenes with actors that change their
-    /// shape (`bends`).
+    /// Scenes whose surfels have these parameters. `all`: every scene. `third_scale`:
+    /// scenes of 3D Gaussians. `bends`: scenes with actors that change their shape.
     enum class Of { all, third_scale, bends } of;
     const Array<float>& (*device)(const SurfelArrays&);  ///< Returns the device array, [n, floats()].
     /// Returns the device array for writing, [n, floats()].
@@ -127,8 +126,9 @@ struct ParameterGroup {
     std::vector<std::size_t> shape(std::size_t count) const;
 };
 
-/// Returns the description of a parameter group. kHost is its member of Surfels, and
-/// kDevice is its member of SurfelArrays.
+/// Makes the description of a group of parameters.
+/// @param kHost member of Surfels with the parameters
+/// @param kDevice member of SurfelArrays with the parameters
 template <auto kHost, auto kDevice>
 constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32_t, 2> row,
                                         double LearningRates::*rate, bool harmonics = false,
@@ -155,10 +155,10 @@ constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32
             [](Surfels& surfels, std::size_t n_floats) { (surfels.*kHost).resize(n_floats / kFloats); }};
 }
 
-/// Table of all parameter groups. The two optional groups are the first and the last
-/// entry, so every valid combination of groups is a contiguous range. A new parameter
-/// needs an entry in this table, a member of Surfels, a member of SurfelArrays and a
-/// pointer for the kernels.
+/// Table of all groups of surfel parameters. The two optional groups are the first and
+/// the last, so that the groups of any scene are a contiguous range. A new parameter
+/// needs an entry here, a member of Surfels and of SurfelArrays, and a pointer for the
+/// kernels.
 inline constexpr std::array<ParameterGroup, 7> kParameterGroups{{
     describe_group<&Surfels::gait, &SurfelArrays::gait>("gait", {5, 1}, &LearningRates::gait, false, false,
                                                         ParameterGroup::Of::bends),
@@ -183,14 +183,14 @@ constexpr std::span<const ParameterGroup> list_parameter_groups(ParameterSet par
 
 /// Metadata key of the primitive in model and checkpoint files.
 inline constexpr const char* kPrimitiveKey = "primitive";
-/// Reads the metadata of a file and returns which parameters the stored surfels have.
+/// Reads from the metadata of a file which parameters the stored surfels have.
 /// @param texts metadata of the file
 /// @param key metadata key of the primitive
-/// @param has_array returns true if the file has an array with the name of a group
-/// @throws DataError if the key is missing or its value is not the name of a primitive
+/// @param has_array returns true if the file has an array with the given name
+/// @throws DataError if the key is missing or its value is not a primitive
 ParameterSet read_parameter_set(const std::map<std::string, std::string>& texts, const std::string& key,
                                 const std::function<bool(const char*)>& has_array);
-/// Returns the number of floats that one surfel's parameters have.
+/// Returns the number of floats that the parameters of one surfel have in total.
 constexpr std::uint32_t count_floats_per_surfel(ParameterSet parameter_set) {
     std::uint32_t sum = 0;
     for (const ParameterGroup& group : list_parameter_groups(parameter_set)) sum += group.floats();
@@ -203,24 +203,25 @@ struct SurfelPointers;  // Device addresses of the parameter arrays.
 /// Returns the device addresses of all parameter arrays, to be passed to kernels.
 shared::SurfelPointers get_surfel_pointers(const SurfelArrays& arrays);
 
-/// List of the rows that are marked with 1 in an array. A kernel builds the list, and
-/// later kernels of the stream process only the listed rows. The list saves time on CPU
-/// devices, where idle threads cost as much as active threads.
+/// List of the surfels that have a gradient. A kernel makes this list from an array of
+/// flags. Later kernels process only the listed surfels. This saves time on CPU devices,
+/// where idle threads cost as much as active threads.
 class TouchedList {
 public:
     explicit TouchedList(Device& device);
     ~TouchedList();
-    /// Records GPU commands that build a list of the marked rows. Waits for the stream if
+    /// Records GPU commands that list the rows whose flag is 1. Waits for the stream if
     /// there are more rows than in any earlier call.
-    /// @param touched [n_rows] 0 or 1
+    /// @param touched [n_rows] flags, 0 or 1
     void find(Stream& stream, Address<std::uint32_t, shared::TouchedSurfels> touched, std::uint32_t n_rows);
-    /// Indices of the marked rows, [count], in no particular order.
+    /// Indices of the listed rows (those whose flag is 1), [count], in no particular
+    /// order.
     Address<std::uint32_t, shared::TouchedRows> rows() const;
     Address<std::uint32_t, shared::TouchedCount> count() const;  ///< Number of marked rows, [1].
-    /// Returns the number of threads for a kernel that processes the list. The number
-    /// does not depend on the length of the list, because only the device knows this
-    /// length.
-    /// @param max_count number of threads for the longest possible list
+    /// Returns the number of threads for a kernel that processes the list. Only the
+    /// device knows the length of the list, so the number is constant, and each thread
+    /// processes several rows if necessary.
+    /// @param max_count length of the longest possible list
     std::size_t threads(std::size_t max_count) const;
 
 private:
@@ -244,14 +245,13 @@ struct ActivationGradients {
     SurfelArrays* d_surfels = nullptr;  ///< Output: gradients with respect to the surfel parameters.
     /// Output: flags, [n]. 1 for each surfel whose record has a nonzero gradient.
     Array<std::uint32_t, shared::TouchedSurfels>* touched = nullptr;
-    /// Output with ShDirection::surfel: dL/d(view origin) through each surfel, [n,3],
-    /// model frame. Null if not needed.
+    /// Output: dL/d(sensor position) from each surfel, [n,3], model frame. Used only with
+    /// ShDirection::surfel. Null if not needed.
     Array<float, shared::ViewGradients>* d_view = nullptr;
     bool zero_untouched = true;  ///< If true, activate_vjp() writes zeros for surfels without a gradient.
-    /// If true, `touched` is also an input: 1 for each surfel that may have a gradient,
-    /// otherwise 0. If lists_touched() is true and zero_untouched is false, surfels
-    /// marked with 0 are skipped. The entries of d_view for skipped surfels are not
-    /// written.
+    /// If true, `touched` is also an input: 0 marks surfels that cannot have a gradient.
+    /// They are skipped if lists_touched() is true and zero_untouched is false. The
+    /// entries of d_view for skipped surfels are not written.
     bool touched_is_marked = false;
 };
 
@@ -279,41 +279,41 @@ public:
     /// poses after its next update() or move().
     void place(Stream& stream, const std::vector<InstancePose>& placed);
     const std::vector<InstancePose>& poses() const;
-    /// Returns true if an actor whose shape changes has another phase of its motion in
-    /// the new poses. The surfel records must then be computed again.
+    /// Returns true if the new poses change the walking phase of an actor. The surfel
+    /// records must then be computed again.
     bool has_new_gait_phases(const std::vector<InstancePose>& placed) const;
-    /// Records the GPU kernel that computes surfel records from the parameters (M1, M2,
-    /// M9). With ShDirection::surfel, the kernel also evaluates intensity and logits for
-    /// the view.
-    /// @param view_origin_m [3] world frame. A model with several instances uses the view
-    /// of its first instance
+    /// Records the kernel that computes surfel records from the parameters
+    /// (docs/method.md M1, M2, M9). With ShDirection::surfel, also evaluates intensity
+    /// and logits.
+    /// @param view_origin_m [3] sensor position, world frame. A model with several
+    /// instances uses it relative to its first instance
     /// @throws UsageError if `model` has another primitive than the scene
     void activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m);
-    /// Returns true if activate_vjp() can skip surfels that are not marked as touched.
-    /// Only CPU devices can skip surfels, because they do not copy SH coefficients
-    /// through shared memory.
+    /// Returns true if activate_vjp() can skip surfels without a gradient. This works
+    /// only on CPU devices. On a GPU, all threads copy SH coefficients through shared
+    /// memory together.
     bool lists_touched() const;
-    /// Records the GPU kernel that applies the chain rule: it computes gradients of the
-    /// parameters from gradients of the surfel records. The kernel writes SH gradients
-    /// only with ShDirection::surfel. With ShDirection::ray, the backward pass has
-    /// already computed the SH gradients.
+    /// Records the kernel that applies the chain rule: it converts gradients of the
+    /// surfel records to gradients of the parameters. Gradients of SH coefficients are
+    /// written only with ShDirection::surfel. With ShDirection::ray, the backward pass
+    /// has written them.
     void activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m,
                       const ActivationGradients& gradients);
 
     /// Enlarges the arrays of parameters and records to at least `capacity` surfels.
     /// Existing values are kept.
     void reserve(Device& device, std::uint32_t capacity);
-    /// Sets which part of the surfel arrays belongs to each model. Call it after the
-    /// arrays were rearranged, and compute the surfel records again afterwards. The next
-    /// place() or set_poses() updates the instance table.
+    /// Sets which range of the surfel arrays belongs to each model. Call this function
+    /// after the arrays were rearranged, and then compute the surfel records again. The
+    /// next place() or set_poses() updates the instance table.
     void set_models(const std::vector<Model>& models);
 
     const Scene& layout() const;  ///< Models and instances of the scene, without surfels.
     SurfelArrays& parameters();
     const SurfelArrays& parameters() const;
     const Array<shared::SurfelRecord>& records() const;  ///< Surfel records, [n].
-    /// Minimum opacity (alpha_min) with which activate() last computed the surfel
-    /// records. A surfel can be hit only where its opacity is above this value.
+    /// Minimum opacity (alpha_min) for which activate() last computed the surfel records.
+    /// Rays hit a surfel only where its opacity exceeds this value.
     float alpha_min() const;
     /// Table of models, [models], in the order of their surfel ranges.
     const Array<shared::ModelEntry>& models() const;
@@ -321,12 +321,11 @@ public:
     const Array<shared::InstanceEntry>& instances() const;
     std::uint32_t size() const;  ///< Number of surfels.
     Primitive primitive() const;
-    /// Returns the first row of an instance in the array of gradients with respect to the
-    /// surfel records.
+    /// Returns the first row of an instance in the array of record gradients, which has a
+    /// row for each surfel of each instance.
     std::uint32_t get_first_gradient_row(std::size_t instance) const;
-    /// Number of rows in the array of gradients with respect to the surfel records. Each
-    /// surfel has one row for the first instance of its model, and one more row for each
-    /// further instance of the model.
+    /// Number of rows in the array of record gradients. Each surfel has a row for each
+    /// instance of its model, and at least one row.
     std::uint32_t gradient_rows() const;
 
 private:

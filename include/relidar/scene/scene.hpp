@@ -37,9 +37,9 @@ enum class Primitive {
 #undef RELIDAR_PRIMITIVE
 };
 
-/// Triangle mesh that encloses a primitive in a driver's acceleration structure.
-/// `rectangle` is two triangles in the plane of a surfel. `icosahedron` is twenty
-/// triangles around an ellipsoid.
+/// Triangle mesh that encloses a primitive in the driver's acceleration structure.
+/// `rectangle`: two triangles in the plane of a surfel. `icosahedron`: twenty triangles
+/// around the ellipsoid of a 3D Gaussian.
 enum class ProxyMesh { rectangle, icosahedron };
 
 /// Properties of a primitive. RELIDAR_PRIMITIVES explains each field.
@@ -71,9 +71,11 @@ constexpr const PrimitiveKind& kind_of(Primitive primitive) {
 /// For a large sharpness, the window is a Gaussian with a standard deviation of 1 / (2 pi
 /// sharpness). If all fields are zero, the surfel is always visible and does not move.
 struct Gait {
-    /// Phase at which the surfel is most opaque and at its mean position.
+    /// Phase of the actor's motion at which the surfel is most opaque and at its mean
+    /// position.
     float phase = 0.0f;
-    /// Determines how quickly the surfel fades at other phases. 0 = always visible.
+    /// Determines how quickly the surfel fades at other phases of the motion. 0 = the
+    /// surfel is always visible.
     float sharpness = 0.0f;
     glm::vec3 swing{0.0f};  ///< Amplitude of the motion, [3] metres, model frame.
 };
@@ -98,8 +100,8 @@ struct Surfels {
     /// SH coefficients, [n,3,16], channel by channel. The value of a channel is 0.5 +
     /// basis(direction) . coefficients.
     std::vector<float> sh;
-    /// Standard deviations along the third axis, [n] ln metres. Empty for surfels, which
-    /// have only two axes.
+    /// Standard deviations of 3D Gaussians along the third axis, [n] ln metres. Empty for
+    /// surfels, which are flat.
     std::vector<float> log_scale_w;
     std::vector<Gait> gait;  ///< Phase windows, [n] if `bends` is true, otherwise empty.
     Primitive primitive = Primitive::surfel;
@@ -110,9 +112,8 @@ struct Surfels {
     void resize(std::size_t count) { resize(count, parameters()); }
     void resize(std::size_t count, ParameterSet parameter_set);
     void add_gait();  ///< Adds a gait without motion to all surfels if they have no gait.
-    /// Appends the surfels of another set. An empty set first adopts the other set's
-    /// primitive. If only one set has a gait, the surfels without a gait get a gait
-    /// without motion.
+    /// Appends other surfels. If this set is empty, it first adopts their primitive. If
+    /// only one set has walking motions (gait), the other set gets motions of zero.
     /// @throws DataError if the primitives differ
     void append(const Surfels& other);
     /// Returns a reordered copy: surfel i of the result is surfel order[i] of this set.
@@ -124,8 +125,8 @@ struct Surfels {
     void check_shapes() const;
 };
 
-/// Converts surfels to another primitive. A new third scale is set to `thickness` times
-/// the geometric mean of the two scales in the plane.
+/// Converts surfels to another primitive. If the new primitive has a third scale, this is
+/// `thickness` times the geometric mean of the other two.
 void make_primitive(Surfels& surfels, Primitive primitive, double thickness);
 
 /// Contiguous range of the scene's surfels that share one coordinate frame.
@@ -133,11 +134,11 @@ struct Model {
     std::string name;  ///< Name of the model: "background" or the track id.
     std::uint32_t first = 0;
     std::uint32_t count = 0;
-    /// Half size of the box that contains the model's surfels, metres. The origin is its
-    /// centre. 0 = the model has no box.
+    /// Half size of the box that contains the model's surfels, metres. The box is centred
+    /// at the origin. 0 = the model has no box.
     glm::vec3 half_size_m{0.0f};
-    /// Walked distance after which the motion repeats, metres: slightly longer than the
-    /// recorded distance. 0 = rigid model.
+    /// Walked distance after which an actor's shape repeats, metres. It is slightly
+    /// longer than the recorded distance. 0 = rigid model.
     float stride_m = 0.0f;
     std::optional<BoxSurface> surface = {};  ///< observed parts of the box; empty: unknown
 };
@@ -148,8 +149,8 @@ struct Instance {
     std::string track;  ///< Id of the track that moves the instance. Empty for the background.
 };
 
-/// Block of the background that was trained on one section of a road. Its surfels stay in
-/// a file until a sensor is near.
+/// Part of the background that was trained on one section of a road. Its surfels are
+/// loaded from a file when a sensor is near.
 struct SceneBlock {
     /// Model file with the surfels of the block. They are the first model in the file.
     std::filesystem::path file;
@@ -172,8 +173,8 @@ struct Scene {
     Surfels surfels;
     std::vector<Model> models;
     std::vector<Instance> instances;
-    /// Drop probabilities of the log's LiDARs, one row per beam
-    /// (Sequence::find_beam_number). Empty if they were not estimated.
+    /// Drop probabilities of the log's LiDARs that do not depend on the scene, one row
+    /// per beam (Sequence::find_beam_number). Empty if they were not estimated.
     DropTable sensor_drop;
     /// Background blocks in files, in addition to the surfels of model 0. Empty if the
     /// complete background is in memory.
@@ -184,7 +185,7 @@ struct Scene {
 /// in files.
 std::size_t count_surfels(const Scene& scene);
 
-/// Scene together with the log that contains the track of each instance. An instance has
+/// Scene together with its log, which contains the tracks of the actors. An instance has
 /// the name of its track. The scans of the log are not used.
 struct DrivingScene {
     Scene scene;
@@ -218,12 +219,12 @@ struct ImageModel {
     float alpha_min = 1.0f / 255.0f;  ///< Minimum alpha of a hit. Hits with a smaller alpha are skipped.
     float alpha_max = 0.99f;          ///< Upper bound of alpha. The gradient is zero if alpha is clamped.
     /// Minimum transmittance of a ray. The ray ends before the surfel that would reduce
-    /// the transmittance below this value.
+    /// its transmittance below this value.
     float transmittance_min = 1e-4f;
     int sh_degree = 3;  ///< Active SH degree, 0..3.
     ShDirection sh_direction = ShDirection::ray;
-    /// If true, hit logits are 0 and have no gradient. The drop probability (M6) is then
-    /// a sigmoid of the drop logit (ablation).
+    /// If true, hit logits are 0 and are not trained. The drop probability
+    /// (docs/method.md M6) is then a sigmoid of the drop logit. For ablation studies.
     bool single_drop_logit = false;
     Primitive primitive = Primitive::surfel;  ///< Primitive of the scene (ablation).
     bool operator==(const ImageModel&) const = default;
@@ -244,9 +245,9 @@ ObjectKind parse_object_kind(std::string_view category);
 /// "other".
 const char* get_name(ObjectKind kind);
 
-/// Treatment of moving objects without a label. `background`: their points belong to the
-/// background. `removed`: a point is removed if rays of other frames pass through it.
-/// `actors`: like `removed`, and an object that is observed long enough becomes an actor.
+/// Treatment of moving objects without a label. `background`: their points become
+/// background. `removed`: points that rays of other frames pass through are removed.
+/// `actors`: like `removed`, and objects that are observed long enough become actors.
 enum class UnlabelledMovers { background, removed, actors };
 
 /// Options for creating the initial scene from a log.
@@ -268,21 +269,21 @@ struct InitialiseOptions {
     /// position and normal of their points (paper).
     double flatness = 1.0;
     double opacity = 0.1;
-    /// Hit logit minus drop logit of new surfels. The mean of the two logits is 0.5. The
-    /// initial drop probability of a surface is 1 / (1 + exp(hit_margin)) (M6).
+    /// Initial hit logit minus initial drop logit of surfels. Their mean is 0.5. The
+    /// initial drop probability of a surface is 1 / (1 + exp(hit_margin)).
     double hit_margin = 1.0;
-    /// If true, hit logits start at 0 and drop logits start at -hit_margin
-    /// (ImageModel::single_drop_logit).
+    /// If true, hit logits start at 0 and drop logits start at -hit_margin. Use it with
+    /// ImageModel::single_drop_logit.
     bool one_logit = false;
-    /// Upper bound of the initial standard deviations, metres. It does not apply to
-    /// surfels that cover gaps between scan lines (max_gap_m).
+    /// Upper bound of the initial standard deviations, metres. Surfels that are stretched
+    /// over gaps between scan lines (max_gap_m) may be larger.
     double max_scale_m = 1000.0;
     /// Initial standard deviation, relative to the mean distance to the 3 nearest
     /// neighbours.
     double scale_factor = 1.0;
     /// Largest gap between scan lines that a surfel may cover, metres. A surfel is
-    /// stretched if the gap is much wider than the point distance along the line. 0 = off
-    /// (paper).
+    /// stretched if this gap is much wider than the distance between points of a scan
+    /// line. 0 = off (paper).
     double max_gap_m = 0.0;
     /// Initial scale of 3D Gaussians along the normal, relative to the scale in the
     /// plane. 1 = spheres, as in 3D Gaussian splatting.
@@ -290,16 +291,16 @@ struct InitialiseOptions {
     bool second_returns = false;  ///< If true, second returns of the log also become surfels.
     /// Treatment of moving objects without a label. The default is the paper's.
     UnlabelledMovers unlabelled_movers = UnlabelledMovers::background;
-    /// Comma-separated kinds (parse_object_kind()) or class names of the moving boxes
-    /// that become actors. all = every class. Empty = none.
+    /// Moving boxes that become actors: comma-separated class names or kinds (see
+    /// parse_object_kind()). all = every class. Empty = none.
     std::string actor_classes = "all";
-    /// If true, moving boxes of other classes are excluded from training. If false, they
-    /// belong to the background (paper).
+    /// If true, moving boxes that do not become actors are excluded from training. If
+    /// false, they belong to the background (paper).
     bool mask_others = true;
     /// Comma-separated track ids that become actors, regardless of class and motion.
     /// Empty = select actors by class.
     std::string actor_tracks;
-    /// Comma-separated kinds or class names of actors whose shape changes. Empty = none.
+    /// Actors whose shape changes, as comma-separated class names or kinds. Empty = none.
     std::string deform = "person,cyclist";
     /// Maximum number of surfels per actor. An actor whose shape changes may have 200
     /// surfels per frame.
@@ -307,8 +308,8 @@ struct InitialiseOptions {
     /// Minimum number of surfels per actor. Actors with fewer surfels get random points
     /// in their box. 0 = off (paper: 8000).
     int actor_pad_to = 0;
-    /// Minimum number of points in a box that becomes an actor. A box with fewer points
-    /// is excluded from training.
+    /// Minimum number of points that a box needs to become an actor. Boxes with fewer
+    /// points are excluded from training.
     int actor_min_points = 20;
     /// Seed for random orientations and points. Training uses train.seed instead.
     std::uint64_t seed = 1;
@@ -319,7 +320,8 @@ struct InitialiseOptions {
 struct InstancePose {
     Pose world_from_model;
     bool present = true;
-    /// Time at which the track has the pose world_from_model. place_instances() sets it.
+    /// Time at which the instance's track has the pose world_from_model. Set by
+    /// place_instances().
     double time_s = 0.0;
     double phase = 0.0;   ///< Phase of the model's motion, which repeats after 1.
     PoseMotion motion{};  ///< Motion during the sweep, relative to world_from_model.
@@ -340,7 +342,7 @@ struct InstancePose {
 std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions,
                                       const Progress& progress = {}, const ProcessGroup& group = {});
 
-/// Returns the boxes whose points and rays are excluded from the background: moving boxes
+/// Returns the boxes whose points and rays are kept out of the background: moving boxes
 /// (BoxTrack::moves) and the tracks listed in actor_tracks.
 /// @throws DataError for a box without a size or with a pose that is not finite
 /// @throws UsageError for an unknown track
@@ -364,34 +366,33 @@ Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_p
                        const InitialiseOptions& options, const Progress& progress = {},
                        std::vector<std::string>* notes = nullptr);
 
-/// Returns the boxes that are removed from the background, but that have no instance in
-/// the scene. Their class is not selected, or they have too few points. Training ignores
-/// rays through these boxes, and renderings lack their returns.
+/// Returns the boxes that were removed from the background and have no model in the
+/// scene. Their class is not selected, or they have too few points. Training ignores rays
+/// through these boxes, and renderings lack their returns.
 std::vector<BoxTrack> find_masked_boxes(const Scene& scene, const Sequence& sequence,
                                         const InitialiseOptions& options);
-/// Returns the moving boxes that are removed from the background but are not selected as
-/// actors. Does not need a scene.
+/// Returns the moving boxes that are removed from the background and not selected as
+/// actors. Does not need a trained scene.
 std::vector<BoxTrack> find_unselected_boxes(const Sequence& sequence, const InitialiseOptions& options);
 /// Returns a list of track ids and classes, at most eight: "3 (Pedestrian), 7 (Tram)".
 std::string list_boxes(const std::vector<BoxTrack>& boxes);
 
-/// Computes poses and motions of all instances in a sweep from the log. A box is absent
-/// before its first and after its last label.
+/// Computes poses and motions of all instances during a sweep, from the tracks of the
+/// log. A box is absent before its first and after its last label.
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence,
                                           const SweepMoment& sweep);
 
 /// Tracks of actors by name. Poses are box centres in relidar's world frame, interpolated
 /// over time. Actors without an entry are absent.
 using ActorPoses = std::map<std::string, PoseTrack>;
-/// Computes poses and motions of all instances in a sweep, with actor tracks from the
-/// caller. The sequence provides the motion and pose of the sensor.
+/// Computes poses and motions of all instances during a sweep, from actor tracks of the
+/// caller. The pose and motion of the sensor come from the sequence.
 /// @throws UsageError for a name that no instance has. The message suggests the most
 /// similar name.
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence,
                                           const SweepMoment& sweep, const ActorPoses& world_from_actor);
-/// Returns all surfels of a scene at one time, in the world frame. Actors are moved to
-/// their poses, with their walking motion and rotated harmonics. Absent actors are left
-/// out.
+/// Returns the surfels of all instances at one time, in the world frame. Actors have
+/// their poses and walking motions of that time. Absent actors are left out.
 /// @param placed [instances] pose of each instance
 /// @throws DataError if the number of poses is wrong
 Surfels freeze(const Scene& scene, const std::vector<InstancePose>& placed);
@@ -401,16 +402,15 @@ Surfels freeze(const Scene& scene, const std::vector<InstancePose>& placed);
 /// @return [n] permutation: position i of the sorted array holds point order[i]
 std::vector<std::uint32_t> compute_kd_order(const std::vector<glm::vec3>& points);
 
-/// Returns the extent of a model in metres. Training multiplies relative settings by this
-/// extent. For an actor, the extent is 4 times the diagonal of its box. For any
-/// other model, it is 3 times the 90th percentile of 2 |p - centre| over its surfels. A
-/// model without surfels has the extent 1.
+/// Returns the extent of a model in metres, a length for settings that are relative to
+/// the model's size. For an actor: 4 times the diagonal of its box. For any other model:
+/// 3 times the 90th percentile of 2 |p - centre| over its surfels. Without surfels: 1.
 double compute_model_extent(const Scene& scene, std::size_t model);
-/// Returns the extent of a box, 4 x its diagonal, metres.
+/// Returns the extent of a box, which is 4 times its diagonal, metres.
 /// @param half_size_m [3] half size of the box, metres
 double compute_box_extent(const glm::vec3& half_size_m);
-/// Returns the extent of the background, metres: 3 x the 90th percentile of 2 |p -
-/// centre|.
+/// Returns the extent of the background, metres: 3 times the 90th percentile of 2 |p -
+/// centre| over its surfels.
 double compute_background_extent(const Scene& scene);
 
 /// Returns a copy of a scene without its surfels. The copy has models, instances, blocks

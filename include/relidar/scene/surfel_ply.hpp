@@ -29,8 +29,8 @@ enum class Primitive;
 /// Positions are in the frame of the surfel's model, so actors are at the origin.
 /// @throws DataError for the reasons listed at write_atomically()
 void write_surfel_ply(const std::filesystem::path& path, const Scene& scene);
-/// Writes surfels that share one frame. Does not write the property `model`, so that
-/// read_surfel_ply() cannot mistake the file for a complete scene.
+/// Writes surfels that share one frame. The file has no property `model`, so that
+/// read_surfel_ply() does not read it as a complete scene.
 /// @param notes comments in the file header
 void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels, const FileNotes& notes);
 /// Reads a scene that write_surfel_ply() has written. The surfels are restored bit by bit

@@ -10,15 +10,14 @@ RELIDAR_SHARED_BEGIN
 #define RELIDAR_SH_COEFFICIENTS 16
 #define RELIDAR_SH_FLOATS 48
 
-/// Surfel as tracing kernels read it, in the frame of its model. The struct has 64 bytes,
-/// so that a kernel reads one cache line per hit. A surfel that cannot be hit has opacity
-/// 0.
+/// Surfel as tracing kernels read it, in the frame of its model. It has 64 bytes, so that
+/// a kernel reads one cache line per hit. Opacity 0 means that no ray hits it.
 struct SurfelRecord {
     vec3 mean;      // Centre, metres.
     float opacity;  // Opacity sigma, 0..1.
     vec3 axis_u;    // First axis divided by its standard deviation, a_u / s_u, 1/m.
-    // Intensity of the surfel towards the sensor. The intensity and the two logits are
-    // used only with ShDirection::surfel, which evaluates them once per surfel.
+    // Intensity of the surfel as seen from the sensor. It and the two logits are set only
+    // with ShDirection::surfel, which evaluates them once per surfel.
     float intensity;
     vec3 axis_v;  // Second axis divided by its standard deviation, a_v / s_v, 1/m.
     float hit_logit;
@@ -48,14 +47,14 @@ struct InstanceEntry {
     vec4 row2;
     uint first_surfel;  // Index of the model's first surfel in the surfel arrays of the scene.
     uint n_surfels;
-    // First row of the instance in the gradient array of the surfel records. The first
-    // instance of a model uses the rows of its surfels. The rows of further instances
-    // follow after all surfels.
+    // First row of the instance in the array of record gradients. The first instance of a
+    // model uses the rows of the model's surfels. Rows of further instances follow after
+    // the rows of all surfels.
     uint first_row;
     uint moves;  // 1 if the instance moves during the sweep, otherwise 0.
     // Motion of the model during the sweep, in the axes of the model (docs/method.md
-    // section 4). model_from_world is the pose in the middle of the motion. For a ray
-    // fired at time t, the model moves for clamp(t - middle_s, -half_span_s, half_span_s)
+    // section 4). model_from_world is the pose at the middle of the motion. A ray fired
+    // at time t sees the model moved by clamp(t - middle_s, -half_span_s, half_span_s)
     // seconds. The struct has 96 bytes, because kernels load it in 16-byte pieces.
     vec3 velocity;   // Velocity, m/s.
     float middle_s;  // Middle of the motion interval, in seconds after the reference time of the sweep.

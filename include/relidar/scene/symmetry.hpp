@@ -15,10 +15,9 @@ bool is_vehicle(const BoxTrack& box);
 /// Returns a copy of the surfels, mirrored at the x-z plane: y becomes -y.
 Surfels mirror_left_right(Surfels surfels);
 
-/// Completes a symmetric object: replaces the surfels of each unobserved patch whose
-/// mirror patch was observed. The new surfels are the mirror image of the observed side,
-/// and are the last surfels. Marks the surface as completed. Does nothing if both sides
-/// were observed and differ by more than 0.15 m.
+/// Completes a symmetric object: the surfels of an unobserved patch are replaced by
+/// mirrored surfels of the other side, if that was observed. The new surfels are
+/// appended. Does nothing if both sides were observed and differ by more than 0.15 m.
 /// @return number of surfels that were added
 std::size_t complete_by_symmetry(Surfels& surfels, BoxSurface& surface);
 

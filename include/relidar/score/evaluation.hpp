@@ -20,8 +20,8 @@
 
 namespace relidar {
 
-/// Counts of the rays with a measured return. The rays are sorted into bins by their
-/// measured range and by the error of their rendered range.
+/// Numbers of rays with a measured return, counted in bins. The bins are over the
+/// measured range and over the error of the rendered range.
 struct RangeErrorCounts {
     /// limits of the bins of the real range
     static constexpr std::array<double, 7> kRangeEdges_m{0.0, 10.0, 20.0, 30.0, 40.0, 60.0, 80.0};
@@ -52,11 +52,11 @@ struct ScoredFrame {
     int lidar = 0;  ///< index of its LiDAR
     double time_s = 0.0;
     std::optional<SweepStart> start = {};  ///< start of the sweep, see Frame
-    /// Number of traced rays. It differs from the number of image pixels if the points
-    /// are binned into an image.
+    /// Number of traced rays. It differs from the number of pixels if points are binned
+    /// into an image.
     std::size_t n_rays = 0;
     /// Rendered scan. If many frames are evaluated, only the middle frame keeps its scan.
-    /// The other frames keep only the rendering time.
+    /// All other frames keep only the rendering time.
     RenderedScan rendered;
     RangeImage real;  ///< Measured image. Only frames that keep the rendered scan also keep this image.
     MetricRow metrics;
@@ -68,8 +68,8 @@ struct ScoredFrame {
 struct BoxPoints {
     /// [n,3] points in the frame of the box at the time at which each point was measured.
     std::vector<glm::dvec3> real_m, simulated_m;
-    /// Range errors, simulated minus real. Only rays that return in both scans, and whose
-    /// real point is in the box, are included.
+    /// Range errors, simulated minus real. They are computed for rays that return in both
+    /// scans and whose real point is in the box.
     std::vector<double> range_error_m;
     /// Numbers of rays that hit the box: in both scans, only in the real scan, and only
     /// in the simulated scan.
@@ -97,17 +97,17 @@ struct Evaluation {
     std::string title = "rendered";  ///< What was scored: "rendered" or the name of a baseline.
     std::vector<ScoredFrame> frames;
     MetricRow mean;
-    /// Scores of each moving box over all frames. The box with the highest fraction of
-    /// range errors above 0.3 m is first. Numbers of points are sums over the frames.
-    /// Other metrics are means over the frames, weighted by the number of real points.
+    /// Scores of each moving box over all frames. Boxes with the highest fraction of
+    /// range errors above 0.3 m come first. Numbers of points are sums over the frames.
+    /// Other metrics are means, weighted by the number of real points in each frame.
     std::vector<ActorScore> actors;
     MetricRow kernel_ms;    ///< Mean time of a kernel launch in milliseconds, by kernel name.
     double trace_ms = 0.0;  ///< Mean time to render a frame, including transfers to and from the device.
     double mrays_per_s = 0.0;
 };
 
-/// Copies scans of a log into the frames of a run that was trained on this log. The
-/// frames keep the poses of the run.
+/// Copies scans of a log into the frames of a run that was trained on this log. The poses
+/// of the run do not change.
 /// @param positions  indices into Run::sequence of the frames
 /// @throws DataError if a frame is missing in the log, or has another time in the log
 void attach_scans(Run& run, const std::vector<int>& positions, const Sequence& log);
@@ -140,11 +140,10 @@ Evaluation summarise(std::vector<ScoredFrame> frames, const KernelTimes& times);
 /// Returns the mean time of a kernel launch in milliseconds, by kernel name.
 MetricRow compute_mean_times(const KernelTimes& times);
 
-/// Returns how the baseline with this name moves points in moving boxes. Both baselines
-/// consist of the points of the neighbouring training scans. "nearest" leaves the points
-/// in moving boxes where they were measured. "nearest-actors" moves these points together
-/// with their boxes.
-/// @param name  "nearest" or "nearest-actors"
+/// Converts the name of a baseline to its motion of points in moving boxes. A baseline
+/// predicts a scan from the points of the neighbouring training scans. "nearest" keeps
+/// the positions at which points were measured. "nearest-actors" moves points in boxes
+/// together with their boxes.
 /// @throws UsageError for another name
 BoxMotion find_baseline(const std::string& name);
 /// Computes the metrics of a baseline on the held-out frames of a log.

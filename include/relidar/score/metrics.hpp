@@ -32,8 +32,8 @@ using MetricRow = std::map<std::string, double>;
 
 class Lpips;
 
-/// Options of the metrics: the drop probability below which a pixel counts as returned,
-/// and the maximum range.
+/// Options of the metrics. A pixel counts as returned if its drop probability is below
+/// the threshold. Larger ranges than max_range_m are clamped.
 struct MetricOptions {
     double peer_drop_threshold = 0.4;
     double strict_drop_threshold = double(kDropThreshold);
@@ -83,20 +83,20 @@ MetricRow evaluate(const RangeImage& rendered, const RangeImage& real, const Met
 MetricRow evaluate_regions(const RangeImage& rendered, const RangeImage& real,
                            const std::vector<Region>& regions, const MetricOptions& options = {});
 
-/// Returns the regions that reports show: all, moving_boxes, static, and the range bands
-/// range_0_20_m, range_20_40_m, range_40_80_m.
+/// Returns the sets of pixels that reports score separately: all, moving_boxes, static,
+/// and the range bands range_0_20_m, range_20_40_m, range_40_80_m.
 /// @param moving [rows*columns] true for pixels whose return is in a moving box
 std::vector<Region> make_standard_regions(const RangeImage& real, const std::vector<bool>& moving);
 
-/// Returns a flag for each ray: true if its return is inside a moving box that the
-/// dataset labelled.
+/// Returns for each ray whether its return is inside a moving box that the dataset
+/// labelled.
 /// @param sensor_offset  pose of the sensor that made the scan, in the frame of the log's
 /// sensor
 /// @return [n] true for rays with such a return
 std::vector<bool> find_moving_returns(const Sequence& sequence, const Frame& frame,
                                       const Pose& sensor_offset = {});
-/// Returns a flag for each ray: true if its return is inside a moving box that was
-/// discovered without a label.
+/// Returns for each ray whether its return is inside a moving box that relidar
+/// discovered, because the dataset has no label.
 /// @param sensor_offset  pose of the sensor that made the scan, in the frame of the log's
 /// sensor
 /// @return [n] true for rays with such a return
@@ -110,7 +110,8 @@ std::vector<bool> find_discovered_returns(const Sequence& sequence, const Frame&
 MetricRow evaluate_points(const RangeImage& rendered, const RangeImage& real,
                           const MetricOptions& options = {});
 
-/// A rendered image, the real image of the same rays, and the regions to score.
+/// A rendered image, the real image of the same rays, and the sets of pixels that are
+/// scored separately.
 struct Comparison {
     const RangeImage* rendered = nullptr;
     const RangeImage* real = nullptr;
@@ -126,9 +127,9 @@ struct Comparison {
 std::vector<MetricRow> evaluate_all(const std::vector<Comparison>& comparisons,
                                     const MetricOptions& options = {});
 
-/// Selects what the baseline does with points in moving boxes. `stay`: the points stay at
-/// their measured positions. `follow`: the points move with their boxes. If a box is no
-/// longer present, `follow` leaves out its points.
+/// Motion of points in moving boxes, for baselines. `stay`: points stay where they were
+/// measured. `follow`: points move with their boxes, and are left out if the box has left
+/// the scene.
 enum class BoxMotion { stay, follow };
 
 /// Computes the baseline: moves the returns of the nearest earlier and later training
@@ -179,8 +180,8 @@ public:
     /// @param first [3,rows,columns] values intended for -1..1; other values are not
     /// clamped
     /// @param second [3,rows,columns] like `first`
-    /// @throws DataError if the image is below 31 x 31 pixels, because the poolings then
-    /// leave no pixel, or if an array has another size
+    /// @throws DataError if an array has another size, or the image is below 31 x 31
+    /// pixels, so that pooling leaves no pixel
     std::array<double, 5> compute_layer_distances(const std::vector<float>& first,
                                                   const std::vector<float>& second, int rows,
                                                   int columns) const;

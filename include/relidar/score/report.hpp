@@ -21,8 +21,8 @@ struct ReportFigure {
     std::vector<std::pair<std::string, Image>> images;  ///< caption and image
 };
 struct ReportCurve {
-    /// Name of the curve. Curves whose names have the same part before '/' share a chart,
-    /// for example "loss/total" and "loss/depth".
+    /// Name of the curve, for example "loss/total". Curves with the same text before '/'
+    /// are drawn in one chart.
     std::string name;
     std::vector<double> x, y;
 };
@@ -78,21 +78,21 @@ struct Report {
     std::vector<ReportBars> bars;
     /// Tables. A table without rows below the titles is left out.
     std::vector<ReportTable> tables;
-    /// Metrics to show first. A metric that no column of `metrics` contains is left out.
+    /// Metrics to show first. A metric that is not in `metrics` is left out.
     std::vector<ReportKeyMetric> key_metrics;
     std::vector<std::pair<std::string, std::string>> facts;  ///< device, sizes, times
     /// Curves to draw. The scale is logarithmic if all values are positive and span more
     /// than a factor of 4.
     std::vector<ReportCurve> curves;
-    /// True: all columns of `metrics` are computed on the same scans. False: the columns
-    /// cannot be compared, so the page does not highlight the best column.
+    /// True if all columns of `metrics` were computed on the same scans. Otherwise the
+    /// columns cannot be compared, so the report does not highlight the best one.
     bool same_scans = true;
     /// Columns of the table of metrics: the title of the column and its values. Values
     /// are grouped by the part of their name before '/'.
     std::vector<std::pair<std::string, MetricRow>> metrics;
     /// Tables of kernel times: the title of the table and the milliseconds of each
-    /// kernel. Percentages refer to the entry "total". If there is no such entry, they
-    /// refer to the sum.
+    /// kernel. Percentages refer to the entry "total", or to the sum if no such entry
+    /// exists.
     std::vector<std::pair<std::string, MetricRow>> timings_ms;
     std::vector<ReportFigure> figures;
 };

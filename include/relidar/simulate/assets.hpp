@@ -22,20 +22,21 @@ namespace relidar {
 /// Name of the description file in an asset's folder.
 inline constexpr const char* kAssetFile = "asset.json";
 
-/// Points at which rays of the log hit an actor.
+/// Points at which LiDAR rays of the log hit one actor, used to find which parts were
+/// observed.
 struct ActorObservations {
     std::vector<glm::vec3> points_m;                             ///< [n,3] box frame
     std::vector<glm::vec3> directions;                           ///< [n,3] directions of the rays, box frame
     double nearest_m = std::numeric_limits<double>::infinity();  ///< shortest range of a hit
 };
-/// Marks the patches of an actor's box that were hit by rays, and returns the box
-/// surface.
+/// Returns the surface of an actor's box. The patches that rays of the log have hit are
+/// marked as observed.
 /// @param size_m [3] size of the box
 BoxSurface compute_visible_surface(const glm::dvec3& size_m, const ActorObservations& sightings);
-/// Renders the training frames again and returns the points at which their rays hit each
-/// actor, by track. The frames are rendered with the log's LiDARs at their original
-/// poses. Therefore an object that hid an actor in the log also hides it here. A LiDAR
-/// without a nominal ray pattern is replaced by an HDL-64E.
+/// Returns the points at which rays of the log hit each actor, by track. Renders the
+/// training frames again with the log's LiDARs at their original poses. An object that
+/// hid an actor in the log therefore also hides it here. A LiDAR without a nominal ray
+/// pattern is replaced by an HDL-64E.
 std::map<std::string, ActorObservations> observe_actors(Device& device, const Run& run,
                                                         const Progress& progress = {});
 
@@ -43,20 +44,20 @@ std::map<std::string, ActorObservations> observe_actors(Device& device, const Ru
 struct AssetFacts {
     std::string name;      ///< name of its folder and its track, for example "car-3"
     std::string category;  ///< class name in the dataset, or "Discovered"
-    /// Kind of object, for example a vehicle. A discovered object counts as a vehicle if
-    /// it is as large as a vehicle.
+    /// Kind of object, for example a vehicle. An object without a label counts as a
+    /// vehicle if it is as large as one.
     ObjectKind kind = ObjectKind::other;
     glm::dvec3 size_m{0.0};    ///< length, width, height
     std::string source_run;    ///< absolute path of the run from which the actor was extracted
     std::string source_track;  ///< Id of the actor's track in the source run.
-    /// Sensor of the source run. The actor's intensities and ray-drop were trained for
-    /// this sensor.
+    /// Name of the sensor in the source run. The intensities and drop probabilities of
+    /// the actor were trained for this sensor.
     std::string sensor;
     /// Fraction of each side of the box that rays of the log have hit.
     std::array<double, kBoxSides> seen_sides{};
     double seen = 0.0;  ///< Observed fraction of all sides of the box, by area.
-    /// Fraction of the box surface that the log did not observe, but that was completed
-    /// with the mirror image of the other side.
+    /// Fraction of the box surface that the log did not observe and that was replaced by
+    /// the mirror image of the other side.
     double completed = 0.0;
     /// Height of the box's bottom above the road, in metres. Computed by
     /// measure_ground_clearance().
@@ -65,7 +66,8 @@ struct AssetFacts {
     std::size_t surfels = 0;
     std::size_t mirrored = 0;  ///< Number of surfels that were mirrored from the other side of the box.
 
-    /// Returns the fraction of the box surface that is observed or completed.
+    /// Returns the fraction of the box surface that was observed, or completed with the
+    /// mirror image.
     double score() const { return seen + completed; }
 };
 
@@ -98,7 +100,7 @@ std::optional<double> measure_asset_clearance(const Run& run);
 /// @throws DataError if the folder contains no asset
 std::vector<std::filesystem::path> list_asset_folders(const std::filesystem::path& folder);
 
-/// Returns the track of a run that has a single actor, for example an asset.
+/// Returns the track name of the only actor of a run, for example of an asset.
 /// @throws UsageError if the run has no actor or several
 std::string find_only_track(const Run& run);
 

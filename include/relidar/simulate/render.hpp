@@ -26,28 +26,28 @@ namespace relidar {
 struct Run;
 struct MountedSensor;
 
-/// Side of an actor that the log has not observed, and the number of rays of a scan that
-/// meet it.
+/// Side of an actor that the log has not observed although rays of the simulated scan
+/// meet it. n_rays is the number of these rays.
 struct UnseenSide {
     std::string track;
     BoxSide side;
     std::size_t n_rays = 0;
-    /// True if the rays hit mirrored surfels (complete_by_symmetry()). False if the model
-    /// has no surfels there, so that the rays pass through.
+    /// True if rays hit surfels that were mirrored from the other side. False if the
+    /// model has no surfels on this side, so that rays pass through.
     bool is_completed = false;
 };
 
-/// Counts the rays of a scan that hit an actor. A ray counts if surfaces absorb at least
-/// half of its light, and if it returns according to the drop logits of the surfels.
+/// Visibility of an actor: numbers of rays that hit it. A ray counts if surfaces absorb
+/// at least half of its light and the drop logits of the surfels predict a return.
 struct ActorView {
     std::string track;
     std::size_t n_rays = 0;  ///< rays that hit the actor first
-    /// rays that would hit the actor if the scene contained only this actor
+    /// rays that would hit the actor if no other object hid it
     std::size_t n_rays_alone = 0;
 };
 
-/// A simulated scan: a range image with the ray of each pixel. Each ray is expressed in
-/// the sensor's frame at the firing time of that ray.
+/// A simulated scan: a range image with the ray of each pixel. Rays are in the sensor
+/// frame at their own firing times.
 struct RenderedScan {
     /// Range image. The setting `render.range` selects the kind of range. `drop_prob` is
     /// the softmax of the two drop logits. It is 1 if the ray hit nothing within the
@@ -71,20 +71,20 @@ struct RenderedScan {
     /// Second returns of the rays, computed with median ranges. Empty unless
     /// `sensor.returns` is 2.
     std::vector<SecondReturn> second_returns = {};
-    /// Optional channels with [n] values each: the channels of `render.channels`, and
-    /// `source` if weather is set. A channel that the run cannot compute is missing (for
-    /// example "seen" without a Coverage). A caller can append channels. All functions
-    /// that join, bin, merge or write channels process the appended channels too.
+    /// Optional channels with [n] values each: the channels of the setting
+    /// `render.channels`, and `source` if weather is set. A channel that cannot be
+    /// computed is missing, for example "seen" without a Coverage. A caller may append
+    /// channels, which are then joined, binned, merged and written like the others.
     std::vector<ScanChannel> channels = {};
-    /// Share of rays through space that the log did not observe. A ray counts if the log
+    /// Share of rays that leave the space which the log observed. A ray counts if the log
     /// observed less than half of its path. Computed from all rays, or from about a
-    /// thousand of them. Empty if the run has no coverage.
+    /// thousand. Empty if the run has no coverage.
     std::optional<double> unseen_share = {};
-    /// Sides of actors that the log did not observe, but that rays of the scan meet. The
-    /// command `relidar render` sets this field. ScanRenderer leaves it empty.
+    /// Sides of actors that rays of the scan meet although the log has not observed them.
+    /// Set by the command `relidar render`, not by ScanRenderer.
     std::vector<UnseenSide> unseen_sides = {};
-    /// Visibility of the actors that at least one ray would hit. Empty unless
-    /// ScanRenderer::compute_views() was called.
+    /// Visibility of each actor that at least one ray would hit without occlusion. Empty
+    /// unless ScanRenderer::compute_views() was called.
     std::vector<ActorView> actor_views = {};
     Pose world_from_sensor;  ///< pose of the sensor at the reference time, in the dataset's world frame
     /// Poses of the sensor during the scan, in the dataset's world frame. The track has a
@@ -98,24 +98,23 @@ struct RenderedScan {
     Pose get_firing_pose(std::size_t ray) const;
 };
 
-/// Finds unobserved sides of actors that at least five rays of the scan meet. Either the
-/// model has no data, and rays pass through the side as if it were open. Or the side was
-/// completed, and rays hit its mirrored surfels. Uses the poses of the actors in the log.
+/// Finds the unobserved sides of actors that at least five rays of the scan meet. If the
+/// side has no surfels, these rays pass through it. If the side was completed, they hit
+/// mirrored surfels. Uses the poses of the actors in the log.
 std::vector<UnseenSide> find_unseen_sides(const RenderedScan& scan, const Scene& scene,
                                           const Sequence& sequence);
 
-/// Computes the pose of the sensor at the firing time of each ray of a scan. Many sensors
-/// fire all rays of a column at the same time, so the pose is interpolated only once per
-/// column. Only one thread may use an object of this class.
+/// Computes the pose of the sensor at the firing time of each ray. Many sensors fire all
+/// rays of a column at the same time, so the pose is interpolated once per column. Only
+/// one thread may use an object of this class.
 class FiringPoses {
 public:
-    /// Stores a reference to the scan. at() reads the poses of this scan.
+    /// Stores a reference to the scan, which contains the poses of the sensor.
     /// @param scan must outlive this object
-    /// @param target_from_dataset transform to the frame in which the poses are returned
+    /// @param target_from_dataset transform to the frame in which at() returns poses
     explicit FiringPoses(const RenderedScan& scan, const Pose& target_from_dataset = {});
-    /// Returns the sensor pose at the firing time of a ray, in the target frame:
-    /// `target_from_dataset * scan.world_from_firing(ray)`. The reference is valid until
-    /// the next call.
+    /// Returns the sensor pose at the firing time of a ray: `target_from_dataset *
+    /// scan.get_firing_pose(ray)`. The reference is valid until the next call.
     const Pose& at(std::size_t ray);
 
 private:
@@ -126,30 +125,30 @@ private:
     const RenderedScan& scan_;
     const Pose target_from_dataset_;
     const bool moves_;
-    /// Last computed pose of each column. The array has a single entry if the scan has
-    /// one row or if the sensor does not move.
+    /// Last computed pose of each column, because rays of a column often share their
+    /// firing time. A single entry if the scan has one row or the sensor does not move.
     std::vector<Made> made_;
 };
 
-/// The program prints a warning if the share of rays through unobserved space is above
-/// this limit. The log's own sensor on its recorded path has a share below 0.01. A sensor
-/// in the next lane has a share of a few hundredths.
+/// Limit for the share of rays through space that the log did not observe. The program
+/// prints a warning above this limit. The log's sensor on its recorded path has a share
+/// below 0.01, and a sensor in the next lane a few hundredths.
 inline constexpr double kMuchUnseen = 0.2;
 
 /// Returns the [n] ranges, in metres, at which the points of a scan are placed. The
 /// setting `render.points` selects the median range or the range of the image.
 const std::vector<float>& select_point_ranges(const RenderedScan& scan, const Config& config);
 
-/// Returns the [n] spread of the ranges along each ray, in metres: |mean range - median
-/// range|. The spread is near 0 on a single surface, and large where a ray passes an
-/// edge. It is 0 if the transmittance T never falls below 0.5.
+/// Returns |mean range - median range| of each ray, [n] metres. The value is near 0 on a
+/// single surface, and large where a ray passes an edge. It is 0 if the transmittance
+/// never falls below 0.5.
 std::vector<float> compute_range_spread(const RenderedScan& scan);
 
 /// Computes the inputs of a ray-drop network for a scan.
 /// @param scan should have the channel `incidence`; without it all cosines are 0
-/// @param channels names of the input channels of the network
-/// @param first_origin_m [3] point that sensor positions are relative to, in the
-/// dataset's world frame; see get_first_origin()
+/// @param channels names of the network's input channels
+/// @param first_origin_m [3] result of get_first_origin(). Sensor positions are relative
+/// to this point
 DropImage make_drop_image(const RenderedScan& scan, const std::vector<std::string>& channels,
                           const glm::dvec3& first_origin_m);
 
@@ -157,8 +156,8 @@ DropImage make_drop_image(const RenderedScan& scan, const std::vector<std::strin
 /// @return [3] metres
 glm::dvec3 get_first_origin(const Sequence& sequence);
 
-/// Returns the rendered intensities of a scan. Also returns the values from which random
-/// intensities are drawn: range, spread, incidence and elevation.
+/// Returns the values from which random intensities are drawn: rendered intensity, range,
+/// spread, incidence and elevation of each ray.
 RenderedIntensities get_rendered_intensities(const RenderedScan& scan);
 
 /// Replaces the expected values of a scan by one random sample. A ray returns with
@@ -184,38 +183,37 @@ struct RenderedPoints {
 /// The sensor to simulate.
 struct SensorChoice {
     RayTable rays;  ///< Rays of a sweep. Empty for a Rosette, because its rays differ in every scan.
-    /// Range grid of the output image. The simulated points are binned into this grid
-    /// after rendering. Empty = no binning.
+    /// Range grid of the output image. After rendering, the simulated points are
+    /// projected into this grid. Empty = the image has one pixel per ray.
     std::optional<RangeGrid> grid = {};
-    /// True for a LiDAR of the log. Only then are the drop probabilities that the sensor
-    /// itself causes applied.
+    /// True for a LiDAR of the log. The trained drop probabilities of the sensor itself
+    /// apply only to the log's LiDARs.
     bool is_own = false;
-    /// True if `rays` are the nominal rays of the log's LiDAR. A scan at the time of a
-    /// recorded sweep then uses the measured azimuths of that sweep, unless a ScanRequest
-    /// sets the poses.
+    /// True if `rays` are the nominal rays of a LiDAR of the log. A scan at the time of a
+    /// recorded sweep then uses the azimuths that were measured in this sweep. If a
+    /// ScanRequest sets the poses, the nominal azimuths are used.
     bool follows_sweeps = false;
-    /// Calibration of the beams: range offsets, intensity gains and offsets. If empty,
-    /// the measured values are not changed.
+    /// Calibration of the beams: range offsets, intensity gains and offsets. Empty =
+    /// ranges and intensities are not changed.
     std::vector<Beam> beams = {};
-    /// Pattern of a sensor that does not spin: directions and firing times. If `rays` is
-    /// empty, the pattern generates the rays of each scan.
+    /// Scan pattern of a sensor that does not spin: directions and firing times. If
+    /// `rays` is empty, the rays of each scan are generated from this pattern.
     std::optional<SensorPattern> pattern = {};
     RangeLimits limits = {};  ///< limits of measured ranges
     std::string name = "";
     int lidar = 0;  ///< index of the log's LiDAR that this sensor is or replaces
-    /// Number of returns per ray: 1 or 2. For 2 returns, each ray is split into 9
-    /// sub-rays if the configuration has only 1 sub-ray. The value 0 means
-    /// `sensor.returns` of the configuration.
+    /// Number of returns per ray: 1 or 2, or 0 to use the setting `sensor.returns`. With
+    /// 2 returns, a ray needs several sub-rays. It gets 9 if the settings ask for only 1.
     int returns = 0;
-    /// False: all rays are fired at the scan's time, as in a motion-compensated log. See
-    /// has_rolling_shutter().
+    /// False: all rays are fired at the scan's reference time, as if the scan were
+    /// motion-compensated. See has_rolling_shutter().
     bool rolling_shutter = true;
 };
 
 /// Returns true if the sensor fires its rays at different times. The setting
 /// `sensor.rolling_shutter` = `no` overrides SensorChoice::rolling_shutter. Without a
-/// rolling shutter, all time offsets of a scan are 0, and all points are in the sensor's
-/// frame at the scan's time.
+/// rolling shutter, all rays are fired at the scan's time, and all points are in the
+/// sensor frame at this time.
 bool has_rolling_shutter(const SensorChoice& sensor, const Config& config);
 
 /// Returns a copy of the sensor with the measured azimuths of the log's sweep at this
@@ -233,9 +231,9 @@ SensorChoice align_sensor_with_sweep(const SensorChoice& sensor, std::span<const
 /// only the scans of a LiDAR are known, `rays` is empty and the caller must set the rays
 /// of each scan.
 SensorChoice make_configured_sensor(const Config& config, const Sequence& sequence, int lidar = 0);
-/// Returns the sensor with this name, or the sensor in this file. Valid values are
-/// "native", the name of a sensor, a CSV file and the name of a grid. "kitti360" follows
-/// the setting `sensor.grid_method`.
+/// Returns the sensor with this name or in this file. Possible values: "native" (the
+/// log's LiDAR), a built-in sensor, a sensor file, or a range grid. For the grid
+/// "kitti360", the setting `sensor.grid_method` applies.
 SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence,
                            int lidar = 0);
 
@@ -253,34 +251,33 @@ SensorChoice make_sensor_choice(const MountedSensor& mounted, int lidar = 0);
 /// @throws UsageError if two channels have the same name and different types
 RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vector<Pose>& rig_from_sensor);
 
-/// Request for a scan with explicit poses of the sensor, for example from a trajectory
-/// file or a traffic simulator. Poses are in the dataset's world frame. Times are in the
-/// time of the log (Frame::time_s).
+/// Request for a scan at given poses, for example from a trajectory file or a traffic
+/// simulator. Poses are in the dataset's world frame, times are in the time of the log
+/// (Frame::time_s).
 struct ScanRequest {
     double time_s = 0.0;  ///< time at which the sensor head faces forward, in seconds
     /// Poses of the sensor during the sweep. With a rolling shutter, each ray is fired
     /// from the pose at the firing time of the ray. If the track has a single pose, the
     /// sensor does not move.
     PoseTrack dataset_from_sensor;
-    /// Poses of all actors that are present. If not set, the actors follow their tracks
-    /// in the run, at the time of the scan.
+    /// Poses of all actors that are present. If not set, the actors have the poses of
+    /// their tracks at the time of the scan.
     std::optional<ActorPoses> dataset_from_actor = {};
 };
 
 /// Renders scans of a trained scene. Only one thread may use a renderer, and two
 /// renderers of the same device must not be used simultaneously. With
-/// ShDirection::surfel, a model with n instances is stored n times, because its
-/// intensities depend on the direction from the sensor to each instance. With
-/// ShDirection::ray, one copy is enough.
+/// ShDirection::surfel, intensities depend on the direction from the sensor to an
+/// instance, so each instance needs a copy of its model. With ShDirection::ray, instances
+/// share a model.
 class ScanRenderer {
 public:
     /// Creates a renderer of a scene.
-    /// @throws UsageError for unknown channels, and for channels that need normals if the
-    /// primitives are 3D Gaussians, which have no normals
+    /// @throws UsageError for an unknown channel, or for a channel that needs normals in
+    /// a scene of 3D Gaussians, which have no normals
     ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence);
-    /// Creates a renderer of a run, with the coverage and the intensity model of the run.
-    /// The renderer also applies the ray-drop network if the run has one and
-    /// `refine.enabled` is set.
+    /// Creates a renderer of a run. It uses the coverage and the intensity model of the
+    /// run. It also applies the run's ray-drop network if `refine.enabled` is set.
     ScanRenderer(Device& device, const Run& run);
     ~ScanRenderer();
     /// Hides instances of the scene in all following scans.
@@ -295,35 +292,36 @@ public:
     void refine_drops(const DropNetwork& network);
     /// Adds channels to all following scans, in addition to those of the setting
     /// `render.channels`.
-    /// @throws UsageError for an unknown channel, and for a channel that needs normals if
-    /// the primitives have none
+    /// @throws UsageError for an unknown channel, or for a channel that needs normals in
+    /// a scene of 3D Gaussians
     void enable_channels(const std::string& names);
-    /// Computes RenderedScan::actor_views in all following scans. Traces the rays near
-    /// each actor a second time, without all other surfaces.
+    /// From now on, computes how visible each actor is (RenderedScan::actor_views). For
+    /// this, the rays near each actor are traced a second time, without all other
+    /// surfaces.
     void compute_views();
-    /// Sets the space that the log observed. All following scans are compared with this
-    /// space to set RenderedScan::compute_unseen_share. An empty coverage switches the
-    /// comparison off.
+    /// Sets the space that the log observed. All following scans then report the share of
+    /// rays outside it (RenderedScan::unseen_share). An empty coverage switches this off.
     void compare_with(const Coverage& coverage);
-    /// Sets the statistical intensity model of each LiDAR of the log, for all following
-    /// scans. If a scan is sampled, its intensities are drawn from this model. Otherwise,
-    /// they are rounded to the quantisation steps of the log.
-    /// @param scatter [lidars] if an entry is missing or empty, intensities are as
+    /// Sets the statistical intensity model of each LiDAR of the log. Sampled scans draw
+    /// random intensities from it. All other scans round intensities to the quantisation
+    /// steps of the log.
+    /// @param scatter [lidars] if an entry is missing or empty, intensities stay as
     /// rendered
     void scatter_intensities(const std::vector<IntensityScatter>& scatter);
     /// Sets the weather of all following scans. For a sampled scan, the seed of the
     /// sample also seeds the weather. Other scans use seed 0. Scans with weather have the
     /// channel `source`.
-    /// @throws UsageError as check_weather(), and for weather if all intensities of the
-    /// log are 0
+    /// @throws UsageError if all intensities of the log are 0
+    /// @throws errors of check_weather()
     void set_weather(const Weather& weather);
-    /// Returns true if a network corrects the ray-drop of this sensor's scans.
+    /// Returns true if a ray-drop network corrects the drop probabilities of this
+    /// sensor's scans.
     bool refines(const SensorChoice& sensor) const;
     /// Renders a scan on the recorded path of the log's vehicle.
     /// @param sensor_offset pose of the simulated sensor in the frame of the log's LiDAR.
-    /// With the identity, both sensors have the same pose.
-    /// @param sample seed of sample_returns(); if not set, the scan has expected values
-    /// without noise
+    /// Identity = the same pose.
+    /// @param sample random seed for sample_returns(). If not set, the scan has expected
+    /// values without noise
     RenderedScan render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset = {},
                         std::optional<std::uint64_t> sample = {});
     /// Renders a scan from the poses of a request.
@@ -332,7 +330,7 @@ public:
     /// @throws UsageError for an actor that is not in the scene
     RenderedScan render(const SensorChoice& sensor, const ScanRequest& request,
                         std::optional<std::uint64_t> sample = {});
-    /// Selects when a requested scan is submitted to the GPU: now, or together with the
+    /// When a requested scan is submitted to the GPU: immediately, or together with the
     /// next request.
     enum class Send { now, with_next };
     /// Requests the points of a scan and returns without waiting for the result. The
@@ -348,8 +346,8 @@ public:
     /// render()
     void submit_points(const SensorChoice& sensor, const ScanRequest& request, double points_at_s,
                        std::optional<std::uint64_t> sample = {}, Send mode = Send::now);
-    /// Maximum number of requested scans whose points were not collected with
-    /// wait_for_points(). Two requested scans are enough to keep the device busy.
+    /// Maximum number of scans that were requested and not yet collected with
+    /// wait_for_points(). Two such scans are enough to keep the device busy.
     static constexpr std::size_t kScansInFlight = 64;
     /// Returns the maximum number of scans that the device renders in parallel. The
     /// default is 4 on a GPU, because a single scan does not use the GPU fully. The
@@ -362,7 +360,7 @@ public:
     /// @throws UsageError if `count` is less than 1
     void side_by_side(int count);
     /// Waits for the oldest requested scan and returns its points.
-    /// @param memory points whose memory is reused
+    /// @param memory earlier points, whose memory is reused for the result
     /// @throws UsageError if no scan was requested
     RenderedPoints wait_for_points(Points memory = {});
     const KernelTimes& times() const;
@@ -380,9 +378,9 @@ private:
 /// the same reason.
 RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid);
 
-/// Returns the measured image of a frame with the pixels of the configured sensor, for
-/// comparison with a rendered image. For the native grid, the pixels are those of the
-/// scan. For any other grid, the points of the scan are binned into the grid.
+/// Returns the measured range image of a frame, for comparison with a rendered image of
+/// the configured sensor. For the native grid, its pixels are the rays of the scan. For
+/// any other grid, the points of the scan are projected into the grid.
 RangeImage make_real_image(const Config& config, const Scan& scan);
 
 }  // namespace relidar

@@ -49,25 +49,26 @@ struct PacketFormatOptions {
 struct ScanFormat {
     std::vector<std::string> formats{"npz"};  ///< names of formats, see list_scan_formats()
     PointFrame frame = PointFrame::sensor;
-    /// Used only if points are in the sensor frame. True: all points are in the sensor
-    /// frame at the scan's reference time. False: each point is in the sensor frame at
-    /// the firing time of its ray.
+    /// Used only for points in the sensor frame. True: all points are in the sensor frame
+    /// at the reference time of the scan. False: each point is in the sensor frame at its
+    /// firing time.
     bool deskew = false;
     std::vector<std::string> instance_names;  ///< names by instance: "background" or the track
     /// Tracks of the rendered actors, if only some actors were rendered. Empty if
     /// everything was rendered.
     std::vector<std::string> only;
-    /// Random seed of a sampled scan. Empty if the scan has the most likely values.
+    /// Random seed of a sampled scan. Empty if the scan has expected values without
+    /// noise.
     std::optional<std::uint64_t> sample;
     Weather weather = {};
     std::string run;  ///< folder of the run
     std::string sensor;
     RangeLimits limits;
-    /// Pose of the simulated sensor relative to the log's sensor. If a trajectory is set,
-    /// the pose is relative to the trajectory.
+    /// Pose of the simulated sensor relative to the log's sensor. If `trajectory` is set,
+    /// the pose is relative to the poses of the trajectory.
     Pose offset;
-    /// Mounting of the log's sensor on the vehicle. Needed because recordings also
-    /// contain the vehicle frame.
+    /// Pose of the log's sensor on the vehicle. Recordings need it, because they also
+    /// contain the frame of the vehicle.
     Pose vehicle_from_lidar;
     /// True if the rays of a scan are fired at different times.
     bool rolling_shutter = true;
@@ -88,18 +89,16 @@ struct ScanFormat {
 /// Returns the default format for scans of a run: npz files with rays in the sensor
 /// frame. The simulated sensor has the same poses as the log's sensor.
 ScanFormat make_scan_format(const Run& run, const SensorChoice& sensor);
-/// Returns true if all points of a scan are in the same frame: the world frame, or the
-/// sensor frame at one time. This is the case if the points are converted, or if all rays
-/// are fired at the scan's time. In recordings, the frame has the time stamp of the
-/// message.
+/// Returns true if all points of a scan are in one frame: the world frame, or the sensor
+/// frame at one time (in recordings, the time stamp of the message). This is the case if
+/// points are converted to such a frame, or if all rays are fired at the same time.
 bool is_deskewed(const ScanFormat& format);
-/// Sets the topic and the frame id of a sensor in recordings. The topic is
-/// /lidar/NAME/points, with make_topic_word(NAME), and the frame id is NAME. An empty
-/// name gives the topic /lidar/points and the frame id lidar.
+/// Sets the topic and the frame id of a sensor in recordings to /lidar/NAME/points and
+/// NAME. In the topic, NAME is converted by make_topic_word(). An empty name gives
+/// /lidar/points and lidar.
 /// @param name  name of the log's LiDAR or of the rig's sensor
 void set_recording_name(ScanFormat& format, const std::string& name);
-/// Converts a name to a part of a topic name. Replaces characters that topics do not
-/// allow by _.
+/// Replaces characters that ROS does not allow in topic names by _.
 std::string make_topic_word(const std::string& name);
 
 /// Writes recordings: a file for each recording format, with all scans of a sensor or
@@ -161,7 +160,7 @@ private:
 ///        second return, and in weather source_2;
 ///        each of RenderedScan::channels by its name, [rows,columns], or for vectors
 ///        [rows,columns,3];
-///        unseen: RenderedScan::compute_unseen_share, if it is known;
+///        unseen: RenderedScan::unseen_share, if it is known;
 ///        pose [4,4] world_from_sensor at time_s;
 ///        time_s, frame_number, frame, deskewed, sensor, run, units
 ///   exr  the images as float channels, metadata as string attributes
@@ -179,10 +178,10 @@ public:
     /// known format.
     /// @throws DataError if the folder cannot be written
     ScanFolder(std::filesystem::path folder, ScanFormat format);
-    /// Opens a folder that another process has created for the same rendering. Both
-    /// processes then write scans to this folder. Removes no files.
-    /// @throws UsageError for a recording, because only one process can write it;
-    /// otherwise like the constructor
+    /// Opens a folder that another process has created for the same rendering, so that
+    /// both processes write scans to it. Removes no files.
+    /// @throws UsageError for a recording, because only one process can write it
+    /// @throws errors of the constructor
     static ScanFolder joining(std::filesystem::path folder, ScanFormat format);
     /// Writes the files of a scan.
     /// @param frame  number of the frame
@@ -192,9 +191,9 @@ public:
     /// the last scan.
     void finish();
     const std::filesystem::path& path() const { return folder_; }
-    /// Returns the entries of scans.json for the scans written so far. Each entry is JSON
-    /// without line breaks. set_entries() replaces these entries, for example to include
-    /// entries that other processes have written.
+    /// Returns the entries of scans.json for the scans that this object has written. Each
+    /// entry is JSON without line breaks. set_entries() replaces the entries, for example
+    /// to add those of other processes.
     const std::vector<std::string>& entries() const { return entries_; }
     void set_entries(std::vector<std::string> entries) { entries_ = std::move(entries); }
 
@@ -206,8 +205,8 @@ private:
     ScanFormat format_;
     std::vector<std::string> entries_;
     std::vector<ChannelInfo> channels_;  ///< channels of the scans, in addition to the basic ones
-    /// Recordings of the scans. A shared pointer allows a ScanFolder to be moved. Null in
-    /// a process that joined an existing folder.
+    /// Recordings of the scans. A shared pointer, so that a ScanFolder can be moved. Null
+    /// in a process that joined an existing folder.
     std::shared_ptr<ScanRecordings> recordings_;
 
     /// returns true if `format` is one of ScanFormat::formats
@@ -231,9 +230,9 @@ Image draw_intensity_picture(const RangeImage& image);
 Image draw_drop_picture(const RangeImage& image);
 /// Returns a single picture with range, intensity and drop probability below each other.
 Image draw_scan_picture(const RenderedScan& scan);
-/// Returns the factor by which stack_images() enlarges an image vertically. Without this
-/// factor, the picture would be too flat, because the rows of a LiDAR are farther apart
-/// than its columns.
+/// Returns the factor by which stack_images() stretches an image vertically. LiDAR images
+/// would otherwise look too flat, because the angles between rows are larger than between
+/// columns.
 int compute_picture_stretch(const RangeImage& image);
 /// Returns [rows*columns] values: 1 for pixels with a return, 0 for all others.
 std::vector<float> select_returned_pixels(const RangeImage& image);

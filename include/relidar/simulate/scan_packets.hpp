@@ -11,14 +11,15 @@
 
 namespace relidar {
 
-/// Converts a rendered scan to the form of a measured scan, in which rays without a
-/// return have range 0.
+/// Converts a rendered scan to a measured scan, for example for a packet encoder. Rays
+/// without a return get range 0.
 Scan make_measured_scan(const RenderedScan& scan, const Config& config);
 
-/// Encoders of all sensors of a rig, or of a single sensor.
+/// Converts the scans of a sensor, or of all sensors of a rig, to the network packets
+/// that these sensors send.
 class ScanPackets {
 public:
-    /// @param sensors  formats of the sensors; ScanFormat::packets names the sensor
+    /// @param sensors  one format per sensor. Its `packets` field describes the sensor
     /// @throws UsageError if packets of a sensor cannot be written
     explicit ScanPackets(std::vector<ScanFormat> sensors);
     ~ScanPackets();

@@ -36,8 +36,8 @@ struct Weather {
     double wet_mm = 0.0;     ///< depth of the water on level ground
     Sun sun = {};
     /// Strength of blooming: stray light that a retro-reflector causes in neighbouring
-    /// rays. The value is the apparent reflectivity in rays one degree away from a
-    /// retro-reflector of one square degree. Median over all beams.
+    /// rays. The value is the apparent reflectivity of rays one degree away from a
+    /// retro-reflector of one square degree (median over the beams).
     double bloom = 0.0;
 
     bool clear() const { return *this == Weather{}; }
@@ -70,19 +70,20 @@ struct WeatherSensor {
     /// least 1 m.
     double min_range_m = 0.0;
     double max_range_m = 80.0;
-    /// Half a quantisation step of the sensor's intensities. A surface with a lower
-    /// reflectivity is not detected at the maximum range.
+    /// Half a quantisation step of the intensities. At the maximum range, surfaces with a
+    /// lower reflectivity are not detected.
     double darkest = 0.5 / 255.0;
-    /// Surfaces with a lower reflectivity than this are not detected at any range,
-    /// because receivers are less sensitive to near targets (sensitivity-time control).
-    /// If the value is 0, weakest() is the only threshold.
+    /// Surfaces with a lower reflectivity are not detected at any range, because
+    /// receivers are less sensitive to near targets (sensitivity-time control). 0 =
+    /// weakest() is the only threshold.
     double weakest_reflectivity = 0.0;
 
     /// Returns the minimum power that is detected: the power of the darkest surface at
     /// the maximum range.
     double weakest() const { return darkest / (max_range_m * max_range_m); }
-    /// Returns the minimum power that is detected at a range, for surfaces, fog,
-    /// particles and noise. For mirrored and stray light, the minimum power is weakest().
+    /// Returns the minimum power that the sensor detects at a range. Applies to surfaces,
+    /// fog, particles and noise. For mirrored and stray light, the minimum power is
+    /// weakest().
     double threshold(double range_m) const;
 };
 
@@ -103,8 +104,8 @@ enum class PointSource : std::int32_t {
 /// A possible return of a ray.
 struct Echo {
     double range_m = 0.0;  ///< Range along the ray. It is 0 if the ray has no return.
-    /// Reflectivity of a surface that would return the same power in clear air. If the
-    /// return comes from a surface, the value is in 0..1.
+    /// Reflectivity of a surface that would return the same power in clear air. 0..1 if
+    /// the return really comes from a surface.
     double reflectivity = 0.0;
     PointSource source = PointSource::nothing;
 };
@@ -165,8 +166,8 @@ struct WeatherEffect {
     std::string_view examples;               ///< texts that the viewer offers, separated by spaces
     std::span<const WeatherNumber> numbers;  ///< in the text, colons separate the numbers
     std::size_t n_required = 1;              ///< number of numbers that the text must have
-    /// Returns the extinction coefficient that the effect adds to the air. Null if the
-    /// effect does not attenuate light.
+    /// Returns the effect's contribution to the extinction coefficient of the air. Null
+    /// if the effect does not attenuate light.
     double (*extinction)(const Weather&) = nullptr;
     /// Creates the object that applies the effect to the rays of a scan. Returns null if
     /// no ray has the effect.

@@ -29,19 +29,20 @@ namespace relidar {
 struct Checkpoint;
 struct Run;
 
-/// Entry of the training log. It summarises the iterations since the previous entry.
+/// Line of the training log. It summarises the iterations since the previous line.
 struct TrainProgress {
     int iteration = 0;
     int n_iterations = 0;
     double seconds = 0.0;  ///< Seconds since training started.
     double iterations_per_second = 0.0;
     double eta_s = 0.0;
-    /// Weighted loss terms, averaged over the iterations since the previous entry.
+    /// Weighted loss terms, averaged over the iterations since the previous line of the
+    /// log.
     std::array<double, kLossTerms> terms{};
     double loss = 0.0;
     std::uint32_t n_surfels = 0;
-    /// Sums of the surfels added and removed since the previous entry. The fields
-    /// `before` and `after` belong to the last densification.
+    /// Numbers of surfels added and removed since the previous line of the log. The
+    /// fields `before` and `after` are those of the last densification.
     DensifyReport densified;
 };
 
@@ -60,12 +61,12 @@ struct RefinedPoses {
     std::vector<BoxTrack> boxes;
 };
 
-/// Result of a training. If the training was resumed, `log` and the times include all
-/// sessions since the first start.
+/// Result of a training. If a training was interrupted and resumed, its log and times
+/// cover all sessions since the start.
 struct TrainResult {
     Scene scene;
-    /// Corrected poses for rendering the scene. nullopt if training used the poses of the
-    /// log unchanged.
+    /// Poses that training has corrected, and with which scans should be rendered.
+    /// nullopt if training used the poses of the log unchanged.
     std::optional<RefinedPoses> poses;
     Coverage coverage;  ///< Space that the training frames have observed.
     std::vector<TrainProgress> log;
@@ -77,19 +78,19 @@ struct TrainResult {
     bool interrupted = false;  ///< True if training stopped before the last iteration.
 };
 
-/// Callback that receives the lines of the training log. A line arrives a few iterations
-/// after the last iteration that it describes. If the callback returns false, training
-/// stops after the current iteration and returns the current scene.
+/// Callback for each line of the training log. A line arrives a few iterations after the
+/// last iteration that it describes. To stop the training, the callback returns false.
+/// Training then returns the current scene.
 using ProgressCallback = std::function<bool(const TrainProgress&)>;
 
 /// Checkpoints, callbacks and stop condition of a training that may take days.
 struct TrainSession {
-    /// Folder for checkpoints. Empty = no checkpoints. A checkpoint is written at the
-    /// intervals train.checkpoint_* and when training stops early.
+    /// Folder for checkpoints. Empty = no checkpoints. Checkpoints are written at the
+    /// intervals of the settings train.checkpoint_*, and when training stops early.
     std::filesystem::path checkpoints;
     /// Checkpoint from which training resumes. Null = start from the beginning.
     const Checkpoint* start = nullptr;
-    /// Callback after every iteration. If the callback returns true, training stops.
+    /// Callback after every iteration. It returns true to stop the training.
     std::function<bool()> stop;
     /// Callback that receives one-line messages, for example about a full disk. These
     /// messages are not in the training log.
@@ -104,11 +105,10 @@ struct TrainSession {
 
 /// Callbacks and process group for prepare_log().
 struct PrepareSession {
-    /// Callback that receives one line of text about each estimate, as soon as the
-    /// estimate is available.
+    /// Callback for one line of text about each estimate, as soon as it is available.
     std::function<void(const std::string&)> tell;
-    /// Callback that is polled from time to time. If it returns true, the preparation
-    /// stops.
+    /// Callback that is polled during the preparation. It returns true to stop the
+    /// preparation.
     std::function<bool()> stop;
     Progress progress = {};        ///< Function that receives the progress of slow steps.
     StageTimes* stages = nullptr;  ///< Output: times of the stages "register", "calibrate" and "movers".
@@ -149,13 +149,13 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
 /// Callbacks of place_held_out(), which corrects the poses of held-out scans.
 struct PlaceSession {
     Progress progress = {};
-    /// Callback before each scan. If the callback returns true, the correction of poses
-    /// stops and no pose changes.
+    /// Callback before each scan. It returns true to stop the correction of poses. No
+    /// pose is then changed.
     std::function<bool()> stop = {};
 };
 
-/// Result of place_held_out(): the number of held-out scans, the number of corrected
-/// poses, and the distances by which these poses moved.
+/// Result of place_held_out(): the number of held-out scans, how many of their poses were
+/// corrected, and by what distances.
 struct HeldOutPlacement {
     std::size_t scans = 0, placed = 0;
     double median_m = 0.0, largest_m = 0.0;
@@ -177,8 +177,7 @@ struct RefineSession {
     Progress progress = {};  ///< Function that receives the progress of rendering the training frames.
     /// Function that is called after each training step.
     std::function<void(const RefineProgress&)> step = {};
-    /// Callback after each frame and each step. If the callback returns true, training
-    /// stops.
+    /// Callback after each frame and each step. It returns true to stop the training.
     std::function<bool()> stop = {};
     /// Folder for checkpoints of the network. Empty = no checkpoints. Checkpoints are
     /// written after each epoch, at the interval train.checkpoint_minutes, and when
@@ -223,26 +222,26 @@ void restore_refine_settings(const Checkpoint& checkpoint, Config& config);
 /// Callbacks of learn_scatter(), which estimates the scatter of intensities.
 struct ScatterSession {
     Progress progress = {};
-    /// Callback before each frame. If the callback returns true, the function stops.
+    /// Callback before each frame. It returns true to stop.
     std::function<bool()> stop = {};
 };
 
-/// Fits, for each LiDAR, a model of the difference between measured and rendered
-/// intensities. Renders the scene of the run for some training frames. The run's sequence
-/// must contain the scans.
-/// @return [lidars]. The entry of a LiDAR with too few returns is empty. The vector is
-/// empty if stopped.
+/// Fits a statistical model of the measured intensities, given the rendered intensities,
+/// for each LiDAR. Renders some training frames of the run, whose sequence must contain
+/// the scans.
+/// @return [lidars] models, empty for a LiDAR with too few returns. An empty vector if
+/// stopped
 std::vector<IntensityScatter> learn_scatter(Device& device, const Run& run,
                                             const ScatterSession& session = {});
 
-/// Reason why a training ended: it did all its steps, or a callback stopped it.
+/// Reason why a training ended: all steps are done, or a callback stopped it.
 enum class TrainingEnd { finished, stopped };
 
 /// Callbacks of train_actors(), which trains the actors of a scene with blocks.
 struct ActorSession {
     /// Function that is called after each training step.
     std::function<void(int step, int n_steps)> step = {};
-    /// Callback after each training step. If the callback returns true, training stops.
+    /// Callback after each training step. It returns true to stop the training.
     std::function<bool()> stop = {};
 };
 
@@ -258,8 +257,8 @@ struct ActorSession {
 /// @throws DataError if a block cannot be read or a loss is not finite
 TrainingEnd train_actors(Device& device, Run& run, const ActorSession& session = {});
 
-/// Moves the scene and the coverage from a training result into a run. Also moves the
-/// poses if training has corrected them.
+/// Moves the scene, the coverage and the corrected poses (if any) from a training result
+/// into a run.
 void move_result(Run& run, TrainResult& result);
 
 /// Checks that a training can resume with this log and these settings. train.iterations
@@ -272,8 +271,8 @@ void move_result(Run& run, TrainResult& result);
 /// @throws DataError if the log differs. The message names the differing part.
 void check_resumable(const Checkpoint& checkpoint, const Sequence& sequence, const Split& split,
                      const Config& config);
-/// Returns the name of the first setting that differs between two configs and prevents
-/// resuming the training. Returns an empty string if there is no such setting.
+/// Compares two configs. Returns the name of the first setting whose difference prevents
+/// resuming a training. Returns an empty string if there is none.
 std::string find_differing_setting(const Config& config, const Config& other);
 /// Returns the training log that is stored in a checkpoint.
 /// @throws DataError if the checkpoint is not a training checkpoint

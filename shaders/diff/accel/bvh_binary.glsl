@@ -14,14 +14,15 @@ bool is_leaf(uint child) { return (child & RELIDAR_BVH_LEAF) != 0u; }
 uint count_surfels_in(uint decisions) { return decisions & 15u; }
 uint compute_left_share(uint decisions, uint n_slots) { return (decisions >> (3u * n_slots - 2u)) & 7u; }
 
-/// Returns the number of surfels in the subtree of a child, at most 15.
+/// Returns the number of surfels below a child of a binary node. Numbers above 15 are
+/// returned as 15.
 uint count_surfels(BvhBinary tree, uint child) {
     return is_leaf(child) ? 1u : count_surfels_in(tree.decisions.at[child]);
 }
 bool is_inner_slot(BvhBinary tree, uint child) { return count_surfels(tree, child) > RELIDAR_BVH_LEAF_SIZE; }
 
-/// Finds the children of the wide node (up to eight children) that replaces a binary
-/// node. Writes the children to `slots` from left to right.
+/// Finds the up to eight children of the wide node that replaces a binary node. Writes
+/// them to `slots` from left to right.
 /// @return number of children
 uint collect_slots(BvhBinary tree, uint node, out uint slots[RELIDAR_BVH_WIDTH]) {
     slots[0] = node;
@@ -51,7 +52,7 @@ uint collect_slots(BvhBinary tree, uint node, out uint slots[RELIDAR_BVH_WIDTH])
 }
 
 /// Finds the surfels of a subtree that becomes a leaf. Writes their positions in the
-/// sorted order.
+/// sorted list of surfels.
 /// @param slot root of the subtree
 /// @return number of surfels
 uint collect_surfels(BvhBinary tree, uint slot, out uint positions[RELIDAR_BVH_LEAF_SIZE]) {

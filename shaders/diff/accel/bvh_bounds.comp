@@ -29,8 +29,8 @@ void main() {
         Box b = load_box(params.boxes, i);
         if (is_empty(b)) continue;
         uint first_surfel = params.models.at[model].first_surfel;
-        // Checks whether surfel i belongs to another model. If the surfel precedes the
-        // model, the unsigned difference wraps to a large number.
+        // Tests whether surfel i is outside the current model. If i is less than
+        // first_surfel, the unsigned difference wraps to a large number.
         if (i - first_surfel >= params.models.at[model].n_surfels) {
             if (!is_empty(bounds)) add_to_model(model, bounds.low, bounds.high);
             bounds = make_empty_box();

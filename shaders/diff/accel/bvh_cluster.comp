@@ -34,24 +34,23 @@ struct Cluster {
     uint root;   // node or leaf
     uint spare;  // Sorted position in this subtree that no node uses as its index yet.
 };
-// Clusters as a structure of arrays. Lanes read the same field of neighbouring clusters,
-// which are in different memory banks.
+// Clusters, stored as one array per field. Lanes read the same field of neighbouring
+// clusters, so they access different memory banks.
 shared vec3 low_of[ROOM], high_of[ROOM];
 shared uint root_of[ROOM], spare_of[ROOM];
 shared uint nearest[ROOM];
-// Two neighbouring ranges to join. x, y and z are the first position, the last position
-// of the left range and the last position of the right range. w is the model index if
-// both ranges together cover the model, otherwise -1.
+// Two neighbouring ranges to join: x to y and y + 1 to z. w is the model index if both
+// ranges together contain the complete model, otherwise -1.
 shared ivec4 task;
 
-/// Makes the writes of a subgroup to shared memory visible to all its lanes.
+/// Waits until all lanes of the subgroup see each other's writes to shared memory.
 void synchronise_subgroup() {
     subgroupMemoryBarrierShared();
     subgroupBarrier();
 }
 
-/// Returns the number of leading bits that the sorted keys `index` and index + 1 have in
-/// common. Returns -1 at the ends of the model.
+/// Returns the number of leading bits that are equal in the sorted keys `index` and index
+/// + 1. Returns -1 if one of these keys belongs to another model.
 int count_common_bits(int index, int first, int last) {
     if (index < first || index >= last) return -1;
     uvec2 a = params.keys.at[index], b = params.keys.at[index + 1];
@@ -95,9 +94,9 @@ uint load_clusters(int from, int to, uint count) {
     return count + n_range;
 }
 
-/// Returns the neighbour for which the union of both bounding boxes is smallest. Of
-/// several equal neighbours, returns the first. This rule guarantees at least one pair of
-/// mutual nearest neighbours.
+/// Returns the neighbour that gives the smallest joint bounding box. Of several equal
+/// neighbours, returns the first, so that at least one pair of clusters are mutual
+/// nearest neighbours.
 uint find_nearest_cluster(uint index, uint count) {
     Box own = get_box(index);
     float least = BOX_HUGE;
@@ -139,8 +138,8 @@ uint merge_mutual(uint count) {
         if (kept && mutual) c = merge_clusters(c, cluster_of(j));
         synchronise_subgroup();
         uvec2 lanes = subgroupBallot(kept).xy, before = lanes & gl_SubgroupLtMask.xy;
-        // Overwriting is safe here, because all lanes have already read their clusters
-        // and the target index is at most i.
+        // Overwriting is safe, because all lanes have already read their clusters and no
+        // cluster moves to a higher index.
         if (kept) store_cluster(n_kept + uint(bitCount(before.x) + bitCount(before.y)), c);
         n_kept += uint(bitCount(lanes.x) + bitCount(lanes.y));
     }
@@ -165,10 +164,9 @@ void join_ranges() {
     if (n < KEPT && gl_SubgroupInvocationID == 0u) roots.at[task.x + n] = RELIDAR_BVH_NO_NODE;
 }
 
-/// Registers a range at the split between this range and its neighbour. The thread that
-/// registers second continues with the joined range.
-/// @return true if the neighbour was registered before. Then `from` and `to` also include
-/// the neighbour
+/// Joins a range with its neighbour. Both ranges are processed by different threads, and
+/// only the second one to arrive here continues with the joined range.
+/// @return true for this second thread. `from` and `to` then include the neighbour
 bool join_neighbour_range(inout int from, inout int to, out int split, int first, int last) {
     bool leftward = count_common_bits(from - 1, first, last) > count_common_bits(to, first, last);
     split = leftward ? from - 1 : to;

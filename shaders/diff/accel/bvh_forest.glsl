@@ -21,9 +21,9 @@ Box load_box(Floats boxes, uint index) {
                vec3(boxes.at[6 * index + 3], boxes.at[6 * index + 4], boxes.at[6 * index + 5]));
 }
 
-// Buffers for values that another subgroup of the same launch reads after a barrier or an
-// atomic counter. They must be coherent, because each core of a GPU may have a separate
-// cache. The plain pointers in shared/ are not coherent.
+// Buffers through which subgroups of one launch exchange values. They are declared
+// coherent, because each core of a GPU may have a separate cache. The plain pointers in
+// shared/ are not coherent.
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedFloats { float at[]; };
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedUints { uint at[]; };
 layout(buffer_reference, scalar, buffer_reference_align = 8) coherent buffer SharedUvec2s { uvec2 at[]; };
@@ -52,8 +52,8 @@ float compute_half_area(Box box) {
     return e.x * e.y + e.y * e.z + e.z * e.x;
 }
 
-/// Maps floats to unsigned integers that have the same order, so that integer atomics can
-/// compute minima.
+/// Maps a float to an unsigned integer with the same order. Integer atomics can then
+/// compute minima of floats.
 uint to_ordered_bits(float value) {
     uint bits = floatBitsToUint(value);
     return (bits & 0x80000000u) != 0u ? ~bits : bits | 0x80000000u;

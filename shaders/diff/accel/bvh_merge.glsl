@@ -10,16 +10,17 @@ struct Subtree {
     float area;
 };
 
-/// Loads the costs of a subtree. Entry k is the cost if the subtree may use at most k
-/// child slots of a wide node (1 ... 7). The cost of a leaf is the same for all k.
+/// Loads the costs of a subtree for 1 to 7 child slots. costs[k] is the traversal cost if
+/// the subtree may occupy at most k slots of a wide node. A leaf costs the same for all
+/// k.
 void load_costs(BvhBinary tree, Subtree subtree, out float costs[RELIDAR_BVH_WIDTH]) {
     for (uint k = 1u; k < RELIDAR_BVH_WIDTH; ++k)
         costs[k] = is_leaf(subtree.root) ? subtree.area * SURFEL_COST
                                          : SharedFloats(uvec2(tree.costs)).at[7u * subtree.root + k - 1u];
 }
 
-/// Computes the costs of a node from the costs of both children. Also chooses how many
-/// slots of a wide node each child receives.
+/// Computes the costs of a node from the costs of its children. For each number of child
+/// slots, also decides how many of them the left child gets.
 void write_costs(BvhBinary tree, uint node, Subtree left, Subtree right, float area) {
     float in_left[RELIDAR_BVH_WIDTH], in_right[RELIDAR_BVH_WIDTH];
     load_costs(tree, left, in_left);

@@ -5,7 +5,8 @@
 #ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_MORTON_GLSL
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_MORTON_GLSL
 
-/// Inserts two zero bits before each bit of a 10-bit number, as a Morton code requires.
+/// Inserts two zero bits between the bits of a 10-bit number. Three such numbers are
+/// interleaved to a Morton code.
 uint spread_bits(uint cell) {
     cell = (cell | (cell << 16)) & 0x030000ffu;
     cell = (cell | (cell << 8)) & 0x0300f00fu;

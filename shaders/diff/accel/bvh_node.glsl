@@ -11,8 +11,8 @@ float decode_bound(float origin, uint quantised, float scale) {
     return x;
 }
 
-/// Returns the smallest exponent e for which 255 steps of 2^(e - 127) reach from low to
-/// high. The steps are limited to normal floats between 2^-126 and 2^126.
+/// Returns the smallest exponent e for which 255 quantisation steps of 2^(e - 127) reach
+/// from low to high. The steps are limited to normal floats, 2^-126 to 2^126.
 uint compute_exponent(float low, float high) {
     uint bits = floatBitsToUint((high - low) / 255.0);
     uint e = clamp((bits >> 23) + ((bits & 0x7fffffu) != 0u ? 1u : 0u), 1u, 253u);
@@ -37,7 +37,7 @@ struct NodeGrid {
     uvec3 exponents;
 };
 
-/// Returns the quantisation grid of a node.
+/// Returns the grid to which the child boxes of a node are quantised.
 /// @param bounds bounding box of the node
 NodeGrid make_node_grid(Box bounds) {
     Box frame = is_empty(bounds) ? Box(vec3(0.0), vec3(0.0)) : bounds;
@@ -46,8 +46,9 @@ NodeGrid make_node_grid(Box bounds) {
                                      compute_exponent(frame.low.z, frame.high.z)));
 }
 
-/// Quantises the box of a child along all three axes, in the format of quantised().
-/// Returns an inverted box (low above high), which no ray hits, if the child is empty.
+/// Quantises the box of a child along all three axes. Each component has the lower bound
+/// in bits 0-7 and the upper bound in bits 8-15. An empty child gets an inverted box (low
+/// above high), which no ray hits.
 uvec3 quantise_box(NodeGrid grid, Box child) {
     if (is_empty(child)) return uvec3(255u);
     return uvec3(quantised(grid.origin.x, grid.exponents.x, child.low.x, child.high.x),

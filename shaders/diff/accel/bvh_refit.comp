@@ -28,8 +28,8 @@ const uint OF_LANE = RELIDAR_BVH_WIDTH / OF_NODE;                            // 
 uint lane() { return gl_SubgroupInvocationID % OF_NODE; }
 uint get_slot(uint index) { return index * OF_NODE + lane(); }
 
-/// Returns the union of the boxes of all lanes that process the same node. Uses shuffles,
-/// so all lanes of the subgroup must call this function.
+/// Returns the union of the boxes of all lanes that process the same node. All lanes of
+/// the subgroup must call this function, because it uses shuffles.
 Box join_boxes_over_node(Box box) {
     for (uint step = 1u; step < OF_NODE; step *= 2u)
         box = join_boxes(box, Box(subgroupShuffleXor(box.low, step), subgroupShuffleXor(box.high, step)));
@@ -55,8 +55,8 @@ Box make_child_box(uint node, uint slot, uint first_surfel, uint inner_mask) {
     return b;
 }
 
-/// Computes the boxes of one node with a group of eight lanes. Uses shuffles, so groups
-/// without a node must also call this function.
+/// Computes the boxes of one node with a group of eight lanes. Groups without a node must
+/// call this function too, because it uses subgroup shuffles.
 void refit_node(bool has_node, uint node, uint first_surfel, uint inner_mask) {
     Box children[2], bounds = make_empty_box();
     for (uint k = 0u; k < OF_LANE; ++k) {
@@ -78,11 +78,11 @@ void refit_node(bool has_node, uint node, uint first_surfel, uint inner_mask) {
     store_shared_box(params.wide.boxes, node, bounds);
 }
 
-/// Increments the number of finished children of a parent node, after all earlier writes
-/// are visible.
-/// @param arrives true if this lane group has finished a child
+/// Counts the finished children of a parent node with an atomic counter. Memory barriers
+/// make the boxes of all children visible to the caller.
+/// @param arrives true if this group of lanes has finished a child
 /// @param expected number of children of the parent
-/// @return true for the last child, which then sees the writes of all other children
+/// @return true for the group that finished the last child
 bool count_finished_child(bool arrives, uint node, uint expected) {
     bool last = false;
     memoryBarrierBuffer();
@@ -92,8 +92,8 @@ bool count_finished_child(bool arrives, uint node, uint expected) {
     return broadcast_from_first_lane(last);
 }
 
-/// Computes the boxes of a node without inner children. Then does the same for each
-/// ancestor whose children are all finished.
+/// Computes the boxes of a node without inner children. Then continues with each ancestor
+/// whose children are all finished.
 void refit_ancestors(bool has_node, uint node) {
     uint inner_mask = has_node ? params.wide.nodes.at[node].exponents >> 24 : 1u;
     uvec2 link = has_node ? params.wide.links.at[node] : uvec2(RELIDAR_BVH_NO_NODE);

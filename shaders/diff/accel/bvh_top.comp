@@ -5,7 +5,7 @@
 // tree without instances consists of one empty node.
 //
 // Uses one workgroup of 256 threads, because a scene has at most hundreds of instances.
-// Input: instances, model_of, models, model_boxes. Output: roots, count_top_nodes,
+// Input: instances, model_of, models, model_boxes. Output: roots, top_nodes,
 // top_order. Memory traffic: at least 112 B read per instance. The sort takes n log^2 n
 // steps.
 #version 460
@@ -28,10 +28,9 @@ void synchronise() {
     barrier();
 }
 
-/// Returns a world box that contains a moving model during the full time span of its
-/// instance. The box includes a margin for the rounding error of the transform. A
-/// rotation moves a point by less than the angle times its distance from the model's
-/// origin.
+/// Returns a box in the world frame that contains a moving model at all times of its
+/// motion. The box has a margin for rounding errors. A rotation moves a point by less
+/// than the angle times the distance from the model's origin.
 Box make_world_box(InstanceEntry instance, Box model) {
     vec3 x = cross(instance.row1.xyz, instance.row2.xyz), y = cross(instance.row2.xyz, instance.row0.xyz),
          z = cross(instance.row0.xyz, instance.row1.xyz);
@@ -49,9 +48,9 @@ Box make_world_box(InstanceEntry instance, Box model) {
     return Box(centre - grown, centre + grown);
 }
 
-/// Computes the world boxes and the root nodes of all instances. Sets the sort keys to 0,
-/// or to ABSENT for absent instances.
-/// @return bounds of the box centres that this thread has computed
+/// Computes the world boxes and the root nodes of all instances. Initialises the sort
+/// keys to 0, or to ABSENT for absent instances, which are sorted to the end.
+/// @return bounds of the centres of the boxes that this thread has computed
 Box place_instances() {
     Box centres = make_empty_box();
     for (uint i = get_scan_thread(); i < params.n_padded; i += RELIDAR_BVH_WORKGROUP) {

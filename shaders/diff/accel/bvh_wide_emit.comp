@@ -21,8 +21,8 @@ void main() {
     uint place = entry < params.n_models ? entry : params.places.at[node];
     node &= ~RELIDAR_BVH_LEAF;
     uvec2 start = params.offsets.at[node] + params.tiles.at[node / RELIDAR_BVH_TILE];
-    // Finds the model by the node's index, because this index is also the position of a
-    // sorted surfel of the same model.
+    // A node has the same index as a sorted surfel of its model, so find_model() also
+    // works for nodes.
     uint model = find_model(params.models, params.n_models, node);
     uint first_surfel = params.models.at[model].first_surfel;
     uint first_child = params.n_models + start.x;

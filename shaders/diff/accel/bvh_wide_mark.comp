@@ -21,8 +21,8 @@ RELIDAR_CONSTANT(uint, UNTIL_DONE, 0u);
 RELIDAR_PARAMS(BvhWideParams);
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedUints { uint at[]; };
 
-/// Finds a child that is a wide node and whose children all fit into the parent. Replaces
-/// the child by its children.
+/// Replaces one child that is a wide node by its children, if they all fit into the
+/// parent.
 /// @return false if no child was replaced
 bool open_child(inout uint slots[RELIDAR_BVH_WIDTH], inout uint n_slots) {
     for (uint s = 0u; s < n_slots; ++s) {
@@ -61,7 +61,8 @@ void mark(uint entry) {
             SharedUints(uvec2(params.queue)).at[at++] = slots[s];
 }
 
-/// Processes this level and all lower levels with one workgroup.
+/// Processes the remaining levels of the tree with a single workgroup, from this level
+/// downwards.
 void mark_rest(uint begin) {
     for (uint end = level_end; begin < end;) {
         for (uint entry = begin + gl_LocalInvocationIndex; entry < end; entry += gl_WorkGroupSize.x)

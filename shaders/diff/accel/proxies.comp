@@ -20,18 +20,19 @@
 RELIDAR_CONSTANT(uint, BOXES, 0u);
 RELIDAR_PARAMS(ProxyParams);
 
-// Golden ratio phi, for the corners of the icosahedron: even permutations of (0, +-1,
+// Golden ratio phi. The corners of an icosahedron are the even permutations of (0, +-1,
 // +-phi).
 const float kPhi = 1.618033988749895;
-// Scale factor that gives the inscribed sphere of the icosahedron the radius 1: sqrt(3) /
+// Factor that scales the icosahedron so that its inscribed sphere has radius 1: sqrt(3) /
 // phi^2.
 const float kCircumscribed = 0.66158453824961;
 // Radius of the circumscribed sphere of the scaled icosahedron: sqrt(1 + phi^2)
 // kCircumscribed.
 const float kOuterRadius = 1.25840857236482;
 
-/// Returns a half axis of the proxy from a record axis a / s. The half axis has the
-/// direction of a. Its length is `factor` s plus the margin.
+/// Returns a half axis of the shape around a surfel, from the axis a / s in the surfel's
+/// record. The half axis has the direction of a and the length `factor` s plus the
+/// margin.
 vec3 compute_half_axis(vec3 axis, float factor) {
     float inverse_scale = length(axis);
     float half_size = factor / inverse_scale * params.margin_scale + params.margin_m;

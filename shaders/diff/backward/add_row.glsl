@@ -14,24 +14,23 @@
 RELIDAR_CONSTANT(uint, COALESCED_ATOMICS, 0u);
 
 const uint kNoRow = 0xffffffffu;
-// Number of floats between two rows in shared memory. An odd number lets lanes access the
-// same column of different rows in different memory banks.
+// Distance between two rows in shared memory, floats. With an odd number, lanes that read
+// the same column of different rows access different memory banks.
 const uint kRowPitch = 17u;
 shared float shared_rows[COALESCED_ATOMICS != 0u ? gl_WorkGroupSize.x * kRowPitch : 1u];
 shared uint shared_targets[COALESCED_ATOMICS != 0u ? gl_WorkGroupSize.x : 1u];
 
 /// Returns true if the lanes of a subgroup exchange rows through shared memory. All lanes
-/// must then call add_row() together. The result is the same for all lanes of a
-/// workgroup. If the subgroups are not full, rows are not exchanged, because the missing
-/// lanes would not add their floats.
+/// must then call add_row() together. In subgroups that are not full, rows are not
+/// exchanged, because nobody would add the floats of the missing lanes.
 bool rows_are_exchanged() {
     return COALESCED_ATOMICS != 0u && gl_NumSubgroups * gl_SubgroupSize == gl_WorkGroupSize.x;
 }
 
 uint shared_row_index() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
 
-/// Adds `amount` to array[16 row + index]. If lanes exchange rows, the addition happens
-/// in the next add_row() of the same row.
+/// Adds `amount` to array[16 row + index]. If lanes exchange rows, only stores the
+/// amount, and the next add_row() of this row adds it.
 void add_float(Floats array, uint row, uint index, float amount) {
     if (rows_are_exchanged()) shared_rows[shared_row_index() * kRowPitch + index] = amount;
     else atomic_add(array, 16u * row + index, amount);
@@ -46,7 +45,8 @@ void add_row(Floats array, uint row, uint is_needed) {
     if (!rows_are_exchanged()) return;
     shared_targets[shared_row_index()] = row;
     subgroupBarrier();
-    // Groups of n lanes add n rows together. Lane k % n adds float k of each row.
+    // A group of n lanes adds n rows, one after another. For each row, lane number k % n
+    // adds float k, so that neighbouring lanes write neighbouring addresses.
     uint n = min(16u, gl_SubgroupSize), lane = gl_SubgroupInvocationID % n;
     uint first = shared_row_index() - lane;
     for (uint from = first; from < first + n; ++from) {

@@ -10,7 +10,7 @@ float chunk_transmittance[SLOTS];
 float chunk_w[SLOTS];
 float chunk_shade[SLOTS];
 
-/// State of the blending that one chunk of hits passes to the next chunk.
+/// State of the blending along a ray, after the hits that were processed so far.
 struct BlendState {
     float shift;
     float transmittance;
@@ -28,8 +28,8 @@ bool has_gradient(RayGradient gradient) {
     return any_gradient;
 }
 
-/// Returns the derivative of the loss with respect to the blending weight of a hit: the
-/// dot product gradient . c of gradients and channel values.
+/// Returns the derivative of the loss with respect to the blending weight of a hit. It is
+/// the sum over all blended values of gradient times the hit's value.
 float compute_shade(TraceScene scene, Ray ray, RayGradient gradient, Hit hit) {
     vec3 channels = evaluate_hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
     float shade = 0.0;
@@ -41,7 +41,7 @@ float compute_shade(TraceScene scene, Ray ray, RayGradient gradient, Hit hit) {
 }
 
 /// Blends the first `count` hits of the buffer from near to far. Subtracts their
-/// contributions from `state.remaining`.
+/// contributions to the loss from `state.remaining`.
 void blend_chunk(TraceScene scene, Ray ray, RayGradient gradient, uint count, inout BlendState state) {
     for (uint i = 0u; i < count; ++i) {
         Hit hit = load_hit(i);

@@ -19,13 +19,14 @@
 RELIDAR_PARAMS(GatherParams);
 #include "gather.glsl"
 
-/// Adds the gradient of hit `index` to the sums of this thread.
+/// Adds the gradient of hit `index` to the local sums of this thread.
 /// @return the instance of the hit
 uint add_hit_gradients(TraceScene scene, uint index, uint row) {
     HitRecord h = params.hits.at[params.slots.at[index]];
     InstanceEntry m = scene.instances.at[h.instance];
     DeviceRay entry = scene.rays.at[scene.first_ray + h.ray * scene.ray_stride];
-    // Invalidates the cached ray, because this hit may belong to a different ray.
+    // Invalidates the cached ray in the model frame, because this hit may belong to
+    // another ray.
     entered_instance = kNoInstance;
     ray_basis_instance = kNoInstance;
     if (LIKELIHOOD != 0u) load_measurement(scene, h.ray);

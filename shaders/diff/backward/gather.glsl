@@ -8,9 +8,9 @@ float sums[16];
 float sh_sums[RELIDAR_SH_FLOATS];
 
 uint get_part_width() { return SH_PER_SURFEL != 0u ? 16u : 16u + RELIDAR_SH_FLOATS; }
-// Returns the index of the partial sum of a row that began in an earlier block.
+// Returns where a block stores its partial sum of a row that began in an earlier block.
 uint get_head_index(uint block) { return 2u * block * get_part_width(); }
-// Returns the index of the partial sum of a row that continues in the next block.
+// Returns where a block stores its partial sum of a row that continues in the next block.
 uint get_tail_index(uint block) { return get_head_index(block) + get_part_width(); }
 uint n_sorted() { return min(params.n_hits.at[0], params.capacity); }
 uint get_block_end(uint block) { return min((block + 1u) * RELIDAR_GATHER_BLOCK, n_sorted()); }
@@ -21,8 +21,9 @@ void clear_sums() {
         for (uint k = 0u; k < RELIDAR_SH_FLOATS; ++k) sh_sums[k] = 0.0;
 }
 
-/// Adds this thread's sums to a row. Only one thread of a launch adds to each row. Two
-/// threads may add to the spherical-harmonic coefficients of a model with two instances.
+/// Adds the sums of this thread to a gradient row, to which no other thread adds. The
+/// gradients of spherical harmonics need atomics, because two instances may share the
+/// coefficients.
 void add_to_row(uint row, uint instance) {
     for (uint k = 0u; k < 16u; ++k) params.d_records.at[16u * row + k] += sums[k];
     if (SH_PER_SURFEL != 0u) return;

@@ -13,18 +13,18 @@ RELIDAR_PARAMS(PoseBlocksParams);
 
 vec3 load_vec3(Floats array, uint row) { return vec3(array.at[row], array.at[row + 1], array.at[row + 2]); }
 
-/// Returns the gradient with respect to a small rotation of the view direction. A
-/// rotation of the model turns the view direction the opposite way, so the caller
-/// subtracts this gradient. Floats 7, 11 and 15 of a row contain it if spherical
-/// harmonics are evaluated per hit.
+/// Returns the gradient of a small rotation of the viewing direction. Kernels that
+/// evaluate spherical harmonics per hit store it in floats 7, 11 and 15 of a row. The
+/// caller subtracts it, because a rotation of the model turns the viewing direction the
+/// opposite way.
 vec3 load_turn(uint row) {
     return vec3(params.d_records.at[row + 7], params.d_records.at[row + 11], params.d_records.at[row + 15]);
 }
 
 bool is_zero(vec3 vector) { return vector == vec3(0.0); }
 
-/// Adds the gradient of one surfel to the sum. Skips surfels without a gradient, so that
-/// their records need not be loaded.
+/// Adds the gradient of one surfel to the pose gradient of its model. Does not load the
+/// records of surfels whose gradient is zero.
 void add_surfel(PoseBlock block, uint index, inout PoseSum sum) {
     uint surfel = block.first_surfel + index, row = 16u * (block.first_row + index);
     vec3 d_mean = load_vec3(params.d_records, row), d_axis_u = load_vec3(params.d_records, row + 4u);

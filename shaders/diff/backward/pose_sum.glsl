@@ -11,8 +11,8 @@ struct PoseSum {
 };
 shared PoseSum pose_partial[gl_WorkGroupSize.x];  // the size is a power of two
 
-/// Returns the sum over all threads of the workgroup. Only the first thread gets the
-/// result. Every thread of the workgroup must call this function.
+/// Returns the sum over all threads of the workgroup, but only to the first thread. Every
+/// thread of the workgroup must call this function.
 PoseSum add_over_workgroup(PoseSum sum) {
     uint lane = gl_LocalInvocationIndex;
     pose_partial[lane] = sum;

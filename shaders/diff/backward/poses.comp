@@ -31,7 +31,8 @@ void main() {
     vec4 eye = vec4(params.view_origin, 1.0);
     sum.torque -= cross(vec3(dot(m.row0, eye), dot(m.row1, eye), dot(m.row2, eye)), sum.view);
     sum.force -= sum.view;
-    // Transposes the rotation of the instance, which is stored as model from world.
+    // The instance stores model_from_world by rows. Used as columns, these rows give the
+    // inverse rotation.
     mat3 world_from_model = mat3(m.row0.xyz, m.row1.xyz, m.row2.xyz);
     vec3 translation = world_from_model * sum.force, rotation = world_from_model * sum.torque;
     for (uint k = 0u; k < 3u; ++k) {

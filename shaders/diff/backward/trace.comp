@@ -29,11 +29,10 @@ RELIDAR_CONSTANT(uint, GATHER, 0u);
 vec3 d_ray_origin;  // gradient of the ray's origin, world frame
 vec3 d_ray_direction;
 
-/// Adds the gradient of a hit to the gradient of its surfel's record. Lanes may exchange
-/// gradients through shared memory, so that neighbouring lanes write neighbouring
-/// addresses.
-/// @param row index of the surfel's gradient, or kNoRow if this lane has no surfel but
-/// must take part in the exchange
+/// Adds the gradient of a hit to the gradients of its surfel. If lanes exchange gradients
+/// through shared memory, neighbouring lanes write neighbouring addresses.
+/// @param row index of the surfel's gradient. kNoRow if this lane has no hit but must
+/// take part in the exchange
 void add_gradient(TraceScene scene, uint row, uint surfel, HitGradient gradient) {
     bool others = SH_PER_SURFEL != 0u || params.with_turn != 0u;  // lanes 7, 11, 15
     for (uint k = 0u; k < 16u; ++k)
@@ -48,7 +47,7 @@ void add_gradient(TraceScene scene, uint row, uint surfel, HitGradient gradient)
     }
 }
 
-/// Hit and the values that blending computes for this hit.
+/// A hit of the ray, with its intermediate results of blending.
 struct BlendedHit {
     uint slot;  // index of the hit's record in `hits`
     uint instance;
@@ -56,16 +55,15 @@ struct BlendedHit {
     float alpha;          // Opacity at the hit (sigma G) before it is clamped.
     float transmittance;  // transmittance before the hit
     float w;              // alpha times transmittance
-    // Derivative of the loss with respect to the blending weight, minus a constant. The
-    // constant is the derivative for the nearest hit. Subtracting it avoids differences
-    // of large numbers.
+    // Derivative of the loss with respect to the blending weight, minus that of the ray's
+    // nearest hit. The subtraction avoids differences of large numbers.
     float shade;
     float behind;  // Sum of weight times `shade` over all hits behind this hit, including the background.
 };
 
 /// Computes the gradient of one hit and adds it to the gradient of the ray. Then writes a
-/// record of the hit, or adds the gradient of its surfel with atomics. If lanes exchange
-/// gradients, the caller must call add_gradient() with the results.
+/// record of the hit, or adds the gradient to its surfel. If lanes exchange gradients,
+/// the caller must call add_gradient() instead.
 /// @param d output: gradient for add_gradient()
 /// @return `row` for add_gradient(), or kNoRow
 uint add_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient gradient, BlendedHit blended_hit,
@@ -91,7 +89,7 @@ uint add_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient gradient, Bl
     return recorded ? kNoRow : row;
 }
 
-/// Loads hits into the hit buffer that the forward pass has stored.
+/// Loads the next hits that the forward pass has stored for this ray into the hit buffer.
 void load_kept_hits(uint first, uint count) {
     uint list = get_thread_index();
     reset_hits(0.0);
@@ -102,8 +100,9 @@ void load_kept_hits(uint first, uint count) {
 
 /// Adds the gradients of the first `count` hits of the buffer, from far to near. If lanes
 /// exchange gradients, all lanes of a subgroup must call this function.
-/// @param slot index of the first hit's record
-/// @param behind sum of weight times shade over all later hits, including the background
+/// @param slot index of the first hit in the list of hit records
+/// @param behind sum of weight times shade over the hits behind the chunk and the
+/// background
 void add_chunk(TraceScene scene, Ray ray, uint ray_index, RayGradient gradient, uint slot, uint count,
                float behind) {
     for (uint k = rows_are_exchanged() ? subgroupMax(count) : count; k > 0u; --k) {
@@ -122,7 +121,7 @@ void add_chunk(TraceScene scene, Ray ray, uint ray_index, RayGradient gradient, 
     }
 }
 
-/// Returns the blending state at the start of a ray.
+/// Returns the state of the blending before the first hit of a ray.
 BlendState start_blending(RenderedRay final, RayGradient gradient) {
 #define RELIDAR_REMAINS(name, built, value, input, slope, meaning) +gradient.name* final.name
     precise float remaining = RELIDAR_CHANNEL_VALUES(RELIDAR_REMAINS);
@@ -136,9 +135,9 @@ BlendState start_blending(RenderedRay final, RayGradient gradient) {
     return state;
 }
 
-/// Subtracts the value of the nearest hit in the buffer from all values and from the
-/// value of the background. This avoids differences of large numbers, which lose
-/// precision. It does not change Eq. 9, because all weights sum to 1.
+/// Subtracts the value of the ray's nearest hit from the values of all hits and of the
+/// background. All weights sum to 1, so the gradients (Eq. 9) stay the same. The
+/// subtraction avoids differences of large numbers.
 void start_shift(TraceScene scene, Ray ray, RenderedRay final, RayGradient gradient, inout BlendState state) {
     state.shift = compute_shade(scene, ray, gradient, load_hit(0u));
     add_with_compensation(state.remaining, state.lost, -state.shift * final.weight);
@@ -147,9 +146,9 @@ void start_shift(TraceScene scene, Ray ray, RenderedRay final, RayGradient gradi
 
 /// Computes the gradients of a ray.
 /// @param going true if this lane has a ray with a gradient. If lanes exchange gradients,
-/// lanes without a ray must call this function too
-/// @return number of blended hits. Smaller than final.n_hits if the search did not find
-/// all hits again
+/// lanes without one must call this function too
+/// @return number of blended hits. It is below final.n_hits if the search missed some
+/// hits of the forward pass
 uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayGradient gradient,
               bool going) {
     BlendState state = start_blending(final, gradient);
@@ -161,8 +160,8 @@ uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayG
         uint n = 0u, slot = start + blended;
         float behind = 0.0;
         if (going) {
-            // Loads stored hits only in full chunks, so that the sums do not depend on
-            // the number of stored hits.
+            // Stored hits are used only if the full chunk is stored. The chunks, and thus
+            // the sums, then do not depend on the number of stored hits.
             bool kept = min(blended + CHUNK, final.n_hits) <= params.n_kept;
             if (kept) load_kept_hits(blended, final.n_hits - blended);
             else find_next_hits(scene, ray, after, compute_min_transmittance(scene, state.transmittance));
@@ -180,7 +179,7 @@ uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayG
     return blended;
 }
 
-/// Marks the records of a ray's hits as empty, from hit `first` on.
+/// Marks the hit records of a ray as unused, starting with record `first`.
 void clear_slots(uint ray_index, uint first, uint count) {
     uint start = params.first_hit.at[ray_index];
     for (uint k = start + first; k < min(start + count, params.capacity); ++k)
@@ -192,8 +191,8 @@ void main() {
     bool inside = i < params.scene.n_rays;
     if (!inside) {
         if (!rows_are_exchanged()) return;
-        // This lane has no ray, but all lanes must take part in the exchange of
-        // gradients. So the lane uses ray 0 as a placeholder.
+        // All lanes must take part in the exchange of gradients, so a lane without a ray
+        // uses ray 0 as a placeholder.
         i = 0u;
     }
     DeviceRay entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];

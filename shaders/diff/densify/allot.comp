@@ -11,8 +11,8 @@
 #include "../shared/densify.h"
 RELIDAR_PARAMS(AllotParams);
 
-/// Returns (high * 2^32 + low) / d, rounded down, with a binary long division. Requires
-/// high < d, so that the result fits into 32 bits.
+/// Returns the 64-bit number (high, low) divided by d, rounded down, with binary long
+/// division. high must be less than d, so that the result fits into 32 bits.
 uint divide_wide(uint high, uint low, uint d) {
     uint quotient = 0u, rest = high;
     for (int bit = 31; bit >= 0; --bit) {
@@ -25,7 +25,8 @@ uint divide_wide(uint high, uint low, uint d) {
     return quotient;
 }
 
-/// Returns (weight * n_new + phase) / total_weight, computed with a 64-bit product.
+/// Returns how many new copies belong to the surfels whose weights sum to `weight`:
+/// (weight * n_new + phase) / total_weight. Uses a 64-bit product.
 uint sum_earlier_weights(uint weight) {
     if (params.total_weight == 0u) return 0u;
     uint high, low, carry;

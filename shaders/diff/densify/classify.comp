@@ -17,8 +17,8 @@ void count(uint model, uint counter, uint amount) {
     atomicAdd(params.counters.at[RELIDAR_DENSIFY_COUNTERS * model + counter], amount);
 }
 
-/// Returns the sum of the absolute values of `count` floats. The sum is not finite if any
-/// float is not finite, so one test of the sum checks all floats.
+/// Returns the sum of the absolute values of `count` floats. It is finite only if all of
+/// them are, so a single test of the sum is enough.
 float compute_magnitude(Floats array, uint first, uint count) {
     float sum = 0.0;
     for (uint k = 0u; k < count; ++k) sum += abs(array.at[first + k]);
@@ -27,8 +27,8 @@ float compute_magnitude(Floats array, uint first, uint count) {
 
 bool has_third_scale() { return !is_null(params.surfels.log_scale_w); }
 
-/// Returns true if all parameters of a surfel are finite and within their valid range.
-/// @param scale three scales. The third scale is 1 unless the primitive is a 3D Gaussian
+/// Returns true if all parameters of a surfel are finite and in their valid range.
+/// @param scale standard deviations along three axes; the third is 1 for flat surfels
 bool is_surfel(uint index, vec4 quaternion, vec3 scale) {
     float sum = compute_magnitude(params.surfels.mean, 3 * index, 3u) +
                 compute_magnitude(params.surfels.opacity_logit, index, 1u);
@@ -38,8 +38,8 @@ bool is_surfel(uint index, vec4 quaternion, vec3 scale) {
            all(greaterThan(scale, vec3(1e-6))) && all(lessThan(scale, vec3(1e6)));
 }
 
-/// Draws two random points of the surfel. Returns true if both points are outside the
-/// model's box.
+/// Draws two random points from the surfel's Gaussian. Returns true if both points are
+/// outside the box of its model.
 bool is_outside(uint index, vec4 quaternion, vec3 scale, vec3 half_size) {
     if (!(half_size.x > 0.0)) return false;
     vec3 mean = vec3(params.surfels.mean.at[3 * index], params.surfels.mean.at[3 * index + 1],
@@ -48,15 +48,16 @@ bool is_outside(uint index, vec4 quaternion, vec3 scale, vec3 half_size) {
     for (uint draw = 0u; draw < 2u; ++draw) {
         vec2 z = scale.xy * draw_normal_pair(params.key, index, draw);
         vec3 p = mean + z.x * r[0] + z.y * r[1];
-        // Uses draws 4 and 5, because spawn.comp uses the draws 2 and 3.
+        // Uses random numbers 4 and 5 of the surfel, because kernel densify/spawn uses 2
+        // and 3.
         if (has_third_scale()) p += scale.z * draw_normal_pair(params.key, index, 4u + draw).x * r[2];
         if (!any(greaterThan(abs(p), half_size))) return false;
     }
     return true;
 }
 
-/// Returns the action of a surfel that is not dropped: clone, split or keep. The action
-/// depends on the surfel's mean gradient norm.
+/// Returns how a surfel grows: clone or split if its mean gradient norm exceeds the
+/// threshold, otherwise keep.
 uint grow_by_gradient(uint index, float max_scale, float extent_m) {
     uint n_seen = params.n_seen.at[index];
     if (n_seen == 0u || !(params.gradient_sum.at[index] > params.gradient_threshold * float(n_seen)))
@@ -64,8 +65,8 @@ uint grow_by_gradient(uint index, float max_scale, float extent_m) {
     return max_scale < params.clone_extent_share * extent_m ? RELIDAR_DENSIFY_CLONE : RELIDAR_DENSIFY_SPLIT;
 }
 
-/// Returns the reason why a surfel is dropped, as an index of a counter. Returns
-/// RELIDAR_DENSIFY_KEPT if the surfel is kept.
+/// Returns RELIDAR_DENSIFY_KEPT if the surfel stays. Otherwise returns the reason for
+/// dropping it, as the index of a counter.
 uint classify_surfel(uint index, uint model, vec4 quaternion, vec3 scale, float opacity, float max_scale) {
     if (!is_surfel(index, quaternion, scale)) return RELIDAR_DENSIFY_INVALID;
     if (opacity < params.min_opacity) return RELIDAR_DENSIFY_FAINT;

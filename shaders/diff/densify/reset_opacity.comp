@@ -11,7 +11,6 @@ RELIDAR_PARAMS(ResetOpacityParams);
 void main() {
     uint i = get_thread_index();
     if (i >= params.n_surfels) return;
-    // The comparison is false for a NaN, so that the NaN stays. The next densification
-    // counts NaNs.
+    // This comparison keeps a NaN, so that the next densification can count it.
     if (params.opacity_logit.at[i] > params.max_logit) params.opacity_logit.at[i] = params.max_logit;
 }

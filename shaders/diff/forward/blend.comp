@@ -23,14 +23,13 @@
 RELIDAR_PARAMS(ForwardParams);
 #include "blend.glsl"
 
-/// Returns hit `index` of a sorted list. Returns the last hit if the list has no hit
-/// `index`.
+/// Returns hit `index` of a sorted list, or the last hit if the list is shorter.
 Hit load_listed_hit(uint list, uint index, uint count) {
     return params.lists.hits.at[get_list_entry(params.lists.room, list, min(index, count - 1u))];
 }
 
-/// Blends the count > 0 hits of a list. Loads hits two iterations ahead and their channel
-/// values one iteration ahead, to hide the latency of the loads.
+/// Blends the hits of a list, at least one. Loads hits two iterations ahead and their
+/// intensities and logits one iteration ahead, to hide the latency of the loads.
 /// @return true if the transmittance fell below the limit within the list
 bool blend_list(uint list, uint count, Ray ray, inout Blended blended) {
     Hit next = load_listed_hit(list, 0u, count), after_next = load_listed_hit(list, 1u, count);

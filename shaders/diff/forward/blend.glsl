@@ -62,8 +62,8 @@ void blend_hit(TraceScene scene, Ray ray, Hit hit, vec3 channels, inout Blended 
     ++b.ray.n_hits;
 }
 
-/// Stores hit `index` of this thread's ray for the backward pass. Hits are numbered in
-/// the order in which they are blended.
+/// Stores a hit for the backward pass.
+/// @param index number of the hit in the order of blending
 void keep_hit(uint index, Hit hit) {
     if (index < params.n_kept) params.kept.at[get_list_entry(params.n_kept, get_thread_index(), index)] = hit;
 }

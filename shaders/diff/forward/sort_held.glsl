@@ -9,9 +9,9 @@
         if (place[h] < n) t[h] = load_hit_of_list(list, place[h]).t; \
     }
 
-// One step of a bitonic sorting network: compares hits whose positions differ in one bit,
-// and swaps them if necessary. Bit `run` of the position selects ascending or descending
-// order.
+// One step of a bitonic sorting network. Two hits whose positions differ in one bit are
+// swapped if necessary. Bit `run` of the position determines whether the order is
+// ascending or descending.
 #define IS_UPWARD(h) (((lane * HELD + h) & run) == 0u)
 
 #define EXCHANGE_BETWEEN_LANES(h)                                                       \

@@ -17,9 +17,9 @@ Hit load_hit_of_list(uint list, uint place) {
     return params.lists.hits.at[get_list_entry(params.lists.room, list, place)];
 }
 
-/// Returns true if hit a comes before hit `second`, when both have the same distance. A
-/// hit that was reported twice keeps its order. Positions beyond the end of the list come
-/// last.
+/// Returns true if hit `first` comes before hit `second`. Both have the same distance. If
+/// both are the same hit, reported twice, their positions decide. Positions beyond the
+/// end of the list come last.
 bool is_tie_before(uint list, uint count, uint first, uint second) {
     if (first >= count || second >= count) return first < second;
     Hit hit_a = load_hit_of_list(list, first), hit_b = load_hit_of_list(list, second);
@@ -28,9 +28,9 @@ bool is_tie_before(uint list, uint count, uint first, uint second) {
     return is_key_before(key_a, key_b) || (key_a == key_b && first < second);
 }
 
-// Macros unroll the loops over the hits of a lane. Each number of hits has a separate
-// sort function. Without unrolling, a compiler may store the array in memory instead of
-// registers, which makes the sort slower.
+// Macros that unroll the loops over the hits of a lane, with a separate sort function for
+// each number of hits. In a normal loop, compilers may store the hits in memory instead
+// of registers, which is slower.
 #define EACH_OF_1(X, h) X((h))
 #define EACH_OF_2(X, h) EACH_OF_1(X, h) EACH_OF_1(X, h + 1u)
 #define EACH_OF_4(X, h) EACH_OF_2(X, h) EACH_OF_2(X, h + 2u)
@@ -63,7 +63,7 @@ void main() {
     uint list = get_workgroup_index() * RELIDAR_SORTED_TOGETHER + gl_SubgroupID;
     uint length = list < params.lists.n ? params.lists.lengths.at[list] : 0u,
          n = length & ~RELIDAR_LIST_CLOSED;
-    // Executes a barrier although this list needs no sort, because lavapipe treats a
+    // A list that needs no sort executes a barrier too, because lavapipe treats a
     // subgroup barrier as a barrier of the full workgroup.
     if (length == RELIDAR_LIST_UNFIT || n < 2u) subgroupBarrier();
     else if (n <= LANES) sort_1(list, n);

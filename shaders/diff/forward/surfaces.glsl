@@ -17,8 +17,8 @@ struct Surfaces {
 
 Surfaces make_empty_surfaces() { return Surfaces(-1e30, 0.0, 0.0, 0.0, 0.0, 0.0); }
 
-/// Stores the current surface as the result if its weight exceeds the largest weight so
-/// far. If both weights are equal, the nearer surface stays.
+/// Keeps the current surface as the result if it has a larger weight than all surfaces
+/// before. With equal weights, the nearer surface is kept.
 void keep_heavier_surface(inout Surfaces surfaces) {
     if (!(surfaces.weight > surfaces.heaviest)) return;
     surfaces.heaviest = surfaces.weight;

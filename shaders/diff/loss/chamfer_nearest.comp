@@ -27,8 +27,8 @@ float compute_squared_length(vec3 direction) {
     return sum;
 }
 
-/// Returns the squared distance between a point and a box. The distance to an empty box
-/// is infinite, because the square of RELIDAR_NO_POINT overflows to infinity.
+/// Returns the squared distance between a point and a box. For an empty box, whose
+/// corners are RELIDAR_NO_POINT, the square overflows to infinity.
 float compute_squared_distance(vec3 query, vec3 low, vec3 high) {
     return compute_squared_length(max(max(low - query, query - high), vec3(0.0)));
 }
@@ -42,7 +42,8 @@ void visit_point(uint index, inout Nearest best) {
     }
 }
 
-/// Rectangle of an image that is searched: the points of a tile, or the tiles of a group.
+/// Rectangle of image cells to search: the points of a tile, or the tiles of a group of
+/// tiles.
 struct Cells {
     // Index of the first row and column (begin), and index after the last row and column
     // (end).

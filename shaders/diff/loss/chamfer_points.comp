@@ -11,12 +11,12 @@
 #include "../../base/reduce.glsl"
 RELIDAR_PARAMS(ChamferPointsParams);
 
-// A ray has a simulated point only if its blended weight is larger than this value. With
-// a smaller weight, depth / weight is not a reliable range.
+// Minimum blended weight of a ray with a simulated point. With a smaller weight, depth /
+// weight is not a reliable range.
 const float kLeastWeight = 0.1;
 
-/// Returns the range of the simulated point of a ray. Returns 0 if the ray has no
-/// simulated point, or if a value is NaN.
+/// Returns the range of the simulated point of a ray, or 0 if there is none or a value is
+/// NaN.
 float get_simulated_range(RenderedRay ray) {
     if (!(ray.weight > kLeastWeight) || !(ray.drop_logit < ray.hit_logit)) return 0.0;
     return params.normalised_depth != 0u ? ray.depth / ray.weight : ray.depth;

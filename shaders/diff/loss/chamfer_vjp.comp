@@ -16,8 +16,8 @@ void main() {
     uint k = get_thread_index();
     if (k >= params.n_rays) return;
     uint b = params.nearest_measured.at[k];
-    // Returns if this ray has no simulated point, or if no measured point exists. In both
-    // cases the gradient is zero.
+    // The gradient is zero if this ray has no simulated point, or if no point was
+    // measured.
     if (b == RELIDAR_NO_INDEX) return;
     vec3 difference = params.simulated.at[k] - params.measured.at[b];
     float asked = 2.0 * dot(difference, params.rays.at[params.first_ray + k * params.ray_stride].direction);

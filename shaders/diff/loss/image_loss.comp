@@ -14,8 +14,8 @@
 #include "../../base/reduce.glsl"
 RELIDAR_PARAMS(ImageLossParams);
 
-/// Computes the L1 loss of the depth, and adds its derivative to the gradient. The depth
-/// is D, or D / W if it is normalised.
+/// Computes the L1 loss of the depth and adds its derivative to the gradient. The depth
+/// is the blended range D, or D / W with normalised_depth.
 /// @return value of this loss term
 float compute_depth_term(RenderedRay ray, float range_m, inout RayGradient g) {
     float weight = max(ray.weight, 1e-3);
@@ -50,8 +50,8 @@ float compute_drop_term(RenderedRay ray, bool dropped, inout RayGradient g) {
     return params.drop_weight * (max(z, 0.0) + log(1.0 + exp(-abs(z))));
 }
 
-/// Computes all loss terms of a ray with a known measurement: depth, intensity, ray drop
-/// and opacity.
+/// Computes the loss terms of one ray with a known measurement: depth, intensity, ray
+/// drop and opacity.
 vec4 compute_ray_terms(RenderedRay ray, DeviceTarget target, inout RayGradient g) {
     vec4 terms = vec4(0.0);
     bool dropped = !(target.range_m > 0.0);

@@ -11,8 +11,8 @@
 #include "../../base/reduce.glsl"
 RELIDAR_PARAMS(LikelihoodLossParams);
 
-/// Returns the loss of ray `index`, which must have a return. Adds the derivative of the
-/// loss to the ray's gradient.
+/// Returns the loss of one ray with a measured return, and adds its derivative to the
+/// gradient of the ray.
 float compute_ray_term(uint index) {
     float explained =
         params.likelihood_floor + (1.0 - params.likelihood_floor) * params.rendered.at[index].likelihood;

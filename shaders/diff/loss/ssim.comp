@@ -26,7 +26,7 @@ struct Window {
     float covariance;
 };
 
-/// Computes the weighted mean, variance and covariance of the intensities in the window
+/// Computes weighted means, variances and the covariance of both images in the window
 /// around a pixel. Subtracts the value of the centre pixel first, because the sums would
 /// otherwise lose precision in flat regions.
 Window compute_window_statistics(uint index) {
@@ -52,7 +52,7 @@ Window compute_window_statistics(uint index) {
                   products / sum - shifted.x * shifted.y);
 }
 
-/// Computes the similarity loss of pixel `index`. Writes its derivatives to `statistics`.
+/// Computes the similarity loss of a pixel and writes its derivatives to `statistics`.
 /// @return the loss of the pixel
 float compute_similarity_term(uint index) {
     Window w = compute_window_statistics(index);

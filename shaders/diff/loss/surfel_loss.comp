@@ -12,8 +12,8 @@
 #include "../../base/reduce.glsl"
 RELIDAR_PARAMS(SurfelLossParams);
 
-/// Returns the penalty for one standard deviation of a surfel.
-/// @param largest_m largest standard deviation that has no penalty, m
+/// Returns the penalty for a standard deviation of a surfel that is too large.
+/// @param largest_m largest standard deviation without a penalty, m
 /// @param write true: adds the derivative to d_log_scale
 float compute_scale_term(Floats log_scale, Floats d_log_scale, uint index, float largest_m, bool write) {
     float relative = exp(log_scale.at[index]) / largest_m;
@@ -22,8 +22,8 @@ float compute_scale_term(Floats log_scale, Floats d_log_scale, uint index, float
     return relative - 1.0;
 }
 
-/// Computes the penalty of a surfel. It is the sum over x, y, z of max(0, |mean| / half
-/// size - 1), plus the penalty for large standard deviations.
+/// Computes the penalty for a surfel outside the box of its actor: the sum over x, y, z
+/// of max(0, |mean| / half size - 1), plus the penalty for large standard deviations.
 /// @param write true: adds the derivatives to the gradients
 /// @return penalty of the surfel
 float compute_box_term(uint index, ModelEntry model, bool write) {

@@ -13,14 +13,14 @@
 RELIDAR_CONSTANT(uint, LANES, 8u);
 RELIDAR_PARAMS(ChannelSumsParams);
 
-/// Returns the first pixel of a part of an image. The part ends before begin_of(part +
-/// 1).
+/// Returns the first pixel of a part, if an image is split into `of_image` parts. The
+/// part ends before begin_of(part + 1).
 uint begin_of(uint part, uint of_image) {
     return params.n_pixels / of_image * part + min(part, params.n_pixels % of_image);
 }
 
-/// Returns the contribution of one pixel to the gradients dL/d(beta) and dL/d(gamma) of a
-/// normalisation.
+/// Returns the contribution of one pixel to the gradients of the normalisation's
+/// parameters, dL/d(beta) and dL/d(gamma).
 /// @param plane index of the first pixel of this channel
 vec2 compute_gradients_at(uint pixel, uint plane, uint d_plane, uint place, vec2 affine, vec2 moments) {
     float x = params.from.values.at[plane + pixel];

@@ -28,14 +28,14 @@ RELIDAR_PARAMS(ConvParams);
 
 const uint kOut = RELIDAR_CONV_OUT, kIn = RELIDAR_CONV_IN, kLines = TAPS == 1u ? 1u : 3u,
            kHeld = (kOut + LANES - 1u) / LANES;
-// Number of loads per lane. A 3x3 convolution needs one more load than a 1x1 convolution,
-// for the neighbours of the last lane.
+// Number of pixels that a lane loads per row. A 3x3 convolution loads one more, for the
+// neighbours of the last lane.
 const uint kLoads = TAPS == 1u ? PIXELS : PIXELS + 1u;
 shared float tile[kIn * 9 * kOut];  // weights of a tile, indexed [in, tap, out]
 
-/// Copies weights to shared memory: those from kIn input channels to the output channels
-/// of this workgroup. Channel indices beyond the last channel are clamped, and the copied
-/// values are not used.
+/// Copies the weights between kIn input channels and the output channels of this
+/// workgroup to shared memory. Channel indices are clamped to the last channel. The
+/// copies beyond it are not used.
 void load_tile(uint first_out, uint first_in) {
     for (uint k = gl_LocalInvocationIndex; k < kIn * TAPS * kOut; k += gl_WorkGroupSize.x) {
         uint o = min(first_out + k % kOut, params.n_out - 1u),
@@ -44,16 +44,16 @@ void load_tile(uint first_out, uint first_in) {
     }
 }
 
-/// Replaces the weights in shared memory by the weights of the next input channels, which
-/// start at `first_in`.
+/// Replaces the weights in shared memory by those of the next kIn input channels,
+/// starting at `first_in`.
 void stage_tile(uint first_out, uint first_in) {
     barrier();
     load_tile(first_out, first_in);
     barrier();
 }
 
-/// Loads this lane's part of the weights of one input channel and one tap (position in
-/// the 3x3 kernel). Later the lanes exchange their parts.
+/// Loads this lane's part of the weights of one input channel and one position (tap) of
+/// the 3x3 kernel. The lanes exchange their parts later.
 void load_weights(uint first_out, uint index, uint tap, out float held[kHeld]) {
     [[unroll]] for (uint k = 0u; k < kHeld; ++k) {
         uint o = min(first_out + k * LANES + gl_SubgroupInvocationID, params.n_out - 1u);
@@ -78,7 +78,7 @@ void main() {
     [[unroll]] for (uint v = 0u; v < kLoads; ++v) column[v] =
         (first_column + v * LANES + lane + (TAPS == 1u ? 0u : params.columns - 1u)) % params.columns;
     [[unroll]] for (uint k = 0u; k < kLines; ++k) {
-        // Row -1 wraps to a large unsigned number, which the following bounds check
+        // In the first line, row -1 wraps to a large unsigned number, which the next test
         // rejects.
         uint row = TAPS == 1u ? y : y + k - 1u;
         inside[k] = row < params.rows;

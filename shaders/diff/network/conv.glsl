@@ -13,8 +13,8 @@ uint get_weight_index(uint o, uint index, uint tap) {
                                    : (o * params.n_in + index) * TAPS + tap;
 }
 
-/// Adds the bias of the channel to a value of the output. Then writes the value, or adds
-/// it to the stored value if `accumulate` is set.
+/// Adds the bias of the channel to an output value. Then stores the result, or adds it to
+/// the stored value if `accumulate` is set.
 void put(uint index, uint channel, float value) {
     if (!is_null(params.bias)) value += params.bias.at[channel];
     if (params.accumulate != 0u) value += params.to.values.at[index];

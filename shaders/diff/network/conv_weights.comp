@@ -22,13 +22,14 @@ RELIDAR_PARAMS(ConvWeightsParams);
 const uint kOut = RELIDAR_CONV_OUT, kIn = TAPS == 1u ? RELIDAR_CONV_IN : 1u, kLines = TAPS == 1u ? 1u : 3u;
 
 float sum[kOut * kIn * TAPS];  // partial sums of this lane, indexed [out, in, tap]
-// Input pixels of each line, [in, line]. `is_key_before` contains the LANES columns that
-// start one column before the lane's column. `next` contains the LANES columns after
-// these.
+// Input pixels of each line, [in, line]. A subgroup loads LANES columns into `before`,
+// starting one column to the left of its first column, and the LANES columns after these
+// into `next`.
 float before[kIn * kLines], next[kIn * kLines];
 float d_out[kOut];  // d_to of the lane's column
 
-/// Adds the contribution of LANES columns of a row to the sums of this lane.
+/// Adds the products of input and gradient in LANES columns of a row to the sums of this
+/// lane.
 void add_columns() {
     [[unroll]] for (uint k = 0u; k < kIn * kLines; ++k) [[unroll]] for (uint kx = 0u; kx < kLines; ++kx) {
         float seen = kx == 0u ? before[k] : read_from_lane(before[k], next[k], kx);
@@ -52,8 +53,8 @@ void main() {
         bool inside[kIn * kLines];
         uint column = (lane + (TAPS == 1u ? 0u : params.columns - 1u)) % params.columns;
         [[unroll]] for (uint k = 0u; k < kIn * kLines; ++k) {
-            // Row -1 wraps to a large unsigned number, which the following bounds check
-            // rejects.
+            // In the first line, row -1 wraps to a large unsigned number, which the next
+            // test rejects.
             uint row = TAPS == 1u ? y : y + k % kLines - 1u, i = min(first_in + k / kLines, params.n_in - 1u);
             inside[k] = row < params.rows;
             row_at[k] = (image * params.from.channels + params.from.first + i) * n_pixels +

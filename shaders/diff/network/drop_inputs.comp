@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Copies stored samples into a batch of normalised input images for the ray-drop network.
-// Shifts each image by `load_turn` columns, which is a rotation of the scene around the
+// Shifts each image by `turn` columns, which is a rotation of the scene around the
 // sensor. Channels that describe the sensor's pixels are not shifted. One thread per
 // pixel. Input: samples, targets, chosen, turn, scale_shift. Output: images, start,
 // target.

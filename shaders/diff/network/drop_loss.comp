@@ -13,7 +13,7 @@
 RELIDAR_CONSTANT(uint, LANES, 8u);
 RELIDAR_PARAMS(DropLossParams);
 
-/// Returns two values of a pixel: its cross-entropy, and 1 if the predicted class is
+/// Returns the cross-entropy of a pixel, and 1 if the prediction (dropped or returned) is
 /// correct, otherwise 0.
 vec2 compare(uint index, float value, float probability) {
     float target = is_null(params.target) ? -1.0 : params.target.at[index];

@@ -4,9 +4,8 @@
 #ifndef RELIDAR_INCLUDED_DIFF_NETWORK_LANES_GLSL
 #define RELIDAR_INCLUDED_DIFF_NETWORK_LANES_GLSL
 
-/// Returns the value `first` of the lane `index` positions after this lane. If this
-/// position is beyond the last lane, returns the value `second` of one of the first
-/// lanes.
+/// Returns `first` of the lane that is `index` positions after this lane. Beyond the last
+/// lane, returns `second` of the lanes at the start.
 float read_from_lane(float first, float second, uint index) {
     uint lane = gl_SubgroupInvocationID + index;
     float of_a = subgroupShuffle(first, lane % LANES), of_b = subgroupShuffle(second, lane % LANES);

@@ -15,8 +15,8 @@ float compute_gate(float normalised, uint place, uint key, float dropout) {
     return normalised > 0.0 && drawn >= dropout ? 1.0 / (1.0 - dropout) : 0.0;
 }
 
-// Returns the number of workgroups that process one channel of an image. A workgroup
-// never processes two channels, so that it computes the channel index only once. Integer
+// Returns the number of workgroups that process one channel of an image. No workgroup
+// processes two channels, so each computes its channel index only once, because integer
 // divisions are slow on a CPU.
 uint count_workgroups_per_plane(uint n_pixels) {
     uint stretch = gl_WorkGroupSize.x * RELIDAR_NORM_PIXELS;
@@ -31,7 +31,9 @@ uint get_first_pixel(uint n_pixels) {
            gl_LocalInvocationIndex;
 }
 
-/// Returns the index of a channel in a tensor, counted over the channels of all images.
+/// Returns the index of a channel in the tensor that contains the slice.
+/// @param plane index of the channel, counted over the channels of all images in the
+/// slice
 uint get_plane_index(ImageSlice slice, uint plane, uint n_channels) {
     return plane / n_channels * slice.channels + slice.first + plane % n_channels;
 }

@@ -12,8 +12,8 @@ uint load_small_pixel(uint channels, uint first, uint image, uint channel, uint 
 }
 
 /// Finds the two pixels of the small image that are nearest to a pixel of the large
-/// image, along one axis. Pixel centres are at half integers. Uses integer arithmetic, so
-/// that upsampling and its derivative agree on every device.
+/// image, along one axis. Pixel centres are at half integers. Integer arithmetic makes
+/// upsampling and its derivative consistent on every device.
 /// @param left output: the left pixel
 /// @param share output: interpolation weight of the right pixel
 void find_neighbour_pixels(int position, uint n_large, uint n_small, out int left, out float share) {
@@ -23,7 +23,7 @@ void find_neighbour_pixels(int position, uint n_large, uint n_small, out int lef
     share = float(place - left * unit) / float(unit);
 }
 
-/// Clamps rows outside the image to the first or last row, and wraps columns around.
+/// Rows outside the image become the first or last row. Columns wrap around.
 uint get_row(int y) { return uint(clamp(y, 0, int(params.small_rows) - 1)); }
 uint get_column(int value) { return uint(value + int(params.small_columns)) % params.small_columns; }
 #endif

@@ -17,12 +17,12 @@ RELIDAR_CONSTANT(bool, PER_FLOAT, false);
 RELIDAR_PARAMS(AdamParams);
 
 /// Updates one value with an Adam step.
-/// @param block index in the row at which the value's block starts
+/// @param block index of the value's block in the row, in values
 /// @param within index of the value in its block
 void update(uint row, uint block, uint within, bool has_gradient, float learning_rate) {
     uint i = row * params.stride + block + within;
-    // Loads the gradient unconditionally on a CPU, because a load in a branch is slower
-    // there.
+    // Loads the gradient even if it is not needed, because on a CPU a load in a branch is
+    // slower.
     float g = PER_FLOAT && !has_gradient ? 0.0 : params.gradients.at[i];
     g = has_gradient ? g : 0.0;
     float m = mix(g, params.moment1.at[i], params.beta1);
@@ -33,14 +33,14 @@ void update(uint row, uint block, uint within, bool has_gradient, float learning
         learning_rate * (within == 0u ? params.first_scale : 1.0) * (block == 0u ? params.block_scale : 1.0);
     float value = params.values.at[i] -
                   rate * (m * params.correction1) / (sqrt(v * params.correction2) + params.epsilon);
-    // Limits the value with a comparison instead of min(), because min() could replace a
-    // NaN. Later checks must be able to find NaNs.
+    // Limits the value by a comparison instead of min(), because min() could replace a
+    // NaN, for which later checks search.
     if (!is_null(params.bounds) && value > params.bounds.at[row]) value = params.bounds.at[row];
     params.values.at[i] = value;
 }
 
-/// Updates all active columns of a row, or only one float.
-/// @param index index of the row, or index of the float if PER_FLOAT
+/// Updates one row, or one float of a row if PER_FLOAT is set.
+/// @param index index of the row or of the float
 void step_row(uint index) {
     uint n_updated = params.n_blocks * params.n_active, row = PER_FLOAT ? index / n_updated : index;
     if (!is_null(params.rows)) row = params.rows.at[row];

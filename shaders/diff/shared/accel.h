@@ -12,22 +12,22 @@ RELIDAR_SHARED_BEGIN
 
 struct ProxyParams {
     Records records;  // input [n], all surfels
-    // Output in m: corners of the proxies, [n,4,3] for surfels or [n,12,3] for 3D
-    // Gaussians. Written only if the proxies are triangles.
+    // Output in m: corners of the shapes around surfels, [n,4,3] for surfels or [n,12,3]
+    // for 3D Gaussians. Written only if the shapes consist of triangles.
     RELIDAR_OF(Floats, ProxyVertices) vertices;
-    // Output [n,6] in m: lower and upper corners of the boxes. Written only if the
-    // proxies are boxes.
+    // Output [n,6] in m: lower and upper corners of the boxes around surfels. Written
+    // only if the shapes are boxes.
     RELIDAR_OF(Floats, SurfelBoxes) boxes;
-    // Output [1] in m, stored as float bits: maximum distance between a hit and a point
-    // of the icosahedron around its 3D Gaussian. Written only if the proxies are
-    // triangles.
+    // Output [1] in m, as float bits: maximum distance, over all 3D Gaussians, between a
+    // hit and a point of the icosahedron around the Gaussian. Written only for
+    // icosahedra.
     Uints reach;
     float alpha_min;  // Opacity threshold. The proxy encloses all points with sigma G >= alpha_min.
-    // Margin in m that is added to the size of each proxy, so that rounding errors of the
-    // traversal cannot lose a hit.
+    // Margin in m that is added to the shape around each surfel, so that rounding errors
+    // of the traversal cannot lose a hit.
     float margin_m;
-    // Factor on the size of each proxy. Like the margin, it prevents rounding errors from
-    // losing a hit.
+    // Factor by which the shape around each surfel is enlarged, for the same reason as
+    // margin_m.
     float margin_scale;
     uint first_surfel;  // first surfel of the range
     uint n_surfels;
@@ -35,13 +35,13 @@ struct ProxyParams {
 
 #define RELIDAR_RADIUS_STRETCH 64u  // surfels per thread of accel/model_radii
 
-/// Parameters of accel/model_radii.comp, which computes the radius of each model around
-/// its origin.
+/// Parameters of accel/model_radii.comp, which computes the radius of the sphere around
+/// each model's origin that contains all its hits.
 struct ModelRadiiParams {
     Records records;  // input [n], all surfels
     Models models;    // input [n_models]
-    // Output [n_models] in m, stored as float bits: radius around the model's origin that
-    // contains all its hits.
+    // Output [n_models] in m, stored as float bits: distance of the farthest possible hit
+    // from the model's origin.
     RELIDAR_OF(Uints, ModelRadii) radii;
     float alpha_min;     // Opacity threshold. A ray hits a surfel only where sigma G >= alpha_min.
     float margin_m;      // added to each radius

@@ -9,12 +9,12 @@
 RELIDAR_SHARED_BEGIN
 
 #define RELIDAR_GATHER_BLOCK 32u  // number of hits that one thread sums
-// Row number of an unused entry. This number is larger than all real row numbers, so that
-// a sort moves unused entries to the end.
+// Row number of an unused hit record. It is larger than all other row numbers, so that
+// sorting moves unused records to the end.
 #define RELIDAR_NO_ROW(n_rows) (n_rows)
 
-/// Gradient data of a blended hit, 16 bytes. Kernels recompute all other values of the
-/// hit.
+/// Data of a blended hit from which a later kernel computes its gradient, 16 bytes. The
+/// kernel computes all other values of the hit again.
 struct HitRecord {
     uint ray;  // index in the batch
     uint instance;
@@ -27,36 +27,37 @@ struct BackwardParams {
     TraceScene scene;
     RenderedRays rendered;  // Input [n_rays]: results of the forward pass with the same scene.
     RayGradients upstream;  // input [n_rays] gradients of the blended values
-    // Accumulated [n_rows,16]: record gradients. Rows are numbered as in InstanceEntry.
+    // Accumulated [n_rows,16]: gradients of the surfel records. A row belongs to one
+    // surfel of one instance.
     RELIDAR_OF(Floats, RecordGradients) d_records;
     RELIDAR_OF(Floats, Harmonics) d_sh;  // accumulated [n,3,16], if SH are evaluated per hit
-    // Output [n]: 1 for surfels that have a hit with a gradient. If the address is 0, the
-    // kernel does not write it.
+    // Output [n]: 1 for surfels that get a gradient from at least one hit. Address 0 =
+    // the kernel does not write the flags.
     RELIDAR_OF(Uints, TouchedSurfels) touched;
     // output [n_rays,6] d_origin, d_direction, or address 0
     RELIDAR_OF(Floats, DeviceRayGradients) d_rays;
-    // Input [n_rays]: index in `hits` of each ray's first hit. Used only if gradients are
-    // added without atomics.
+    // Input [n_rays]: position of each ray's first hit in `hits`. Used only without
+    // atomics (Reduction::gather).
     RELIDAR_OF(Uints, FirstHits) first_hit;
     HitRecords hits;                  // output [capacity] (gather)
     RELIDAR_OF(Uints, HitRows) rows;  // output [capacity] (gather)
-    // Input [ceil(n/2),n_kept,2]: hits of n threads that the forward pass has stored, in
-    // the order of blending.
+    // Input [ceil(n/2),n_kept,2]: first hits of n rays, stored by the forward pass in the
+    // order of blending.
     Hits kept;
-    // Number of hits per ray that the forward pass has stored. The backward pass must
-    // search for later hits again.
+    // Number of hits per ray that the forward pass has stored. The backward pass searches
+    // for the remaining hits.
     uint n_kept;
-    // Capacity of `hits`. The gradients of hits beyond the capacity are added with
+    // Maximum number of hits in `hits`. The gradients of further hits are added with
     // atomics.
     uint capacity;
     uint n_rows;
-    // 1: d_records also receives the gradient of a rotation of the view direction. Used
+    // 1: d_records also receives the gradient of rotating the viewing direction. Used
     // only if spherical harmonics (SH) are evaluated per hit.
     uint with_turn;
 };
 
-/// Parameters of the kernels gather and gather_heads, which add the gradients of hits by
-/// row. Kernel gather_heads adds the rows that extend over several blocks of hits.
+/// Parameters of the kernels gather and gather_heads, which sum the gradients of hits for
+/// each surfel. Kernel gather_heads handles surfels whose hits are in several blocks.
 struct GatherParams {
     TraceScene scene;
     RayGradients upstream;               // input [n_rays]
@@ -64,9 +65,8 @@ struct GatherParams {
     RELIDAR_OF(Uints, HitRows) rows;     // input [capacity] ascending
     RELIDAR_OF(Uints, HitSlots) slots;   // Input [capacity]: indices into `hits`, sorted by row.
     RELIDAR_OF(Uints, HitCount) n_hits;  // input [1], may exceed capacity
-    // Partial sums [blocks,2,16 or 64] of each block of hits. The first sum belongs to a
-    // row that began in an earlier block. The second sum belongs to a row that continues
-    // in the next block.
+    // Two partial sums per block of hits, [blocks,2,16 or 64]: one for a row that began
+    // in an earlier block, and one for a row that continues in the next block.
     RELIDAR_OF(Floats, RowParts) parts;
     RELIDAR_OF(Floats, RecordGradients) d_records;  // accumulated [n_rows,16]
     RELIDAR_OF(Floats, Harmonics) d_sh;             // accumulated [n,3,16], if SH are evaluated per hit
@@ -84,8 +84,8 @@ struct PoseBlock {
 };
 RELIDAR_POINTER(PoseBlocks, PoseBlock);
 
-// Number of floats of a sum: force, torque about the model's origin, and dL/d(view
-// origin). All are in the model frame.
+// Number of floats of a pose gradient: force, torque about the model's origin, and
+// dL/d(sensor position), all in the model frame.
 #define RELIDAR_POSE_SUMS 9
 
 struct PoseBlocksParams {

@@ -11,26 +11,26 @@
 
 RELIDAR_SHARED_BEGIN
 
-// Number of threads per workgroup of the kernels that use shared memory. This is at most
-// 64 subgroups.
+// Number of threads per workgroup of the kernels that use shared memory. A workgroup has
+// at most 64 subgroups.
 #define RELIDAR_BVH_WORKGROUP 256u
 #define RELIDAR_BVH_TILE 4096u       // elements per workgroup of the kernels that use shared memory
 #define RELIDAR_BVH_MORTON_BITS 13u  // bits per axis
-// Flag of a binary node's child: the child is a leaf, and the other bits are its sorted
-// position.
+// Flag in a child of a binary node: the child is a surfel, and the other bits are its
+// position in the sorted list.
 #define RELIDAR_BVH_LEAF 0x80000000u
 
 RELIDAR_POINTER(Uvec2s, uvec2);
 
-/// Parameters of accel/bvh_bounds.comp, which computes the bounds of each model. Surfels
-/// that can never be hit are ignored.
+/// Parameters of accel/bvh_bounds.comp, which computes the bounds of each model without
+/// surfels that can never be hit.
 struct BvhBoundsParams {
     // Input [n,6] in m: box of each surfel. A surfel that can never be hit has an empty
     // box.
     RELIDAR_OF(Floats, SurfelBoxes) boxes;
     Models models;  // input [n_models]
-    // Accumulated [n_models,6]: minima of x, y, z, -x, -y, -z over the box centres.
-    // Floats are stored as integers with the same order.
+    // Accumulated [n_models,6]: minima of x, y, z, -x, -y, -z over the centres of the
+    // boxes, as integers that have the order of the floats.
     RELIDAR_OF(Uints, ModelBounds) bounds;
     uint n_surfels;
     uint n_models;
@@ -48,19 +48,21 @@ struct BvhKeysParams {
     uint n_models;
 };
 
-/// Binary trees over the sorted surfels. A child is a node index, or the sorted position
-/// of a surfel with the flag LEAF. The index of each node is also a sorted position of
-/// the same model.
+/// Binary trees over the sorted surfels. A child is either a node index, or the position
+/// of a surfel with the flag RELIDAR_BVH_LEAF. A node has the index of a surfel of its
+/// model.
 struct BvhBinary {
     RELIDAR_OF(Uvec2s, BinaryChildren) children;  // [n]
     RELIDAR_OF(Floats, BinaryBoxes) boxes;        // [n,6] m
-    // Cost [n,7] of storing a node's subtree as at most 1 ... 7 children of an eight-wide
-    // node, m^2.
+    // Traversal cost of each node's subtree if it occupies at most 1 ... 7 child slots of
+    // a wide node, [n,7] m^2.
     RELIDAR_OF(Floats, BinaryCosts) costs;
-    // Best distribution of a wide node's child slots to the two children of a binary node
-    // [n]. The lowest 4 bits contain the number of surfels in the subtree, at most 15.
+    // For each binary node [n]: number of child slots that its left child gets, for each
+    // number of available slots. The lowest 4 bits are the number of surfels below it, at
+    // most 15.
     RELIDAR_OF(Uints, BinaryDecisions) decisions;
-    // Sorted position [n] in a node's subtree that is not yet used as a node index.
+    // For each node [n]: a surfel position below the node that is not yet used as a node
+    // index.
     RELIDAR_OF(Uints, SpareNodes) spares;
 };
 
@@ -72,11 +74,11 @@ struct BvhClusterParams {
     RELIDAR_OF(Uvec2s, MortonKeys) keys;       // input [n] sorted
     RELIDAR_OF(Uints, SortedSurfels) surfels;  // input [n] surfel at each sorted position
     Models models;                             // input [n_models]
-    // Scratch [n]: for each split between neighbouring ranges, the far end of the range
-    // that reached the split first. Initially NO_NODE.
+    // Scratch [n]: for each split between neighbouring ranges, the other end of the range
+    // whose thread reached the split first. Initially RELIDAR_BVH_NO_NODE.
     RELIDAR_OF(Uints, OtherEnds) other_ends;
-    // Scratch [n]: root nodes of the clusters of a range. The list starts at the first
-    // position of the range and ends with NO_NODE if space is left.
+    // Scratch [n]: root nodes of the clusters of each range. The list starts at the first
+    // position of the range. RELIDAR_BVH_NO_NODE marks its end.
     RELIDAR_OF(Uints, BinaryClusters) clusters;
     RELIDAR_OF(Uints, BinaryRoots) roots;  // output [n_models] root of each model
     uint n_surfels;
@@ -90,8 +92,8 @@ struct BvhWide {
     RELIDAR_OF(Uints, LeafOrder) order;   // [n]
     RELIDAR_OF(Uvec2s, WideLinks) links;  // [bound] parent or NO_NODE, first surfel of the model
     RELIDAR_OF(Floats, WideBoxes) boxes;  // [bound,6] m: box of the node before quantisation
-    // Number of inner children whose boxes are finished [bound]. Always 0 between
-    // launches.
+    // For each wide node [bound]: number of inner children whose boxes are finished.
+    // Always 0 between launches.
     RELIDAR_OF(Uints, Arrivals) arrivals;
     RELIDAR_OF(Uints, WideCount) count;  // [1] number of nodes in use
 };
@@ -101,20 +103,20 @@ struct BvhWide {
 struct BvhWideParams {
     BvhBinary tree;  // input
     BvhWide wide;    // output
-    // Queue [bound] of binary nodes that become wide nodes. The roots of the models come
-    // first, then one level after another. The order within a level is arbitrary.
+    // Queue [bound] of binary nodes that become wide nodes: first the roots of the
+    // models, then one level after another, in arbitrary order within a level.
     RELIDAR_OF(Uints, BinaryRoots) queue;
-    // Children [bound,8] of the wide node that replaces each binary node in the queue.
-    // Unused entries contain NO_NODE.
+    // Children [bound,8] of the wide node that replaces each binary node of the queue.
+    // RELIDAR_BVH_NO_NODE in unused entries.
     RELIDAR_OF(Uints, WideSlots) slots;
-    // Number of binary nodes in the queue per tree level [levels + 1], without the roots.
-    // Initially 0.
+    // Number of binary nodes in the queue on each tree level [levels + 1], except the
+    // roots. Initially 0.
     RELIDAR_OF(Uints, LevelSizes) level_sizes;
-    // For each binary node [n] that becomes a wide node: number of inner children + 256 *
-    // number of leaf entries. 0 for all other nodes.
+    // Space that each binary node [n] needs as a wide node: number of inner children +
+    // 256 * number of leaf entries. 0 for nodes that do not become wide nodes.
     RELIDAR_OF(Uints, SlotDemands) demands;
-    // Number of inner children and number of leaf entries, summed over all earlier binary
-    // nodes of the tile [n].
+    // Prefix sums within a tile [n]: inner children and leaf entries of all binary nodes
+    // before this one.
     RELIDAR_OF(Uvec2s, TileOffsets) offsets;
     RELIDAR_OF(Uvec2s, SumsOfTiles) tiles;     // [n_tiles] the same sums over all earlier tiles
     RELIDAR_OF(Uints, WidePlaces) places;      // [n] wide node that replaces a binary node
@@ -137,12 +139,12 @@ struct BvhRefitParams {
 
 /// Parameters of accel/bvh_top.comp, which builds the top-level tree over all instances.
 struct BvhTopParams {
-    BvhPointers bvh;                             // output: roots, count_top_nodes, top_order
+    BvhPointers bvh;                             // output: roots, top_nodes, top_order
     Instances instances;                         // input [n_instances]
     RELIDAR_OF(Uints, InstanceModels) model_of;  // input [n_instances]
     Models models;                               // input [n_models]
-    // Input [n_models,6] in m, model frame: boxes of the models' root nodes, which are
-    // the first wide nodes.
+    // Input [n_models,6] in m, model frame: boxes of the models, which are those of their
+    // root nodes (the first wide nodes).
     RELIDAR_OF(Floats, WideBoxes) model_boxes;
     RELIDAR_OF(Floats, InstanceBoxes) boxes;  // scratch [n_instances + nodes,6] m, world
     Uvec2s keys;                              // scratch [power of two >= n_instances]
@@ -150,8 +152,8 @@ struct BvhTopParams {
     uint n_padded;  // Length of `keys`, a power of two.
 };
 
-/// Parameters of accel/bvh_cost.comp, which computes the cost of the trees with the
-/// surface area heuristic.
+/// Parameters of accel/bvh_cost.comp, which estimates the traversal cost of the trees
+/// with the surface area heuristic.
 struct BvhCostParams {
     BvhWide wide;
     RELIDAR_OF(Floats, SurfelBoxes) boxes;  // input [n,6] boxes of the surfels

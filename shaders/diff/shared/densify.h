@@ -28,11 +28,12 @@ RELIDAR_SHARED_BEGIN
 /// Parameters of densify/observe.comp, which adds one batch to the densification
 /// statistics.
 struct ObserveParams {
-    // Input [n,3]: gradient with respect to the mean. Undefined for surfels whose entry
-    // in `touched` is 0.
+    // Input [n,3]: gradient with respect to the mean position. Undefined for surfels that
+    // `touched` marks with 0.
     RELIDAR_OF(Floats, Means) d_mean;
     RELIDAR_OF(Uints, TouchedSurfels) touched;  // input [n]
-    // Accumulated [n]: sum of the norms of the gradient over all batches.
+    // Accumulated [n]: norm of the gradient with respect to the mean position, summed
+    // over all batches.
     RELIDAR_OF(Floats, GradientSums) gradient_sum;
     // Accumulated [n]: number of batches in whose frame the surfel was visible.
     RELIDAR_OF(Uints, SeenBatches) n_seen;
@@ -52,8 +53,8 @@ struct ClassifyParams {
     RELIDAR_OF(Floats, GradientSums) gradient_sum;  // input [n]
     RELIDAR_OF(Uints, SeenBatches) n_seen;          // input [n]
     RELIDAR_OF(Uints, DensifyActions) action;       // output [n] RELIDAR_DENSIFY_DROP ... SPLIT
-    // Output [n]: weight of each surfel in the distribution of new copies. 0 if the
-    // surfel does not grow.
+    // Output [n]: weight with which a surfel receives new copies. 0 if it is neither
+    // cloned nor split.
     RELIDAR_OF(Uints, GrowthWeights) weight;
     RELIDAR_OF(Uints, DensifyCounters) counters;  // accumulated [n_models,RELIDAR_DENSIFY_COUNTERS]
     Models models;                                // input [n_models]
@@ -62,8 +63,8 @@ struct ClassifyParams {
     // Maximum scale relative to the model's extent. Surfels with a larger scale are
     // dropped.
     float max_extent_share;
-    // Scale limit relative to the model's extent. Growing surfels below this limit are
-    // cloned. Growing surfels above it are split.
+    // Limit between small and large surfels, relative to the model's extent. If they
+    // grow, small surfels are cloned and large surfels are split.
     float clone_extent_share;
     float gradient_threshold;  // surfels whose mean gradient norm is larger grow
     uint n_surfels;
@@ -71,15 +72,15 @@ struct ClassifyParams {
     uint key;  // key of the random numbers
 };
 
-/// Parameters of densify/allot.comp, which distributes n_new copies to growing surfels in
-/// proportion to their weights.
+/// Parameters of densify/allot.comp, which distributes n_new copies among the growing
+/// surfels according to their weights.
 struct AllotParams {
     RELIDAR_OF(Uints, GrowthWeights) weight;      // input [n]
     RELIDAR_OF(Uints, WeightsBefore) cumulative;  // input [n] sum of the preceding weights
-    // In place [n]: action of each surfel. Becomes KEEP for growing surfels that receive
-    // no copy.
+    // In place [n]: action of each surfel. A growing surfel that receives no copy gets
+    // the action KEEP.
     RELIDAR_OF(Uints, DensifyActions) action;
-    // Output [n]: number of rows that each surfel has after densification.
+    // Output [n]: number of surfels that replace each surfel, including itself.
     RELIDAR_OF(Uints, RowCounts) n_rows;
     uint n_surfels;
     uint n_new;
@@ -87,8 +88,8 @@ struct AllotParams {
     uint phase;  // 0 <= phase < total_weight
 };
 
-/// Parameters of densify/move.comp, which copies the rows of one array to their new
-/// positions.
+/// Parameters of densify/move.comp, which copies the values of all surfels to their new
+/// positions in one array.
 struct MoveParams {
     RELIDAR_OF(Uints, OldRows) from;           // input [n,stride] bits of any type
     RELIDAR_OF(Uints, NewRows) to;             // output [sum of n_rows,stride]
@@ -97,13 +98,13 @@ struct MoveParams {
     RELIDAR_OF(Uints, RowStarts) starts;       // input [n] first new row of each surfel
     uint n_surfels;
     uint stride;
-    // 1: rows of new and changed surfels are set to zero, as the moment estimates of Adam
-    // require.
+    // 1: the values of new and changed surfels are set to zero. Used for the Adam
+    // moments.
     uint fresh;
 };
 
-/// Parameters of densify/spawn.comp, which computes the values of split surfels. Their
-/// new rows contain copies of the old values before.
+/// Parameters of densify/spawn.comp, which moves and shrinks split surfels.
+/// densify/move.comp has already copied the old values to their new rows.
 struct SpawnParams {
     SurfelPointers surfels;                    // in place, in the new order
     RELIDAR_OF(Uints, DensifyActions) action;  // input [n] in the old order

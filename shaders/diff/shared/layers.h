@@ -9,8 +9,8 @@
 
 #define RELIDAR_CONV_OUT 8  // Number of output channels that a subgroup of a convolution kernel computes.
 // Number of input channels whose weights a workgroup of network/conv keeps in shared
-// memory. A subgroup of network/conv_weights processes the same number of input channels
-// for 1x1 convolutions.
+// memory. For 1x1 convolutions, a subgroup of network/conv_weights also processes this
+// number of channels.
 #define RELIDAR_CONV_IN 8
 // Number of pixels of a channel that one thread of the normalisation kernels computes.
 #define RELIDAR_NORM_PIXELS 8
@@ -28,8 +28,8 @@ struct ConvParams {
     uint columns;
     uint n_in;
     uint n_out;
-    // 1: computes the derivative with respect to the input, with input and output
-    // channels exchanged and taps mirrored.
+    // 1: computes the derivative with respect to the input. Input and output channels are
+    // exchanged, and the 3x3 kernels are mirrored.
     uint transposed;
     uint accumulate;  // 1: adds the result to the stored values instead of overwriting them.
 };
@@ -55,8 +55,8 @@ struct SumPartsParams {
     uint n;
 };
 
-// Parameters of network/channel_sums.comp, which sums over the pixels of each channel.
-// The pixels are split into parts.
+// Parameters of network/channel_sums.comp, which computes sums over the pixels of each
+// channel, separately for each part of an image.
 struct ChannelSumsParams {
     ImageSlice from;  // input
     ImageSlice d_to;  // input, for kSums_norm_vjp: gradient of the output of network/norm
@@ -68,15 +68,15 @@ struct ChannelSumsParams {
     uint n_images;
     uint n_pixels;  // pixels per image
     uint n_channels;
-    // Number of parts of all images. It is a multiple of n_images, because each part is
-    // within one image.
+    // Number of parts of all images, a multiple of n_images. A part never extends over
+    // two images.
     uint n_parts;
     uint dropout_key;
     float dropout;
 };
 #ifdef __cplusplus
-// Selects the sums for batch normalisation: mean of each part, and sum of squared
-// deviations from this mean.
+// Selects the sums for batch normalisation: for each part, the mean and the sum of
+// squared deviations from it.
 constexpr uint kSums_moments = 0;
 constexpr uint kSums_norm_vjp = 1;  // selects the gradients dL/d(beta), dL/d(gamma)
 constexpr uint kSums_plain = 2;     // selects plain sums, which are the gradient of a bias
@@ -91,8 +91,8 @@ struct NormFinishParams {
     // (`training` is 0) uses them.
     RELIDAR_OF(Vec2s, RunningMoments) running;
     RELIDAR_OF(Vec2s, NormMoments) moments;  // output [channels] mean and 1 / deviation
-    // Output [channels]: scale and shift such that gamma * normalised + beta = scale x +
-    // shift.
+    // Output [channels]: factors that replace normalisation, gamma and beta by one
+    // operation, scale * x + shift.
     RELIDAR_OF(Vec2s, ScaleShift) scale_shift;
     uint n_channels;
     uint n_parts;  // parts of all images
@@ -110,8 +110,8 @@ struct NormParams {
     uint n_images;
     uint n_pixels;  // pixels per image
     uint n_channels;
-    // Key of the random dropout mask. A value is dropped depending only on this key and
-    // its index.
+    // Seed of the dropout mask. Only this seed and the index of a value determine whether
+    // the value is dropped.
     uint dropout_key;
     float dropout;  // Share of values that dropout sets to 0. 0 means no dropout.
 };
@@ -134,8 +134,7 @@ struct NormVjpParams {
 struct ResampleParams {
     ImageSlice from;  // input
     ImageSlice to;    // output; in place for network/pool_vjp
-    // Input images of the max pooling. Only the derivative of the pooling
-    // (network/pool_vjp) reads them.
+    // Input of the max pooling. Only its derivative (network/pool_vjp) reads this image.
     ImageSlice pooled;
     uint n_images;
     uint n_channels;

@@ -10,7 +10,8 @@
 
 RELIDAR_SHARED_BEGIN
 
-// Constants kTerm_depth, ...: column of each loss term in a row of `terms`.
+// Defines kTerm_depth, ...: the column of each loss term in the rows of the array
+// `terms`.
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) const uint kTerm_##name = index;
 RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
@@ -34,14 +35,13 @@ struct ImageLossParams {
     uint normalised_depth;
 };
 
-// Number of floats per pixel. Three derivatives come first, each divided by the sum of
-// weights: with respect to the mean, the variance (times two) and the covariance. Both
-// means follow.
+// Number of floats per pixel. Three derivatives come first, divided by the sum of
+// weights: with respect to mean, variance (times two) and covariance. Both means follow.
 #define RELIDAR_SSIM_FLOATS 5
 
-/// Parameters of the kernels loss/ssim and loss/ssim_vjp for the structural similarity of
-/// the intensity image and its derivative. Kernel ssim writes `statistics`, and ssim_vjp
-/// reads it.
+/// Parameters of the kernels loss/ssim and loss/ssim_vjp, which compute the structural
+/// similarity of the intensity image and its derivative. Kernel ssim_vjp reads the
+/// `statistics` that ssim has written.
 struct SsimParams {
     RenderedRays rendered;  // input [rows,columns]
     Targets targets;        // input
@@ -78,8 +78,8 @@ struct ChamferPointsParams {
     uint normalised_depth;  // 1: the range of a simulated point is D / W. 0: the range is D.
 };
 
-/// Parameters of loss/chamfer_boxes.comp, which computes bounding boxes of tiles of
-/// points, or of tiles of boxes.
+/// Parameters of loss/chamfer_boxes.comp, which computes bounding boxes of image tiles.
+/// The elements of a tile are points, or the boxes of smaller tiles.
 struct ChamferBoxesParams {
     RELIDAR_OF(Vec3s, LowCorners) low;    // input [rows,columns]
     RELIDAR_OF(Vec3s, HighCorners) high;  // input [rows,columns]
@@ -109,7 +109,7 @@ struct ChamferNearestParams {
     RELIDAR_OF(Vec3s, QueryPoints) queries;  // input [rows,columns]
     ChamferCloud cloud;                      // input
     // Output [rows,columns]: index of the nearest point in cloud.points. RELIDAR_NO_INDEX
-    // if the query is not a point or the cloud is empty.
+    // if the pixel has no query point or the cloud is empty.
     Uints nearest;
     uint rows;
     uint columns;
@@ -117,8 +117,8 @@ struct ChamferNearestParams {
     uint tile_columns;
 };
 
-/// Parameters of the Chamfer loss and of its derivative. The loss sums squared
-/// nearest-point distances in both directions.
+/// Parameters of the Chamfer loss and its derivative. The loss is a sum of squared
+/// distances to the nearest point, in both directions.
 struct ChamferParams {
     Rays rays;                                     // input
     RenderedRays rendered;                         // input [n_rays]
@@ -129,8 +129,8 @@ struct ChamferParams {
     // input [n_rays] index, per measured point
     RELIDAR_OF(Uints, NearestSimulated) nearest_simulated;
     RELIDAR_OF(Floats, PointCounts) counts;  // input [2]
-    // Gradients [n_rays,2] of simulated points that are nearest to a measured point, in
-    // m, fixed point. Kernel chamfer accumulates them, and chamfer_vjp reads them.
+    // Gradients of simulated points that are the nearest to a measured point, [n_rays,2]
+    // in m, fixed point. Kernel chamfer adds to them, and chamfer_vjp reads them.
     RELIDAR_OF(Uints, FoundGradients) d_found;
     RayGradients upstream;                // accumulated [n_rays] by chamfer_vjp
     RELIDAR_OF(Floats, LossTerms) terms;  // accumulated by chamfer
@@ -146,8 +146,8 @@ struct ChamferParams {
 struct SurfelLossParams {
     SurfelPointers surfels;    // input
     SurfelPointers d_surfels;  // accumulated: mean, log_scale
-    // Input [n]: 1 for surfels whose gradients are defined. Address 0 means that all
-    // gradients are defined.
+    // Input [n]: 0 for surfels whose gradients are undefined, otherwise 1. Address 0 =
+    // all gradients are defined.
     RELIDAR_OF(Uints, TouchedSurfels) touched;
     RELIDAR_OF(Floats, LossTerms) terms;  // accumulated
     Models models;                        // input [n_models]

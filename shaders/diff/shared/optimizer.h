@@ -31,11 +31,11 @@ struct AdamParams {
     float epsilon;
     float correction1;  // 1 / (1 - beta1^step)
     float correction2;  // 1 / (1 - beta2^step)
-    // Factor on the learning rate of column 0 of each block. In spherical harmonics,
-    // column 0 is the constant coefficient.
+    // Factor on the learning rate of the first column of each block. For spherical
+    // harmonics, this column is the constant coefficient.
     float first_scale;
-    // Factor on the learning rate of the first block. In spherical harmonics, the first
-    // block is the intensity and the others are the logits.
+    // Factor on the learning rate of the first block of columns. For spherical harmonics,
+    // the first block is the intensity, and the others are the two logits.
     float block_scale;
     uint n_models;
     uint first_row;  // surfel of row 0

@@ -9,8 +9,8 @@
 
 RELIDAR_SHARED_BEGIN
 
-// View of a matrix with strides. Used for batched products C[b,h][i,j] = scale sum_k
-// A[b,h][i,k] B[b,h][k,j].
+// Matrix in an array, described by the distances between its elements. Used for batched
+// products C[b,h][i,j] = scale sum_k A[b,h][i,k] B[b,h][k,j].
 struct MatrixView {
     Floats values;
     uint first;
@@ -48,15 +48,15 @@ struct SoftmaxParams {
 struct DropLossParams {
     RELIDAR_OF(Floats, DropLogits) logit;   // input [n]
     RELIDAR_OF(Floats, StartLogits) start;  // input [n], added to logit, or address 0
-    // Input [n]: 1 for a ray without a return, 0 for a ray with a return, negative for an
-    // unknown ray. Address 0 means that all rays are unknown.
+    // Input [n]: measurement of each ray. 1 = no return, 0 = return, negative = unknown.
+    // Address 0 = all rays are unknown.
     RELIDAR_OF(Floats, DropTargets) target;
     // Output [n]: derivative of the loss, which is `weight` times the sum of the
     // cross-entropies of the known pixels.
     RELIDAR_OF(Floats, DropLogitGradients) d_logit;
     RELIDAR_OF(Floats, DropProbabilities) probability;  // output [n], or address 0
-    // Output [n_parts, 2]: sum of the cross-entropies of each part, and its number of
-    // correctly predicted pixels.
+    // Output [n_parts, 2]: for each part of the pixels, the sum of cross-entropies and
+    // the number of correct predictions.
     RELIDAR_OF(Floats, PartSums) partial;
     uint n;
     uint n_parts;
@@ -77,8 +77,9 @@ struct DropInputsParams {
     RELIDAR_OF(Floats, DropTargets) target;  // output [n_images, n_pixels]
     uint n_images;
     uint n_channels;
-    // Number of channels at the end that belong to the pixels of the sensor. The rotation
-    // of images, which augments the training data, does not rotate these channels.
+    // Number of channels, at the end, that describe the pixels of the sensor instead of
+    // the scene. They do not rotate when an image is rotated to augment the training
+    // data.
     uint n_fixed;
     uint logit_channel;
     uint rows;

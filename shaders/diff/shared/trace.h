@@ -14,26 +14,26 @@ RELIDAR_SHARED_BEGIN
 /// * ray_stride of `rays`.
 struct TraceScene {
     TlasHandle tlas;  // acceleration structure (ray query)
-    // Input [1] in m: maximum distance from a hit to the far side of the icosahedron
-    // around it. Used for ray queries with 3D Gaussians, otherwise address 0.
+    // Input [1] in m: maximum distance between a hit and the far side of the icosahedron
+    // around its 3D Gaussian. Used by ray queries with icosahedra, otherwise address 0.
     RELIDAR_OF(Floats, ProxyReach) proxy_reach;
     MovingInstances moving;  // input [n_moving] (ray query)
-    // Input [n_models] in m: radius around each model's origin that contains all its
-    // hits. Used for ray queries.
+    // Input [n_models] in m: radius of the sphere around each model's origin that
+    // contains all its hits. Used by ray queries.
     RELIDAR_OF(Floats, ModelRadii) model_radii;
     BvhPointers bvh;                   // the tree (software traversal)
     Rays rays;                         // input
     Records records;                   // input
     Instances instances;               // input
     RELIDAR_OF(Floats, Harmonics) sh;  // input [n,3,16], read if SH are evaluated per hit
-    // Accumulated [1]: number of rays that ended early because they reached the maximum
-    // number of passes.
+    // Accumulated [1]: number of rays that ended too early, because they needed too many
+    // passes or overflowed the traversal stack.
     RELIDAR_OF(Uints, PassCapCount) pass_cap_count;
-    // Accumulated [2]: number of visited nodes and number of tested surfels. Written only
-    // by kernels of the software traversal that count visits.
+    // Accumulated [2]: number of visited tree nodes and number of tested surfels. Written
+    // only by kernel variants that count visits.
     RELIDAR_OF(Uints, VisitCounters) visits;
-    // Input: measurements of the rays. Address 0 means that none exist. Used only by
-    // kernels that compute likelihoods.
+    // Input: measurements of the rays, or address 0. Used only by kernel variants that
+    // compute likelihoods.
     Targets targets;
     float near_m;
     float alpha_min;
@@ -46,21 +46,21 @@ struct TraceScene {
     uint n_rays;
     uint first_ray;
     uint ray_stride;
-    // Number of columns of the image that the batch forms. Its rays are traced in tiles.
-    // If 0, rays are traced in their order.
+    // Number of columns if the rays form an image, whose tiles are then traced together.
+    // 0 = rays are traced in their order.
     uint columns;
 };
 
 #define RELIDAR_MOST_ROOM 512  // maximum capacity of a list
-// Maximum number of hits per lane when a subgroup sorts a list. A list can therefore
-// contain at most 16 hits per lane.
+// Maximum number of hits that a lane holds while its subgroup sorts a list. It limits the
+// length of a list.
 #define RELIDAR_MOST_HELD 16
 #define RELIDAR_SORTED_TOGETHER 4u  // lists that one workgroup sorts
-// Flag in the length of a hit list. The flag means that the ray ends within the list,
-// because its transmittance falls below the limit there.
+// Flag in the length of a hit list: the ray ends within the list, because its
+// transmittance falls below the limit.
 #define RELIDAR_LIST_CLOSED 0x80000000u
-// Length of a hit list that cannot be used. Kernel forward/trace then renders the ray
-// without the list.
+// Length of a list that does not contain all needed hits. Kernel forward/trace then
+// renders the ray without a list.
 #define RELIDAR_LIST_UNFIT 0xffffffffu
 
 /// Hit lists, one for each tracing thread.
@@ -71,27 +71,27 @@ struct HitLists {
     uint room;  // capacity of a list in hits
 };
 
-/// Parameters of the forward kernels. Kernel forward/blend blends hits from lists. Kernel
-/// forward/trace finds and blends hits without lists.
+/// Parameters of the two forward kernels. forward/blend blends hits from lists.
+/// forward/trace searches and blends hits without lists.
 struct ForwardParams {
     TraceScene scene;
-    // Hit lists of the rays. If they exist, forward/trace renders only the rays whose
-    // list cannot be used.
+    // Hit lists of the rays, if lists are used. Then forward/trace renders only the rays
+    // whose list is marked as unfit.
     HitLists lists;
     RenderedRays rendered;  // output [n_rays]
     // Output [ceil(n/2),n_kept,2]: the first hits of each ray, stored for the backward
     // pass.
     Hits kept;
-    // Accumulated [1]: number of rays with more hits than n_kept. Not used if n_kept is
-    // 0.
+    // Accumulated [1]: number of rays with more than n_kept hits. Not counted if n_kept
+    // is 0.
     RELIDAR_OF(Uints, OverfullCount) n_overfull;
-    // Output [n_rays]: normal and range (mode) of the surface that each ray hit. Written
-    // only by kernels that compute normals or modes.
+    // Output [n_rays]: normal and distance of the surface that each ray hits. Written
+    // only by kernel variants that compute one of them.
     RenderedSurfaces surfaces;
     uint n_kept;
     uint kept_in_lists;  // 1: the stored hits share the memory of lists.hits.
-    // Minimum distance in m between two surfaces on a ray. Used only by kernels that
-    // compute the mode, which is the mean range of the surface with the largest weight.
+    // Minimum distance in m between two surfaces on a ray. Used only to find the surface
+    // with the largest weight (MODE).
     float surface_gap_m;
 };
 

@@ -20,21 +20,21 @@ uint placed_instance[SLOTS];
 uint placed_surfel[SLOTS];
 uint n_hits;
 uint n_places;  // number of entries used so far
-// First free entry of a removed hit, or CHUNK if no entry is free. next_nearer links the
-// free entries.
+// First free entry, or CHUNK if there is none. next_nearer links all entries that became
+// free because their hit was removed.
 uint free_place;
 uint latest;       // index of the hit that was inserted last
 float latest_t;    // Distance of the hit that was inserted last. It is -kFar if that hit was removed.
 float farthest_t;  // distance of the farthest hit, valid if hits_closed is true
-// True if hits behind the farthest hit cannot contribute in this pass (the buffer is
-// closed). The search then stops at the farthest hit.
+// True if hits behind the farthest hit in the buffer are not needed, because the buffer
+// is full or the ray ends before them. The search then stops at the farthest hit.
 bool hits_closed;
 float hits_transmittance;  // product of 1 - alpha over all hits in the buffer
-// Transmittance at which the ray ends, so that later hits are not needed. 0 keeps all
-// hits.
+// Transmittance at which the ray ends, so that hits behind are not needed. 0 = all hits
+// are needed.
 float least_transmittance;
 
-// Indices of the hits after the search, sorted from near to far.
+// After the search: buffer entries of the hits, sorted from near to far.
 uint hit_place[SLOTS];
 
 Hit load_sorted_hit(uint place) {
@@ -61,7 +61,7 @@ void append_hit(Hit hit) {
     ++n_hits;
 }
 
-/// Writes the indices of all hits to hit_place, sorted from near to far.
+/// Fills hit_place with the buffer entries of all hits, from near to far.
 void sort_hit_indices() {
     uint place = next_nearer[CHUNK];
     for (uint i = n_hits; i > 0u; --i) {
@@ -71,7 +71,7 @@ void sort_hit_indices() {
 }
 
 /// Removes the farthest hit from the buffer.
-/// @param left transmittance of the remaining hits
+/// @param left product of 1 - alpha over the remaining hits
 /// @return index of the entry that is free now
 uint drop_farthest(float left) {
     uint place = next_nearer[CHUNK];
@@ -87,11 +87,11 @@ float compute_transmittance_before_farthest(float alpha_max) {
     return hits_transmittance / (1.0 - min(placed_alpha[next_nearer[CHUNK]], alpha_max));
 }
 
-/// Removes the farthest hits if the nearer hits already reduce the transmittance below
-/// the limit, because the removed hits cannot contribute.
+/// Removes far hits that cannot contribute, because nearer hits reduce the transmittance
+/// below the limit.
 void drop_invisible_hits(float alpha_max) {
-    // Returns early in the usual case. Without this test, a CPU would execute the loop
-    // body once.
+    // Leaves the function in the usual case. Otherwise a CPU would execute the loop body
+    // once without effect.
     if (!(hits_transmittance < least_transmittance)) return;
     while (n_hits > 1u) {
         float left = compute_transmittance_before_farthest(alpha_max);
@@ -103,8 +103,8 @@ void drop_invisible_hits(float alpha_max) {
     }
 }
 
-/// Returns the index of an entry for a new hit. It is an entry of a removed hit or an
-/// unused entry.
+/// Returns the buffer entry for a new hit: a free entry, or the entry of the farthest hit
+/// if the buffer is full.
 uint find_insertion_index(float alpha_max) {
     if (n_hits == CHUNK) return drop_farthest(compute_transmittance_before_farthest(alpha_max));
     uint place = free_place;
@@ -122,8 +122,8 @@ void insert(Key key, float alpha, float alpha_max) {
         if (!(t >= key.t)) break;
         if (t == key.t) {  // hits at equal distances are rare
             Key present_key = load_sorted_key(nearer);
-            // Ignores a hit that is already in the buffer. A hit arrives twice if the ray
-            // crosses two triangles of the same proxy, or if the driver reports a box
+            // Ignores a hit that is already in the buffer. Hits arrive twice if the ray
+            // crosses two triangles around a surfel, or if the driver reports a box
             // twice.
             if (present_key == key) return;
             if (is_key_before(present_key, key)) break;
@@ -132,8 +132,8 @@ void insert(Key key, float alpha, float alpha_max) {
         nearer = next_nearer[nearer];
     }
     uint slot = find_insertion_index(alpha_max);
-    // If the farther neighbour was removed to make space, its entry now belongs to the
-    // new hit. The sentinel then becomes the farther neighbour.
+    // In a full buffer, the new hit gets the entry of the farthest hit. If this hit was
+    // the farther neighbour, the sentinel becomes the farther neighbour.
     if (slot == farther) farther = CHUNK;
     place_hit(slot, Hit(key.t, alpha, key.instance, key.surfel));
     latest = slot;
@@ -147,11 +147,11 @@ void insert(Key key, float alpha, float alpha_max) {
     if (hits_closed) farthest_t = placed_t[next_nearer[CHUNK]];
 }
 
-/// Returns the distance of the farthest hit in the buffer. If hits_closed is true, the
-/// buffer accepts no hits behind this distance.
+/// Returns the distance of the farthest hit in the buffer. Hits behind it are rejected if
+/// hits_closed is true.
 float get_last_hit_t() { return farthest_t; }
 
-/// Returns true if a hit is too far away to contribute in this pass.
+/// Returns true if a hit is behind the last hit that the search needs.
 bool is_behind(Key key) {
     if (!hits_closed || key.t < farthest_t) return false;
     return key.t > farthest_t || !is_key_before(key, load_sorted_key(next_nearer[CHUNK]));

@@ -19,24 +19,25 @@ uint list_index;
 uint n_hits;       // Number of hits of the ray so far, including hits that do not fit into the list.
 bool hits_closed;  // True if hits behind the distance end_t cannot contribute.
 float end_t;
-// Product of 1 - alpha over the hits since the ray was last shortened.
+// Product of 1 - alpha over all hits found since the end of the ray was last moved
+// nearer.
 float set_transmittance;
-// The ray is shortened when set_transmittance falls below this limit.
+// If set_transmittance falls below this limit, the end of the ray is moved nearer.
 float least_transmittance;
 float farthest_t;  // Distance of the farthest hit since the ray was last shortened.
 
-/// Returns the distance of the last hit that can contribute. If hits_closed is true, the
-/// list accepts no hits behind this distance.
+/// Returns the distance at which the ray ends. Hits behind it are rejected if hits_closed
+/// is true.
 float get_last_hit_t() { return end_t; }
 
-/// Returns true if a hit is too far away to contribute.
+/// Returns true if a hit is behind the end of the ray, so that it cannot contribute.
 bool is_behind(Key key) { return hits_closed && key.t > end_t; }
 
 /// Returns the factor by which one reported hit reduces the transmittance.
 float compute_transmittance_factor(float alpha) {
 #ifdef RELIDAR_TRAVERSAL_RAY_QUERY
-    // The driver reports an icosahedron twice, where the ray enters it and where the ray
-    // leaves it. The square root makes both reports together count once.
+    // The driver reports an icosahedron twice, where the ray enters and where it leaves.
+    // With square roots, both reports together count once.
     if (count_proxy_triangles() == kProxy_icosahedron) return sqrt(1.0 - alpha);
 #endif
     return 1.0 - alpha;

@@ -15,10 +15,9 @@ bool is_key_before(Key first, Key second) {
     return first.surfel < second.surfel;
 }
 
-/// Returns the index in memory of hit `index` of a thread's hit list. `capacity` is the
-/// capacity of a list. RELIDAR_SIDE_BY_SIDE lists are interleaved, so that reads use
-/// complete cache sectors. This is true if each lane reads a separate list, and also if
-/// all lanes read one list together.
+/// Returns the memory index of hit `index` in a thread's hit list of size `capacity`. The
+/// hits of RELIDAR_SIDE_BY_SIDE lists alternate in memory. Reads then use complete cache
+/// sectors, whether each lane reads its own list or all lanes read the same one.
 uint get_list_entry(uint capacity, uint list, uint index) {
     return ((list / RELIDAR_SIDE_BY_SIDE) * capacity + index) * RELIDAR_SIDE_BY_SIDE +
            list % RELIDAR_SIDE_BY_SIDE;

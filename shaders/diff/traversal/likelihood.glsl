@@ -6,12 +6,12 @@
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_LIKELIHOOD_GLSL
 RELIDAR_CONSTANT(uint, LIKELIHOOD, 0u);
 
-// Measured range of this thread's ray in m, used if LIKELIHOOD is set. 0 if the ray has
-// no return or its measurement is unknown.
+// Measured range of this thread's ray in m. 0 if the ray has no return or the measurement
+// is unknown. Used only with LIKELIHOOD.
 float measured_range = 0.0;
 float measured_per_scale = 0.0;  // inverse of the likelihood's scale, in 1/m
 
-/// Loads the measurement of a ray into this thread's variables.
+/// Loads the measured range of a ray into a variable of this thread.
 void load_measurement(TraceScene scene, uint ray) {
     measured_range = 0.0;
     if (is_null(scene.targets)) return;
@@ -20,8 +20,9 @@ void load_measurement(TraceScene scene, uint ray) {
     measured_per_scale = 1.0 / scene.likelihood_scale_m;
 }
 
-/// Returns the likelihood k = 1 / (1 + ((t - z) / s)^2) of a hit at distance t. z is the
-/// measured range, and s is its scale. Returns 0 if no range was measured.
+/// Returns the likelihood k = 1 / (1 + ((t - z) / s)^2) of the measured range z if the
+/// surface is at distance t. s is the scale of the noise. Returns 0 without a
+/// measurement.
 float evaluate_range_kernel(float t) {
     if (!(measured_range > 0.0)) return 0.0;
     float d = (t - measured_range) * measured_per_scale;

@@ -11,14 +11,14 @@ struct Ray {
 
 Ray make_ray(DeviceRay entry) { return Ray(entry.origin, entry.direction, entry.time_s); }
 
-// Cached ray in the frame of the last instance. Consecutive surfels usually belong to the
-// same instance, so the cache avoids most transforms.
+// Cached ray in the frame of an instance's model. Consecutive surfels usually belong to
+// the same instance, so the cache avoids most transforms.
 uint entered_instance = 0xffffffffu;
 uint entered_first_surfel;
 vec3 entered_origin;
 vec3 entered_direction;
-// Rotation of the model since its reference time, in the model's axes. It is stored as a
-// Rodrigues vector: axis times tangent of half the angle.
+// Rotation of the moving model between its stored pose and the ray's firing time, in
+// model axes. Stored as Rodrigues vector: axis times tangent of half the angle.
 vec3 entered_turn = vec3(0.0);
 
 /// Returns the index of this thread's ray in the batch. The index is at least n_rays if
@@ -55,9 +55,9 @@ vec3 exact_cross(vec3 a, vec3 b) {
     return product;
 }
 
-/// Rotates a vector `point` by a Rodrigues vector `rotation` (axis times tangent of half
-/// the angle). This keeps the length of `point` exactly, so the distance t is the same in
-/// the world and in a rotated model.
+/// Rotates a vector by a Rodrigues vector (axis times tangent of half the angle). This
+/// preserves the vector's length exactly, so distances t along a ray are the same in the
+/// world and in a rotated model.
 vec3 rotate_by_rodrigues(vec3 rotation, vec3 point) {
     vec3 q = exact_cross(rotation, point), r = exact_cross(rotation, q);
     precise vec3 result = point + 2.0 / (1.0 + exact_dot(rotation, rotation)) * (q + r);
@@ -74,7 +74,8 @@ vec3 to_rodrigues_vector(vec3 turn) {
     return g;
 }
 
-/// Transforms the cached ray into the frame of a moving model at the ray's firing time.
+/// Moves the cached ray to compensate the motion of a model, so that the model can stay
+/// at its stored pose.
 void apply_motion(TraceScene scene, uint instance, float time_s) {
     vec3 velocity = scene.instances.at[instance].velocity, turn_rate = scene.instances.at[instance].turn_rate;
     float span_s = scene.instances.at[instance].half_span_s;
@@ -87,9 +88,8 @@ void apply_motion(TraceScene scene, uint instance, float time_s) {
     entered_direction = rotate_by_rodrigues(-entered_turn, entered_direction);
 }
 
-/// Transforms the ray into the frame of an instance's model, using the model's pose at
-/// the ray's firing time. All kernels and traversal methods use this function, so that
-/// they get bit-identical rays.
+/// Transforms the ray into the frame of an instance's model at the ray's firing time. All
+/// kernels and traversal methods call this function, so that they get bit-identical rays.
 void enter_instance(TraceScene scene, Ray ray, uint instance) {
     if (entered_instance == instance) return;
     InstanceEntry m = scene.instances.at[instance];
@@ -101,9 +101,8 @@ void enter_instance(TraceScene scene, Ray ray, uint instance) {
     if (m.moves != 0u) apply_motion(scene, instance, ray.time_s);
 }
 
-/// Rotates a vector from the frame of the current instance's model into the world frame.
-/// Loads the instance only here, because an earlier load would occupy 12 registers during
-/// the search.
+/// Rotates a vector from the frame of the current model into the world frame. Loads the
+/// instance again, because keeping it would occupy 12 registers during the search.
 vec3 to_world_vector(TraceScene scene, vec3 gradient) {
     InstanceEntry m = scene.instances.at[entered_instance];
     vec3 v = gradient;

@@ -37,7 +37,7 @@ struct Search {
     uint instance;
 };
 
-/// Sets the parameters of a ray query for one moving instance.
+/// Prepares a ray query for one moving instance.
 /// @return false if the ray cannot hit the instance
 bool search_moving_instance(TraceScene scene, Ray ray, MovingInstance moving, out Search search) {
     enter_instance(scene, ray, moving.instance);
@@ -60,8 +60,8 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
         Search search = Search(ray.origin, ray.direction, RELIDAR_STANDING_MASK, RELIDAR_NO_INSTANCE);
         if (k > 0u && !search_moving_instance(scene, ray, scene.moving.at[k - 1u], search)) continue;
         float end = 1e30;  // distance at which the query stops
-        // Limits the query to the distance of the farthest hit if earlier queries have
-        // already filled the hit buffer.
+        // If earlier queries have already filled the hit buffer, this query ends at its
+        // farthest hit.
         if (hits_closed) end = max(get_last_hit_t() - start, 0.0) + (1e-4 + 1e-5 * get_last_hit_t()) + reach;
         rayQueryInitializeEXT(query, accelerationStructureEXT(uvec2(scene.tlas)), gl_RayFlagsNoOpaqueEXT,
                               search.mask, search.origin + start * search.direction, 0.0, search.direction,

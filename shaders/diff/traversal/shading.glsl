@@ -9,13 +9,13 @@ RELIDAR_CONSTANT(uint, SH_PER_SURFEL, 1u);
 RELIDAR_CONSTANT(uint, SINGLE_DROP_LOGIT, 0u);
 
 const uint kNoInstance = 0xffffffffu;
-// Values of the spherical-harmonic basis functions for the current ray, in the frame of
-// ray_basis_instance.
+// Spherical-harmonic basis functions for the direction of the current ray, in the frame
+// of instance ray_basis_instance.
 float ray_basis[16];
 uint ray_basis_instance;
 
-/// Computes the spherical-harmonic (SH) basis for the ray in the frame of an instance.
-/// Does nothing if SH are evaluated per surfel.
+/// Computes the spherical-harmonic (SH) basis for the ray in the frame of an instance,
+/// unless SH are evaluated once per surfel.
 void use_basis(TraceScene scene, Ray ray, uint instance) {
     if (SH_PER_SURFEL != 0u || ray_basis_instance == instance) return;
     enter_instance(scene, ray, instance);
@@ -31,8 +31,8 @@ float evaluate_channel(TraceScene scene, uint surfel, uint channel) {
     return value;
 }
 
-/// Evaluates the spherical harmonics of all three channels in one loop, so that the array
-/// of basis values is read only once.
+/// Evaluates intensity and both logits in one loop, so that each basis value is read only
+/// once.
 vec3 evaluate_channels(TraceScene scene, uint surfel) {
     vec3 value = vec3(0.5);
     uint x = surfel * RELIDAR_SH_FLOATS, y = x + RELIDAR_SH_COEFFICIENTS, z = y + RELIDAR_SH_COEFFICIENTS;
@@ -43,7 +43,7 @@ vec3 evaluate_channels(TraceScene scene, uint surfel) {
     return value;
 }
 
-/// Returns the channel values of a hit: intensity (at least 0), hit logit and drop logit.
+/// Returns the intensity (at least 0), the hit logit and the drop logit of a hit.
 vec3 evaluate_hit_channels(TraceScene scene, Ray ray, uint instance, uint surfel, SurfelRecord record) {
     if (SH_PER_SURFEL != 0u)
         return vec3(record.intensity, SINGLE_DROP_LOGIT != 0u ? 0.0 : record.hit_logit, record.drop_logit);

@@ -6,15 +6,15 @@
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_SHARED_LOAD_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_SHARED_LOAD_GLSL
 
-// Sizes of BvhNode and SurfelRecord in 32-bit words. Words are in the order of the
-// declared members.
+// Sizes of BvhNode and SurfelRecord in 32-bit words. Word k is at the offset 4 k of the
+// struct.
 const uint kNodeWords = 20u, kRecordWords = 16u;
-// Number of loads per node in a subgroup of 4 lanes, the smallest supported subgroup
-// size.
+// Maximum number of words that a lane loads: a node has 20 words, and a subgroup at least
+// 4 lanes.
 const uint kMostParts = 5u;
 
-/// Words of a struct, distributed over the lanes of a subgroup. Word k is in lane k %
-/// size, in part k / size.
+/// Words of a struct, distributed over the lanes of a subgroup. Lane k % size holds word
+/// k in part[k / size].
 struct SharedWords {
     uint part[kMostParts];
 };
@@ -63,7 +63,8 @@ BvhNode load_node(BvhNodes nodes, uint index) {
     return node;
 }
 
-/// Loads a surfel record. Fills only the fields that intersect() reads.
+/// Loads a surfel record together with the other lanes. Fills only the fields that
+/// intersect() reads.
 SurfelRecord load_record(Records records, uint surfel) {
     SharedWords words = load_words(Uints(uvec2(records)), surfel * kRecordWords, kRecordWords);
     SurfelRecord record;

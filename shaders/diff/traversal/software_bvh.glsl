@@ -54,17 +54,18 @@ RELIDAR_CONSTANT(uint, COUNT_VISITS, 0u);
 // ends early and is counted as an error.
 const uint kStackSize = 64u;
 const uint kInstanceEntry = 0x80000000u;  // flag of a stack entry that is an instance
-// Flag of a stack entry that is a node of the top-level tree. All other nodes belong to
-// the current instance.
+// Flag of a stack entry that is a node of the top-level tree. Without a flag, an entry is
+// a node of the current instance's model.
 const uint kTopEntry = 0x40000000u;
 const float kNever = 1e30;
-// Relative rounding error of the distance to a box side (8 roundings of 2^-24 each).
+// Bound for the relative rounding error of the distance to a box side (8 roundings of
+// 2^-24 each).
 const float kSlack = 5e-7;
 const float kLeastSlope = 1e-12;
 
 uint stack_entry[SLOTS];  // Traversal stack. SLOTS is one larger than the number of used entries.
-// Distance at which the ray enters the node of the stack entry. kNever if the ray misses
-// this node.
+// Distance at which the ray enters the node of a stack entry, or kNever if it misses the
+// node.
 float stack_t[SLOTS];
 uint stack_size;
 bool stack_full;
@@ -157,8 +158,8 @@ void push_lane_children(uint first, uint inner, uint hit_mask, float t[RELIDAR_B
     }
 }
 
-/// Pushes the inner children that any ray of the subgroup must visit, for joint
-/// traversal. All rays use the order of the subgroup's first ray.
+/// Pushes the inner children that any ray of the subgroup must visit. Used if the rays
+/// are traversed together. All rays use the order of the subgroup's first ray.
 void push_children(uint first, uint inner, uint opened, uint hit_mask, float t[RELIDAR_BVH_WIDTH]) {
     float key[RELIDAR_BVH_WIDTH];
     [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot) key[slot] =
@@ -180,8 +181,9 @@ void push_children(uint first, uint inner, uint opened, uint hit_mask, float t[R
     } while (left != 0u);
 }
 
-/// Returns a bit mask of the surfels or instances in the opened leaf children of a node.
-/// Bit k belongs to leaf entry k of the node.
+/// Returns a bit mask of the leaf entries that must be tested (surfels, or instances in
+/// the top-level tree).
+/// @param opened bit mask of the children that a ray intersects
 uint collect_leaf_entries(BvhNode node, uint opened) {
     uvec2 leaves = uvec2(node.leaves[0], node.leaves[1]);
     uint entries = 0u;
@@ -192,22 +194,22 @@ uint collect_leaf_entries(BvhNode node, uint opened) {
     return entries;
 }
 
-/// Removes the lowest entry from a bit mask.
-/// @return index of the removed entry
+/// Removes the lowest set bit from a bit mask.
+/// @return index of this bit
 uint pop_nearest(inout uint entries) {
     uint lowest = uint(findLSB(entries));
     entries &= entries - 1u;
     return lowest;
 }
 
-/// Returns true if all lanes of this subgroup are active, so that they can load a struct
-/// together. Lanes at the end of a batch may have no ray.
+/// Returns true if the lanes of this subgroup may load a struct together. All lanes must
+/// be active. At the end of a batch, lanes may have no ray.
 bool can_share_loads() {
     return TOGETHER == kSharesLoads && subgroupBallotBitCount(subgroupBallot(true)) == gl_SubgroupSize;
 }
 
-/// Tests leaf entries of a node against all rays of a full subgroup.
-/// @param entries bit mask of the entries. Must be equal in all lanes
+/// Tests surfels in the leaves of a node against all rays of a full subgroup.
+/// @param entries bit mask of leaf entries, equal in all lanes
 void test_entries_in_subgroup(TraceScene scene, Key after, uint instance, uint first_surfel, uint first_leaf,
                               uint entries) {
     if (entries == 0u) return;
@@ -218,8 +220,8 @@ void test_entries_in_subgroup(TraceScene scene, Key after, uint instance, uint f
         float lane_x = 0.0;
         if (own < end && (entries & (1u << own)) != 0u) {
             lane_surfel = first_surfel + scene.bvh.order.at[first_leaf + own];
-            // Each lane first reads a different record, so that the cache misses of all
-            // lanes overlap.
+            // Each lane reads one float of a different record, so that the cache misses
+            // of all records overlap.
             lane_x = scene.records.at[lane_surfel].mean.x;
         }
         do {
@@ -231,8 +233,8 @@ void test_entries_in_subgroup(TraceScene scene, Key after, uint instance, uint f
     } while (entries != 0u);
 }
 
-/// Tests leaf entries of a node against one ray. Loads the next record before it tests
-/// the current record, to hide the latency of the load.
+/// Tests surfels in the leaves of a node against one ray. Loads the next record before it
+/// tests the current one, to hide the latency of the load.
 void test_entries_of_ray(TraceScene scene, Key after, uint instance, uint first_leaf, uint entries) {
     while (entries != 0u) {
         uint entry = first_leaf + pop_nearest(entries),
@@ -247,19 +249,18 @@ void test_entries_of_ray(TraceScene scene, Key after, uint instance, uint first_
     }
 }
 
-/// Transforms the ray for box tests into the frame of an instance's model. For the
-/// top-level tree, transforms it into the world frame.
+/// Transforms the ray that is used for box tests into the frame of a tree. This is the
+/// world frame for the top-level tree, otherwise the frame of an instance's model.
 void enter_tree(TraceScene scene, Ray ray, uint instance, inout BoxRay walked) {
     if (instance != RELIDAR_BVH_NO_NODE) enter_instance(scene, ray, instance);
     bool in_model = instance != RELIDAR_BVH_NO_NODE;
     set_box_ray(walked, in_model ? entered_origin : ray.origin, in_model ? entered_direction : ray.direction);
 }
 
-/// Visits a node: tests its leaf entries and pushes its inner children onto the stack.
-/// @param tree instance whose model contains the node, or RELIDAR_BVH_NO_NODE for the
+/// Visits a node: tests the surfels in its leaves and pushes its inner children.
+/// @param tree instance whose model contains the node. RELIDAR_BVH_NO_NODE for the
 /// top-level tree
-/// @param full_subgroup true if all lanes of the subgroup are active, so that they can
-/// load the node together
+/// @param full_subgroup true if all lanes are active, so that they load the node together
 /// @return number of tested surfels
 uint visit_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, bool full_subgroup,
                 inout BoxRay walked) {
@@ -315,8 +316,7 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
             uint lane_entry = entry;
             entry = subgroupBroadcastFirst(entry);
             tree = subgroupBroadcastFirst(tree);
-            // This ray waits in this step, because the subgroup processes a different
-            // node.
+            // The subgroup now processes a different node, so this ray waits.
             if (lane_entry != entry || instance != tree) continue;
         }
         --stack_size;

@@ -14,10 +14,10 @@
 #include "keys.glsl"
 #include "ray.glsl"
 
-// Size of every array of this shader that is indexed dynamically. Compilers convert small
-// arrays to selections between registers, which then do not fit into the register file.
-// Mesa's AMD compiler does this up to 256 bytes, and Intel's compiler up to 16 elements.
-// Larger arrays stay in memory.
+// Size of all arrays of this shader that are indexed at run time. Compilers replace
+// smaller arrays by selections between registers, of which there are too few. Mesa's AMD
+// compiler does this up to 256 bytes, Intel's up to 16 elements. Larger arrays stay in
+// memory.
 const uint SLOTS = 65u;
 
 #ifdef RELIDAR_APPENDS_HITS
@@ -26,8 +26,8 @@ const uint SLOTS = 65u;
 #include "hit_buffer.glsl"
 #endif
 
-/// Intersects the ray with a surfel that the traversal has found. Inserts the hit if the
-/// ray hits the surfel.
+/// Intersects the ray with a surfel that the traversal has found. Stores the hit, if
+/// there is one.
 /// @param surfel index in the scene. The surfel must belong to the current instance
 void test_record(TraceScene scene, Key after, uint instance, uint surfel, SurfelRecord record) {
     SurfelHit hit;
@@ -50,17 +50,17 @@ void test_found_surfel(TraceScene scene, Ray ray, Key after, uint instance, uint
     test_surfel(scene, after, instance, entered_first_surfel + local_surfel);
 }
 
-/// Returns a sort key before all hits that the sensor can see. The sensor does not see
-/// hits at t <= near_m.
+/// Returns the sort key at which the search for hits starts. Hits at t <= near_m are too
+/// close to the sensor and are skipped.
 Key get_first_key(TraceScene scene) { return Key(scene.near_m, 0xffffffffu, 0xffffffffu); }
 
-/// Returns the distance at which a continued search may start, because all nearer hits
+/// Returns the distance at which the search continues. All hits before the key `after`
 /// are already known. The margin is much larger than the rounding error of t in any
 /// traversal method.
 float compute_search_start(Key after) { return max(after.t - (1e-4 + 1e-5 * after.t), 0.0); }
 
-/// Returns the transmittance of further hits at which the ray ends. The factor 0.99
-/// allows for rounding of their product.
+/// Returns the product of 1 - alpha over the following hits at which the ray ends. The
+/// factor 0.99 allows for rounding.
 /// @param transmittance transmittance of the ray so far
 float compute_min_transmittance(TraceScene scene, float transmittance) {
     return 0.99 * scene.transmittance_min / transmittance;

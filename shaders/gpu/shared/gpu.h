@@ -16,8 +16,9 @@ RELIDAR_SHARED_BEGIN
 /// Parameters of an exclusive prefix sum (gpu/scan_sums.comp, gpu/scan_write.comp).
 struct ScanParams {
     RELIDAR_OF(Uints, ScanCounts) counts;  // Input: element i is counts[offset + i * stride].
-    // Sum of each tile [tiles]. Kernel scan_sums writes the sums. Kernel scan_write reads
-    // their prefix sums. Address 0 means that the input has only one tile.
+    // Sum of each tile [tiles]. Kernel scan_sums writes these sums. They are then
+    // replaced by their prefix sums, which kernel scan_write reads. Address 0 = the input
+    // has only one tile.
     RELIDAR_OF(Uints, ScanTileSums) tile_sums;
     // Output of scan_write: prefix sums [n]. May be the same array as `counts` if the
     // stride is 1.
@@ -41,8 +42,8 @@ struct RadixSortParams {
     RELIDAR_OF(Uints, SortOrder) order;
     RELIDAR_OF(Uints, SortKeys) sorted_keys;    // Output: sorted keys.
     RELIDAR_OF(Uints, SortOrder) sorted_order;  // Output: original indices of the sorted keys.
-    // Number of keys per digit and tile [digits,tiles]. Kernel radix_scan replaces each
-    // number by the sum over all earlier tiles.
+    // Number of keys with each digit in each tile [digits,tiles]. Kernel radix_scan
+    // replaces it by the number of such keys in all earlier tiles.
     RELIDAR_OF(Uints, DigitCounts) counts;
     RELIDAR_OF(Uints, DigitTotals) totals;  // Number of keys with each digit, [digits].
     uint capacity;
@@ -74,8 +75,7 @@ struct CheckSubgroupsParams {
     uint fault;     // 1: one lane adds nothing, so that a test can provoke a wrong sum.
 };
 
-/// Returns the value that a thread of check_subgroups uses. The value is a hash below
-/// 65536.
+/// Returns the test value of a thread in kernel check_subgroups: a hash below 65536.
 RELIDAR_FUNCTION uint check_value(uint thread) {
     uint x = thread * 747796405u + 2891336453u;
     return (x ^ (x >> 15u)) >> 16u;

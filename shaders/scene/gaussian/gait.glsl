@@ -20,25 +20,25 @@ struct Gait {
 
 const float kTurn = 6.283185307;
 
-/// Returns the motion state of a surfel at a phase of its actor's motion.
-/// @param phase phase, 0 to 1. A negative value means that the model is rigid, so its
-/// surfels do not move
+/// Returns how a walking motion changes a surfel: its displacement and its visibility.
+/// @param phase phase of the actor's motion, 0 to 1. Negative: the model is rigid, so
+/// nothing changes
 Gait load_gait(Floats gaits, uint surfel, float phase) {
     if (is_null(gaits) || phase < 0.0) return Gait(0.0, vec3(0.0), 0.0, 1.0, 0.0, 1.0);
     uint i = 5u * surfel;
     float off = phase - gaits.at[i];
-    // Wraps the phase difference to half a cycle, because sine and cosine are most
-    // accurate there.
+    // Reduces the phase difference to at most half a cycle, where sine and cosine are
+    // most accurate.
     off = kTurn * (off - round(off));
-    // Computes cosine - 1 from the sine of half the angle. This avoids the rounding error
-    // of the cosine, which a large sharpness would multiply.
+    // Computes cosine - 1 from the sine of half the angle, because a large sharpness
+    // would multiply the rounding error of the cosine.
     float sharpness = gaits.at[i + 1u], half_sine = sin(0.5 * off), less = -2.0 * half_sine * half_sine;
     return Gait(sharpness, vec3(gaits.at[i + 2u], gaits.at[i + 3u], gaits.at[i + 4u]), sin(off), cos(off),
                 less, exp(sharpness * sharpness * less));
 }
 
-/// Computes the gradient of the five gait parameters.
-/// @param d_mean gradient of the moved mean
+/// Computes the gradient of a surfel's five gait parameters (walking motion).
+/// @param d_mean gradient of the moved mean position
 /// @param d_presence gradient of the factor on the opacity
 void backpropagate_gait(Gait gait, vec3 d_mean, float d_presence, out float d_gait[5]) {
     d_gait[0] = -kTurn * (gait.cosine * dot(gait.swing, d_mean) -

@@ -18,7 +18,8 @@
 
 const float kTolerance_m = 5e-5;
 
-/// Converts a vector to units of standard deviations of the Gaussian.
+/// Divides the components of a vector along the Gaussian's axes by their standard
+/// deviations.
 vec3 whiten_vector(SurfelRecord record, vec3 vector) {
     return vec3(exact_dot(record.axis_u, vector), exact_dot(record.axis_v, vector),
                 exact_dot(record.normal, vector));
@@ -46,10 +47,9 @@ bool intersect_gaussian(SurfelRecord record, vec3 origin, vec3 direction, out Su
     return length2 > 0.0 && !isinf(t) && !isnan(t) && !isnan(hit.alpha);
 }
 
-/// Derivative of intersect_gaussian(). q is perpendicular to b, so |q|^2 does not change
-/// with t:
+/// Derivative of intersect_gaussian(). The vector q is perpendicular to b, so |q|^2 does
+/// not depend on t:
 ///   dalpha = -alpha q . dq with t held constant,  dt = (b . da - (q + t b) . db) / b.b
-///
 /// @param d_t dL/dt at fixed alpha
 /// @param d_alpha dL/d(sigma G). Must be 0 if alpha was clamped
 SurfelHitGradient backpropagate_gaussian_intersection(SurfelRecord record, vec3 origin, vec3 direction,

@@ -9,16 +9,17 @@
 #include "gaussian3d.glsl"
 
 /// Intersects a ray with a surfel or 3D Gaussian. The caller must compare the resulting
-/// alpha with the threshold.
-/// @return true if the ray hits the primitive
+/// alpha with alpha_min.
+/// @return false if there is no intersection
 bool intersect(SurfelRecord record, vec3 origin, vec3 direction, out SurfelHit hit) {
     if (PRIMITIVE == kPrimitive_gaussian) return intersect_gaussian(record, origin, direction, hit);
     return intersect_surfel(record, origin, direction, hit);
 }
 
-/// Derivative of intersect().
-/// @param d_t dL/dt at fixed alpha
-/// @param d_alpha dL/d(sigma G). Must be 0 if alpha was clamped
+/// Derivative of intersect(): gradients of the surfel record and of the ray.
+/// @param d_t dL/dt, where t is the distance of the hit
+/// @param d_alpha dL/d(sigma G), where sigma G is alpha before clamping. Must be 0 if
+/// alpha was clamped
 SurfelHitGradient backpropagate_intersection(SurfelRecord record, vec3 origin, vec3 direction, SurfelHit hit,
                                              float d_t, float d_alpha) {
     if (PRIMITIVE == kPrimitive_gaussian)

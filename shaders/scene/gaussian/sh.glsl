@@ -41,8 +41,8 @@ void evaluate_sh_basis(vec3 direction, uint degree, out float basis[16]) {
     basis[15] = kSh3[6] * x * (xx - 3.0 * yy);
 }
 
-/// Returns dL/direction(direction) from dL/direction(basis). The caller must also apply
-/// the derivative of the direction's normalisation.
+/// Returns dL/d(direction) from dL/d(basis). Treats the direction as an independent
+/// vector. The caller must apply the derivative of its normalisation.
 vec3 backpropagate_sh_basis(vec3 direction, uint degree, float d_basis[16]) {
     vec3 g = vec3(0.0);
     if (degree < 1u) return g;

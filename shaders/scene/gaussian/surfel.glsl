@@ -8,8 +8,8 @@
 /// Result of intersecting a ray with a surfel or 3D Gaussian, in the frame of its model.
 struct SurfelHit {
     float t;  // m along the ray
-    // Position of the hit in standard deviations. w is used only for 3D Gaussians and is
-    // 0 for surfels.
+    // Position of the hit along the surfel's axes, in standard deviations. w is used only
+    // for 3D Gaussians and is 0 for surfels.
     float u, v, w;
     float alpha;  // opacity at the hit: sigma G, before it is clamped
 };
@@ -39,8 +39,7 @@ bool intersect_surfel(SurfelRecord record, vec3 origin, vec3 direction, out Surf
     return facing != 0.0 && !isinf(t) && !isnan(t) && !isnan(hit.alpha);
 }
 
-/// Gradients of the surfel's record, in the same layout as the record, and gradients of
-/// the ray.
+/// Gradients of the floats of a surfel's record, in the same order, and of the ray.
 struct SurfelHitGradient {
     vec3 d_mean;
     vec3 d_axis_u;
@@ -51,9 +50,10 @@ struct SurfelHitGradient {
     vec3 d_direction;
 };
 
-/// Derivative of intersect_surfel().
+/// Derivative of intersect_surfel(): gradients of the surfel record and of the ray.
 /// @param d_t dL/dt at fixed u, v
-/// @param d_alpha dL/d(sigma G). Must be 0 if alpha was clamped
+/// @param d_alpha dL/d(sigma G), where sigma G is alpha before clamping. Must be 0 if
+/// alpha was clamped
 SurfelHitGradient backpropagate_surfel_intersection(SurfelRecord record, vec3 origin, vec3 direction,
                                                     SurfelHit hit, float d_t, float d_alpha) {
     SurfelHitGradient g;

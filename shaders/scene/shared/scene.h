@@ -10,8 +10,8 @@
 
 RELIDAR_SHARED_BEGIN
 
-/// Addresses of the parameter arrays of all surfels. Also used for their gradients and
-/// for the moment estimates of the Adam optimizer.
+/// Addresses of the parameter arrays of all surfels. Also used for arrays of the same
+/// layout: gradients and Adam moments.
 struct SurfelPointers {
     RELIDAR_OF(Floats, Means) mean;                   // [n,3]
     RELIDAR_OF(Floats, Rotations) rotation;           // [n,4]
@@ -28,12 +28,12 @@ struct ActivateParams {
     SurfelPointers surfels;  // input
     Records records;         // output [n] records that tracing kernels read
     Models models;           // input [n_models]
-    // Input [n_models]: point from which the model is viewed, model frame, m. The
-    // spherical harmonics (SH) are evaluated in the direction from this point. Used only
-    // if SH are evaluated per surfel.
+    // Input [n_models]: position of the sensor in the model frame, m. With SH per surfel,
+    // spherical harmonics (SH) are evaluated in the direction from this point to the
+    // surfel.
     Vec3s view_origins;
-    // Input [n_models]: phase of the model's periodic motion (gait), in full cycles (0 to
-    // 1). Negative for rigid models.
+    // Input [n_models]: phase of the model's walking motion (gait), 0 to 1. Negative for
+    // rigid models.
     RELIDAR_OF(Floats, GaitPhases) phases;
     float alpha_min;  // surfels whose opacity is lower get opacity 0
     uint n_surfels;
@@ -50,22 +50,22 @@ struct ActivateVjpParams {
     SurfelPointers surfels;                         // input
     RELIDAR_OF(Floats, RecordGradients) d_records;  // input [n_rows,16] in the layout of SurfelRecord
     Models models;                                  // input [n_models]
-    // Input: index of the first gradient row of each further instance of a model. The
-    // first instance is not included. Sorted by model.
+    // Input: gradient rows of all instances of a model except the first, sorted by model.
+    // For each instance, the index of its first row.
     RELIDAR_OF(Uints, FurtherRows) more_rows;
     Vec3s view_origins;                     // input [n_models] same as for the activation
     RELIDAR_OF(Floats, GaitPhases) phases;  // input [n_models] same as for the activation
-    // Output: gradients of the surfels' parameters. If spherical harmonics are evaluated
-    // at each hit, the tracing kernels have already written their gradients.
+    // Output: gradients of the parameters. If spherical harmonics are evaluated at each
+    // hit, their gradients are missing here, because the tracing kernels write them.
     SurfelPointers d_surfels;
-    // Output [n]: 1 if the record gradient of the surfel is not zero. Written only for
-    // surfels in the list `rows`.
+    // Output [n]: 1 if the gradient of the surfel's record is not zero. Written only for
+    // the surfels in the list `rows`.
     RELIDAR_OF(Uints, TouchedSurfels) touched;
-    // Input [n_listed]: indices of the surfels that may have a gradient. Address 0 means
-    // that the kernel processes all surfels.
+    // Input [n_listed]: indices of the surfels that may have a gradient. Address 0 = all
+    // surfels are processed.
     RELIDAR_OF(Uints, TouchedRows) rows;
     RELIDAR_OF(Uints, TouchedCount) n_listed;  // input [1]
-    // Output [n,3]: dL/d(view origin) from each surfel, or address 0. Used only if
+    // Output [n,3]: dL/d(sensor position) from each surfel, or address 0. Used only if
     // spherical harmonics are evaluated per surfel.
     RELIDAR_OF(Floats, ViewGradients) d_view;
     uint n_surfels;

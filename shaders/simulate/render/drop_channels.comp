@@ -8,8 +8,7 @@
 #include "../shared/render.h"
 RELIDAR_PARAMS(DropChannelsParams);
 
-// Minimum probability of both outcomes (return or no return). It limits the logits to
-// +-9.2.
+// Minimum probability of a return and of a drop. It limits the logits to +-9.2.
 const float kLeastProbability = 1e-4;
 
 float get_channel_value(uint index, uint channel) {

@@ -9,8 +9,9 @@
 #include "sensor_way.glsl"
 RELIDAR_PARAMS(GatherPointsParams);
 
-/// Returns floor(index n_rays / n_requested), the index of the k-th evenly spaced ray.
-/// The order of operations avoids an overflow of 32 bits.
+/// Returns the ray of the index-th requested range. The requested rays are evenly spaced:
+/// floor(index n_rays / n_requested). The order of operations avoids an overflow of 32
+/// bits.
 uint get_requested_ray(uint index) {
     return index * (params.n_rays / params.n_requested) +
            index * (params.n_rays % params.n_requested) / params.n_requested;

@@ -13,8 +13,8 @@
 #include "../shared/render.h"
 RELIDAR_PARAMS(MeasureRaysParams);
 
-/// Returns the intensity factor at a range. Interpolates linearly between the entries of
-/// the response table. Outside the table, returns the factor of the first or last entry.
+/// Returns the factor of the intensity at a range, interpolated linearly in the response
+/// table. Outside the table, returns its first or last factor.
 float interpolate_falloff(float range_m) {
     if (params.n_response == 0u) return 1.0;
     vec2 before = params.response.at[0];
@@ -27,7 +27,7 @@ float interpolate_falloff(float range_m) {
     return before.y;
 }
 
-/// Returns the range of a ray of the range image, without the range offset of its beam.
+/// Returns the range of a ray for the range image, without the range offset of its beam.
 /// @param mode_m range of the surface with the largest weight
 /// @param normalised blended depth divided by blended weight, D / W
 float choose_range(RenderedRay ray, float mode_m, float normalised) {

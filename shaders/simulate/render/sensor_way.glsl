@@ -4,9 +4,9 @@
 #define RELIDAR_INCLUDED_SIMULATE_RENDER_SENSOR_WAY_GLSL
 #include "../shared/place_point.h"
 
-/// Returns the last pose before a time. If the time is before all poses, returns the
-/// first pose. If the time is after all poses, returns the second to last pose, because
-/// the last motion then continues.
+/// Returns the last sensor pose before a time. Before the first pose, returns the first
+/// pose. After the last pose, returns the second to last, because the last motion then
+/// continues.
 SensorPose find_pose_before(SensorPoses poses, uint n_poses, float time_offset_s) {
     uint k = 0u;
     while (k + 2u < n_poses && poses.at[k + 1u].time_offset_s <= time_offset_s) ++k;

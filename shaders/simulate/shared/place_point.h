@@ -19,8 +19,8 @@ RELIDAR_FUNCTION vec3 compute_ray_end(vec3 origin, vec3 direction, float range_m
     return end;
 }
 
-/// Returns the fraction (0 to 1) of the motion between two sensor poses that is complete
-/// at a firing time.
+/// Returns the fraction of the way from this sensor pose to the next pose at a firing
+/// time. 0 at this pose, 1 at the next.
 RELIDAR_FUNCTION float compute_motion_fraction(SensorPose pose, float time_offset_s) {
     RELIDAR_EXACT float share = (time_offset_s - pose.time_offset_s) * pose.per_s;
     return share;
@@ -28,7 +28,7 @@ RELIDAR_FUNCTION float compute_motion_fraction(SensorPose pose, float time_offse
 
 /// Transforms a direction from the sensor frame at the firing time to the frame in which
 /// the sensor poses are given.
-/// @param pose last pose before the firing time
+/// @param pose last sensor pose before the firing time
 RELIDAR_FUNCTION vec3 to_world_direction(SensorPose pose, float time_offset_s, vec3 direction) {
     RELIDAR_EXACT vec3 rotated = direction.x * pose.x + direction.y * pose.y + direction.z * pose.z;
     RELIDAR_EXACT vec3 turn = compute_motion_fraction(pose, time_offset_s) * pose.turn;
@@ -37,7 +37,7 @@ RELIDAR_FUNCTION vec3 to_world_direction(SensorPose pose, float time_offset_s, v
 
 /// Transforms a point from the sensor frame at the firing time to the frame in which the
 /// sensor poses are given.
-/// @param pose last pose before the firing time
+/// @param pose last sensor pose before the firing time
 RELIDAR_FUNCTION vec3 place_point(SensorPose pose, float time_offset_s, vec3 point) {
     RELIDAR_EXACT vec3 moved = pose.position_rest + compute_motion_fraction(pose, time_offset_s) * pose.way;
     vec3 rotated = to_world_direction(pose, time_offset_s, point);

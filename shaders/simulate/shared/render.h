@@ -11,8 +11,8 @@ struct SensorRay {
     vec3 origin;          // m
     vec3 direction;       // unit vector
     float time_offset_s;  // firing time relative to the sweep's reference time
-    // Probability that the sensor can receive a return in this direction. It does not
-    // depend on the scene.
+    // Probability that the sensor itself does not drop a return from this direction,
+    // independent of the scene.
     float sees;
     uint channel;  // beam number
 };
@@ -51,9 +51,11 @@ RELIDAR_POINTER(SensorBeams, SensorBeam);
 /// Measurement of a ray of a scan.
 struct MeasuredRay {
     float range_m;  // Range of the type that config.render.range selects. 0 if the ray hit nothing.
-    // Range of the surface with the largest weight, or range_m if no surface was found.
+    // Median range: distance at which the transmittance of the ray falls to 0.5. range_m
+    // if the transmittance stays above 0.5.
     float median_range_m;
-    // Expected range D / W (blended depth / weight), or range_m if no surface was found.
+    // Mean range along the ray, D / W (blended depth / weight). range_m if the
+    // transmittance stays above 0.5.
     float mean_range_m;
     float intensity;  // 0..1
     // Probability that the ray has no return. 1 if the ray hit nothing within the
@@ -88,14 +90,14 @@ struct MeasureRaysParams {
     uint n_beams;
     uint n_response;
     uint range_kind;
-    // Minimum blended weight of a hit. Rays with less weight have no hit.
+    // Minimum blended weight. A ray with a smaller weight has hit nothing.
     float min_weight;
     float min_range_m;
     float max_range_m;
 };
 
-// Input channels of the network that predicts which rays have no return. The ray origin
-// takes three channels: x, y, z.
+// Indices of the input channels of the ray-drop network. The ray origin takes three
+// channels: x, y, z.
 #define RELIDAR_DROP_LOG_RANGE 0u
 #define RELIDAR_DROP_INTENSITY 1u
 #define RELIDAR_DROP_LOGIT 2u
@@ -132,8 +134,8 @@ struct MarkReturnsParams {
     RELIDAR_OF(Uints, ReturnMarks) marks;  // output [n_rays] 1 for rays with a return, otherwise 0
     uint n_rays;
     uint refined;
-    // 1: points use the range of the range image. 0: the range of the surface with most
-    // weight.
+    // 1: points are placed at the range of the range image. 0: at the median range of the
+    // ray.
     uint of_image;
     // A ray has no return if its drop probability reaches this threshold.
     float drop_threshold;
@@ -147,8 +149,8 @@ struct GatherPointsParams {
     // Input [n_rays]: number of earlier rays with a return.
     RELIDAR_OF(Uints, ReturnPlaces) places;
     ReturnedPoints points;  // output [number of returned rays]
-    // Output [n_requested]: range of the surface with the largest weight for evenly
-    // spaced rays. Entry k belongs to ray k n_rays / n_requested.
+    // Output [n_requested]: median ranges of evenly spaced rays. Entry k belongs to ray k
+    // n_rays / n_requested.
     RELIDAR_OF(Floats, RequestedRanges) asked;
     uint n_rays;
     uint n_poses;

@@ -7,14 +7,14 @@
 
 RELIDAR_SHARED_BEGIN
 
-// Number of neighbouring columns in a group. A CPU traces tiles of eight rays, and a
-// group is as wide as a tile.
+// Number of neighbouring columns in a group, equal to the width of the tiles of eight
+// rays that a CPU traces.
 #define RELIDAR_COLUMN_GROUP 4u
 
-/// Parameters of train/gather_columns.comp, which copies columns of a frame next to each
-/// other as a new image. It copies groups of RELIDAR_COLUMN_GROUP neighbouring columns,
-/// starting at first_column. Consecutive groups start column_stride times the group width
-/// apart. Indices wrap around at the end of the frame.
+/// Parameters of train/gather_columns.comp, which copies columns of a frame into a
+/// smaller image. It copies groups of RELIDAR_COLUMN_GROUP neighbouring columns, starting
+/// at first_column. Consecutive groups start column_stride group widths apart. Indices
+/// wrap around at the end of the frame.
 struct GatherColumnsParams {
     Rays rays;              // input [rows,columns]
     Targets targets;        // input [rows,columns]
@@ -35,7 +35,7 @@ struct RayPlace {
 };
 RELIDAR_POINTER(RayPlaces, RayPlace);
 
-/// A sensor pose and its correction in the world frame.
+/// Pose of the sensor at one time, and its correction in the world frame.
 struct PoseKnot {
     vec3 position;     // uncorrected position, m
     vec3 translation;  // correction of the position, m
@@ -56,15 +56,16 @@ struct MoveRaysParams {
 #define RELIDAR_KNOT_WORKGROUP 256
 
 /// Parameters of train/knot_gradients.comp, which converts gradients of rays to gradients
-/// of the pose corrections. Ray k of the batch is entry first_ray + k * ray_stride of
-/// `moved`. Unless the batch was copied from columns, `places` uses the same index.
+/// of pose corrections. Ray k of the batch is entry first_ray + k * ray_stride of
+/// `moved`. The same entry of `places` belongs to it, unless the batch consists of copied
+/// columns.
 struct KnotGradientsParams {
     Rays moved;        // input
     RayPlaces places;  // Input: position of each ray of the frame between two sensor poses.
     PoseKnots knots;   // input
     RELIDAR_OF(Floats, DeviceRayGradients) d_rays;  // input [n_rays,6]
-    // Output [n_rows,n_knots,6]: dL/d(translation), dL/d(rotation). Each row is the sum
-    // over the rays of one workgroup.
+    // Output [n_rows,n_knots,6]: dL/d(translation) and dL/d(rotation) of each sensor
+    // pose. Each row is the sum over the rays of one workgroup.
     RELIDAR_OF(Floats, KnotGradientRows) rows;
     uint n_rays;
     uint first_ray;

@@ -22,8 +22,8 @@ struct Accel::Impl {
     std::unique_ptr<HardwareAccel> hardware;  ///< exactly one of `hardware` and `software` is not null
     std::unique_ptr<Bvh> software;
     bool built = false;
-    /// True if the tree has become too expensive since the last build. The next update
-    /// then rebuilds it.
+    /// True if the traversal cost of the tree has grown too much since the last build.
+    /// The next update then rebuilds the tree.
     bool outgrown = false;
     int refits = 0;                ///< number of refits since the last build
     bool measured = false;         ///< True if the cost of the tree was measured since the last build.
@@ -88,8 +88,8 @@ void Accel::update(Stream& stream, const DeviceScene& scene, bool rebuild) {
 void Accel::bend(Stream& stream, const DeviceScene& scene) {
     Impl& a = *impl_;
     if (!a.built) return update(stream, scene);
-    // Refits walking actors. This refit does not count towards a rebuild, because actors
-    // return to earlier poses, so that the tree does not degrade.
+    // Refits the trees of walking actors. Such refits do not count towards a rebuild,
+    // because walking repeats the same shapes, so the trees do not degrade.
     a.refit(stream, scene, find_bending_ranges(scene.layout().models));
     ++a.n_updates;
 }

@@ -24,16 +24,16 @@ static_assert(sizeof(shared::BvhNode) == 80);
 namespace {
 
 constexpr std::uint32_t kWorkgroup = RELIDAR_BVH_WORKGROUP;
-// Workgroup size of the kernels that share data in shared memory.
+// Workgroup size of the kernels whose threads exchange data in shared memory.
 constexpr Constant kShares{ConstantId::WORKGROUP_SIZE, kWorkgroup};
 
-// Number of threads of a refit on a CPU. A CPU driver gives each of its threads a
-// contiguous part of the launch. The work is balanced because each thread processes nodes
-// from the full range.
+// Number of threads of a refit on a CPU. The driver runs a contiguous part of them on
+// each core. Each thread processes every n-th node, so all cores have a similar amount of
+// work.
 constexpr std::uint32_t kRefitThreadsOfCpu = 1 << 12;
 
-/// Rounds the length of a scratch array up to a multiple of 4 words, so that the next
-/// array starts at a multiple of 16 bytes.
+/// Rounds the length of an array in scratch memory up to a multiple of 4 words, so that
+/// the array after it is aligned to 16 bytes.
 std::uint32_t pad_count(std::uint32_t count) { return (count + 3) / 4 * 4; }
 
 std::uint32_t count_workgroups(std::uint32_t n_threads) { return (n_threads + kWorkgroup - 1) / kWorkgroup; }
@@ -55,8 +55,8 @@ std::vector<std::uint32_t> list_models_of_instances(const DeviceScene& scene) {
     return models;
 }
 
-/// Returns the number of nodes in the top-level tree over `count` instances. Each node
-/// has eight children.
+/// Returns the number of nodes of a tree with `count` instances and eight children per
+/// node.
 std::uint32_t count_top_nodes(std::uint32_t count) {
     std::uint32_t n_nodes = 0;
     do {
@@ -68,11 +68,11 @@ std::uint32_t count_top_nodes(std::uint32_t count) {
 
 }  // namespace
 
-/// Upper limit of surfel indices that selects all models, even models without surfels.
+/// Selects the models of all surfels in fit_nodes(), and also models without surfels.
 constexpr std::uint32_t kAllModels = std::numeric_limits<std::uint32_t>::max();
 
-/// Offsets of the scratch arrays, in words per surfel. The conversion to wide nodes (up
-/// to eight children) reuses the memory of keys, boxes and costs.
+/// Positions of the arrays in scratch memory, in words per surfel. The last build step
+/// (conversion to wide nodes) reuses the memory of keys, boxes and costs.
 constexpr std::uint32_t kChildrenAt = 0, kDecisionsAt = 2, kValuesAt = 3, kDemandsAt = 4, kKeysAt = 5,
                         kBoxesAt = 7, kCostsAt = 13, kSparesAt = 20, kOtherEndsAt = 21, kClustersAt = 22,
                         kScratchWords = 23;
@@ -92,7 +92,7 @@ struct Bvh::Impl {
     Array<std::uint32_t, shared::InstanceModels> model_of;  ///< [n_instances] model of each instance
     Array<float, shared::SurfelBoxes> boxes;                ///< [n,6] boxes of the surfels, in m
     Array<std::uint32_t, shared::ModelBounds> bounds;       ///< [n_models,6] bounds of the box centres
-    /// Scratch memory for the binary trees. The sort uses the same memory for its keys.
+    /// Scratch memory for the arrays of the binary trees and for the keys of the sort.
     Array<std::uint32_t> scratch;
     Array<std::uint32_t, shared::BinaryRoots> queue;       ///< [bound] binary nodes that become wide nodes
     Array<std::uint32_t, shared::LevelSizes> level_sizes;  ///< number of queue entries per level
@@ -122,8 +122,9 @@ struct Bvh::Impl {
     Address<T, Meaning> at(std::uint32_t words_a_surfel) const {
         return scratch.address_as<T, Meaning>(words_a_surfel * std::size_t(pad_count(n)));
     }
-    /// Returns the offset of one of two sets of sort keys. The sorted keys end in set 0.
-    /// The costs of the binary nodes later overwrite set 1.
+    /// Returns the position of the sort keys in scratch memory. The sort alternates
+    /// between two sets of keys and ends in set 0. Set 1 is overwritten by the costs of
+    /// the binary nodes.
     std::uint32_t get_keys_offset(int set) const { return set == 0 ? kKeysAt : kCostsAt; }
     SortSet get_sort_set(int set) const;
     std::uint32_t levels() const;
@@ -135,8 +136,8 @@ struct Bvh::Impl {
     void make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                     const SurfelRange& range);
     SortSet sort_surfels(Stream& stream, const DeviceScene& scene);
-    /// Submits kernels that compute the node boxes of the models whose first surfel is in
-    /// [first, last].
+    /// Submits kernels that compute the node boxes of some models: those whose first
+    /// surfel has an index in [first, last].
     void fit_nodes(Stream& stream, std::uint32_t first, std::uint32_t last);
 };
 
@@ -189,8 +190,8 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       costs(d, count_workgroups(bound) * sizeof(float), "cost sums") {}
 
 /// Returns the number of launches of bvh_wide_mark, which processes one tree level per
-/// launch. This is 4 more than the number of levels of a full tree with the same
-/// capacity.
+/// launch: the number of levels of a full tree with `bound` nodes, plus 4 for uneven
+/// trees.
 std::uint32_t Bvh::Impl::levels() const {
     std::uint32_t n_levels = 4;
     for (std::uint64_t width = n_models; width < bound; width *= RELIDAR_BVH_WIDTH) ++n_levels;
@@ -241,7 +242,8 @@ SortSet Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
          .bounds = bounds.address(),
          .n_surfels = n,
          .n_models = n_models});
-    // Selects the set in which the sort starts, so that the sorted keys end in set 0.
+    // Each pass of the sort swaps the two sets of keys. Starts in the set for which the
+    // sorted keys end in set 0.
     const int first_set = static_cast<int>(RadixSort::passes(get_key_bits()) % 2);
     run(stream, keys_kernel, n,
         {.records = scene.records().address(),

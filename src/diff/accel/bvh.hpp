@@ -31,8 +31,8 @@ struct BvhOnHost {
     std::vector<std::uint32_t> roots;    ///< [n_instances] root node of each instance's model
     std::vector<shared::BvhNode> top_nodes;
     std::vector<std::uint32_t> top_order;  ///< [n_instances] instances in the order of the leaves
-    /// Boxes of the surfels, [n,6] in m. Surfels that are never hit have an inverted box
-    /// (lower corner above upper corner).
+    /// Boxes of the surfels, [n,6] in m. If no ray can hit a surfel, the lower corner of
+    /// its box is above the upper corner.
     std::vector<float> boxes;
 };
 
@@ -48,8 +48,9 @@ public:
     /// Submits kernels that compute the surfel boxes, the trees of all models and the
     /// top-level tree over the instances.
     void build(Stream& stream, const DeviceScene& scene, const AccelOptions& options);
-    /// Submits kernels that update all boxes without changing the trees of the models,
-    /// and rebuild the top-level tree. Requires an earlier build().
+    /// Submits kernels that update the boxes in the trees of models and rebuild the
+    /// top-level tree. The structure of the models' trees stays the same. Requires an
+    /// earlier build().
     /// @param ranges models to update. The surfels of other models must not have changed
     void refit(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                const std::vector<SurfelRange>& ranges);
@@ -59,18 +60,18 @@ public:
 
     shared::BvhPointers pointers() const;
     std::uint64_t memory_bytes() const;
-    /// record_cost() submits a kernel that computes the cost of all trees with the
-    /// surface area heuristic, in m^2. read_cost() waits for this cost and returns it. It
-    /// returns nothing if record_cost() was not called since the last read_cost(). If the
-    /// cost is much higher than after the last build, a rebuild is useful.
+    /// Submits a kernel that computes the traversal cost of all trees (surface area
+    /// heuristic, m^2). read_cost() waits for the cost and returns it, or nothing if
+    /// record_cost() was not called before. A rebuild is useful if the cost is much
+    /// higher than after the last build.
     void record_cost(Stream& stream);
     std::optional<double> read_cost(Stream& stream);
-    /// Waits for the device and copies the BVH to the host. All recorded commands must
-    /// have been submitted before.
+    /// Copies the BVH to the host, for tests. Waits for the device. All recorded commands
+    /// must have been submitted before.
     BvhOnHost download() const;
 
-    /// Returns the maximum number of nodes in the trees of all models. n surfels need at
-    /// most n / 4 nodes, plus one root per model.
+    /// Returns the maximum number of nodes in the trees of all models: n / 4 nodes for n
+    /// surfels, plus one root per model.
     static std::uint32_t compute_max_nodes(std::uint32_t n_surfels, std::uint32_t n_models) {
         return n_surfels / 4 + n_models;
     }

@@ -49,8 +49,8 @@ struct Structure {
     Structure& operator=(const Structure&) = delete;
 };
 
-/// Input of one acceleration structure build. All parts are stored together, because
-/// Vulkan structs contain pointers to each other.
+/// Input for building one acceleration structure. Its three Vulkan structs are stored
+/// together, because they contain pointers to each other.
 struct BuildInput {
     VkAccelerationStructureGeometryKHR geometry{VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_KHR};
     VkAccelerationStructureBuildGeometryInfoKHR info{
@@ -79,8 +79,8 @@ struct BuildInput {
     }
 };
 
-/// Records one command with all builds, so that the device can run them concurrently.
-/// Copies the inputs into the command.
+/// Records a single command for all builds, so that the device can run them concurrently.
+/// The command gets a copy of the inputs.
 void record_builds(Stream::Impl& stream, const std::string& name, std::vector<BuildInput> inputs) {
     stream.record(name, [inputs = std::move(inputs)](VkCommandBuffer commands) {
         std::vector<VkAccelerationStructureBuildGeometryInfoKHR> infos;
@@ -95,7 +95,8 @@ void record_builds(Stream::Impl& stream, const std::string& name, std::vector<Bu
     });
 }
 
-/// Triangle mesh of one proxy. Kernel diff/accel/proxies writes its corners.
+/// Triangle mesh around one surfel or 3D Gaussian. Kernel diff/accel/proxies writes its
+/// corners.
 struct Mesh {
     std::uint32_t n_corners;
     std::vector<std::uint32_t> corners;  ///< [triangles,3] indices of the corners
@@ -108,8 +109,8 @@ const Mesh kIcosahedron{
     12, {0, 1, 8, 0, 1, 10, 0, 4, 5,  0, 4, 8, 0, 5, 10, 1, 6, 7,  1, 6, 8, 1, 7,  10, 2, 3, 9, 2, 3,  11,
          2, 4, 5, 2, 4, 9,  2, 5, 11, 3, 6, 7, 3, 6, 9,  3, 7, 11, 4, 8, 9, 5, 10, 11, 6, 8, 9, 7, 10, 11}};
 
-/// Returns the vertex indices of `count` equal meshes whose vertices are stored one after
-/// another.
+/// Returns the vertex indices of `count` copies of a mesh, whose corners are stored one
+/// copy after another.
 std::vector<std::uint32_t> make_triangle_indices(const Mesh& mesh, std::uint32_t count) {
     std::vector<std::uint32_t> indices;
     indices.reserve(mesh.corners.size() * count);
@@ -126,18 +127,19 @@ struct HardwareAccel::Impl {
     Kernel<shared::ProxyParams> proxies;
     Array<float> geometry;       ///< vertices [n,corners,3] or boxes [n,6]
     Array<std::uint32_t> reach;  ///< [1] maximum distance from a hit to the far side of its icosahedron
-    /// Triangle indices for the largest model. Smaller models use the first entries, with
-    /// a different first vertex.
+    /// Triangle indices for the largest model. Smaller models use the first part of them,
+    /// with an offset to their first vertex.
     Array<std::uint32_t> indices;
     std::vector<std::unique_ptr<Structure>> blas;  ///< one per model, null for a model without surfels
     std::vector<BuildInput> blas_input;
-    /// Offset of each model's scratch memory. Concurrent builds need separate scratch
-    /// memory.
+    /// Offset of each model's scratch memory. It must be separate, because models are
+    /// built concurrently.
     std::vector<std::uint64_t> blas_scratch;
     std::unique_ptr<Structure> tlas;
     BuildInput tlas_input;
     Kernel<shared::ModelRadiiParams> model_radii;
-    /// [models] radius around each model's origin that contains all its hits
+    /// [models] radius of the sphere around each model's origin that contains all its
+    /// hits
     Array<std::uint32_t, shared::ModelRadii> radii;
     Array<shared::MovingInstance> moving;  ///< [instances] instances that move during a sweep
     std::uint32_t n_moving = 0;
@@ -167,8 +169,8 @@ struct HardwareAccel::Impl {
     std::uint64_t write_instances(Stream::Impl& stream, const DeviceScene& scene);
 };
 
-/// Describes the geometry of one model: its part of the proxy array. The geometry is not
-/// opaque, because the shader must test every candidate.
+/// Describes the geometry of one model, which is a part of the array `geometry`. It is
+/// not opaque, so that the shader can test every candidate hit.
 void HardwareAccel::Impl::describe_model(const Model& model) {
     BuildInput& input = blas_input.emplace_back();
     if (proxy == Proxy::boxes) {
@@ -199,7 +201,7 @@ void HardwareAccel::Impl::write_moving(Stream::Impl& stream, const std::vector<s
     if (n_moving > 0) stream.write(moving.buffer(), all.data(), all.size() * sizeof(all[0]));
 }
 
-/// Writes the instances of all models that have surfels to temporary memory.
+/// Writes all present instances whose models have surfels to temporary memory.
 /// @return device address of the instances
 std::uint64_t HardwareAccel::Impl::write_instances(Stream::Impl& stream, const DeviceScene& scene) {
     const Scene& layout = scene.layout();
@@ -307,12 +309,11 @@ void HardwareAccel::record(Stream& stream, const DeviceScene& scene, const Accel
     Impl& a = *impl_;
     std::uint32_t n = 0;
     for (const SurfelRange& range : ranges) n += range.count;
-    // Resets the maximum only in a full update. A partial update must keep the maximum
-    // over the other models.
+    // `reach` is a maximum over all models, so it starts again only if all models are
+    // updated.
     if (a.reach.size() && n == scene.size()) stream.fill(a.reach);
     for (const SurfelRange& range : ranges) a.make_proxies(stream, scene, options, range);
-    // Resets the radii only in a full update. A partial update must keep the radii of the
-    // other models.
+    // An update of some models must keep the radii of all other models.
     if (n == scene.size()) stream.fill(a.radii);
     for (const SurfelRange& range : ranges) a.measure_radii(stream, scene, options, range);
     std::vector<BuildInput> inputs;
@@ -340,8 +341,8 @@ void HardwareAccel::move(Stream& stream, const DeviceScene& scene) {
 void HardwareAccel::fill(AccelAddresses& addresses) const {
     const Impl& a = *impl_;
     addresses.tlas = {a.tlas->address};
-    // Reads an integer as a float. The kernel computes the maximum of float bits, which
-    // have the same order as the floats if these are positive.
+    // Kernels store this float as an integer, because positive floats have the same order
+    // as their bits, and atomic maxima need integers.
     addresses.proxy_reach = a.reach.address_as<float, shared::ProxyReach>();
     addresses.moving = a.moving.address();
     addresses.model_radii = a.radii.address_as<float, shared::ModelRadii>();  // also stored as float bits

@@ -17,18 +17,18 @@ namespace relidar {
 
 class HardwareAccel {
 public:
-    /// Allocates memory for the acceleration structures of a scene, without building
-    /// them.
-    /// @param proxy shape that encloses a surfel: triangles or boxes
+    /// Allocates memory for the acceleration structures of a scene. Does not build them.
+    /// @param proxy kind of shape that encloses a surfel: triangles or boxes
     HardwareAccel(Device& device, const DeviceScene& scene, Proxy proxy);
     ~HardwareAccel();
 
-    /// Records commands that compute the proxy shapes, build or refit the bottom-level
-    /// structures, and build the top-level structure. A refit requires an earlier build.
+    /// Records commands that build or refit the structures of models, and build the
+    /// top-level structure over the instances. A refit requires an earlier build.
     /// @param ranges models to update. The surfels of other models must not have changed
     void record(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                 const std::vector<SurfelRange>& ranges, bool refit);
-    /// Records the build of only the top-level structure, for instances that have moved.
+    /// Records commands that rebuild only the top-level structure, after instances have
+    /// moved.
     void move(Stream& stream, const DeviceScene& scene);
 
     /// Writes the addresses that ray queries need into `addresses`.

@@ -6,7 +6,8 @@
 
 namespace relidar {
 
-/// Range that contains all surfels of one or more consecutive models.
+/// Range of surfel indices that contains complete models, one or several consecutive
+/// ones.
 struct SurfelRange {
     std::uint32_t first = 0, count = 0;
 

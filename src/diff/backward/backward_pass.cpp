@@ -31,9 +31,9 @@ bool uses_gathering(const Device& device, Reduction reduction, ShDirection direc
 }
 
 /// Returns true if lanes exchange gradient rows through shared memory before they add
-/// them with atomics. The time of an atomic instruction depends on the number of cache
-/// sectors on a GPU, but on the number of lanes on a CPU. The exchange requires maximal
-/// reconvergence, because lanes leave the loops over hits at different times.
+/// them with atomics. On a GPU this is faster, because it reduces the memory sectors per
+/// atomic instruction. It requires maximal reconvergence, because lanes leave the loops
+/// over hits at different times.
 bool uses_row_exchange(const Device& device, const BackwardOptions& backward, bool gathered) {
     return !gathered &&
            backward.coalesced_atomics.value_or(prefers_coalesced_access(device) && does_reconverge(device));
@@ -47,8 +47,8 @@ struct BackwardPass::Impl {
     Kernel<shared::BackwardParams> trace;
     PoseGradients poses;
     std::unique_ptr<HitGather> gather;  ///< null if gradients are added with atomics
-    /// Counter that the kernel requires as an output. The host ignores its value, because
-    /// the forward pass has already reported it.
+    /// Counter that the tracing kernel needs as an output. The host ignores it, because
+    /// the forward pass has already reported the same rays.
     Array<std::uint32_t, shared::PassCapCount> pass_cap;
 
     static std::vector<Constant> constants(const Device& device, const ImageModel& model, Proxy proxy,
@@ -58,8 +58,8 @@ struct BackwardPass::Impl {
         all.push_back({ConstantId::GATHER, gathered ? 1u : 0u});
         const bool exchanged = uses_row_exchange(device, backward, gathered);
         all.push_back({ConstantId::COALESCED_ATOMICS, exchanged ? 1u : 0u});
-        // Uses one subgroup per workgroup, because lavapipe treats a subgroup barrier as
-        // a barrier of the full workgroup.
+        // With one subgroup per workgroup, subgroup barriers are correct on lavapipe,
+        // which treats them as barriers of the full workgroup.
         if (exchanged)
             all.push_back(
                 {ConstantId::WORKGROUP_SIZE, static_cast<std::uint32_t>(device.info().subgroup_size)});

@@ -15,18 +15,21 @@ namespace relidar {
 
 class HitGather {
 public:
-    /// Creates the kernels that sort and sum hit records.
-    /// @param hits_per_ray number of records to allocate per ray of the largest batch
+    /// Creates the kernels that sort and sum the gradients of hits.
+    /// @param hits_per_ray memory is allocated for this number of hits per ray of the
+    /// largest batch
     HitGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray,
               const TraceOptions& options);
-    /// Assigns one record to each rendered hit, in the order of the rays. If the batch is
-    /// larger than all earlier batches, waits for the device and allocates memory.
+    /// Assigns a position in the list of hits to each rendered hit, in the order of the
+    /// rays. If the batch is the largest so far, waits for the device and allocates
+    /// memory.
     void assign_slots(Stream& stream, const RenderedBatch& batch);
-    /// Sets the addresses in `params` to which the backward kernel writes hit records.
+    /// Sets the addresses in `params` to which the backward kernel writes its hits.
     void fill(shared::BackwardParams& params) const;
-    /// Sums all hit records by row and adds the sums to the gradient arrays of `params`.
+    /// Sums the gradients of all hits by surfel and adds the sums to the arrays of
+    /// `params`.
     void run(Stream& stream, const shared::BackwardParams& params);
-    /// Returns the largest number of hits of a batch since the value was last reset to 0,
+    /// Returns the largest number of hits of any batch since the host set the value to 0,
     /// [1] on the device.
     const Array<std::uint32_t>& most_hits() const { return most_hits_; }
     std::uint64_t capacity() const { return sort_ ? sort_->capacity() : 0; }

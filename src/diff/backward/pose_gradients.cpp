@@ -12,8 +12,8 @@ namespace relidar {
 namespace {
 
 constexpr std::uint32_t kThreads = 64;  // threads per workgroup
-// Number of surfels per workgroup. With this value and a million surfels, each thread
-// adds 16 values in both passes.
+// Number of surfels per workgroup. With a million surfels, each thread then adds 16
+// values in both the first and the second kernel.
 constexpr std::uint32_t kBlock = 1024;
 
 struct BlockTable {

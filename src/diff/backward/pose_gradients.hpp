@@ -10,7 +10,8 @@
 
 namespace relidar {
 
-/// List of the surfel blocks of all instances, and the gradient sum of each block.
+/// Blocks of surfels into which all instances are divided, and the gradient sum of each
+/// block.
 struct Gradients::PoseSums {
     Array<shared::PoseBlock> blocks;
     Array<std::uint32_t> first_block;            ///< [instances + 1] first block of each instance
@@ -24,8 +25,9 @@ struct Gradients::PoseSums {
 class PoseGradients {
 public:
     explicit PoseGradients(Device& device);
-    /// Computes gradients.poses and gradients.sensor. Reads gradients.records, and the
-    /// gradients of the view directions in pose_sums.
+    /// Computes the pose gradients of all instances and of the sensor. Reads the
+    /// gradients of the surfel records, and the gradients of the view directions in
+    /// pose_sums.
     void run(Stream& stream, const DeviceScene& scene, const ImageModel& model,
              const glm::vec3& view_origin_m, Gradients& gradients);
 

@@ -32,12 +32,12 @@ struct Rules {
     float max_extent_share = kUnbounded;
 };
 
-/// Identifies the purpose of random numbers, so that different purposes get independent
-/// numbers.
+/// Purpose of random numbers. It is part of their seed, so that different purposes get
+/// independent numbers.
 enum class Draw : std::uint64_t { classify = 1, phase = 2 };
 
-// Opacity after a reset, relative to alpha_min. It is above 1, because invisible surfels
-// would get no gradient.
+// Opacity after a reset, relative to alpha_min. Above 1, because a surfel below alpha_min
+// is invisible and gets no gradient.
 constexpr double kResetOverAlphaMin = 2.5;
 
 }  // namespace
@@ -122,12 +122,11 @@ std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceSce
     return result;
 }
 
-/// Allocates memory for a densification. If the memory is not sufficient, tries smaller
-/// sizes.
-/// @param requested requested number of surfels
-/// @param why receives the reason if the memory is not sufficient
-/// @return number of surfels, at most `requested`, for which the arrays have space
-/// afterwards
+/// Allocates memory for the surfels after a densification. If memory is short, tries
+/// fewer surfels.
+/// @param requested desired number of surfels
+/// @param why receives the reason if memory is short
+/// @return number of surfels for which memory is available, at most `requested`
 std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::uint32_t requested,
                                          double others_bytes, std::string& why) {
     const std::uint32_t before = scene.size();

@@ -14,8 +14,9 @@
 
 namespace relidar {
 
-/// Number of surfels of one model for each action of the densification. The index is
-/// RELIDAR_DENSIFY_KEPT or one of the constants that follow it.
+/// Densification counters of one model: numbers of surfels that are kept, dropped for
+/// each reason, cloned and split. The index is RELIDAR_DENSIFY_KEPT or a following
+/// constant.
 using ModelCounts = std::array<std::uint32_t, RELIDAR_DENSIFY_COUNTERS>;
 
 struct GrowthPlan {
@@ -25,24 +26,24 @@ struct GrowthPlan {
     std::uint32_t phase = 0;  ///< phase of the systematic sampling, below total_weight
 
     std::uint32_t size() const { return survivors + n_new; }
-    /// Returns the number of copies that all surfels before a position receive together.
-    /// Must use the same formula as kernel diff/densify/allot.
+    /// Returns the total number of copies of all surfels before a position. Must use the
+    /// same formula as kernel diff/densify/allot.
     /// @param weight sum of the weights of these surfels
     std::uint32_t sum_earlier_weights(std::uint64_t weight) const;
-    /// Returns copies of the models with their new surfel ranges.
+    /// Returns the models with the surfel ranges that they have after the densification.
     std::vector<Model> ranges(std::vector<Model> models, const std::vector<ModelCounts>& counts) const;
 };
 
-/// Plans the growth of all models. All survivors stay, and each growing surfel adds one
-/// new surfel, up to DensifyOptions::max_surfels in total.
-/// @param random random number that selects the surfels whose copies are rounded up
+/// Plans how many surfels densification adds. Each growing surfel adds one, but the total
+/// must not exceed DensifyOptions::max_surfels. Surfels that are not dropped always stay.
+/// @param random random number that selects which growing surfels get a copy at the limit
 GrowthPlan plan_growth(const std::vector<ModelCounts>& counts, const DensifyOptions& options,
                        std::uint64_t random);
-/// Reduces the number of new surfels so that the total is at most `size`. Survivors
-/// always stay.
+/// Reduces the number of added surfels until the total is at most `size`. Existing
+/// surfels stay.
 GrowthPlan limit_growth_plan(GrowthPlan plan, std::uint32_t size);
 
-/// Adds the counts of all models and returns them as a report.
+/// Sums the densification counters of all models and returns them as a report.
 DensifyReport report_of(const std::vector<ModelCounts>& counts, const GrowthPlan& plan);
 
 }  // namespace relidar

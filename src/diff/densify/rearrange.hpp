@@ -15,32 +15,34 @@ namespace relidar {
 class Rearrangement {
 public:
     Rearrangement(Device& device, std::uint32_t n_surfels, std::uint32_t n_frames, ParameterSet of);
-    /// Allocates memory for a number of surfels. No commands may be pending on the
-    /// device.
+    /// Allocates memory for a number of surfels. The device must be idle.
     /// @throws DeviceError if memory is exhausted. The existing data stays valid
     void reserve(std::uint32_t capacity);
     std::uint32_t capacity() const;
     /// Returns the memory per surfel in bytes.
     std::size_t bytes_per_surfel() const;
-    /// Submits the kernels that distribute copies to growing surfels and compute the new
-    /// position of each row. Reads `action` and `weight`.
+    /// Submits the kernels that distribute the new copies among growing surfels and
+    /// compute the new position of each surfel. Reads `action` and `weight`.
     /// @param before number of surfels before the densification
     void allot(Stream& stream, const GrowthPlan& plan, std::uint32_t before);
-    /// Submits the kernels that move a set of arrays into the new order.
-    /// @param fresh true: rows of new and changed surfels are set to zero
+    /// Submits the kernels that move all arrays of a set to the new positions of the
+    /// surfels.
+    /// @param fresh true: values of new and changed surfels are set to zero
     /// @param after number of surfels after the densification
     void move(Stream& stream, SurfelArrays& set, bool fresh, std::uint32_t after);
-    /// Submits the kernels that move the densification statistics into the new order.
-    /// Resets all statistics except the frames in which each surfel was visible.
+    /// Submits the kernels that move the densification statistics to the new positions of
+    /// the surfels. All statistics start again, except the frames in which a surfel was
+    /// visible.
     void move_statistics(Stream& stream);
-    /// Submits commands that set the sums of gradient norms and the batch counts to zero.
+    /// Submits commands that reset the sums of gradient norms and the numbers of batches
+    /// to zero.
     void start_over(Stream& stream);
 
     SurfelStatistics statistics;
     // [n] action of each surfel, in the old order
     Array<std::uint32_t, shared::DensifyActions> action;
     Array<std::uint32_t, shared::GrowthWeights> weight;
-    /// contains the cumulative weights before it contains the row starts
+    /// first new row of each surfel. Before, the memory holds the cumulative weights
     Array<std::uint32_t, shared::RowStarts> starts;
     Array<std::uint32_t, shared::RowCounts> n_rows;
 

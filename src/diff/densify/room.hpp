@@ -13,7 +13,8 @@
 
 namespace relidar {
 
-/// Tests whether `n_bytes` bytes of device memory can be allocated, and frees them again.
+/// Tests whether `n_bytes` of device memory are available, by allocating and freeing
+/// them.
 /// @return an empty string, or the reason why the allocation failed
 inline std::string describe_missing_memory(Device& device, double n_bytes) {
     // allocates in pieces, because drivers limit the size of one allocation

@@ -8,14 +8,14 @@
 
 namespace relidar {
 
-/// Mean number of visited nodes and surfels per ray of a batch. With Walk::subgroup, each
-/// ray counts everything that its subgroup visits.
+/// Mean numbers of tree nodes and surfels that a ray visits. With Walk::subgroup, each
+/// ray counts all visits of its subgroup.
 struct VisitCounts {
     double nodes = 0.0;    ///< visited nodes, including nodes of the top-level tree
     double surfels = 0.0;  ///< tested surfels
 };
-/// Renders a batch again, counts at most 2^32 visits, and waits for the result. The scene
-/// must be activated and the acceleration structure updated, and both must be submitted.
+/// Renders a batch again and counts its visits, at most 2^32. Waits for the result. The
+/// surfel records and the acceleration structure must be up to date and submitted.
 /// @return nothing if the device uses ray queries, because the driver reports no visits
 std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene, const Accel& accel,
                                         const RayBatch& batch, const ImageModel& model,

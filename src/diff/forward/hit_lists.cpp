@@ -13,7 +13,8 @@
 namespace relidar {
 namespace {
 
-// Maximum number of lists, so that the number of threads that sort them stays below 2^32.
+// Maximum number of lists. Each list is sorted by one subgroup, and a launch can have at
+// most 2^32 threads.
 constexpr std::size_t kMostLists = std::size_t(1) << 24;
 
 /// Returns the maximum size of all hit lists in bytes: one eighth of the device's memory.
@@ -53,7 +54,7 @@ HitLists::HitLists(Device& device, const KernelVariant& variant, const std::vect
       n_overflows_(device, std::vector<std::uint32_t>{0u}, "rays with more hits than fit into their lists"),
       overflows_(device, sizeof(std::uint32_t), "rays with more hits than fit into their lists") {}
 
-/// Allocates hit lists. Reduces their capacity until they fit into the free device
+/// Allocates hit lists. Halves the capacity of a list until all lists fit into the device
 /// memory. Allocates none if no memory is free.
 void HitLists::make_hits(std::size_t n_lists) {
     const std::uint32_t wanted = room_;
@@ -70,10 +71,9 @@ void HitLists::make_hits(std::size_t n_lists) {
     if (room_ < wanted) grows_ = false;
 }
 
-/// Returns true if a ray had more hits than its list can contain. Such a ray is slow,
-/// because kernel diff/forward/trace must render it and the other threads of the device
-/// may wait for it. Reads the count only after its submission is finished, so that the
-/// host never waits here.
+/// Returns true if rays had more hits than their lists can contain. Such rays are slow,
+/// because kernel diff/forward/trace must render them again. Reads the count of an
+/// earlier submission that is already finished, so that the host never waits here.
 bool HitLists::needs_more_room(Stream& stream) {
     if (!overflows_.pending() || stream.impl().last_ticket + 1 < counted_until_ + Stream::Impl::kSlots)
         return false;
@@ -83,21 +83,21 @@ bool HitLists::needs_more_room(Stream& stream) {
     return grows_ && room_ < most_room_ && n_overflows > 0;
 }
 
-/// Returns memory for hit lists. Uses the memory that stores hits for the backward pass
-/// if it is large enough.
+/// Returns memory for hit lists. Lists share the memory of the hits that are stored for
+/// the backward pass if it is large enough.
 shared::HitLists HitLists::make_room(Stream& stream, std::size_t n_threads, const KeptHits* kept) {
     const std::size_t n = KeptHits::side_by_side(n_threads);
     if (n > kMostLists) return {};
     if (needs_more_room(stream)) {
         room_ = std::min(2 * room_, most_room_);
-        // Resets the overflow count, because the old count belongs to lists of a smaller
+        // Starts the overflow count again, because it was measured with a smaller
         // capacity.
         stream.fill(n_overflows_);
         overflows_before_ = 0;
     }
     const bool in_kept = kept && kept->per_ray >= std::max(room_, 1u) && kept->per_ray <= most_room_;
     const bool room_fits = hits_room_ == room_ && hits_.size() >= n * room_;
-    // Waits for the device, because it may still write to lists that are freed below.
+    // The device may still write to the lists that are freed below.
     if ((in_kept ? hits_.size() > 0 : !room_fits) || lengths_.size() < n) stream.finish();
     if (in_kept) hits_ = {};
     // allocates at least as many lists as before

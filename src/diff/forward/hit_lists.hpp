@@ -12,21 +12,22 @@
 
 namespace relidar {
 
-/// Returns true if rays write their hits to lists in memory. On a CPU, an ordered buffer
-/// per ray is faster, because it stays in the cache and needs no second launch.
+/// Returns true if rays write their hits to lists in global memory. On a CPU, a small
+/// sorted buffer per ray is faster, because it stays in the cache and needs no second
+/// kernel.
 inline bool uses_hit_lists(const Device& device, const TraceOptions& options) {
     return options.order == HitOrder::automatic ? device.info().type != "CPU"
                                                 : options.order == HitOrder::lists;
 }
 
-/// Returns the maximum number of hits in a list. It is limited because a subgroup of the
-/// device must be able to sort the list.
+/// Returns the maximum number of hits in a list. A larger list could not be sorted by a
+/// single subgroup of the device.
 std::uint32_t compute_max_list_capacity(const Device& device);
 
 class HitLists {
 public:
     /// Creates the kernels that fill, sort and blend hit lists.
-    /// @param constants constants of the tracing kernels
+    /// @param constants specialisation constants of the tracing kernels
     /// @param room initial capacity of a list in hits, limited to the maximum
     HitLists(Device& device, const KernelVariant& variant, const std::vector<Constant>& constants, int room);
 

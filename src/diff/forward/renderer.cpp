@@ -47,7 +47,7 @@ struct Renderer::Impl {
     }
 
     void make_room(std::size_t n_rays) {
-        // Allocates the kept hits last, because their number may be reduced. If another
+        // The memory for kept hits is allocated last, because it may shrink. If another
         // allocation fails, `rendered` is empty, so that the next call tries again.
         batch.surfaces = nullptr;
         rendered = {};
@@ -57,8 +57,9 @@ struct Renderer::Impl {
         batch = {{}, &rendered, nullptr, kept ? &*kept : nullptr, surfaces ? &*surfaces : nullptr};
     }
 
-    /// Halves the number of kept hits until they fit into the device memory. The backward
-    /// pass traces a ray again if not all its hits are kept.
+    /// Allocates memory for the hits that the backward pass reads. Halves their number
+    /// until they fit. If hits of a ray are missing, the backward pass traces the ray
+    /// again.
     void keep_fewer_hits_if_needed(std::size_t n_threads) {
         for (;; options.keep_hits /= 2) {
             try {
@@ -70,8 +71,8 @@ struct Renderer::Impl {
     }
 
     void allocate_kept_hits(std::size_t n_threads) {
-        // Frees the old memory before it allocates new memory, because both may not fit.
-        // No command reads the old memory any more.
+        // Frees the old memory first, because both may not fit. No command reads the old
+        // memory any more.
         kept.reset();
         if (options.keep_hits > 0) kept.emplace(device, n_threads, options.keep_hits);
         batch.kept = kept ? &*kept : nullptr;
@@ -84,7 +85,8 @@ Renderer::Renderer(Device& device, const Scene& scene, const ImageModel& model,
 Renderer::~Renderer() { wait_for_device(); }
 
 void Renderer::wait_for_device() noexcept {
-    // On a stream of the caller, recorded commands may use the arrays too.
+    // Commands that are recorded on the caller's stream but not yet submitted may use the
+    // arrays, too.
     try {
         if (!impl_->local_stream) impl_->stream.finish();
     } catch (const Error&) {  // nothing to do, because a lost device no longer uses memory
@@ -120,8 +122,7 @@ void Renderer::record_forward(const RayBatch& rays) {
         r.stream.finish();
         r.make_room(rays.n_rays);
     }
-    // Allocates more entries than rays if necessary. The tiles of an image need more
-    // threads than rays.
+    // An image can need more threads than rays, because its tiles may extend beyond it.
     if (r.kept && !r.kept->hold(rays)) {
         r.stream.finish();
         r.keep_fewer_hits_if_needed(trace_threads(rays));

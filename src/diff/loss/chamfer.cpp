@@ -14,8 +14,8 @@ namespace relidar {
 
 namespace {
 
-/// Sizes of an image in points, in tiles of points and in groups of tiles, as (rows,
-/// columns).
+/// Sizes of an image as (rows, columns): in points, in tiles of points, and in groups of
+/// tiles.
 struct Levels {
     glm::uvec2 tile{4, 8};  ///< number of points per tile, and of tiles per group
     glm::uvec2 points, tiles, groups;
@@ -37,9 +37,8 @@ struct Cloud {
     Array<glm::vec3, shared::GroupLows> group_low;
     Array<glm::vec3, shared::GroupHighs> group_high;
 
-    /// Allocates a point cloud. An image with one column has the most tiles, ceil(count /
-    /// 4), so `count` / 4 + 1 tiles are always enough. This is also true for groups of
-    /// tiles.
+    /// Allocates a point cloud. An image with a single column has the most tiles:
+    /// ceil(count / 4). The same factor applies to groups of tiles.
     Cloud(Device& device, std::size_t count, const std::string& description)
         : points(device, count, description + " points"),
           tile_low(device, count / 4 + 1, description + " tiles"),
@@ -119,7 +118,7 @@ struct ChamferLoss::Impl {
                       .tile_rows = levels.tile.x,
                       .tile_columns = levels.tile.y});
     }
-    /// Submits kernels that find nearest points in both directions. Both directions run
+    /// Submits kernels that search nearest points in both directions. They run
     /// concurrently on the device.
     void search(Stream& stream, const Levels& levels) const {
         {

@@ -35,8 +35,8 @@ std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights
         RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
     };
-    // Puts the image loss first, because it overwrites the gradients. All other losses
-    // add to them.
+    // The image loss must be first, because it overwrites the gradients to which all
+    // other losses add.
     std::vector<LossMaker*> makers{make_image_loss};
     for (const Term& term : terms)
         if (term.weight > 0.0f && std::find(makers.begin(), makers.end(), term.maker) == makers.end())

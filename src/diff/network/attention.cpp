@@ -16,8 +16,8 @@ std::vector<Constant> make_attention_constants(std::uint32_t lanes) {
     return {{ConstantId::LANES, lanes}, {ConstantId::WORKGROUP_SIZE, kAttentionThreads}};
 }
 
-/// Returns a view of an image slice as one matrix per head, [channels, pixels]. If
-/// `transposed` is true, the matrix is [pixels, channels].
+/// Describes an image slice as matrices, one per attention head, [channels, pixels] or,
+/// if `transposed` is true, [pixels, channels].
 shared::MatrixView view_heads(const Slice& slice, std::uint32_t heads, bool transposed) {
     const auto pixels = std::uint32_t(slice.grid.pixels());
     return {.values = slice.view.values,
@@ -133,7 +133,8 @@ void Attention::vjp(Stream& stream, const Slice& qkv, AttentionState& state, con
     // computes d_value = d_to share
     product(view_heads(d_to, heads_, false), view_shares(state.share, grid, heads_, false),
             view_heads(d_value, heads_, false), size, pixels, 1.0f);
-    // Computes d_share = d_to^T value. The derivative of the softmax follows.
+    // computes d_share = d_to^T value, which is then replaced by the gradient of the
+    // scores
     product(view_heads(d_to, heads_, true), view_heads(value, heads_, false),
             view_shares(state.d_share, grid, heads_, false), pixels, size, 1.0f);
     run_softmax(stream, state, grid, true);

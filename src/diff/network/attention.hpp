@@ -9,8 +9,8 @@ namespace relidar::refine {
 
 /// Intermediate results that the forward pass stores for the backward pass.
 struct AttentionState {
-    /// Attention weights [n, heads, pixels, pixels]: softmax of the scores. Each row
-    /// contains the weights of one query pixel.
+    /// Attention weights [n, heads, pixels, pixels] (softmax of the scores). A row
+    /// contains the weights with which one pixel attends to all pixels.
     Tensor share;
     Tensor d_share;  ///< gradient of `share`, scratch memory of the backward pass
 };
@@ -22,10 +22,10 @@ public:
     Attention(Device& device, std::uint32_t heads);
 
     AttentionState make_state(Device& device, const Grid& grid, bool with_gradients) const;
-    /// Computes to[h] = V softmax(K^T Q / sqrt(channels per head)) for each head h.
+    /// Computes output[h] = V softmax(K^T Q / sqrt(channels per head)) for each head h.
     /// @param qkv query Q, key K and value V of each pixel, [n, 3 channels, rows,
     /// columns]
-    /// @param output output, [n, channels, rows, columns]
+    /// @param output [n, channels, rows, columns]
     void forward(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& output);
     void vjp(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& d_to, const Slice& d_qkv);
 

@@ -16,8 +16,8 @@ namespace relidar::refine {
 namespace {
 
 constexpr std::uint32_t kConvThreads = 64;  // threads per workgroup
-// Number of image rows over which one subgroup sums the gradient of the weights. Each
-// such part has separate partial sums.
+// Number of image rows that form a part. A subgroup sums the gradients of the weights
+// over one part, and the sums of all parts are then added.
 constexpr std::uint32_t kLinesOfPart = 8;
 constexpr std::size_t kMostPartial = 1 << 24;  // maximum number of floats of the partial sums
 

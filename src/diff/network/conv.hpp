@@ -10,31 +10,30 @@
 
 namespace relidar::refine {
 
-/// Kernels for convolutions of one size (1x1 or 3x3), and memory for their partial sums.
+/// Convolution kernels of one size (1x1 or 3x3), with memory for partial sums of
+/// gradients.
 class Conv {
 public:
     using Weights = Address<float, shared::ConvWeights>;
     using Bias = Address<float, shared::ConvBias>;
 
     /// Creates the kernels for convolutions of one size.
-    /// @param taps number of weights per channel pair: 1 (1x1) or 9 (3x3)
+    /// @param taps number of weights per pair of channels: 1 (1x1) or 9 (3x3)
     /// @throws DeviceError with the name of a missing device feature
     Conv(Device& device, std::uint32_t taps);
 
-    /// Computes the convolution to = bias + weights * from.
-    /// @param weights [to.channels, from.channels, taps]
-    /// @param bias [to.channels], or a null address
-    /// @param accumulate true: adds the result to `output` instead of overwriting
-    /// `output`
+    /// Computes the convolution output = bias + weights * input.
+    /// @param weights [output.channels, input.channels, taps]
+    /// @param bias [output.channels], or a null address
+    /// @param accumulate true: adds the result to `output` instead of overwriting it
     void forward(Stream& stream, const Slice& input, Weights weights, Bias bias, const Slice& output,
                  bool accumulate = false);
-    /// Computes dL/d(from) from dL/d(to).
-    /// @param accumulate true: adds the result to `d_from` instead of overwriting
-    /// `d_from`
+    /// Computes the gradient of the input, d_from, from the gradient of the output, d_to.
+    /// @param accumulate true: adds the result to `d_from` instead of overwriting it
     void backpropagate_input(Stream& stream, const Slice& d_to, Weights weights, const Slice& d_from,
                              bool accumulate = false);
-    /// Computes dL/d(weights), [to.channels, from.channels, taps]. Adds in a fixed order,
-    /// so that the result is the same in every run.
+    /// Computes the gradient of the weights, [output channels, input channels, taps].
+    /// Adds in a fixed order, so that the result is the same in every run.
     void backpropagate_weights(Stream& stream, const Slice& input, const Slice& d_to, Weights d_weights);
     /// Returns the number of floats that backpropagate_weights() needs for its partial
     /// sums.

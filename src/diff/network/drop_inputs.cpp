@@ -90,8 +90,8 @@ void DropInputs::make(Stream& stream, std::span<const Chosen> chosen,
     make(stream, chosen, params, images);
 }
 
-/// Submits the kernel that copies the chosen samples into a batch of input images.
-/// @param params addresses of samples and targets
+/// Submits the kernel that copies the chosen images into a batch.
+/// @param params must contain the addresses of samples and targets
 void DropInputs::make(Stream& stream, std::span<const Chosen> chosen, shared::DropInputsParams params,
                       const Tensor& images) {
     std::vector<std::uint32_t> samples, turns;

@@ -13,8 +13,9 @@
 
 namespace relidar::refine {
 
-/// Returns scale and shift of each input channel, [channels, 2]. They give the channel
-/// the mean 0 and the standard deviation 1 over all images. A constant channel becomes 0.
+/// Returns scale and shift of each input channel, [channels, 2]. After this
+/// normalisation, a channel has mean 0 and standard deviation 1 over all images. A
+/// constant channel becomes 0.
 std::vector<float> compute_normalisation(const std::vector<DropImage>& images, std::size_t n_channels);
 
 class DropInputs {
@@ -33,19 +34,20 @@ public:
     /// Submits the kernel that creates a batch from the uploaded images.
     /// @param images output, [n, channels, rows, columns]
     void make(Stream& stream, std::span<const Chosen> chosen, const Tensor& images);
-    /// Submits the kernel that creates a batch without targets from images in another
-    /// device array.
+    /// Submits the kernel that creates a batch from images of another device array, which
+    /// have no targets.
     /// @param samples [samples, channels, rows, columns]
     void make(Stream& stream, std::span<const Chosen> chosen, Address<float, shared::DropSamples> samples,
               const Tensor& images);
 
-    /// Returns the rendered logits of the last batch, [n, rows, columns].
+    /// Returns the rendered drop logits of the last batch, [n, rows, columns]. The
+    /// network corrects them.
     const Array<float, shared::StartLogits>& start() const { return start_; }
-    /// Returns the targets of the last batch, [n, rows, columns]. DropImage::dropped
-    /// explains their values.
+    /// Returns the measured drops of the last batch, [n, rows, columns], with the values
+    /// of DropImage::dropped.
     const Array<float, shared::DropTargets>& target() const { return target_; }
     bool has_targets() const { return targets_.size() > 0; }
-    /// Returns the number of pixels of an image whose target is known.
+    /// Returns the number of pixels of an image whose measured drop is known.
     std::size_t known(std::uint32_t sample) const { return known_[sample]; }
 
 private:

@@ -8,7 +8,7 @@
 
 namespace relidar::refine {
 
-/// Means over all pixels of a batch with a known measurement.
+/// Loss and accuracy, averaged over the pixels of a batch whose measurement is known.
 struct DropScore {
     double entropy = 0.0;   ///< mean cross-entropy of the measured outcomes
     double accuracy = 0.0;  ///< Share of pixels whose predicted class (return or no return) is correct.

@@ -17,8 +17,8 @@ constexpr int kMostWidth = 512, kMostLevels = 6;
 
 using refine::Regularisation;
 
-/// Predefined network. `width` multiplies the numbers of channels, which are listed for
-/// each level from full size to the smallest.
+/// Predefined network architecture. The numbers of channels are listed for each level,
+/// starting at full image size, and are multiplied by `width`.
 struct Known {
     const char* name;
     std::uint32_t width;

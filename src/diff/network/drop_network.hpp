@@ -20,8 +20,8 @@ DropNetwork make_network_shape(const RefineOptions& options);
 /// @throws UsageError if the network is unknown
 int get_batch_size(const RefineOptions& options);
 
-/// Training settings that reduce overfitting. Small networks hardly profit from dropout,
-/// and rotating the images makes them less accurate.
+/// Training settings that reduce overfitting. Small networks do without them: dropout
+/// hardly helps, and rotated images make them less accurate.
 struct Regularisation {
     double dropout = 0.0;  ///< share of the values that a layer drops
     /// True: training rotates images around the sensor by a random number of columns.
@@ -35,8 +35,8 @@ Regularisation make_regularisation(const RefineOptions& options);
 /// Returns the index of the input channel that contains the rendered drop logit.
 std::uint32_t get_logit_channel(const DropNetwork& network);
 
-/// Returns the number of input channels that describe the sensor's pixels. They are the
-/// last channels.
+/// Returns the number of input channels that describe the sensor's pixels instead of the
+/// scene. They are the last channels.
 std::uint32_t count_fixed_channels(const DropNetwork& network);
 
 /// Checks the size and the values of an image.

@@ -51,7 +51,7 @@ void compile_drop_network(Device& device, const RefineOptions& options) {
 
 namespace {
 
-/// Copy of the network with memory for images of one size.
+/// The network with memory for images of one size.
 struct ShapedNetwork {
     refine::Grid grid{};
     refine::DropInputs inputs;
@@ -73,8 +73,8 @@ struct ShapedNetwork {
 }  // namespace
 
 struct DropPass::Impl {
-    // Number of image sizes whose arrays are cached. A vehicle may render a large and a
-    // small LiDAR alternately, which needs two.
+    // Number of image sizes for which memory is kept. Two, because a vehicle may have a
+    // large and a small LiDAR that are rendered alternately.
     static constexpr std::size_t kShapes = 2;
 
     Device& device;
@@ -92,8 +92,7 @@ struct DropPass::Impl {
         if (place == shaped.end() && shaped.size() < kShapes)
             place = shaped.emplace(shaped.end(), device, network);
         if (place == shaped.end()) {
-            // Waits for the device, because it may still use the arrays that are replaced
-            // below.
+            // The device may still use the arrays of the size that is replaced below.
             stream.finish();
             --place;
         }

@@ -74,7 +74,8 @@ struct DropTraining::Impl {
           stream(device, timing) {
         inputs.keep(device, images);
         unet.reserve(device, grid, true);
-        // sets all gradients to zero, because no kernel writes the padding between groups
+        // the padding between groups of parameters needs gradients of zero, and no kernel
+        // writes it
         stream.fill(unet.gradients());
         stream.finish();
     }

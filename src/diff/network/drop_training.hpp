@@ -23,8 +23,8 @@ public:
     ~DropTraining();
 
     std::size_t batch() const;  ///< images per step
-    /// Returns the number of steps per epoch. Images that do not fill a batch are not
-    /// used in this epoch, but may be used in other epochs.
+    /// Returns the number of steps per epoch. Images that do not fill the last batch are
+    /// left out. The order is random, so other images are left out in the next epoch.
     std::size_t count_steps_per_epoch() const;
 
     /// Trains the network on one batch.
@@ -32,11 +32,10 @@ public:
     /// @return loss and accuracy of the network before this step
     DropScore step(std::span<const DropInputs::Chosen> chosen, int step, int n_steps);
     DropNetwork download() const;
-    /// Returns the parameters of the network and the moment estimates of the Adam
-    /// optimizer. The caller must set the other fields of the state.
+    /// Returns the trained parameters and their Adam moments. The caller must set the
+    /// remaining fields of the state.
     RefineState state() const;
-    /// Restores the parameters of the network and the moment estimates of the Adam
-    /// optimizer.
+    /// Restores the trained parameters and their Adam moments.
     /// @throws DataError if their sizes do not match the network
     void restore(const RefineState& state);
     const KernelTimes& times() const;

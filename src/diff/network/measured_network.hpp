@@ -21,8 +21,8 @@ struct ConvolutionSize {
     }
 };
 
-/// Convolution with non-zero values on a device, for benchmarks. Each call waits until
-/// its pass is finished.
+/// Convolution on a device, for benchmarks. Its inputs are not zero. Each call waits
+/// until its pass is finished.
 class MeasuredConvolution {
 public:
     MeasuredConvolution(Device& device, const ConvolutionSize& size);

@@ -13,8 +13,8 @@ namespace {
 constexpr std::uint32_t kNormThreads = 64;  // threads per workgroup
 constexpr float kMomentum = 0.1f, kEpsilon = 1e-5f;
 
-/// Returns the number of parts into which the pixels of a batch are split for sums. Each
-/// part is within one image.
+/// Returns the number of parts into which the pixels of a batch are split. Sums are
+/// computed part by part. No part extends over two images.
 std::uint32_t count_norm_parts(const Grid& grid) {
     return grid.n * std::uint32_t(std::clamp<std::size_t>(grid.pixels() / 4096, 1, 64));
 }

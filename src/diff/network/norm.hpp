@@ -11,12 +11,13 @@ namespace relidar::refine {
 /// Parameters of a normalisation layer.
 struct NormWeights {
     Address<glm::vec2, shared::BetaGamma> beta_gamma;  ///< [channels] beta and gamma of each channel
-    /// Running mean and variance over the batches [channels]. Inference uses them.
+    /// Running mean and variance of each channel [channels], averaged over many batches.
+    /// Used during inference.
     Address<glm::vec2, shared::RunningMoments> running;
 };
 
-/// Array that receives the gradients of beta and gamma. They are written as [channels,
-/// 2], starting at index `first`.
+/// Where the gradients of beta and gamma are written: into an array, starting at index
+/// `first`, as [channels, 2].
 struct NormGradient {
     const Array<float>& all;
     std::size_t first = 0;
@@ -39,23 +40,22 @@ class Norm {
 public:
     explicit Norm(Device& device);
 
-    /// Computes to = dropout(relu(gamma x^ + beta)) for training. x^ is the input,
-    /// normalised with mean and variance of the batch. Updates the running mean and
-    /// variance.
+    /// Computes output = dropout(relu(gamma x + beta)) for training, where x is the
+    /// input, normalised with mean and variance of the batch. Updates the running mean
+    /// and variance.
     void forward(Stream& stream, const Slice& input, const NormWeights& weights, NormState& state,
                  const Slice& output);
     /// Computes the layer for inference. Uses the running mean and variance, and no
     /// dropout.
     void evaluate(Stream& stream, const Slice& input, const NormWeights& weights, NormState& state,
                   const Slice& output);
-    /// Computes dL/d(from) and dL/d(beta, gamma) from dL/d(to). Requires an earlier
-    /// forward().
-    /// @param accumulate true: adds the result to `d_from` instead of overwriting
-    /// `d_from`
+    /// Computes the gradients of the input (d_from), beta and gamma from the gradient of
+    /// the output (d_to). Requires an earlier forward().
+    /// @param accumulate true: adds the result to `d_from` instead of overwriting it
     void vjp(Stream& stream, const Slice& input, const NormState& state, const Slice& d_to,
              const Slice& d_from, const NormGradient& gradient, bool accumulate = false);
-    /// Computes the sum of each channel over the pixels of all images, [channels]. This
-    /// sum is the gradient of a bias.
+    /// Computes the gradient of a bias, [channels]: the sum of each channel over the
+    /// pixels of all images.
     void backpropagate_bias(Stream& stream, const Slice& d_to, Address<float, shared::ConvBias> d_bias);
     /// Allocates memory for images with this number of channels and pixels.
     void reserve(Device& device, std::uint32_t channels, const Grid& grid);

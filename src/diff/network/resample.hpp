@@ -16,9 +16,9 @@ public:
     explicit Resample(Device& device);
 
     /// Computes the maximum of each block of 2 x 2 pixels (max pooling).
-    /// @param output output images of size halve_grid(from.grid)
+    /// @param output images of the size halve_grid(input.grid)
     void pool(Stream& stream, const Slice& input, const Slice& output);
-    /// Computes the derivative of pool() and adds it to d_from.
+    /// Adds the gradient of the input of pool() to d_from.
     void backpropagate_pool(Stream& stream, const Slice& input, const Slice& d_to, const Slice& d_from);
     /// Enlarges `input` to the image size of `output` by bilinear interpolation.
     void upsample(Stream& stream, const Slice& input, const Slice& output);

@@ -23,7 +23,7 @@ struct Grid {
     friend bool operator==(const Grid&, const Grid&) = default;
 };
 
-/// Returns the number of groups of `size` elements that `count` elements need.
+/// Returns how many groups of `size` elements are needed for `count` elements.
 inline std::uint32_t tiles(std::uint32_t count, std::uint32_t size) { return (count + size - 1) / size; }
 
 /// View of consecutive channels of a tensor.

@@ -17,8 +17,8 @@
 namespace relidar {
 namespace {
 
-/// Draws the order and the rotations of the images for one epoch. Each epoch has a
-/// separate random generator, so that its values do not depend on earlier epochs.
+/// Draws the order of the images and their rotations for one epoch. The random generator
+/// starts anew in each epoch, so that a resumed training gets the same values.
 std::vector<refine::DropInputs::Chosen> draw_epoch(std::size_t count, int columns, bool turn,
                                                    std::uint64_t seed, int epoch) {
     std::mt19937_64 random(seed * 1000003u + std::uint64_t(epoch));
@@ -56,8 +56,8 @@ struct Course {
                             report.step, report.n_steps));
     }
 
-    /// Increments the step number. Starts the next epoch if the last step of an epoch is
-    /// complete.
+    /// Increments the step number. After the last step of an epoch, starts the next
+    /// epoch.
     /// @return index of the step in its epoch
     std::size_t advance() {
         const std::size_t k = std::size_t(report.step++) % n_steps;

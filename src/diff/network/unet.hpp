@@ -24,7 +24,8 @@ struct ConvLayer {
     std::optional<std::size_t> bias = {};
 };
 
-/// Offsets of the parameters of a block: normalisation, ReLU, dropout, convolution.
+/// Where the parameters of a block are stored. A block is normalisation, ReLU, dropout,
+/// convolution.
 struct Block {
     std::size_t beta_gamma = 0, running = 0;
     ConvLayer conv;
@@ -32,11 +33,11 @@ struct Block {
 
 /// Offsets of all parameters of a network.
 struct UnetPlan {
-    /// First and last convolution. `head` converts the inputs to the channels of the
-    /// first level. `tail` converts these channels to a logit.
+    /// First convolution (`head`), from the inputs to the channels of the first level,
+    /// and last convolution (`tail`), from these channels to a logit.
     ConvLayer head, tail;
-    /// Blocks of the encoder (`down`) and the decoder (`up`), two per level. `up` starts
-    /// with the blocks at full image size.
+    /// Blocks of the encoder (`down`) and of the decoder (`up`), two per level. Both
+    /// lists begin at full image size.
     std::vector<Block> down, up;
     std::optional<Block> query;  ///< attention: query, key, value
     ConvLayer project;           ///< attention: projection of the result
@@ -45,17 +46,16 @@ struct UnetPlan {
     explicit UnetPlan(const DropNetwork& network);
 };
 
-/// Each function returns a number of channels at one level of the decoder.
-/// count_up_channels() counts the output. count_channels_below() counts the input from
-/// the smaller images. count_joined_channels() counts that input and the skip connection
-/// together.
+/// Channels at a level of the decoder. count_up_channels(): output.
+/// count_channels_below(): input from the smaller images. count_joined_channels(): this
+/// input and the skip connection together.
 std::uint32_t count_up_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 std::uint32_t count_channels_below(const std::vector<std::uint32_t>& widths, std::size_t level);
 std::uint32_t count_joined_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 
 /// Initialises the parameters with Kaiming's uniform distribution. Normalisations start
-/// with gamma 1 and beta 0. The last convolution of a residual network starts with 0, so
-/// that the network initially changes nothing.
+/// with gamma 1 and beta 0. If the network predicts a correction, its last convolution
+/// starts with 0, so that it initially corrects nothing.
 void initialise(DropNetwork& network, const UnetPlan& plan, std::uint64_t seed);
 
 /// Network on a device, with its parameters and memory.
@@ -72,11 +72,11 @@ public:
     /// Submits a forward pass for inference. Uses the running mean and variance, and no
     /// dropout.
     void evaluate(Stream& stream);
-    /// Submits the backward pass that belongs to forward(). Computes dL/d(parameters)
-    /// from dL/d(logit), which the caller writes to d_logit().
+    /// Submits the backward pass that follows forward(). Computes the gradients of all
+    /// parameters. Before, the caller must write the gradient of the logits to d_logit().
     void backward(Stream& stream);
 
-    /// Replaces all parameters of the network by values of the same number. No pending
+    /// Replaces all parameters of the network. Their number must not change. No pending
     /// command on the device may use the old values.
     void upload(const std::vector<float>& parameters, const std::vector<float>& running) {
         parameters_.upload(parameters);
@@ -92,14 +92,14 @@ public:
     const Array<float>& running() const { return running_; }
 
 private:
-    /// Values that the forward pass stores for a block: the activations after its
-    /// normalisation, and the normalisation's intermediate results.
+    /// Results that the forward pass stores for the backward pass of a block: activations
+    /// after the normalisation, and intermediate values of the normalisation.
     struct BlockState {
         Tensor active;
         NormState norm;
     };
-    /// Arrays of one image size. They hold the joined input [from the smaller images,
-    /// skip connection], the images between two blocks, and their gradients.
+    /// Arrays of one image size: the input of the decoder [smaller images, skip
+    /// connection], the images between two blocks, and their gradients.
     struct Level {
         Tensor joined, d_joined, down_between, d_down_between, up_between, d_up_between, up, d_up, pooled,
             d_pooled;

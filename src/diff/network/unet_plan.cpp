@@ -16,7 +16,8 @@ std::size_t take(std::size_t& count, std::size_t floats) {
     return first;
 }
 
-/// Returns a random number between -1 and 1 that is the same with every compiler.
+/// Returns a random number between -1 and 1. Unlike std::uniform_real_distribution, every
+/// compiler gives the same number.
 float draw(std::mt19937_64& random) { return float(random() >> 40) * 0x1p-23f - 1.0f; }
 
 }  // namespace
@@ -82,7 +83,8 @@ void initialise(DropNetwork& network, const UnetPlan& plan, std::uint64_t seed) 
     };
     draw_conv(plan.head);
     for (const Block& block : plan.down) draw_block(block);
-    // Does not draw `project`. It stays 0, so that attention initially adds nothing.
+    // The output projection of the attention stays 0, so that attention initially adds
+    // nothing.
     if (plan.query) draw_block(*plan.query);
     for (const Block& block : plan.up) draw_block(block);
     if (!network.residual) draw_conv(plan.tail);

@@ -22,8 +22,8 @@ double interpolate_exponentially(double start, double end, int step, int n_steps
 
 namespace {
 
-// Number of threads per workgroup. A GPU would not be fully occupied with only 32
-// threads.
+// Number of threads per workgroup. With only 32 threads, a GPU would not be fully
+// occupied.
 constexpr std::uint32_t kStreamingThreads = 128;
 
 std::vector<Constant> make_adam_constants(bool per_float) {
@@ -56,7 +56,7 @@ Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, 
     Stream stream(device);
     impl_->moment1.fill_zero(stream);
     impl_->moment2.fill_zero(stream);
-    // Waits until the moment estimates are zero, because a resumed run uploads new values
+    // Finishes setting the moments to zero, because a resumed run uploads other moments
     // before the first step.
     stream.finish();
 }
@@ -86,8 +86,8 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g,
     for (const ParameterGroup& group : list_parameter_groups(p.parameters())) {
         const std::uint32_t stride = group.floats(), block = group.harmonics ? group.row[1] : stride;
         const std::uint32_t n_active = group.harmonics ? active_harmonics : block, n_blocks = stride / block;
-        // For spherical harmonics, the learning rate of all coefficients except the
-        // constant one has this factor.
+        // In spherical harmonics, all coefficients except the constant one have a lower
+        // learning rate.
         const double rest_factor = group.harmonics ? rates.sh_rest_factor : 1.0;
         const std::size_t from = std::size_t(first) * stride;
         const bool by_model = group.rate == &LearningRates::mean && !rates.mean_factors.empty();

@@ -49,8 +49,8 @@ WorldRays make_full_sphere_rays() {
     return rays;
 }
 
-/// Renders the ring of surfels. If `state` selects a refit, moves the surfels by 0.2 m
-/// after the build.
+/// Renders the ring of surfels. If the state is `refitted`, moves the surfels by 0.2 m
+/// after the tree was built, so that it is refitted.
 Rendering render_ring(Device& device, const AccelOptions& accel, TreeState state) {
     Surfels surfels = make_surfel_ring();
     Renderer renderer(device, make_background_scene(surfels), {}, {.accel = accel});
@@ -64,8 +64,8 @@ Rendering render_ring(Device& device, const AccelOptions& accel, TreeState state
     return renderer.forward(make_full_sphere_rays());
 }
 
-/// Returns the largest subgroup size that gives correct results. Does not test the
-/// driver's default size.
+/// Returns the largest subgroup size that gives correct results, except the driver's
+/// default size.
 /// @param wrong description of the wrong result with the default size
 int find_working_subgroup_size(const DeviceOptions& options, const Device& device, const std::string& wrong) {
     const std::vector<int> sizes = list_subgroup_sizes(device);
@@ -84,7 +84,7 @@ int find_working_subgroup_size(const DeviceOptions& options, const Device& devic
 
 int count_wrong_rays(Device& device, TreeState state) {
     AccelOptions accel;
-    // Simulates a fault for a test with boxes that are smaller than their surfels.
+    // A test can force wrong hits here: the boxes are then smaller than their surfels.
     if (gpu::has_fault("ray_query") && device.traversal() == Traversal::ray_query) accel.margin_scale = 0.3f;
     const Rendering found = render_ring(device, accel, state);
     const Forced forced(device, {.brute_force = true});
@@ -102,8 +102,8 @@ DeviceTrust check_device_at_first_use(const DeviceOptions& options) {
     DeviceTrust trust;
     if (device.info().float_atomics) trust.float_atomics = compute_sum_error(device, false) == 0.0;
     trust.float_swaps = compute_sum_error(device, true) == 0.0;
-    // Checks subgroups only if the subgroup size is known, because kernels do not rely on
-    // subgroups otherwise.
+    // Kernels rely on subgroups only if the device supports software traversal, so
+    // subgroups are tested only then.
     if (device.info().software)
         if (const std::string wrong = find_wrong_subgroups(device); !wrong.empty())
             trust.subgroup_size = find_working_subgroup_size(options, device, wrong);
@@ -112,7 +112,7 @@ DeviceTrust check_device_at_first_use(const DeviceOptions& options) {
     if (trust.subgroup_size == 0) {
         n_wrong = count_wrong_rays(device);
     } else {
-        // Other kernels of the renderer need the subgroup size that gives right results.
+        // The renderer's other kernels also need the subgroup size that passed the test.
         const Trusting trusting_size(trust);
         Device other(options);
         n_wrong = count_wrong_rays(other);

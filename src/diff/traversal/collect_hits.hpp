@@ -32,7 +32,7 @@ struct PlacedScene {
 
 /// Returns all hits of each ray, from near to far.
 /// @param max_hits maximum number of stored hits per ray. Further hits are only counted
-/// @throws DeviceError if a ray reaches the maximum number of passes
+/// @throws DeviceError if a ray has too many hits to be traced completely
 CollectedHits collect_hits(Device& device, const PlacedScene& placed, const WorldRays& rays,
                            std::uint32_t max_hits);
 

@@ -12,7 +12,8 @@
 
 namespace relidar {
 
-/// Returns the scene parameters of a tracing kernel. The caller must add the rays.
+/// Returns the parameters that tracing kernels need for a scene. The caller must add the
+/// rays.
 inline shared::TraceScene trace_scene(const DeviceScene& scene, const AccelAddresses& accel,
                                       const ImageModel& model) {
     return {.tlas = accel.tlas,
@@ -58,7 +59,7 @@ inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& acc
     return traced;
 }
 
-/// Returns the suffix of the kernel variant for the traversal method of the device.
+/// Returns the suffix of the kernel variant that uses the device's traversal method.
 inline KernelVariant get_traversal_variant(const Device& device) {
     if (must_test_every_surfel(device)) return KernelVariant("@brute_force");
     return KernelVariant(device.traversal() == Traversal::software ? "@software_bvh" : "@ray_query");
