@@ -366,7 +366,7 @@ StreamLanes::StreamLanes(Stream& stream, std::size_t count) : stream_(stream) {
     Stream::Impl& s = stream.impl();
     if (count == 0 || !s.lanes.empty() || s.n_concurrent > 0)
         throw Error(ExitCode::bug,
-                    "cannot record in strands: expected at least one strand, no other strands and no open "
+                    "cannot record in lanes: expected at least one lane, no other lanes and no open "
                     "Concurrent scope");
     s.lanes.resize(count);
     s.lane = 0;
@@ -385,10 +385,9 @@ void StreamLanes::choose(std::size_t lane) {
     if (lane >= s.lanes.size() || s.n_concurrent > 0)
         throw Error(
             ExitCode::bug,
-            fmt::format(
-                "cannot choose strand {} of {}: expected the index of a strand and no open Concurrent "
-                "scope",
-                lane, s.lanes.size()));
+            fmt::format("cannot choose lane {} of {}: expected the index of a lane and no open Concurrent "
+                        "scope",
+                        lane, s.lanes.size()));
     s.lane = lane;
 }
 

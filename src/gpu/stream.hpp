@@ -101,7 +101,7 @@ struct Stream::Impl {
     /// True if commands were recorded in the open Concurrent scope, so that a barrier
     /// must follow at its end.
     bool owes_barrier = false;
-    /// Concurrent command sequences (lanes) of the current Strands scope.
+    /// Concurrent command sequences (lanes) of the current StreamLanes scope.
     std::vector<StreamLane> lanes = {};
     std::size_t lane = 0;  ///< Index of the lane that receives new commands.
     bool timed = false;    ///< True if timestamps measure the launch that is currently recorded.

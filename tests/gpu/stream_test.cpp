@@ -228,7 +228,7 @@ TEST_F(StreamHazards, LanesHaveABarrierAfterEachStep) {
         stream.fill(arrays[0], 6u);  // deliberate hazard: an array that the other lane writes
     }
     stream.finish();
-    EXPECT_GT(count_validation_messages(watched), 0u) << "no barrier between strands";
+    EXPECT_GT(count_validation_messages(watched), 0u) << "no barrier between lanes";
 }
 
 TEST_F(StreamTest, LanesMayBeSubmittedBeforeTheirEnd) {
@@ -295,13 +295,13 @@ TEST_F(CutLaunches, DoTheSameWork) {
     EXPECT_EQ(limit().speed("gpu/copy").choose_groups_per_piece(0.1), 100u);
     EXPECT_EQ(limit().speed("unknown").choose_groups_per_piece(0.1), gpu::KernelSpeed::kUnknownGroups);
     Stream stream(device(), true);
-    for (const bool in_strand : {false, true}) {
+    for (const bool in_lane : {false, true}) {
         const auto to = target();
-        if (in_strand) {
+        if (in_lane) {
             StreamLanes lanes(stream, 1);
             launch(stream, to);
         } else launch(stream, to);
-        EXPECT_EQ(stream.impl().slots[stream.impl().current].n_buffers, in_strand ? 1u : 10u);
+        EXPECT_EQ(stream.impl().slots[stream.impl().current].n_buffers, in_lane ? 1u : 10u);
         stream.finish();
         EXPECT_EQ(to.download(), values);
     }

@@ -28,7 +28,7 @@ constexpr double kNormFloor = 1e-10;
 constexpr float kColourShift[3] = {-0.030f, -0.088f, -0.188f};
 constexpr float kColourScale[3] = {0.458f, 0.448f, 0.450f};
 
-/// A convolution layer of AlexNet. If `halve_grid` is set, 3 x 3 max-pooling with stride
+/// A convolution layer of AlexNet. If `pooled` is set, 3 x 3 max-pooling with stride
 /// 2 precedes the convolution.
 struct Layer {
     int out, in, edge, stride, padding;

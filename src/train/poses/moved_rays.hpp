@@ -50,7 +50,7 @@ private:
 
     std::uint32_t most_knots_;
     Array<DeviceRay> moved_;         ///< [maximum rays of a frame] rays of the frame of the last move()
-    Array<shared::PoseKnot> knots_;  ///< [count_max_pose_knots] poses of the frame of the last move()
+    Array<shared::PoseKnot> knots_;  ///< [most_knots_] poses of the frame of the last move()
     Array<float, shared::KnotGradientRows> rows_;
     Kernel<shared::MoveRaysParams> move_;
     Kernel<shared::KnotGradientsParams> gradients_;

@@ -57,7 +57,7 @@ struct LogSummary {
     double seconds = 0.0, path_m = 0.0;
     /// Share of rays with a return. Has no value if the scans are missing.
     std::optional<double> returns_share;
-    std::size_t n_scans_read = 0;  ///< Number of scans from which compute_returns_share is computed.
+    std::size_t n_scans_read = 0;  ///< Number of scans from which returns_share is computed.
     bool is_look = false;          ///< True if the summary is based on only some of the scans.
     std::vector<BoxSummary> boxes;
     /// Names of moving boxes that do not become actors. Training ignores the points in
