@@ -34,8 +34,7 @@ constexpr double kPointMargin_m = 0.1;
 constexpr double kGround_m = 0.15;
 constexpr std::string_view kEveryClass = "all";
 
-/// Adds the returns of one frame that lie inside boxes. Stores each point in the frame of
-/// its box.
+/// Adds the returns of one scan that lie inside boxes, in the coordinates of the box.
 void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& boxes,
                bool second_returns, const std::vector<WalkedDistance>& walks,
                std::vector<std::vector<Sample>>& samples) {

@@ -9,8 +9,8 @@
 // Sizes of BvhNode and SurfelRecord in 32-bit words. Word k is at the offset 4 k of the
 // struct.
 const uint kNodeWords = 20u, kRecordWords = 16u;
-// Maximum number of words that a lane loads: a node has 20 words, and a subgroup at least
-// 4 lanes.
+// Maximum number of words of a node that one lane loads: 20 words, divided among at least
+// 4 lanes of a subgroup.
 const uint kMostParts = 5u;
 
 /// Words of a struct, distributed over the lanes of a subgroup. Lane k % size holds word

@@ -16,8 +16,9 @@ namespace {
 // A vehicle drives forward if the mean x component of its unit motion vectors, in the
 // vehicle frame, is above this value.
 constexpr double kForward = 0.9;
-// Another interpretation of the poses is used only if it is better by these amounts: in
-// the forward component of the motion, and in the overlap of scans.
+// The numbers of a pose file can be read in several ways. A different way replaces the
+// usual one only if the share of forward motion and the overlap of the scans increase by
+// at least these amounts.
 constexpr double kMoreForward = 0.3, kMoreOverlap = 0.02;
 // Minimum number of motions between poses for estimating the driving direction.
 constexpr std::size_t kFewestSteps = 3;

@@ -20,8 +20,8 @@ constexpr double kPlace_m = 0.1;
 // of this size.
 constexpr double kSurface_m = 0.4;
 constexpr double kMinPoints = 8.0;
-// Points form a plane if their standard deviation across it is below this share of the
-// standard deviation along its narrower axis.
+// Points form a plane if they are thin: their standard deviation along the normal must be
+// less than this fraction of the smaller standard deviation within the plane.
 constexpr double kMaxThickness = 0.15;
 constexpr std::size_t kMostCompared = 6000000;
 

@@ -33,9 +33,8 @@ struct PacketEntry {
     std::uint16_t n_empty_before = 0;
 };
 
-/// Returns the rotation from one azimuth to another in the direction of rotation, below
-/// one revolution. A small step backward gives a negative angle, because it is encoder
-/// noise.
+/// Returns the angle that the head turns from one azimuth to the next, below 360 degrees.
+/// If the next azimuth is slightly behind because of encoder noise, the angle is negative.
 double compute_degrees_on(double from_deg, double to_deg);
 
 /// Number of packets that were received twice or late.
