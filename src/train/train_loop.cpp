@@ -314,7 +314,8 @@ void TrainLoop::check_room(const IterationReports::Report& report) {
             "{} hits, expected at most {}; use fewer rays per iteration (train.rays_per_iteration)",
             report.first_step, report.last_step, report.most_hits, report.hit_capacity));
     if (report.most_hits <= differentiable_.backward_pass().hit_capacity() / 2) return;
-    // ends the current report here, because it belongs to the old capacity
+    // The capacity for hits changes now. Requests the report of the steps so far, because
+    // they used the old capacity.
     close_report(last_step_, false);
     // Doubles the reserved space before the number of hits exceeds it.
     differentiable_.backward_pass().reserve_hits(stream_, 2 * std::uint64_t(report.most_hits));
@@ -325,7 +326,8 @@ void TrainLoop::keep_more_hits(const IterationReports::Report& report) {
     if (report.kept_hits != renderer_.kept_hits() || no_room_to_keep_more_) return;
     const std::uint32_t n_hits = recommend_kept_hits(report.kept_hits, report.overfull);
     if (n_hits == report.kept_hits) return;
-    // ends the current report here, because it belongs to the old number of hits per ray
+    // The number of hits per ray changes now. Requests the report of the steps so far,
+    // because they used the old number.
     close_report(last_step_, false);
     try {
         renderer_.keep_hits(n_hits);

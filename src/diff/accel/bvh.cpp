@@ -242,8 +242,8 @@ SortSet Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
          .bounds = bounds.address(),
          .n_surfels = n,
          .n_models = n_models});
-    // Each pass of the sort swaps the two sets of keys. Starts in the set for which the
-    // sorted keys end in set 0.
+    // Each pass of the sort moves the keys to the other one of two sets. The first set is
+    // chosen by the parity of the number of passes, so that the last pass writes set 0.
     const int first_set = static_cast<int>(RadixSort::passes(get_key_bits()) % 2);
     run(stream, keys_kernel, n,
         {.records = scene.records().address(),

@@ -25,7 +25,7 @@ struct CloudChoice {
 /// @throws UsageError if a requested topic contains no clouds
 CloudChoice choose_clouds(const Bag& bag, const Survey& survey, const std::vector<std::string>& topics);
 
-/// The vehicle poses to load, and the clock of the log.
+/// Which vehicle poses a bag provides, and the clock of its time stamps.
 struct PoseChoice {
     Clock clock = Clock::stamps;
     std::int64_t zero_ns = 0;  ///< time of the first cloud; it becomes 0 s in the log
