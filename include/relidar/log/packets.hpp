@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <memory>
 #include <string>
 #include <vector>
@@ -109,11 +110,13 @@ private:
 /// Writes the scans of a log as a network capture of LiDAR packets. The log must have a
 /// single LiDAR. The calibration is written to a second file with the same name and the
 /// ending .csv or .json.
+/// @param sink  called with the packets in their order; may be empty
 /// @return number of packets
 /// @throws UsageError if the log has several LiDARs, or in the same cases as
 /// PacketEncoder
 /// @throws DataError if a file cannot be written
 std::size_t save_packets(const Sequence& sequence, const std::filesystem::path& file,
-                         const Progress& progress = {});
+                         const Progress& progress = {},
+                         const std::function<void(const std::vector<SensorPacket>&)>& sink = {});
 
 }  // namespace relidar
