@@ -20,9 +20,9 @@ namespace relidar {
 
 /// A datagram of a LiDAR.
 struct SensorPacket {
-    /// Time of the packet since 1970. Its definition depends on the maker: the time of
-    /// the first firing (Velodyne), the time after the last firing (Hesai) or the time of
-    /// the last column (Ouster).
+    /// Time of the packet since 1970. Its definition depends on the product: the time of
+    /// the first firing (Velodyne, QT64), the time after the last firing (other Hesai) or
+    /// the time of the last column (Ouster).
     std::int64_t time_ns = 0;
     std::string bytes;
 };

@@ -15,6 +15,7 @@
 #include <fmt/ranges.h>
 #include <CLI/CLI.hpp>
 
+#include <relidar/log/packets.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/simulate/scan_files.hpp>
@@ -96,6 +97,11 @@ public:
     }
 
     void send(const Run& run, const SensorChoice& sensor, const std::string& name, const RenderedScan& scan) {
+        if (name.empty() && !sensor.is_own)
+            throw UsageError(
+                fmt::format("cannot write packets of a sensor that the request describes; expected "
+                            "sensor.name with one of {}",
+                            list_packet_sensors()));
         const std::lock_guard lock(mutex_);
         const std::string key =
             fmt::format("{} {} {} {}", run.folder.string(), sensor.lidar, sensor.returns, name);
