@@ -350,6 +350,9 @@ rendering() {
     check "a rig has a capture for each sensor" test -s packets/packets_top.pcap -a -s packets/packets_left.json
     good convert packets/packets_left.pcap --out packet_log --set dataset.poses=none
     says "1 scans of 1 LiDAR"
+    good convert packets/packets_top.pcap --out sent.pcap --set dataset.poses=none --udp 127.0.0.1:23682 --realtime
+    says "77 packets sent"
+    bad 2 "--udp: found --out sent_log; expected --out FILE.pcap" convert packets/packets_top.pcap --out sent_log --udp 127.0.0.1:23682
     bad 2 "cannot write packets of the sensor .*expected one of VLP-16, VLP-32C" render run --out x --format pcap
     bad 2 "--realtime: found no --udp" render run --out x --sensor VLP-16 --realtime
     bad 2 "--udp: found 'nowhere'" render run --out x --sensor VLP-16 --udp nowhere

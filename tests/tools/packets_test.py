@@ -10,6 +10,7 @@ import json
 import os
 import pathlib
 import shutil
+import sqlite3
 import struct
 import subprocess
 import sys
@@ -332,6 +333,70 @@ def firings_of(product, packets, dual):
     return out
 
 
+def read_capture(path):
+    """Returns the payload of each datagram."""
+    data, at, payloads = path.read_bytes(), 24, []
+    while at < len(data):
+        size = struct.unpack_from("<I", data, at + 8)[0]
+        payloads.append(data[at + 16 + 42:at + 16 + size])
+        at += 16 + size
+    return payloads
+
+
+def blocks_of(packets, n_blocks, laser_bytes, least_range):
+    """Returns (azimuth, ranges and reflectivities) of each block of packets with a header of 12
+    bytes. Replaces returns below the range value `least_range` by 0, because a log lacks returns
+    below the minimum range of its sensor."""
+    lasers = packets[0][6]
+    size = 2 + lasers * laser_bytes
+    out = []
+    for data in packets:
+        for at in range(12, 12 + n_blocks * size, size):
+            units = np.frombuffer(data[at + 2:at + size], "u1").reshape(lasers, laser_bytes)[:, :3].copy()
+            units[units[:, 0] + 256 * units[:, 1] < least_range] = 0
+            out.append((int.from_bytes(data[at:at + 2], "little"), units.tobytes()))
+    return out
+
+
+def sort_returns(blocks):
+    """Sorts the two returns of each laser in pairs of blocks, because some recorded packets store
+    the nearer return first. A single return may be in one or in both blocks."""
+    out = []
+    for (azimuth, one), (_, other) in zip(blocks[::2], blocks[1::2]):
+        units = np.sort(np.stack([np.frombuffer(u, "u1").reshape(-1, 3) @ [1 << 8, 1 << 16, 1] for u in (one, other)]), axis=0)
+        units[0] = np.where(units[0] == 0, units[1], units[0])
+        out += [(azimuth, units[0].tobytes()), (azimuth, units[1].tobytes())]
+    return out
+
+
+def check_blocks(name, packets, again, n_blocks, laser_bytes, least_range=0, dual=False, most_different=0):
+    """The blocks of `again` that have returns must be consecutive blocks of `packets`.
+    @param most_different number of blocks whose returns may differ"""
+    old, new = (blocks_of(p, n_blocks, laser_bytes, least_range) for p in (packets, again))
+    lit = [k for k, (_, units) in enumerate(new) if any(units)]
+    new = new[lit[0] // 2 * 2:lit[-1] // 2 * 2 + 2]
+    if dual:
+        old, new = sort_returns(old), sort_returns(new)
+    apart = lambda one, other: abs((one[0] - other[0] + 18000) % 36000 - 18000)
+    begins = [k for k in range(0, len(old) - len(new) + 1, 2) if apart(new[0], old[k]) <= 1]
+    n, begin = min((sum(one[1] != other[1] for one, other in zip(new, old[k:])), k) for k in begins)
+    expect(n <= most_different, f"{name}: {n} of {len(new)} blocks have other bytes")
+    expect(all(apart(one, other) <= 1 for one, other in zip(new, old[begin:])), f"{name}: azimuths")
+    print(f"{name}: {len(new) - n} of {len(new)} blocks as they were")
+
+
+def test_alternating_again():
+    """The firings of both sequences must be written again, byte by byte."""
+    for product in lidars.ALTERNATING:
+        packets, _ = product.packets(int(0.23 / (product.cycle_us * 2e-6)), False)
+        folder = WORK / product.name   # of its own, because the angles of another product would be used
+        folder.mkdir()
+        capture, again = folder / "first.pcap", folder / "again.pcap"
+        captures.write(capture, [(T0 + ns, f) for ns, data in packets for f in captures.frames(data)])
+        run("convert", capture, "--out", again, "--set", "dataset.max_range_m=200")
+        check_blocks(f"{product.name}, again", [data for _, data in packets], read_capture(again), 2, 4 if product.name == "QT128" else 3)
+
+
 def test_written_again():
     """`convert --out FILE.pcap` must write the firings of a capture again, byte by byte."""
     for product in lidars.PRODUCTS:
@@ -343,11 +408,7 @@ def test_written_again():
         captures.write(capture, [(T0 + ns, f) for ns, data in packets for f in captures.frames(data)])
         run("convert", capture, "--out", again, "--set", "dataset.max_range_m=200")
         expect(again.with_suffix(".csv").exists() == product.hesai, f"{product.name}: the angles of the lasers")
-        data, at, found = again.read_bytes(), 24, []
-        while at < len(data):
-            size = struct.unpack_from("<I", data, at + 8)[0]
-            found.append(data[at + 16 + 42:at + 16 + size])
-            at += 16 + size
+        found = read_capture(again)
         expect({len(p) for p in found} == {len(packets[0][1])}, f"{product.name}: bytes a packet")
         old, new = (firings_of(product, p, dual) for p in ([d for _, d in packets], found))
         lit = [k for k, f in enumerate(new) if any(f[1])]
@@ -512,6 +573,55 @@ def converted_bag(name, packets):
     return converted(bag)
 
 
+def read_bag_packets(folder):
+    """Returns the packets of a ROS 2 bag in SQLite, from PandarScan or NebulaPackets."""
+    packets = []
+    with sqlite3.connect(f"file:{next(folder.glob('*.db3'))}?mode=ro&immutable=1", uri=True) as bag:
+        rows = bag.execute("select type, data from messages join topics on topics.id = topic_id order by timestamp").fetchall()
+    align = lambda at: (at + 3) // 4 * 4   # CDR aligns numbers after its header of 4 bytes
+    for kind, data in rows:
+        if not kind.endswith(("PandarScan", "NebulaPackets")):
+            continue
+        at = align(16 + int.from_bytes(data[12:16], "little"))   # behind stamp and frame
+        n, at = int.from_bytes(data[at:at + 4], "little"), at + 4
+        for _ in range(n):
+            at += 8
+            if kind.endswith("PandarScan"):
+                packets.append(data[at:at + int.from_bytes(data[at + 1500:at + 1504], "little")])
+                at += 1504
+            else:
+                size = int.from_bytes(data[at:at + 4], "little")
+                packets.append(data[at + 4:at + 4 + size])
+                at = align(at + 4 + size)
+    return packets
+
+
+def checksum(data):
+    """Returns CRC-32/MPEG-2."""
+    value = 0xFFFFFFFF
+    for byte in data:
+        value ^= byte << 24
+        for _ in range(8):
+            value = (value << 1 ^ (0x04C11DB7 if value >> 31 else 0)) & 0xFFFFFFFF
+    return value.to_bytes(4, "little")
+
+
+def test_recorded_again(data):
+    """The firings of recorded packets with two returns must be written again, byte by byte. The
+    checksums of a QT128 must be computed as in the recorded packets. A QT64 measures from 0.1 m."""
+    for name, n_blocks in (("nebula-hesai-qt64/1673401195788312575", 4), ("nebula-hesai-qt128/1730273789074637152", 2),
+                           ("nebula-hesai-xt16/1732848127890747768", 8)):
+        again = WORK / "recorded.pcap"
+        run("convert", data / name, "--out", again, "--force", "--set", "dataset.max_range_m=200", "--set", "dataset.poses=none")
+        packets, written = read_bag_packets(data / name), read_capture(again)
+        # A log lacks the second return of a ray whose first return is below the minimum range.
+        least, most_different = (26, 60) if "qt64" in name else (0, 0)
+        check_blocks(name, packets, written, n_blocks, 4, least, dual=True, most_different=most_different)
+        for packet in (packets[0], written[1]) if "qt128" in name else ():
+            for begin, end in ((12, 1040), (1045, 1057), (1061, 1091)):   # blocks, safety field, tail
+                expect(checksum(packet[begin:end]) == packet[end:end + 4], f"{name}: checksum of bytes {begin} to {end}")
+
+
 def zero_of(head):
     """Returns the seconds from T0 to time 0 of a log."""
     text = head["conventions"].split("0 s is ")[1].split()[0]
@@ -543,6 +653,7 @@ def test_others():
             if share:
                 expect(abs((scan["range"] > 0).mean() - share) < 0.0015, f"{name}: {(scan['range'] > 0).mean()} returns")
         print(f"{name}: {turns} turns")
+    test_recorded_again(data)
     for name, reason in (("ouster-duplicate_id/duplicate_id.pcap", "1 packets of a 128-beam Ouster, OS-2-128"),
                          ("ouster-OS-1-128_fusa/OS-1-128_767798045_1024x10_20230712_120049.pcap", "8 packets of a 128-beam Ouster, OS-1-128"),
                          ("ouster-same_ports/legacy/same_ports_legacy.pcap", "1 packets of a 64-beam Ouster, OS-1-64-AH"),
@@ -562,7 +673,7 @@ test_sectors()
 if PCAP:
     test_captures()
     test_written_again()
-
+    test_alternating_again()
     test_network()
     test_others()
 print("done")

@@ -150,7 +150,7 @@ ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Im
                               *impl_->assets);
     });
     if (ScanRenderer::choose_max_lanes(*impl_->device) > 1) impl_->queue.set_batch_size(kBatchSize);
-    impl_->service.emplace(impl_->queue, *impl_->scenes);
+    impl_->service.emplace(impl_->queue, *impl_->scenes, options.on_scan);
     if (options.sensorsim) impl_->sensorsim.emplace(impl_->queue, *impl_->scenes, *options.sensorsim);
     impl_->listen(options);
 }

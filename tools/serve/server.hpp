@@ -6,6 +6,7 @@
 
 #include <chrono>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
@@ -13,6 +14,12 @@
 
 #include <relidar/gpu/device.hpp>
 #include <relidar/simulate/weather.hpp>
+
+namespace relidar {
+struct RenderedScan;
+struct Run;
+struct SensorChoice;
+}  // namespace relidar
 
 namespace relidar::serve {
 
@@ -22,6 +29,13 @@ enum class PoseOrder {
     rotation_first,     ///< R p + t: the rotation is applied first, as everywhere else in relidar.
     translation_first,  ///< R (p + t): the translation is applied first.
 };
+
+/// Receives a scan of RenderLidar before the call is answered. Several threads may call
+/// it simultaneously. If it throws a UsageError, the call fails with INVALID_ARGUMENT.
+/// @param sensor_name  name of a built-in sensor; empty for the log's sensor and for a
+/// sensor that the client has described
+using ScanSink = std::function<void(const Run& run, const SensorChoice& sensor,
+                                    const std::string& sensor_name, const RenderedScan& scan)>;
 
 struct ServerOptions {
     /// Trained runs that the server offers, each written as "RUN" or "NAME=RUN".
@@ -36,6 +50,7 @@ struct ServerOptions {
     /// Device memory for all scenes together in MiB. The value 0 means half of the device
     /// memory.
     std::uint64_t memory_mib = 0;
+    ScanSink on_scan = {};     ///< May be empty.
     std::size_t waiting = 64;  ///< Maximum number of waiting requests, not counting the current request.
     /// PEM files with the TLS certificate and key. If both names are empty, the server
     /// does not use TLS.

@@ -23,13 +23,14 @@ void write_times(const Request& request, v1::LidarScan& answer) {
 
 }  // namespace
 
-void RenderService::render_image(RenderQueue::Slot& slot, const RenderRequest& wanted,
-                                 const grpc::ServerContext& context, v1::LidarScan& answer) {
+RenderedScan RenderService::render_image(RenderQueue::Slot& slot, const RenderRequest& wanted,
+                                         const grpc::ServerContext& context, v1::LidarScan& answer) {
     ScanImageRequest request(scenes_, context, wanted);
     request.run(slot);
     write_scan(request.scan, wanted, scenes_.outlines()[wanted.scene].config, answer);
     write_sparse_actors(wanted, answer);
     write_times(request, answer);
+    return std::move(request.scan);
 }
 
 void RenderService::render_points(RenderQueue::Slot& slot, std::span<const RenderRequest> requests,
@@ -107,16 +108,23 @@ grpc::Status RenderService::RenderLidar(grpc::ServerContext* context, const v1::
     return answered([&] {
         RenderQueue::Slot slot = reserve(queue_);
         const RenderRequest wanted = reader_.read(*request);
-        if (needs_image(wanted)) render_image(slot, wanted, *context, *answer);
-        else render_points(slot, {&wanted, 1}, *context, {&answer, 1});
+        if (!on_scan_ && !needs_image(wanted))
+            return render_points(slot, {&wanted, 1}, *context, {&answer, 1});
+        const RenderedScan scan = render_image(slot, wanted, *context, *answer);
+        if (on_scan_)
+            on_scan_(scenes_.outlines()[wanted.scene], *wanted.sensor, request->sensor().name(), scan);
     });
 }
 
 grpc::Status RenderService::RenderRig(grpc::ServerContext* context, const v1::RenderRigRequest* request,
                                       grpc::ServerWriter<v1::RigScan>* writer) {
     return answered([&] {
-        // One slot for all scans of the rig, so that the call is not rejected in the
-        // middle.
+        if (on_scan_)
+            throw Refusal(grpc::StatusCode::FAILED_PRECONDITION,
+                          "RenderRig: the server sends packets (--udp), expected RenderLidar calls, because "
+                          "a receiver expects the packets of a single sensor");
+        // Reserves one slot for all scans of the rig, so that the call is not rejected
+        // after some scans.
         RenderQueue::Slot slot = reserve(queue_);
         const std::vector<RenderRequest> wanted = reader_.read(*request);
         for (std::size_t first = 0, n = 1; first < wanted.size(); first += n) {

@@ -5,12 +5,14 @@
 
 #include <functional>
 #include <span>
+#include <utility>
 
 #include "refusal.hpp"
 #include "relidar/v1/render.grpc.pb.h"
 #include "render_queue.hpp"
 #include "request_messages.hpp"
 #include "scenes.hpp"
+#include "server.hpp"
 
 namespace relidar::serve {
 
@@ -18,7 +20,8 @@ class RenderService final : public v1::RenderService::Service {
 public:
     /// Creates the service. The queue and the scenes must outlive this object.
     /// @param scenes used only on the render thread
-    RenderService(RenderQueue& queue, SceneSet& scenes) : queue_(queue), scenes_(scenes), reader_(scenes) {}
+    RenderService(RenderQueue& queue, SceneSet& scenes, ScanSink on_scan)
+        : queue_(queue), scenes_(scenes), reader_(scenes), on_scan_(std::move(on_scan)) {}
 
     grpc::Status ListScenes(grpc::ServerContext* context, const v1::ListScenesRequest* request,
                             v1::ListScenesResponse* answer) override;
@@ -39,9 +42,10 @@ private:
     RenderQueue& queue_;
     SceneSet& scenes_;
     RequestReader reader_;
+    ScanSink on_scan_;
 
-    void render_image(RenderQueue::Slot& slot, const RenderRequest& request,
-                      const grpc::ServerContext& context, v1::LidarScan& answer);
+    RenderedScan render_image(RenderQueue::Slot& slot, const RenderRequest& request,
+                              const grpc::ServerContext& context, v1::LidarScan& answer);
     void render_points(RenderQueue::Slot& slot, std::span<const RenderRequest> requests,
                        const grpc::ServerContext& context, std::span<v1::LidarScan* const> answers);
 };

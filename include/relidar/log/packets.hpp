@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <memory>
 #include <string>
 #include <vector>
@@ -19,9 +20,9 @@ namespace relidar {
 
 /// A datagram of a LiDAR.
 struct SensorPacket {
-    /// Time of the packet since 1970. Its definition depends on the maker: the time of
-    /// the first firing (Velodyne), the time after the last firing (Hesai) or the time of
-    /// the last column (Ouster).
+    /// Time of the packet since 1970. Its definition depends on the product: the time of
+    /// the first firing (Velodyne, QT64), the time after the last firing (other Hesai) or
+    /// the time of the last column (Ouster).
     std::int64_t time_ns = 0;
     std::string bytes;
 };
@@ -109,11 +110,13 @@ private:
 /// Writes the scans of a log as a network capture of LiDAR packets. The log must have a
 /// single LiDAR. The calibration is written to a second file with the same name and the
 /// ending .csv or .json.
+/// @param sink  called with the packets in their order; may be empty
 /// @return number of packets
 /// @throws UsageError if the log has several LiDARs, or in the same cases as
 /// PacketEncoder
 /// @throws DataError if a file cannot be written
 std::size_t save_packets(const Sequence& sequence, const std::filesystem::path& file,
-                         const Progress& progress = {});
+                         const Progress& progress = {},
+                         const std::function<void(const std::vector<SensorPacket>&)>& sink = {});
 
 }  // namespace relidar

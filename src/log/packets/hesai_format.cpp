@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes packets of Hesai's Pandar40P, Pandar64, PandarXT-16, PandarXT-32 and XT32M2X
-// (user manuals, "Point cloud data packet"). Also writes the beam angles as a file for
-// the drivers: "Laser id,Elevation,Azimuth" in degrees, azimuth clockwise.
+// Writes packets of Hesai's Pandar40P, Pandar64, PandarXT-16, PandarXT-32, XT32M2X,
+// PandarQT, QT128C2X and OT128 (user manuals, "Point cloud data packet"). Also writes the
+// beam angles as a file for the drivers: "Laser id,Elevation,Azimuth" in degrees, azimuth
+// clockwise.
 #include <array>
 #include <chrono>
 #include <cmath>
@@ -21,40 +22,76 @@ constexpr std::uint8_t kSingleReturn = 0x37, kLastAndStrongest = 0x39, kFactory 
 constexpr std::uint8_t kUnit_mm = 4;
 constexpr std::int64_t kSecond_ns = 1'000'000'000;
 
+using Header = std::array<std::uint8_t, 12>;
 struct HesaiProduct {
-    const char* sensor;
-    std::array<std::uint8_t, 12> header;
+    const char* layout;  ///< name in the table kLayouts
+    Header header;
     std::size_t n_header;
     std::size_t reserved;  ///< number of bytes between the blocks and the motor speed or return mode
-    bool is_xt;      ///< if true, the return mode is stored before the speed, and the date before the time
-    int first_year;  ///< year from which the date is counted: 2000 for Pandar, 1900 for XT
+    /// If true, the return mode is stored before the speed, and the date before the time.
+    bool is_mode_first;
+    int first_year;  ///< year from which the date is counted
+    /// True if checksums follow the blocks and the end of the packet, and if a safety
+    /// field follows the blocks.
+    bool has_checksums = false;
+    std::uint8_t operation_mode = 0;  ///< byte before the return mode, if the mode is first
+    std::size_t motion_bytes = 0;     ///< size of the motion data after the packet number
 };
-// Header of a packet, and format of the fields after the blocks, for each product. The
-// header of an XT contains: protocol version, numbers of lasers and blocks, position of
-// the last return, unit in millimetres, number of returns, flag for packet numbers.
+// One row per product: the header of a packet and the fields after the blocks. A header
+// of 12 bytes stores the protocol version, the numbers of lasers and blocks, the position
+// of the last return, the unit in millimetres, the number of returns, and flags for the
+// optional fields: 1 packet number, 2 motion data, 4 safety field.
+constexpr Header kOt128Header = {0xEE, 0xFF, 1, 4, 0, 0, 128, 2, 0, kUnit_mm, 1, 7};
 constexpr HesaiProduct kHesais[] = {
     {"Pandar40P", {}, 0, 8, false, 2000},
     {"Pandar64", {0xEE, 0xFF, 64, 6, 0, kUnit_mm, 0, 0}, 8, 8, false, 2000},
     {"XT32", {0xEE, 0xFF, 6, 1, 0, 0, 32, 8, 0, kUnit_mm, 1, 1}, 12, 10, true, 1900},
     {"XT16", {0xEE, 0xFF, 6, 1, 0, 0, 16, 8, 0, kUnit_mm, 1, 1}, 12, 10, true, 1900},
     {"XT32M", {0xEE, 0xFF, 6, 1, 0, 0, 32, 6, 0, kUnit_mm, 1, 1}, 12, 10, true, 1900},
+    {"QT64", {0xEE, 0xFF, 3, 1, 0, 0, 64, 4, 0, kUnit_mm, 1, 1}, 12, 10, false, 1900},
+    {"QT128", {0xEE, 0xFF, 3, 2, 0, 0, 128, 2, 0, kUnit_mm, 1, 5}, 12, 12, true, 1900, true},
+    {"OT128", kOt128Header, 12, 12, true, 1900, true, 1, 22},
+    {"OT128 in high resolution", kOt128Header, 12, 12, true, 1900, true, 0, 22},
 };
+
+/// Appends the checksum CRC-32/MPEG-2 of all bytes from `begin`.
+void append_checksum(std::string& bytes, std::size_t begin) {
+    std::uint32_t sum = 0xFFFFFFFF;
+    for (std::size_t i = begin; i < bytes.size(); ++i) {
+        sum ^= std::uint32_t(std::uint8_t(bytes[i])) << 24;
+        for (int bit = 0; bit < 8; ++bit) sum = sum << 1 ^ (sum >> 31 ? 0x04C11DB7u : 0u);
+    }
+    append(bytes, sum);
+}
+
+/// Appends the safety field of a sensor without faults.
+void append_safety(std::string& bytes) {
+    const std::size_t begin = bytes.size();
+    append(bytes, std::uint8_t(1));  // version
+    bytes.append(12, '\0');
+    append_checksum(bytes, begin + 1);
+}
 
 class HesaiFormat : public PacketFormat {
 public:
     HesaiFormat(const HesaiProduct& product, const SpinningSensor& sensor, const PacketOptions& options)
         : product_(product),
           sensor_(sensor),
-          blocks_(find_layout_of_product(product.sensor), sensor, options) {}
+          blocks_(find_layout_of_product(product.layout), sensor, options) {}
 
     int port() const override { return kHesaiPort; }
     int firings() const override { return blocks_.firings(); }
-    double cycle_us() const override { return blocks_.layout().cycle_us; }
+    int packets_per_firing() const override { return blocks_.packets_per_firing(); }
+    int columns_per_firing() const override { return blocks_.columns_per_firing(); }
+    std::vector<FiredColumn> join_sequences(std::vector<FiredColumn> columns) const override {
+        return blocks_.join_sequences(std::move(columns));
+    }
+    double cycle_us() const override { return blocks_.layout().cycle_us * double(blocks_.layout().parts()); }
     std::vector<double> offsets_us() const override { return blocks_.offsets_us(); }
 
     PacketCalibration calibration(const std::vector<bool>&) const override {
         std::vector<std::string> lines(blocks_.layout().lasers());
-        for (std::size_t ring = 0; ring < lines.size(); ++ring) {
+        for (std::size_t ring = 0; ring < sensor_.beams.size(); ++ring) {
             const Beam& beam = sensor_.beams[ring];
             // azimuth of the laser relative to the head, minus the rotation of the head
             // from the start of the block until the laser fires
@@ -70,26 +107,30 @@ public:
     }
 
     SensorPacket write(std::span<const FiredColumn> columns, std::uint32_t number) const override {
-        SensorPacket packet{blocks_.compute_packet_time_ns(columns, &FiredColumn::time_s), {}};
-        const std::int64_t clock_ns = blocks_.compute_packet_time_ns(columns, &FiredColumn::clock_s);
+        SensorPacket packet{blocks_.compute_packet_time_ns(columns, number, &FiredColumn::time_s), {}};
+        const std::int64_t clock_ns = blocks_.compute_packet_time_ns(columns, number, &FiredColumn::clock_s);
         std::string& bytes = packet.bytes;
         bytes.append(product_.header.begin(), product_.header.begin() + std::ptrdiff_t(product_.n_header));
-        // According to the manual, an XT32 stores the last return in the first of two
-        // blocks.
-        if (product_.is_xt && blocks_.is_dual()) bytes[8] = 1, bytes[10] = 2;
-        blocks_.append_blocks(bytes, columns, 1e-3 * kUnit_mm);
+        // In the manual of the XT32, the first of two blocks stores the last return.
+        if (product_.n_header == 12 && blocks_.is_dual()) bytes[8] = 1, bytes[10] = 2;
+        blocks_.append_blocks(bytes, columns, number, 1e-3 * kUnit_mm);
+        if (product_.has_checksums) append_checksum(bytes, product_.n_header), append_safety(bytes);
+        const std::size_t tail_at = bytes.size();
         bytes.append(product_.reserved, '\0');
+        set_operation_mode(bytes, number);
         const std::uint8_t mode = blocks_.is_dual() ? kLastAndStrongest : kSingleReturn;
         const auto speed_rpm = std::uint16_t(std::lround(60.0 / sensor_.period_s));
         const std::int64_t time_us = (clock_ns + 500) / 1000, second_us = kSecond_ns / 1000;
-        if (product_.is_xt) append(bytes, mode);
+        if (product_.is_mode_first) append(bytes, mode);
         append(bytes, speed_rpm);
-        if (product_.is_xt) append_date(bytes, time_us / second_us);
+        if (product_.is_mode_first) append_date(bytes, time_us / second_us);
         append(bytes, std::uint32_t(time_us % second_us));
-        if (!product_.is_xt) append(bytes, mode);
+        if (!product_.is_mode_first) append(bytes, mode);
         append(bytes, kFactory);
-        if (!product_.is_xt) append_date(bytes, time_us / second_us);
+        if (!product_.is_mode_first) append_date(bytes, time_us / second_us);
         append(bytes, number);
+        bytes.append(product_.motion_bytes, '\0');
+        if (product_.has_checksums) append_checksum(bytes, tail_at);
         return packet;
     }
 
@@ -97,6 +138,18 @@ private:
     const HesaiProduct& product_;
     SpinningSensor sensor_;
     BlockWriter blocks_;
+
+    /// Sets the operation mode and the field that names the firing sequences of the
+    /// blocks.
+    void set_operation_mode(std::string& bytes, std::uint32_t number) const {
+        const Layout& layout = blocks_.layout();
+        bytes.back() = char(product_.operation_mode);
+        if (layout.part_rule == PartRule::mode_flag)
+            bytes[layout.part_at] = char(1 - blocks_.find_part(0, number));
+        if (layout.part_rule != PartRule::azimuth_state) return;
+        for (std::size_t block = 0; block < layout.n_blocks; ++block)
+            bytes[layout.part_at + 1] |= char(blocks_.find_part(block, number) << (6 - 2 * block));
+    }
 
     /// Appends year, month, day, hour, minute and second in UTC, with one byte each.
     void append_date(std::string& bytes, std::int64_t unix_s) const {
@@ -114,18 +167,38 @@ private:
     }
 };
 
+/// Measures how well a layout fits a sensor: relative difference between the time steps,
+/// plus 1 if the number of beams differs.
+double compute_misfit(const Layout& layout, const SpinningSensor& sensor) {
+    const double step_us = 1e6 * sensor.period_s / sensor.columns;
+    const double expected_us =
+        layout.cycle_us * double(layout.parts()) / count_columns_per_firing(layout, sensor);
+    const bool fits =
+        sensor.beams.size() == layout.lasers() || sensor.beams.size() == list_block_beams(layout).size();
+    return std::abs(step_us / expected_us - 1.0) + (fits ? 0.0 : 1.0);
+}
+
 }  // namespace
 
 std::vector<std::string> list_hesai_names() {
     std::vector<std::string> names;
-    for (const HesaiProduct& product : kHesais) names.emplace_back(product.sensor);
+    for (const HesaiProduct& product : kHesais)
+        if (const std::string sensor = find_layout_of_product(product.layout).sensor;
+            sensor == product.layout)
+            names.push_back(sensor);
     return names;
 }
 
 std::unique_ptr<PacketFormat> make_hesai_format(const SpinningSensor& sensor, const PacketOptions& options) {
-    for (const HesaiProduct& product : kHesais)
-        if (sensor.name == product.sensor) return std::make_unique<HesaiFormat>(product, sensor, options);
-    return nullptr;
+    const HesaiProduct* best = nullptr;
+    double least_error = 0.0;
+    for (const HesaiProduct& product : kHesais) {
+        const Layout& layout = find_layout_of_product(product.layout);
+        if (sensor.name != layout.sensor) continue;
+        const double error = compute_misfit(layout, sensor);
+        if (!best || error < least_error) best = &product, least_error = error;
+    }
+    return best ? std::make_unique<HesaiFormat>(*best, sensor, options) : nullptr;
 }
 
 }  // namespace relidar::packets

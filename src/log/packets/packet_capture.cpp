@@ -113,7 +113,8 @@ void PacketCapture::close() {
     check_written(out_, file_);
 }
 
-std::size_t save_packets(const Sequence& sequence, const fs::path& file, const Progress& progress) {
+std::size_t save_packets(const Sequence& sequence, const fs::path& file, const Progress& progress,
+                         const std::function<void(const std::vector<SensorPacket>&)>& sink) {
     if (sequence.lidars.size() != 1)
         throw UsageError(fmt::format(
             "cannot write '{}': the log has {} LiDARs, but a capture can only contain one; select it with "
@@ -134,6 +135,7 @@ std::size_t save_packets(const Sequence& sequence, const fs::path& file, const P
         PacketCapture capture(temporary, encoder.port());
         const auto add = [&](const std::vector<SensorPacket>& packets) {
             capture.add(packets);
+            if (sink) sink(packets);
             n_packets += packets.size();
         };
         for (std::size_t f = 0; f < sequence.frames.size(); ++f) {

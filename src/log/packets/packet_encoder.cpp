@@ -73,12 +73,12 @@ struct PacketEncoder::Impl {
 
     void check_steps() const {
         const double step_us = 1e6 * sensor.period_s / sensor.columns;
-        if (has_columns() || std::abs(step_us / format->cycle_us() - 1.0) < kMostStepError) return;
-        throw UsageError(
-            fmt::format("cannot write packets of {}: found {} columns in {} s, expected {:.0f} columns, "
-                        "because this sensor fires every {} us",
-                        sensor.name, sensor.columns, sensor.period_s,
-                        1e6 * sensor.period_s / format->cycle_us(), format->cycle_us()));
+        const double expected_us = format->cycle_us() / format->columns_per_firing();
+        if (has_columns() || std::abs(step_us / expected_us - 1.0) < kMostStepError) return;
+        throw UsageError(fmt::format(
+            "cannot write packets of {}: found {} columns in {} s, expected {:.0f} columns, "
+            "because this sensor fires every {} us",
+            sensor.name, sensor.columns, sensor.period_s, 1e6 * sensor.period_s / expected_us, expected_us));
     }
 
     /// Returns the column of a firing, for a sensor that fires at fixed azimuths.
@@ -162,7 +162,9 @@ struct PacketEncoder::Impl {
 
     /// Stores a firing in its packet. First writes all earlier packets.
     void put(FiredColumn firing, std::int64_t position) {
-        if (pending.empty()) begin(position / firings());
+        // Drivers need a firing before the first turn. It can need a packet of its own.
+        const bool needs_packet = firings() == 1 && !has_columns();
+        if (pending.empty()) begin(needs_packet ? position - 1 : position / firings());
         while (packet < position / firings()) {
             write();
             // A sensor with fixed azimuths sends no packets outside its azimuth window.
@@ -229,8 +231,8 @@ struct PacketEncoder::Impl {
 
     void write() {
         complete_firings();
-        complete.push_back(format->write(pending, has_columns() ? std::uint32_t(packet) : n_written));
-        ++n_written;
+        for (int k = 0; k < format->packets_per_firing(); ++k, ++n_written)
+            complete.push_back(format->write(pending, has_columns() ? std::uint32_t(packet) : n_written));
     }
 
     /// Writes the pending packet. A sensor that fires at any azimuth then sends another
@@ -257,7 +259,8 @@ PacketEncoder::PacketEncoder(const SpinningSensor& sensor, const PacketOptions& 
 PacketEncoder::~PacketEncoder() = default;
 
 std::vector<SensorPacket> PacketEncoder::encode(const Scan& scan, double time_s) {
-    std::vector<FiredColumn> firings = packets::find_firings(scan, time_s, impl_->sensor, impl_->offsets_us);
+    std::vector<FiredColumn> firings =
+        impl_->format->join_sequences(packets::find_firings(scan, time_s, impl_->sensor, impl_->offsets_us));
     const std::int64_t start = impl_->last ? 0 : impl_->find_first_position(firings);
     for (FiredColumn& firing : firings) impl_->add(std::move(firing), start);
     return std::exchange(impl_->complete, {});

@@ -56,10 +56,22 @@ public:
     virtual int firings() const = 0;
     /// Returns the time between two firings.
     virtual double cycle_us() const = 0;
-    /// Returns the number of fixed azimuths per turn at which the sensor fires, or 0 if
-    /// it can fire at any azimuth. Column 0 is at the back of the sensor.
+    /// Returns the number of packets that contain firings() firings. The number is 2 if
+    /// the lasers fire in two sequences, and each sequence has its own packet.
+    virtual int packets_per_firing() const { return 1; }
+    /// Returns the number of columns of a scan per firing. The number is 2 if the lasers
+    /// fire in two sequences, and the scan has a column for each sequence.
+    virtual int columns_per_firing() const { return 1; }
+    /// Joins columns_per_firing() columns of a scan to a firing. Removes the rays that
+    /// the sensor does not fire.
+    virtual std::vector<FiredColumn> join_sequences(std::vector<FiredColumn> columns) const {
+        return columns;
+    }
+    /// Returns the number of azimuths per turn at which the sensor fires. Column 0 is at
+    /// the back of the sensor. Returns 0 if the sensor can fire at any azimuth.
     virtual int columns() const { return 0; }
-    /// Returns the time in microseconds from the first laser of a firing to each beam.
+    /// Returns the delay of each beam of the scans after the first laser of a column, in
+    /// microseconds.
     virtual std::vector<double> offsets_us() const = 0;
     /// Returns a calibration file, which other programs need to decode the packets.
     /// @param fired  [columns] true if the sensor fires at this column; empty if the
@@ -81,8 +93,12 @@ std::unique_ptr<PacketFormat> make_velodyne_format(const SpinningSensor& sensor,
 std::unique_ptr<PacketFormat> make_hesai_format(const SpinningSensor& sensor, const PacketOptions& options);
 std::unique_ptr<PacketFormat> make_ouster_format(const SpinningSensor& sensor, const PacketOptions& options);
 
-/// Writes the data blocks of a packet, which have the same structure for Velodyne and
-/// Hesai.
+/// Returns the number of columns of a scan per firing. The lasers of some products fire
+/// in two sequences. The scans of such a sensor have a row for each laser and each
+/// sequence, as decoded from packets, or a column for each sequence.
+int count_columns_per_firing(const Layout& layout, const SpinningSensor& sensor);
+
+/// Writes the blocks of a packet. Velodyne and Hesai use the same kind of block.
 class BlockWriter {
 public:
     /// @throws UsageError if the beams of the sensor differ from the beams of the product
@@ -91,28 +107,49 @@ public:
     const Layout& layout() const { return layout_; }
     bool is_dual() const { return returns_ == 2; }
     int firings() const;
+    int packets_per_firing() const;
+    int columns_per_firing() const { return columns_per_firing_; }
+    std::vector<FiredColumn> join_sequences(std::vector<FiredColumn> columns) const;
     const std::vector<double>& offsets_us() const { return offsets_us_; }
-    /// Returns the index of the laser in a ring, in the manufacturer's order from 0.
+    /// Returns the manufacturer's index of the laser of a ring of the scans, from 0.
     std::size_t find_laser(std::size_t ring) const { return laser_of_[ring]; }
+    /// Returns the index of the firing sequence of a block.
+    /// @param number  number of the packet
+    std::size_t find_part(std::size_t block, std::uint32_t number) const;
     /// Appends all blocks of a packet.
-    void append_blocks(std::string& bytes, std::span<const FiredColumn> columns, double range_unit_m) const;
+    void append_blocks(std::string& bytes, std::span<const FiredColumn> columns, std::uint32_t number,
+                       double range_unit_m) const;
     /// Returns the time of a packet in nanoseconds since 1970.
-    /// @param time  which clock is used: FiredColumn::time_s or FiredColumn::clock_s
-    std::int64_t compute_packet_time_ns(std::span<const FiredColumn> columns,
+    /// @param time  FiredColumn::time_s or FiredColumn::clock_s
+    std::int64_t compute_packet_time_ns(std::span<const FiredColumn> columns, std::uint32_t number,
                                         double FiredColumn::*time) const;
 
 private:
-    const Layout& layout_;
-    int returns_;
-    std::int64_t start_ns_;
-    std::vector<double> offsets_us_;
-    std::vector<std::size_t> laser_of_, ring_of_;
+    /// Content of a block: index of the firing sequence, of the bank and of the return.
+    struct BlockPlace {
+        std::size_t part, bank, number;
+    };
 
-    void append_returns(std::string& bytes, const FiredColumn& column, std::size_t number,
-                        std::size_t first_laser, double range_unit_m) const;
+    const Layout& layout_;
+    int returns_, columns_per_firing_;
+    std::int64_t start_ns_;
+    double sequence_deg_;           ///< rotation of the head between two firing sequences
+    std::vector<BlockBeam> beams_;  ///< beams of a firing
+    /// [rings of the scans] delay and index of each laser
+    std::vector<double> offsets_us_;
+    std::vector<std::size_t> laser_of_;
+    /// [firing sequences, lasers] index in FiredColumn::returns
+    std::vector<std::vector<std::size_t>> ring_of_;
+
+    double compute_mean_offset_us(std::size_t laser) const;
+    std::size_t count_blocks_per_firing() const {
+        return layout_.banks * std::size_t(returns_) * layout_.parts();
+    }
+    void append_returns(std::string& bytes, const FiredColumn& column, const BlockPlace& place,
+                        double range_unit_m) const;
 };
 
-/// Returns the packet layout of a product from the table kLayouts.
+/// Returns the packet layout with this name. Layouts are stored in the table kLayouts.
 const Layout& find_layout_of_product(const std::string& product);
 /// Returns the names of the Velodyne sensors whose packets can be written.
 std::vector<std::string> list_velodyne_names();

@@ -29,10 +29,10 @@ public:
     double cycle_us() const override { return blocks_.layout().cycle_us; }
     std::vector<double> offsets_us() const override { return blocks_.offsets_us(); }
 
-    SensorPacket write(std::span<const FiredColumn> columns, std::uint32_t) const override {
-        SensorPacket packet{blocks_.compute_packet_time_ns(columns, &FiredColumn::time_s), {}};
-        const std::int64_t clock_ns = blocks_.compute_packet_time_ns(columns, &FiredColumn::clock_s);
-        blocks_.append_blocks(packet.bytes, columns, blocks_.layout().range_unit_m);
+    SensorPacket write(std::span<const FiredColumn> columns, std::uint32_t number) const override {
+        SensorPacket packet{blocks_.compute_packet_time_ns(columns, number, &FiredColumn::time_s), {}};
+        const std::int64_t clock_ns = blocks_.compute_packet_time_ns(columns, number, &FiredColumn::clock_s);
+        blocks_.append_blocks(packet.bytes, columns, number, blocks_.layout().range_unit_m);
         append(packet.bytes, std::uint32_t((clock_ns + 500) % kHour_ns / 1000));
         append(packet.bytes, blocks_.is_dual() ? kDual : kStrongest);
         append(packet.bytes, code_);

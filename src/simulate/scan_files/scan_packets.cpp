@@ -55,9 +55,8 @@ struct ScanPackets::Impl {
 ScanPackets::ScanPackets(std::vector<ScanFormat> sensors) : impl_(std::make_unique<Impl>()) {
     for (const ScanFormat& format : sensors)
         if (!format.packets.sensor)
-            throw UsageError(
-                fmt::format("writing packets: found sensor \"{}\", which does not spin, expected one of {}",
-                            format.sensor, list_packet_sensors()));
+            throw UsageError(fmt::format("cannot write packets of the sensor \"{}\", expected one of {}",
+                                         format.sensor, list_packet_sensors()));
     impl_->sensors = std::move(sensors);
     impl_->create(0.0);
 }

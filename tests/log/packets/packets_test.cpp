@@ -18,16 +18,24 @@
 #include <relidar/log/packets.hpp>
 #include <relidar/log/sensor_pattern.hpp>
 
+#include "log/readers/bag/packets/decoder.hpp"
+
 namespace relidar {
 namespace {
 
 constexpr double kStart_s = 1'700'000'000.0;  // 2023-11-14 22:13:20 UTC
 constexpr std::int64_t kStart_ns = 1'700'000'000'000'000'000;
 
-SpinningSensor make_sensor_named(const std::string& name) {
+SpinningSensor make_sensor_named(const std::string& name, int columns = 0) {
     // A VLS-128 fires every 55.3 us, not every 53.3 us as its manual states.
-    const int columns = name == "VLS-128" ? 1808 : 0;
+    if (name == "VLS-128") columns = 1808;
     return std::get<SpinningSensor>(find_built_in_sensor(name, columns)->pattern);
+}
+
+/// Returns the time from the start of a firing to each laser, highest laser first.
+std::vector<double> find_laser_times_us(const std::string& product) {
+    if (product.starts_with("OS")) return std::vector<double>(128, 0.0);
+    return packets::make_block_decoder(product.c_str(), {})->timing().offset_us;
 }
 
 /// Returns the range that ray `index` measures. The range is a multiple of 8 mm. Every
@@ -140,6 +148,102 @@ TEST(Packets, OfAnXt32HaveModeDateAndNumber) {
     }
 }
 
+/// Compares with the user manual of the PandarQT. The tail of a packet contains the motor
+/// speed, the time of the second, the return mode, a constant, the date from 1900 and the
+/// packet number. The time is the start of the first block minus 25.71 us.
+TEST(Packets, OfAQt64HaveTheFieldsOfItsManual) {
+    const SpinningSensor sensor = make_sensor_named("QT64");
+    const std::vector<SensorPacket> packets = make_packets_of(sensor, {.start_ns = kStart_ns}, 1);
+    const Scan scan = make_known_scan(sensor);
+    for (std::size_t p = 0; p < packets.size(); ++p) {
+        const std::string& bytes = packets[p].bytes;
+        ASSERT_EQ(bytes.size(), 1072u);
+        EXPECT_EQ(bytes.substr(0, 12), std::string("\xEE\xFF\x03\x01\0\0\x40\x04\0\x04\x01\x01", 12));
+        EXPECT_EQ(number_at<std::uint16_t>(bytes, 1054), 600) << "turns per minute";
+        EXPECT_EQ(number_at<std::uint8_t>(bytes, 1060), 0x37) << "the strongest return";
+        EXPECT_EQ(bytes.substr(1062, 5), std::string({123, 11, 14, 22, 13}));
+        const double first = 4.0 * double(p) - 1.0;  // firing of the scans
+        const double time_s =
+            0.95 + (first + 0.5) * sensor.period_s / sensor.columns - (25.71 + 12.31) * 1e-6;
+        const double seconds = number_at<std::uint8_t>(bytes, 1067) - 20.0;
+        EXPECT_NEAR(seconds + 1e-6 * number_at<std::uint32_t>(bytes, 1056), time_s, 1.1e-6) << p;
+        EXPECT_EQ(number_at<std::uint32_t>(bytes, 1068), p);
+        for (std::size_t block = 0; block < 4 && p + 1 < packets.size(); ++block) {
+            const double azimuth_deg = 90.0 + 180.0 + (first + double(block) + 0.5) * 0.6;
+            EXPECT_NEAR(
+                std::remainder(0.01 * number_at<std::uint16_t>(bytes, 12 + 258 * block) - azimuth_deg, 360.0),
+                0.0, 0.00501);
+        }
+    }
+}
+
+/// Compares with the user manual of the QT128C2X. With two returns, a packet has one
+/// firing of 96 lasers: all but lasers 1 to 32 in sequence 1, and all but lasers 33 to 64
+/// in sequence 2. The mode flag is 1 for sequence 1.
+TEST(Packets, OfAQt128AlternateBetweenItsLasers) {
+    const SpinningSensor sensor = make_sensor_named("QT128");
+    const std::vector<SensorPacket> packets =
+        make_packets_of(sensor, {.start_ns = kStart_ns, .returns = 2}, 1, true);
+    // Expects both sequences of an additional firing before and after the scan.
+    ASSERT_EQ(packets.size(), std::size_t(sensor.columns + 4));
+    std::size_t n_lit = 0;
+    for (std::size_t p = 0; p < packets.size(); ++p) {
+        const std::string& bytes = packets[p].bytes;
+        ASSERT_EQ(bytes.size(), 1095u);
+        EXPECT_EQ(bytes.substr(0, 12), std::string("\xEE\xFF\x03\x02\0\0\x80\x02\x01\x04\x02\x05", 12));
+        EXPECT_EQ(number_at<std::uint8_t>(bytes, 1066), p % 2 == 0);
+        EXPECT_EQ(number_at<std::uint8_t>(bytes, 1073), 0x39) << "last and strongest return";
+        EXPECT_EQ(number_at<std::uint16_t>(bytes, 1074), 600) << "turns per minute";
+        EXPECT_EQ(bytes.substr(1076, 5), std::string({123, 11, 14, 22, 13}));
+        EXPECT_EQ(number_at<std::uint32_t>(bytes, 1087), p);
+        // The last block starts 9 us after the packet's time.
+        const double time_s =
+            0.95 + (double(p) - 1.5) * sensor.period_s / sensor.columns - (9.0 + 0.6) * 1e-6;
+        const double seconds = number_at<std::uint8_t>(bytes, 1081) - 20.0;
+        EXPECT_NEAR(seconds + 1e-6 * number_at<std::uint32_t>(bytes, 1082), time_s, 1.1e-6) << p;
+        EXPECT_EQ(number_at<std::uint16_t>(bytes, 12), number_at<std::uint16_t>(bytes, 12 + 514));
+        for (std::size_t laser = 1; laser <= 128; ++laser) {
+            const bool is_silent = p % 2 == 0 ? laser <= 32 : laser > 32 && laser <= 64;
+            const auto range = number_at<std::uint16_t>(bytes, 14 + 4 * (laser - 1));
+            EXPECT_TRUE(!is_silent || range == 0) << "packet " << p << ", laser " << laser;
+            n_lit += range > 0;
+        }
+    }
+    EXPECT_NEAR(double(n_lit) / sensor.columns, 0.8 * 96.0, 0.5);
+}
+
+/// Compares with the user manual of the OT128. It has two modes: 1800 firings of all
+/// lasers per turn, or 3600 firings in two sequences, in which 29 and 31 lasers are
+/// silent.
+TEST(Packets, OfAnOt128HaveTheModeOfTheirColumns) {
+    for (const int columns : {1800, 3600}) {
+        const SpinningSensor sensor = make_sensor_named("OT128", columns);
+        const std::vector<SensorPacket> packets = make_packets_of(sensor, {.start_ns = kStart_ns}, 1);
+        ASSERT_GE(packets.size(), std::size_t(columns / 2));
+        std::size_t n_lit[2] = {};
+        for (std::size_t p = 1; p < std::size_t(columns / 2); ++p) {
+            const std::string& bytes = packets[p].bytes;
+            ASSERT_EQ(bytes.size(), 861u);
+            EXPECT_EQ(bytes.substr(0, 12), std::string("\xEE\xFF\x01\x04\0\0\x80\x02\0\x04\x01\x07", 12));
+            EXPECT_EQ(number_at<std::uint16_t>(bytes, 814), columns == 3600 ? 1 << 12 : 0)
+                << "firing sequences";
+            EXPECT_EQ(number_at<std::uint8_t>(bytes, 816), columns == 3600 ? 0 : 1) << "operation mode";
+            EXPECT_EQ(number_at<std::uint8_t>(bytes, 817), 0x37) << "the strongest return";
+            EXPECT_EQ(number_at<std::uint16_t>(bytes, 818), 600) << "turns per minute";
+            EXPECT_EQ(bytes.substr(820, 5), std::string({123, 11, 14, 22, 13}));
+            EXPECT_EQ(number_at<std::uint32_t>(bytes, 831), p);
+            const double turned_deg =
+                0.01 * (number_at<std::uint16_t>(bytes, 12 + 386) - number_at<std::uint16_t>(bytes, 12));
+            EXPECT_NEAR(std::remainder(turned_deg, 360.0), 360.0 / columns, 0.0101);
+            for (std::size_t k = 0; k < 256; ++k)
+                n_lit[k / 128] += number_at<std::uint16_t>(bytes, 14 + 386 * (k / 128) + 3 * (k % 128)) > 0;
+        }
+        const bool is_fine = columns == 3600;
+        EXPECT_NEAR(2.0 * double(n_lit[0]) / columns, 0.8 * (is_fine ? 128 - 29 : 128), 0.5);
+        EXPECT_NEAR(2.0 * double(n_lit[1]) / columns, 0.8 * (is_fine ? 128 - 31 : 128), 0.5);
+    }
+}
+
 struct WrittenProduct {
     const char *sensor, *profile;
     int returns;
@@ -183,9 +287,7 @@ TEST_P(WrittenPackets, GiveTheSameReturnsAgain) {
     const Sequence log = write_and_load_log(sensor, options, scan);
     ASSERT_EQ(log.frames.size(), 2u);
     const double start_s = 1e-9 * double(log_start_ns(log) - kStart_ns);
-    const std::vector<BeamFiring> beams = std::string(name).starts_with("OS")
-                                              ? std::vector<BeamFiring>(sensor.beams.size())
-                                              : find_beam_firings(name);
+    const std::vector<double> laser_times_us = find_laser_times_us(name);
     // [ring, nearest firing] of each written return
     const double step_s = sensor.period_s / sensor.columns;
     const double phase = sensor.first_azimuth_rad == kPi ? 0.0 : 0.5;
@@ -204,7 +306,7 @@ TEST_P(WrittenPackets, GiveTheSameReturnsAgain) {
             if (!(frame.scan.range_m[i] > 0.0f)) continue;
             const std::size_t ring = frame.scan.rays.channel[i];
             const double time_s = start_s + frame.time_s + double(frame.scan.rays.time_offset_s[i]) -
-                                  1e-6 * beams[ring].offset_us;
+                                  1e-6 * laser_times_us[ring];
             const auto at = written.find(key(ring, time_s));
             ASSERT_NE(at, written.end()) << "ring " << ring << " at " << time_s << " s";
             const std::size_t ray = at->second;
@@ -230,9 +332,87 @@ INSTANTIATE_TEST_SUITE_P(
                       WrittenProduct{"Pandar40P", "", 1, 0.004}, WrittenProduct{"Pandar64", "", 2, 0.004},
                       WrittenProduct{"XT32", "", 2, 0.004}, WrittenProduct{"XT16", "", 1, 0.004},
                       WrittenProduct{"XT32M", "", 2, 0.004}, WrittenProduct{"VLS-128", "", 1, 0.004},
+                      WrittenProduct{"QT64", "", 1, 0.004}, WrittenProduct{"QT64", "", 2, 0.004},
+                      WrittenProduct{"OT128", "", 1, 0.004}, WrittenProduct{"OT128", "", 2, 0.004},
                       WrittenProduct{"OS1-64", "RNG19_RFL8_SIG16_NIR16", 1, 0.001},
                       WrittenProduct{"OS0-32", "RNG15_RFL8_NIR8", 1, 0.008},
                       WrittenProduct{"OS0-32", "RNG19_RFL8_SIG16_NIR16_DUAL", 2, 0.001}));
+
+struct AlternatingProduct {
+    const char *sensor, *layout;
+    int columns, returns;
+    std::size_t n_common;   ///< lasers that fire in both sequences
+    double most_apart_deg;  ///< of these lasers, because their file has a single azimuth
+};
+
+void PrintTo(const AlternatingProduct& product, std::ostream* out) {
+    *out << product.layout << ", returns " << product.returns;
+}
+
+class AlternatingPackets : public ::testing::TestWithParam<AlternatingProduct> {};
+
+/// The scan has a row for each laser. The log has a row for each laser and each firing
+/// sequence. Each ray of the log must be a ray of the scan. If the log is written again,
+/// the packets must be the same.
+TEST_P(AlternatingPackets, GiveTheRaysOfTheirLasers) {
+    const AlternatingProduct& product = GetParam();
+    const SpinningSensor sensor = make_sensor_named(product.sensor, product.columns);
+    const PacketOptions options{.start_ns = kStart_ns, .returns = product.returns};
+    const Scan scan = make_known_scan(sensor, product.returns == 2);
+    const Sequence log = write_and_load_log(sensor, options, scan);
+    ASSERT_EQ(log.frames.size(), 2u);
+    const SpinningSensor& decoded = log.lidars.front().sensor;
+    const double step_s = sensor.period_s / sensor.columns;
+    EXPECT_NEAR(decoded.columns * 2, sensor.columns, 4);
+    const auto find_firing = [&](double time_s) { return std::lround((time_s - 0.95) / step_s - 0.5); };
+    std::map<std::pair<std::size_t, long>, std::size_t> written;
+    for (std::size_t i = 0; i < scan.range_m.size(); ++i)
+        written[{scan.rays.channel[i], find_firing(1.0 + double(scan.rays.time_offset_s[i]))}] = i;
+    std::map<std::size_t, std::set<long>> parities;  // [laser] firings, modulo 2
+    const double start_s = 1e-9 * double(log_start_ns(log) - kStart_ns);
+    std::size_t n_found = 0;
+    for (const Frame& frame : log.frames) {
+        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
+            if (!(frame.scan.range_m[i] > 0.0f)) continue;
+            const double elevation_rad = decoded.beams[frame.scan.rays.channel[i]].elevation_rad;
+            const auto laser =
+                std::size_t(std::ranges::min_element(sensor.beams, {},
+                                                     [&](const Beam& beam) {
+                                                         return std::abs(beam.elevation_rad - elevation_rad);
+                                                     }) -
+                            sensor.beams.begin());
+            // A laser fires less than a step after its firing has started.
+            const double time_s = start_s + frame.time_s + double(frame.scan.rays.time_offset_s[i]);
+            const long firing = std::lround(std::floor((time_s - 0.95) / step_s - 0.5 + 0.04));
+            const auto at = written.find({laser, firing % sensor.columns});
+            ASSERT_NE(at, written.end()) << "laser " << laser << " at " << time_s << " s";
+            const std::size_t ray = at->second;
+            ASSERT_NEAR(frame.scan.range_m[i], scan.range_m[ray], 0.002001) << laser << " at " << time_s;
+            ASSERT_NEAR(frame.scan.intensity[i], scan.intensity[ray], 1e-6);
+            if (product.returns == 2) {
+                ASSERT_NEAR(frame.scan.second_returns[0].range_m[i], scan.second_returns[0].range_m[ray],
+                            0.002001);
+            }
+            const double apart_deg =
+                glm::length(glm::dvec3(frame.scan.rays.direction[i] - scan.rays.direction[ray])) * 180.0 /
+                kPi;
+            ASSERT_LT(apart_deg, product.most_apart_deg) << "laser " << laser;
+            parities[laser].insert(firing % 2);
+            ++n_found;
+        }
+    }
+    EXPECT_EQ(std::ranges::count_if(parities, [](const auto& entry) { return entry.second.size() == 2; }),
+              std::ptrdiff_t(product.n_common));
+    const double n_rays = double(128 + product.n_common) * decoded.columns * 2;
+    EXPECT_NEAR(double(n_found) / n_rays, 0.8, 0.005);
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    All, AlternatingPackets,
+    ::testing::Values(AlternatingProduct{"QT128", "QT128", 900, 1, 64, 0.055},
+                      AlternatingProduct{"QT128", "QT128", 900, 2, 64, 0.055},
+                      AlternatingProduct{"OT128", "OT128 in high resolution", 3600, 1, 68, 0.0075},
+                      AlternatingProduct{"OT128", "OT128 in high resolution", 3600, 2, 68, 0.0075}));
 
 TEST(Packets, OfOtherSensorsAreRefused) {
     SpinningSensor sensor = make_sensor_named("HDL-64E");

@@ -2,6 +2,7 @@
 // The command `relidar convert` writes any log as a folder of plain files, or as a
 // capture of the sensor's network packets.
 #include <memory>
+#include <optional>
 
 #include <fmt/format.h>
 #include <CLI/CLI.hpp>
@@ -14,6 +15,7 @@
 #include "interrupt.hpp"
 #include "options.hpp"
 #include "output_folder.hpp"
+#include "render/packet_sender.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -23,11 +25,13 @@ struct ConvertOptions {
     std::string out;
     std::string frames;
     Settings settings;
+    PacketTarget packets;
     bool overwrite = false;
     bool quiet = false;
 };
 
 /// Writes a log as a capture file with the network packets that the sensor would send.
+/// Also sends the packets if the user has set an address.
 void convert_to_packets(const Sequence& sequence, const ConvertOptions& options) {
     const std::filesystem::path out = options.out;
     if (!options.overwrite && std::filesystem::exists(out))
@@ -38,18 +42,32 @@ void convert_to_packets(const Sequence& sequence, const ConvertOptions& options)
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
     Progress progress(options.quiet);
     const relidar::Progress shown = make_progress(progress);
-    const std::size_t n = save_packets(sequence, out, [&](std::string_view description, double done) {
-        stop_if_interrupted();
-        shown(description, done);
-    });
+    std::optional<PacketQueue> queue;
+    if (!options.packets.address.empty()) queue.emplace(options.packets, 1);
+    const std::size_t n = save_packets(
+        sequence, out,
+        [&](std::string_view description, double done) {
+            stop_if_interrupted();
+            shown(description, done);
+        },
+        [&](const std::vector<SensorPacket>& packets) {
+            if (queue) queue->add({packets});
+        });
     end_progress_line();
     if (!options.quiet)
         print(fmt::format("{}: {} packets of {} scans\n", make_absolute_path(options.out), n,
                           sequence.frames.size()));
+    if (!queue) return;
+    queue->send_all();
+    if (!options.quiet) print(fmt::format("{} packets sent\n", queue->n_sent()));
 }
 
 void run_convert(const ConvertOptions& options) {
     check_sets(options.settings.sets, {"dataset.", "sensor.rolling_shutter"}, "convert");
+    check_packet_target(options.packets);
+    const bool writes_packets = std::filesystem::path(options.out).extension() == ".pcap";
+    if (!options.packets.address.empty() && !writes_packets)
+        throw UsageError(fmt::format("--udp: found --out {}; expected --out FILE.pcap", options.out));
     Config config = resolve(options.settings);
     config.dataset.path = options.dataset;
     if (!options.frames.empty()) {
@@ -59,8 +77,7 @@ void run_convert(const ConvertOptions& options) {
     }
     const Sequence sequence = load_dataset(config, options.quiet);
     catch_interrupts();
-    if (std::filesystem::path(options.out).extension() == ".pcap")
-        return convert_to_packets(sequence, options);
+    if (writes_packets) return convert_to_packets(sequence, options);
     Progress progress(options.quiet);
     const relidar::Progress shown = make_progress(progress);
     const bool has_poses = config.dataset.poses != kNoPoses && sequence.has_poses;
@@ -85,7 +102,7 @@ its maker. The log must have one LiDAR of a product whose packets relidar can wr
 Examples:
   relidar convert data/2011_09_26_drive_0005_sync --out log --frames 0:50
   relidar train log --out run
-  relidar convert recording.mcap --out packets.pcap)";
+  relidar convert recording.mcap --out packets.pcap --udp 127.0.0.1:2368 --realtime)";
 
 }  // namespace
 
@@ -100,6 +117,9 @@ void add_convert(CLI::App& app, Call& call) {
     command->add_option("--frames", options->frames, "frames to convert, first:end (default: all)")
         ->type_name("A:B");
     add_set_option(*command, options->settings.sets);
+    add_packet_options(*command, options->packets,
+                       "with --out FILE.pcap: also send the packets to this address",
+                       "write the file first, then send the packets with the timing of the sensor");
     command->add_flag("--force", options->overwrite, "replace an existing folder or file of this name");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(kConvertHelp);

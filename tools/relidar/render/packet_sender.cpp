@@ -66,14 +66,16 @@ struct QueuedPacket {
 
 }  // namespace
 
-void add_packet_options(CLI::App& command, PacketTarget& target) {
-    command
-        .add_option("--udp", target.address,
-                    "also send the packets of the sensor to this address; the sensors of a rig use the "
-                    "ports after it")
-        ->type_name("HOST:PORT");
-    command.add_flag("--realtime", target.is_realtime,
-                     "with --udp: render first, then send the packets with the timing of the sensor");
+void add_packet_options(CLI::App& command, PacketTarget& target, const std::string& receiver,
+                        const std::string& pace) {
+    command.add_option("--udp", target.address, receiver)->type_name("HOST:PORT");
+    command.add_flag("--realtime", target.is_realtime, "with --udp: " + pace);
+}
+
+void check_packet_target(const PacketTarget& target) {
+    if (!target.address.empty()) (void)parse_host_port(target.address, "--udp", 1);
+    else if (target.is_realtime)
+        throw UsageError("--realtime: found no --udp; expected the address of the receiver");
 }
 
 void check_packet_options(const PacketTarget& target, const std::vector<std::string>& formats, bool merges,
@@ -86,52 +88,66 @@ void check_packet_options(const PacketTarget& target, const std::vector<std::str
         throw UsageError(
             "--merge: found --udp or --format pcap; expected neither, because packets hold the "
             "scan of a single sensor");
-    if (!target.address.empty()) (void)parse_host_port(target.address, "--udp", 1);
-    else if (target.is_realtime)
-        throw UsageError("--realtime: found no --udp; expected the address of the receiver");
+    check_packet_target(target);
 }
 
-struct PacketSender::Impl {
-    ScanPackets packets;
+struct PacketQueue::Impl {
     std::vector<UdpSocket> sockets;
     std::vector<QueuedPacket> queue;
     std::size_t n_sent = 0;
-    bool is_realtime;
+    bool is_realtime, is_interruptible;
+};
 
-    void add(std::vector<std::vector<SensorPacket>> of_sensors) {
-        for (std::size_t s = 0; s < of_sensors.size(); ++s)
-            for (SensorPacket& packet : of_sensors[s]) queue.push_back({s, std::move(packet)});
-        if (!is_realtime) send_all();
-    }
+PacketQueue::PacketQueue(const PacketTarget& target, std::size_t n_sensors)
+    : impl_(new Impl{{}, {}, 0, target.is_realtime, target.is_interruptible}) {
+    HostPort address = parse_host_port(target.address, "--udp", 1);
+    for (std::size_t s = 0; s < n_sensors; ++s, ++address.port) impl_->sockets.emplace_back(address);
+}
 
-    void send_all() {
-        std::ranges::stable_sort(queue, {}, [](const QueuedPacket& queued) { return queued.packet.time_ns; });
-        const Clock::time_point start = Clock::now();
-        for (const auto& [sensor, packet] : queue) {
-            const std::int64_t after_ns = packet.time_ns - queue.front().packet.time_ns;
-            if (is_realtime) std::this_thread::sleep_until(start + std::chrono::nanoseconds(after_ns));
-            stop_if_interrupted();
-            sockets[sensor].send(packet.bytes);
-            ++n_sent;
-        }
-        queue.clear();
+PacketQueue::~PacketQueue() = default;
+
+void PacketQueue::add(std::vector<std::vector<SensorPacket>> packets) {
+    for (std::size_t s = 0; s < packets.size(); ++s)
+        for (SensorPacket& packet : packets[s]) impl_->queue.push_back({s, std::move(packet)});
+    if (!impl_->is_realtime) send_all();
+}
+
+void PacketQueue::send_all() {
+    std::ranges::stable_sort(impl_->queue, {},
+                             [](const QueuedPacket& queued) { return queued.packet.time_ns; });
+    const Clock::time_point start = Clock::now();
+    for (const auto& [sensor, packet] : impl_->queue) {
+        const std::int64_t after_ns = packet.time_ns - impl_->queue.front().packet.time_ns;
+        if (impl_->is_realtime) std::this_thread::sleep_until(start + std::chrono::nanoseconds(after_ns));
+        if (impl_->is_interruptible) stop_if_interrupted();
+        impl_->sockets[sensor].send(packet.bytes);
+        ++impl_->n_sent;
     }
+    impl_->queue.clear();
+}
+
+std::size_t PacketQueue::n_sent() const { return impl_->n_sent; }
+
+struct PacketSender::Impl {
+    ScanPackets packets;
+    PacketQueue queue;
 };
 
 PacketSender::PacketSender(const PacketTarget& target, const std::vector<ScanFormat>& sensors)
-    : impl_(new Impl{ScanPackets(sensors), {}, {}, 0, target.is_realtime}) {
-    HostPort address = parse_host_port(target.address, "--udp", 1);
-    for (std::size_t s = 0; s < sensors.size(); ++s, ++address.port) impl_->sockets.emplace_back(address);
-}
+    : impl_(new Impl{ScanPackets(sensors), PacketQueue(target, sensors.size())}) {}
 
 PacketSender::~PacketSender() = default;
 
-void PacketSender::add(std::span<const RenderedScan> scans) { impl_->add(impl_->packets.encode(scans)); }
+void PacketSender::add(std::span<const RenderedScan> scans) {
+    impl_->queue.add(impl_->packets.encode(scans));
+}
+
+void PacketSender::send_all() { impl_->queue.send_all(); }
 
 std::string PacketSender::finish() {
-    impl_->add(impl_->packets.finish());
-    impl_->send_all();
-    return fmt::format("{} packets sent\n", impl_->n_sent);
+    impl_->queue.add(impl_->packets.finish());
+    impl_->queue.send_all();
+    return fmt::format("{} packets sent\n", impl_->queue.n_sent());
 }
 
 }  // namespace relidar::cli

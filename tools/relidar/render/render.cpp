@@ -453,7 +453,10 @@ void add_file_options(CLI::App& command, RenderOptions& options) {
                      "transform all points of a scan to the sensor's frame at the scan's time, as in a "
                      "motion-compensated log; in mcap and rosbag to the frame at the stamp");
     add_recording_options(command, options.names);
-    add_packet_options(command, options.packets);
+    add_packet_options(command, options.packets,
+                       "also send the packets of the sensor to this address; the sensors of a rig use the "
+                       "ports after it",
+                       "render first, then send the packets with the timing of the sensor");
     command.add_flag("--merge", options.merge,
                      "merge the scans of a rig's sensors into one scan in the frame of the rig (default: a "
                      "folder for each sensor)");

@@ -3,6 +3,7 @@
 // Ctrl-C ends the command.
 #include <chrono>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <thread>
 
@@ -14,6 +15,11 @@
 #include <fmt/ranges.h>
 #include <CLI/CLI.hpp>
 
+#include <relidar/log/packets.hpp>
+#include <relidar/run/run.hpp>
+#include <relidar/simulate/render.hpp>
+#include <relidar/simulate/scan_files.hpp>
+
 #include "../../network/descriptors.hpp"
 #include "../../network/host_port.hpp"
 #include "../../network/loopback.hpp"
@@ -22,7 +28,9 @@
 #include "console.hpp"
 #include "interrupt.hpp"
 #include "options.hpp"
+#include "render/packet_sender.hpp"
 #include "render/render_notes.hpp"
+#include "render/target_sensors.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -32,6 +40,7 @@ struct ServeOptions {
     std::string api, pose_order, weather;
     int queue = 64;
     int memory_mib = 0;
+    PacketTarget packets;
     DeviceChoice device;
     bool quiet = false;
 };
@@ -73,14 +82,55 @@ serve::ServerOptions make_server_options(const ServeOptions& options) {
     server.memory_mib = std::uint64_t(options.memory_mib);
     server.sensorsim = parse_sensorsim_poses(options);
     (void)parse_host_port(server.listen, "--listen", 0);
+    check_packet_target(options.packets);
     server.weather = parse_weather(options.weather);
     server.device = make_device_options(options.device);
     return server;
 }
 
-/// Makes all threads share one heap, so that the memory of the process does not grow for
-/// hours. By default, glibc uses a heap per thread. gRPC often starts and ends threads,
-/// and scans are freed in another thread than the allocating one (docs/service.md).
+/// Sends the scans of clients as packets. Starts new packets if the sensor changes or if
+/// the time decreases.
+class ScanSender {
+public:
+    explicit ScanSender(PacketTarget target) : target_(std::move(target)) {
+        target_.is_interruptible = false;  // the server answers the pending calls
+    }
+
+    void send(const Run& run, const SensorChoice& sensor, const std::string& name, const RenderedScan& scan) {
+        if (name.empty() && !sensor.is_own)
+            throw UsageError(
+                fmt::format("cannot write packets of a sensor that the request describes; expected "
+                            "sensor.name with one of {}",
+                            list_packet_sensors()));
+        const std::lock_guard lock(mutex_);
+        const std::string key =
+            fmt::format("{} {} {} {}", run.folder.string(), sensor.lidar, sensor.returns, name);
+        if (key != key_ || scan.time_s < last_s_) sender_.reset();
+        if (!sender_) {
+            ScanFormat format = make_scan_format(run, sensor);
+            if (!name.empty())
+                if (const auto spinning = find_spinning_sensor(name, sensor))
+                    format.packets.sensor = spinning;
+            sender_.emplace(target_, std::vector{format});
+            key_ = key;
+        }
+        sender_->add({&scan, 1});
+        last_s_ = scan.time_s;
+        sender_->send_all();
+    }
+
+private:
+    PacketTarget target_;
+    std::mutex mutex_;
+    std::optional<PacketSender> sender_;
+    std::string key_;  ///< run and sensor of the packets
+    double last_s_ = 0.0;
+};
+
+/// Makes all threads share one heap. By default, glibc gives each thread its own heap,
+/// and gRPC often starts and ends threads. One thread allocates a scan and another thread
+/// frees it, which leaves gaps in each heap. Without this function, the memory of the
+/// process would grow for hours (docs/service.md).
 void limit_malloc_arenas() {
 #ifdef __GLIBC__
     mallopt(M_ARENA_MAX, 1);
@@ -90,7 +140,13 @@ void limit_malloc_arenas() {
 void run_serve(const ServeOptions& options) {
     limit_malloc_arenas();
     raise_descriptor_limit();
-    const serve::ServerOptions server_settings = make_server_options(options);
+    serve::ServerOptions server_settings = make_server_options(options);
+    ScanSender sender(options.packets);
+    if (!options.packets.address.empty())
+        server_settings.on_scan = [&sender](const Run& run, const SensorChoice& sensor,
+                                            const std::string& name, const RenderedScan& scan) {
+            sender.send(run, sensor, name, scan);
+        };
     if (!options.quiet) note_weather(server_settings.weather);
     const std::string host = server_settings.listen.substr(0, server_settings.listen.rfind(':'));
     if (!is_loopback(host))
@@ -173,6 +229,9 @@ void add_serve(CLI::App& app, Call& call) {
             "--queue", options->queue,
             "maximum number of waiting calls; further calls fail with RESOURCE_EXHAUSTED (default: 64)")
         ->type_name("N");
+    add_packet_options(*command, options->packets,
+                       "also send the scans of RenderLidar as packets of the sensor to this address",
+                       "send the packets with the timing of the sensor, then answer the call");
     command
         ->add_option("--tls-cert", options->server.tls_cert,
                      "certificate chain in PEM; turns on encryption, together with --tls-key")

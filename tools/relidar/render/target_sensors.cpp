@@ -11,15 +11,13 @@ std::optional<SpinningSensor> get_spinning_sensor(const SensorModel& model) {
     return spinning ? std::optional(*spinning) : std::nullopt;
 }
 
-/// Returns the spinning sensor with this name, or from this file. Returns no value for
-/// the log's sensor, for a regular grid of rays, and for a sensor that does not spin.
+}  // namespace
+
 std::optional<SpinningSensor> find_spinning_sensor(const std::string& name_or_file,
                                                    const SensorChoice& choice) {
     if (choice.is_own || choice.grid || choice.pattern) return std::nullopt;
     return get_spinning_sensor(find_sensor(name_or_file));
 }
-
-}  // namespace
 
 std::vector<TargetSensor> list_target_sensors(const std::string& sensor, const Rig& rig, const Run& run,
                                               int lidar) {

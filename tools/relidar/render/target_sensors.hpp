@@ -28,6 +28,11 @@ struct TargetSensor {
 /// Sensors of a rig. Empty if a single sensor is simulated.
 using Rig = std::optional<std::vector<MountedSensor>>;
 
+/// Returns the spinning sensor with this name, or from this file. Returns no value for
+/// the log's sensor, for a regular grid of rays, and for a sensor that does not spin.
+std::optional<SpinningSensor> find_spinning_sensor(const std::string& name_or_file,
+                                                   const SensorChoice& choice);
+
 /// Returns the sensors that the command simulates.
 /// @param sensor  name or file of the sensor; empty means the sensor of the log
 std::vector<TargetSensor> list_target_sensors(const std::string& sensor, const Rig& rig, const Run& run,

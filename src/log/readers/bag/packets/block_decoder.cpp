@@ -43,20 +43,8 @@ constexpr int kNoRing = -1;
 constexpr double kDegree = kPi / 180.0;
 constexpr double kLargestStep_deg = 5.0;  // maximum rotation between two blocks
 
-/// A beam of the scan. Some sensors alternate between two firing sequences. A laser in
-/// both sequences becomes two beams.
-struct BlockBeam {
-    std::size_t laser = 0;  ///< index of the laser in a firing, from 0
-    std::size_t part = 0;   ///< index of the firing sequence
-    std::size_t line = 0;   ///< row of the laser in the beam table of the built-in sensor
-    /// elevation in the angle correction file of the sensor; 0 without such a file
-    double elevation_deg = 0.0;
-    /// time from the start of the first firing sequence to the firing of the laser
-    double offset_us = 0.0;
-};
-
-/// Stores a return of a ray. A ray keeps two returns. A third return with another range
-/// replaces the darker one if it is brighter.
+/// Stores a return of a ray. A ray keeps at most two returns. A third return replaces the
+/// darker of the two if it is brighter and has another range than both.
 /// @param number  number of the return in the packet, from 0
 void add_echo(std::array<Echo, 2>& echoes, std::size_t number, const Echo& echo) {
     if (number < 2) {
@@ -79,12 +67,12 @@ public:
         timing_.wrap_us = layout.wrap_us;
         timing_.interpolates = layout.firings > 1;  // as in the VLP-16's manual
         timing_.parts = int(layout.parts());
-        for (const LaserTimes& times : layout.loops)
-            for (const std::int32_t time_ns : times)
-                if (time_ns >= 0) first_ns_ = std::min(first_ns_, time_ns);
         table_ = find_beam_firings(layout.sensor);
-        for (std::size_t line = 0; line < table_.size(); ++line) add_beams(line);
-        if (!angles_.empty()) std::ranges::stable_sort(beams_, std::greater(), &BlockBeam::elevation_deg);
+        beams_ = list_block_beams(layout);
+        if (!angles_.empty()) {
+            for (BlockBeam& beam : beams_) beam.elevation_deg = angles_[beam.laser].elevation_deg;
+            std::ranges::stable_sort(beams_, std::greater(), &BlockBeam::elevation_deg);
+        }
         ring_of_.assign(layout.parts(), std::vector<int>(layout.lasers(), kNoRing));
         for (std::size_t ring = 0; ring < beams_.size(); ++ring) {
             ring_of_[beams_[ring].part][beams_[ring].laser] = int(ring);
@@ -146,9 +134,7 @@ private:
     const Layout& layout_;
     Timing timing_;
     std::vector<BeamFiring> table_;
-    std::int32_t first_ns_ = std::numeric_limits<std::int32_t>::max();  ///< earliest time in the loops
-    /// [lasers] angles of the lasers from the manufacturer's calibration; empty if
-    /// unknown
+    /// [lasers] angles of the lasers as calibrated by the manufacturer; empty if unknown
     std::vector<LaserAngles> angles_;
     /// note for the user about the source of the angles
     std::string angles_about_ = "beam angles from the data sheet";
@@ -181,21 +167,7 @@ private:
         }
     }
 
-    /// Adds the beams of a laser, one for each firing sequence in which it fires.
-    void add_beams(std::size_t line) {
-        BlockBeam beam{std::size_t(table_[line].channel - layout_.first_channel), 0, line, 0.0,
-                       table_[line].offset_us};
-        if (!angles_.empty()) beam.elevation_deg = angles_[beam.laser].elevation_deg;
-        if (layout_.loops.empty()) beams_.push_back(beam);
-        for (; beam.part < layout_.loops.size(); ++beam.part) {
-            const std::int32_t time_ns = layout_.loops[beam.part][beam.laser];
-            beam.offset_us = 1e-3 * double(time_ns - first_ns_) + layout_.cycle_us * double(beam.part);
-            if (time_ns >= 0) beams_.push_back(beam);
-        }
-    }
-
-    /// Returns the index of the firing sequence of a firing, for sensors that alternate
-    /// between two sequences.
+    /// Returns the index of the firing sequence that a firing belongs to.
     /// @param number  number of the firing in the packet
     int find_part(std::string_view bytes, std::size_t number, std::size_t n_returns) const {
         if (layout_.part_rule == PartRule::none) return 0;
@@ -271,6 +243,26 @@ private:
 };
 
 }  // namespace
+
+std::vector<BlockBeam> list_block_beams(const Layout& layout) {
+    std::int32_t first_ns = std::numeric_limits<std::int32_t>::max();
+    for (const LaserTimes& times : layout.loops)
+        for (const std::int32_t time_ns : times)
+            if (time_ns >= 0) first_ns = std::min(first_ns, time_ns);
+    const std::vector<BeamFiring> table = find_beam_firings(layout.sensor);
+    std::vector<BlockBeam> beams;
+    for (std::size_t line = 0; line < table.size(); ++line) {
+        BlockBeam beam{std::size_t(table[line].channel - layout.first_channel), 0, line, 0.0,
+                       table[line].offset_us};
+        if (layout.loops.empty()) beams.push_back(beam);
+        for (; beam.part < layout.loops.size(); ++beam.part) {
+            const std::int32_t time_ns = layout.loops[beam.part][beam.laser];
+            beam.offset_us = 1e-3 * double(time_ns - first_ns) + layout.cycle_us * double(beam.part);
+            if (time_ns >= 0) beams.push_back(beam);
+        }
+    }
+    return beams;
+}
 
 std::unique_ptr<Decoder> make_block_decoder(const char* name, const Calibration& calibration) {
     const auto find_layout = [](const std::string& row_name) {

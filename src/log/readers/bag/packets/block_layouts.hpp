@@ -7,6 +7,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <span>
+#include <vector>
 
 namespace relidar::packets {
 
@@ -124,6 +125,21 @@ struct Layout {
     std::size_t lasers() const { return block_lasers * banks; }
     std::size_t parts() const { return loops.empty() ? 1 : loops.size(); }
 };
+
+/// A beam of a scan. A laser that fires in two firing sequences becomes two beams.
+struct BlockBeam {
+    std::size_t laser = 0;  ///< index of the laser in a firing, from 0
+    std::size_t part = 0;   ///< index of the firing sequence
+    std::size_t line = 0;   ///< row of the laser in the beam table of the built-in sensor
+    /// elevation from the sensor's angle correction file; 0 if the file is missing
+    double elevation_deg = 0.0;
+    /// time from the start of the first firing sequence to the firing of the laser
+    double offset_us = 0.0;
+};
+
+/// Returns the beams of a product in the order of its beam table. The list has one beam
+/// for each firing sequence in which a laser fires.
+std::vector<BlockBeam> list_block_beams(const Layout& layout);
 
 // One row per product. Hesai's manuals state the time of each laser relative to the start
 // of its block. In relidar, the first laser of a firing has the time 0. So `shift_us` is
