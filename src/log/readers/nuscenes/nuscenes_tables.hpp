@@ -3,6 +3,7 @@
 // 5.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <filesystem>
 #include <string>
@@ -23,6 +24,9 @@ struct SweepRecord {
     std::string file;          ///< relative to the dataset
     std::int64_t time_us = 0;  ///< timestamp of the revolution
     bool is_keyframe = false;
+    /// File with the category of each point (nuScenes-lidarseg), relative to the dataset.
+    /// Empty if the points have no labels.
+    std::string categories_file = {};
 };
 
 /// A LiDAR of the scene. The name of its channel begins with LIDAR_.
@@ -42,6 +46,9 @@ struct SceneTables {
     /// Box labels at keyframes in the world frame. Their times are in seconds after the
     /// first sweep.
     std::vector<BoxLabel> labels;
+    /// Class of each category index of nuScenes-lidarseg. An index that no category has
+    /// is `unknown`.
+    std::array<SurfaceClass, 256> classes{};
 
     /// Converts a time stamp to seconds after the first sweep of the first LiDAR.
     double seconds(std::int64_t time_us) const {

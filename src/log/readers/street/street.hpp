@@ -24,6 +24,7 @@ struct Shape {
     double yaw_rad = 0.0;
     Material material = Material::wall;
     double reflectance = 0.5;  ///< reflectance from 0 to 1
+    SurfaceClass surface = SurfaceClass::building;
 };
 
 /// A leg or an arm of a walking person. It is a capsule at a joint, which swings forward
@@ -85,6 +86,7 @@ struct Hit {
     double range_m;
     double cosine;  ///< cosine of the angle between ray and surface normal, 0 to 1
     double reflectance;
+    SurfaceClass surface;
 };
 
 /// Poses of all moving cars at one time. Stored so that consecutive rays with the same
