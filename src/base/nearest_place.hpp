@@ -25,6 +25,12 @@ public:
     NearestPlace(const NearestPlace&) = delete;  // Not copyable, because the tree refers to `places_`.
     NearestPlace& operator=(const NearestPlace&) = delete;
 
+    /// Returns the index of the nearest point, and the squared distance to it.
+    std::pair<std::size_t, Scalar> find(const Point& point) const {
+        std::pair<std::size_t, Scalar> found{0, Scalar(0)};
+        tree_.knnSearch(&point.x, 1, &found.first, &found.second);
+        return found;
+    }
     std::size_t of(const Point& point) const { return find(point).first; }
     Scalar squared_distance(const Point& point) const { return find(point).second; }
 
@@ -41,12 +47,6 @@ private:
             return false;
         }
     };
-
-    std::pair<std::size_t, Scalar> find(const Point& point) const {
-        std::pair<std::size_t, Scalar> found{0, Scalar(0)};
-        tree_.knnSearch(&point.x, 1, &found.first, &found.second);
-        return found;
-    }
 
     Places places_;
     nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<Scalar, Places>, Places, 3, std::size_t>

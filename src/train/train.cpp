@@ -18,7 +18,6 @@
 #include "train/train_loop.hpp"
 
 namespace relidar {
-
 namespace {
 
 using Clock = std::chrono::steady_clock;
@@ -96,8 +95,8 @@ bool should_log_at(int step, const TrainConfig& config) {
     return step == 1 || step % std::max(1, config.log_every) == 0 || step == config.iterations;
 }
 
-/// Downloads the trained scene and its poses. Then estimates the ray-drop of the sensor,
-/// and the space that the log observed.
+/// Downloads the trained scene and its poses. Estimates the ray-drop of the sensor, the
+/// coverage, and the classes of the background.
 void read_scene(TrainLoop& loop, Device& device, const Sequence& sequence, const Split& split,
                 const Config& config, const TrainSession& session, TrainResult& result) {
     result.interrupted = result.iterations < config.train.iterations;
@@ -107,9 +106,10 @@ void read_scene(TrainLoop& loop, Device& device, const Sequence& sequence, const
     if (config.train.sensor_drop && !result.interrupted)
         result.scene.sensor_drop = loop.estimate_sensor_drop(device, sequence);
     begin_stage(session.stages, "coverage");
-    result.coverage =
-        find_coverage(sequence, result.poses ? result.poses->world_from_vehicle : sequence.world_from_vehicle,
-                      split.train, use_farthest_return(config, sequence).dataset.max_range_m);
+    const PoseTrack& poses = result.poses ? result.poses->world_from_vehicle : sequence.world_from_vehicle;
+    result.coverage = find_coverage(sequence, poses, split.train,
+                                    use_farthest_return(config, sequence).dataset.max_range_m);
+    result.classes = find_classes(sequence, poses, split.train);
 }
 
 }  // namespace
@@ -171,7 +171,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
 
 void move_result(Run& run, TrainResult& result) {
     run.scene = std::move(result.scene);
-    run.coverage = std::move(result.coverage);
+    run.coverage = std::move(result.coverage), run.classes = std::move(result.classes);
     if (!result.poses) return;
     run.sequence.world_from_vehicle = std::move(result.poses->world_from_vehicle);
     run.sequence.boxes = std::move(result.poses->boxes);

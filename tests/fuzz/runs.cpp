@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fuzzes the files of a run except its scene: the coverage of the log, the azimuths of
-// each sweep, the ray-drop network, and the intensity scatter.
+// Fuzzes the files of a run except its scene: the coverage of the log, the classes of the
+// background, the azimuths of each sweep, the ray-drop network, and the intensity
+// scatter.
 #include "harness.hpp"
 
 #include <cstdlib>
@@ -35,6 +36,18 @@ void read_coverage(std::string_view input, const fs::path& folder) {
         const double share = coverage.share(corner, corner + glm::dvec3(3.0, 20.0, -7.0));
         if (!(share >= 0.0 && share <= 1.0)) std::abort();
     }
+}
+
+std::vector<std::string> make_classes_seeds(const fs::path& folder) {
+    run_detail::save_classes(folder / "seed",
+                             {{{-3, 4, 5}, SurfaceClass::road}, {{1, 2, 3}, SurfaceClass::pole}});
+    return {read_contents(folder / "seed")};
+}
+
+void read_classes(std::string_view input, const fs::path& folder) {
+    put(folder / "input", input);
+    const ClassMap map = run_detail::load_classes(folder / "input");
+    if (!map.empty()) (void)ClassFinder(map).find(glm::dvec3(0.1, 0.2, 0.3));
 }
 
 std::vector<std::string> make_sweeps_seeds(const fs::path& folder) {
@@ -84,6 +97,7 @@ void read_scatter(std::string_view input, const fs::path& folder) {
 
 std::vector<Harness> run_harnesses() {
     return {{"coverage", make_coverage_seeds, read_coverage},
+            {"classes", make_classes_seeds, read_classes},
             {"sweeps", make_sweeps_seeds, read_sweeps},
             {"network", make_network_seeds, read_network},
             {"scatter", make_scatter_seeds, read_scatter}};

@@ -47,6 +47,9 @@ py::dict scan_of(const Log& log, int position) {
     py::dict dict = to_dict(rays);
     dict["range"] = to_owned_array<float>(to_vector(scan.range_m), image);
     dict["intensity"] = to_owned_array<float>(to_vector(scan.intensity), image);
+    std::vector<std::int32_t> classes;
+    for (const SurfaceClass surface : scan.classes) classes.push_back(std::int32_t(surface));
+    if (!classes.empty()) dict["class"] = to_owned_array<std::int32_t>(std::move(classes), image);
     return dict;
 }
 

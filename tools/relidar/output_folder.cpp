@@ -190,6 +190,7 @@ bool contains_only_run(const fs::path& folder) {
                                               "report.html",
                                               "views.png",
                                               "coverage.safetensors",
+                                              "classes.safetensors",
                                               "asset.json",
                                               "intensity_scatter.safetensors"};
     for (const auto& entry : fs::directory_iterator(folder))

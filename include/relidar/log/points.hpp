@@ -11,6 +11,7 @@
 
 #include <relidar/base/math.hpp>
 #include <relidar/log/channels.hpp>
+#include <relidar/log/classes.hpp>
 
 namespace relidar {
 
@@ -34,7 +35,8 @@ struct Points {
     /// is in the sensor frame at its own firing time, this is the pose of the sensor at
     /// time_s.
     Pose world_from_points = {};
-    double time_s = 0.0;  ///< reference time of the scan, in the time of the log
+    double time_s = 0.0;                     ///< reference time of the scan, in the time of the log
+    std::vector<SurfaceClass> classes = {};  ///< [n] classes of labelled points
 
     std::size_t size() const { return position_m.size(); }
 };

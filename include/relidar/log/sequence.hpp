@@ -9,6 +9,7 @@
 #include <vector>
 
 #include <relidar/base/math.hpp>
+#include <relidar/log/classes.hpp>
 #include <relidar/log/sensor.hpp>
 
 namespace relidar {
@@ -57,9 +58,9 @@ struct Scan {
     ScanArray<float> intensity;  ///< [n] intensity of the strongest return, 0..1; 0 if dropped
     /// Second, third, ... returns of all rays. A dropped ray has no further returns.
     std::vector<SecondReturn> second_returns = {};
+    ScanArray<SurfaceClass> classes = {};  ///< [n] class of the strongest return; empty without labels
 
-    /// Returns the end point of a ray.
-    /// @return [3] metres, sensor frame at the ray's firing time
+    /// Returns the end point of a ray: [3] metres, sensor frame at its firing time.
     glm::vec3 point(std::size_t ray) const { return rays.origin[ray] + range_m[ray] * rays.direction[ray]; }
     std::size_t count_returns() const;
 };
@@ -224,9 +225,7 @@ struct IntensityResponse {
     /// empty, the factor is 1 at all ranges.
     std::vector<double> range_m;
     std::vector<double> factor;  ///< [knots] factor, interpolated linearly
-    /// 0: no dependence on the angle of incidence. 1: Lambert's cosine law. Values
-    /// between 0 and 1 interpolate.
-    double incidence = 0.0;
+    double incidence = 0.0;      ///< dependence on incidence: 0 none, 1 Lambert's cosine law
 
     double at_range(double at_m) const;  ///< uses the first or last factor outside the knots
     /// Returns the intensity factor for the cosine of the angle between the ray and the

@@ -7,6 +7,7 @@
 //   drop_network.safetensors       ray-drop network, if one was trained
 //   sweeps.safetensors             head rotation of sweeps with uneven rotation
 //   coverage.safetensors           space that the log has observed
+//   classes.safetensors            classes of the background, if the log has labelled points
 //   intensity_scatter.safetensors  scatter of measured intensities
 //   scene.json                     sensor, frames, poses, boxes, split, units, conventions
 //   log.jsonl, report.html         training log and report
@@ -19,6 +20,7 @@
 #include <vector>
 
 #include <relidar/diff/network.hpp>
+#include <relidar/log/classes.hpp>
 #include <relidar/log/coverage.hpp>
 #include <relidar/log/scatter.hpp>
 #include <relidar/log/sequence.hpp>
@@ -48,8 +50,10 @@ struct Run {
     /// Network that corrects drop probabilities. Empty if no network was trained.
     DropNetwork drop_network{};
     Coverage coverage{};  ///< Space that the training scans have observed. Empty if unknown.
-    /// Random scatter of measured intensities around rendered ones, for each LiDAR,
-    /// [lidars]. Empty if unknown.
+    /// Classes of the background in relidar's world frame. Empty if the log has no
+    /// labelled points.
+    ClassMap classes{};
+    /// Scatter of measured intensities for each LiDAR, [lidars]. Empty if unknown.
     std::vector<IntensityScatter> intensity_scatter{};
     /// True if the poses of held-out scans have been corrected with the trained scene.
     /// Resumed training then skips this step.

@@ -11,12 +11,14 @@
 #include <filesystem>
 #include <map>
 #include <memory>
+#include <span>
 #include <string>
 #include <vector>
 
 #include <glm/glm.hpp>
 
 #include <relidar/base/math.hpp>
+#include <relidar/log/classes.hpp>
 #include <relidar/log/range_image.hpp>
 
 namespace relidar {
@@ -110,8 +112,16 @@ std::vector<bool> find_discovered_returns(const Sequence& sequence, const Frame&
 MetricRow evaluate_points(const RangeImage& rendered, const RangeImage& real,
                           const MetricOptions& options = {});
 
-/// A rendered image, the real image of the same rays, and the sets of pixels that are
-/// scored separately.
+/// Compares the classes of rays with labels, over the rays whose label is not `unknown`.
+///   classes/accuracy   fraction of these rays with equal classes
+///   classes/mean_iou   mean over the labels that occur: rays that have the class in both
+///                      scans, divided by the rays that have it in at least one scan
+/// @param rendered [n] values of the channel `class`
+/// @param real [n] labels
+/// @return an empty row if no ray has a label
+MetricRow evaluate_classes(const std::vector<std::int32_t>& rendered, std::span<const SurfaceClass> real);
+
+/// A rendered image, the real image of the same rays, and the regions to score.
 struct Comparison {
     const RangeImage* rendered = nullptr;
     const RangeImage* real = nullptr;

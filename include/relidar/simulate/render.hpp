@@ -12,6 +12,7 @@
 #include <relidar/diff/network.hpp>
 #include <relidar/gpu/device.hpp>
 #include <relidar/log/channels.hpp>
+#include <relidar/log/classes.hpp>
 #include <relidar/log/coverage.hpp>
 #include <relidar/log/points.hpp>
 #include <relidar/log/range_image.hpp>
@@ -276,8 +277,9 @@ public:
     /// @throws UsageError for an unknown channel, or for a channel that needs normals in
     /// a scene of 3D Gaussians, which have no normals
     ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence);
-    /// Creates a renderer of a run. It uses the coverage and the intensity model of the
-    /// run. It also applies the run's ray-drop network if `refine.enabled` is set.
+    /// Creates a renderer of a run, with the coverage, the classes and the intensity
+    /// model of the run. The renderer also applies the ray-drop network if the run has
+    /// one and `refine.enabled` is set.
     ScanRenderer(Device& device, const Run& run);
     ~ScanRenderer();
     /// Hides instances of the scene in all following scans.
@@ -302,10 +304,14 @@ public:
     /// Sets the space that the log observed. All following scans then report the share of
     /// rays outside it (RenderedScan::unseen_share). An empty coverage switches this off.
     void compare_with(const Coverage& coverage);
-    /// Sets the statistical intensity model of each LiDAR of the log. Sampled scans draw
-    /// random intensities from it. All other scans round intensities to the quantisation
-    /// steps of the log.
-    /// @param scatter [lidars] if an entry is missing or empty, intensities stay as
+    /// Sets the classes of the background for the channel `class` of all following scans.
+    /// With an empty map, the class of the background is `unknown`.
+    void classify_background(const ClassMap& map);
+    bool has_classes() const;  ///< true if the classes of the background are known
+    /// Sets the statistical intensity model of each LiDAR of the log, for all following
+    /// scans. If a scan is sampled, its intensities are drawn from this model. Otherwise,
+    /// they are rounded to the quantisation steps of the log.
+    /// @param scatter [lidars] if an entry is missing or empty, intensities are as
     /// rendered
     void scatter_intensities(const std::vector<IntensityScatter>& scatter);
     /// Sets the weather of all following scans. For a sampled scan, the seed of the

@@ -18,6 +18,7 @@
 #include <relidar/diff/loss_options.hpp>
 #include <relidar/diff/network.hpp>
 #include <relidar/gpu/device.hpp>
+#include <relidar/log/classes.hpp>
 #include <relidar/log/coverage.hpp>
 #include <relidar/log/scatter.hpp>
 #include <relidar/log/sequence.hpp>
@@ -69,6 +70,7 @@ struct TrainResult {
     /// nullopt if training used the poses of the log unchanged.
     std::optional<RefinedPoses> poses;
     Coverage coverage;  ///< Space that the training frames have observed.
+    ClassMap classes;   ///< Classes of the background. Empty if the log has no labelled points.
     std::vector<TrainProgress> log;
     KernelTimes times;  ///< Kernel times of this session only.
     double initialise_s = 0.0;

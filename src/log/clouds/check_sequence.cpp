@@ -138,6 +138,7 @@ void check_sizes(const Scan& scan, const std::string& location) {
     if (!rays.ray_divergence_rad.empty()) check("rays.ray_divergence_rad", rays.ray_divergence_rad.size());
     check("range_m", scan.range_m.size());
     check("intensity", scan.intensity.size());
+    if (!scan.classes.empty()) check("classes", scan.classes.size());
     for (const SecondReturn& f : scan.second_returns) {
         check("second_returns.range_m", f.range_m.size());
         check("second_returns.intensity", f.intensity.size());

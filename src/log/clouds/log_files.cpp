@@ -11,6 +11,7 @@
 
 #include <relidar/base/error.hpp>
 #include "base/files.hpp"
+#include "log/classes/dataset_classes.hpp"
 #include "log/clouds/dropped_ray.hpp"
 
 namespace relidar::kitti {
@@ -20,6 +21,20 @@ namespace {
 // Maximum range of a point. No LiDAR measures ten kilometres, so if the range is larger,
 // the file has another number type or byte order.
 constexpr double kFarthestReturn_m = 1e4;
+
+std::vector<SurfaceClass> read_classes(const fs::path& file, std::size_t n_points) {
+    const std::string bytes = read_file(file);
+    if (bytes.size() != 4 * n_points)
+        throw DataError(fmt::format("{} has {} bytes, expected 4 bytes for each of the {} points of the scan",
+                                    file.string(), bytes.size(), n_points));
+    std::vector<SurfaceClass> classes;
+    for (std::size_t i = 0; i < n_points; ++i) {
+        std::uint32_t label;
+        std::memcpy(&label, bytes.data() + 4 * i, sizeof label);
+        classes.push_back(convert_semantic_kitti_class(int(label & 0xFFFFu)));
+    }
+    return classes;
+}
 
 }  // namespace
 
@@ -101,7 +116,7 @@ std::vector<int> list_scans(const fs::path& folder, int begin, int end) {
     return frames;
 }
 
-std::vector<glm::vec4> read_scan(const fs::path& file) {
+ScanPoints read_scan(const fs::path& file, const fs::path& labels) {
     const std::string bytes = read_file(file);
     static_assert(sizeof(glm::vec4) == 16);
     if (bytes.empty())
@@ -112,7 +127,9 @@ std::vector<glm::vec4> read_scan(const fs::path& file) {
                         "{} more bytes",
                         file.string(), bytes.size(), bytes.size() / 16, bytes.size() % 16));
     }
-    std::vector<glm::vec4> points(bytes.size() / 16);
+    ScanPoints scan;
+    std::vector<glm::vec4>& points = scan.points;
+    points.resize(bytes.size() / 16);
     std::memcpy(points.data(), bytes.data(), bytes.size());
     for (std::size_t i = 0; i < points.size(); ++i) {
         const glm::vec4& p = points[i];
@@ -123,8 +140,16 @@ std::vector<glm::vec4> read_scan(const fs::path& file) {
                         "coordinates of at most {} m",
                         file.string(), i, p.x, p.y, p.z, p.w, kFarthestReturn_m));
     }
-    std::erase_if(points, [](const glm::vec4& p) { return !is_return(p); });
-    return points;
+    if (!labels.empty() && does_path_exist(labels)) scan.classes = read_classes(labels, points.size());
+    std::size_t n = 0;
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        if (!is_return(points[i])) continue;
+        if (!scan.classes.empty()) scan.classes[n] = scan.classes[i];
+        points[n++] = points[i];
+    }
+    points.resize(n);
+    if (!scan.classes.empty()) scan.classes.resize(n);
+    return scan;
 }
 
 }  // namespace relidar::kitti

@@ -20,10 +20,18 @@ namespace relidar::kitti {
 /// @throws UsageError if the range contains no scan
 std::vector<int> list_scans(const std::filesystem::path& folder, int begin, int end);
 
-/// Reads the points of a scan file: x, y, z in metres in the sensor frame, and
-/// reflectance. Omits rays without a return.
-/// @throws DataError if the scan is truncated, empty or invalid
-std::vector<glm::vec4> read_scan(const std::filesystem::path& file);
+/// Points of a scan file.
+struct ScanPoints {
+    std::vector<glm::vec4> points;      ///< x, y, z in metres in the sensor frame, and reflectance
+    std::vector<SurfaceClass> classes;  ///< [points] classes; empty if the points have no labels
+};
+/// Reads the points of a scan file. Omits rays without a return.
+/// @param labels  file with the SemanticKITTI labels of all points: 32 bits per point, of
+/// which the lower 16 are the class. If the file does not exist, the points have no
+/// labels.
+/// @throws DataError if the scan is truncated, empty or invalid, or if the labels have
+/// another number of points
+ScanPoints read_scan(const std::filesystem::path& file, const std::filesystem::path& labels = {});
 
 /// Returns a note for the user about missing scan files between the first and the last
 /// frame. Returns an empty string if no scan file is missing.

@@ -100,7 +100,24 @@ std::vector<float> read_intensities(const Arrays& arrays, const std::string& nam
     return intensity;
 }
 
-/// Returns the rays of the sensor model, for images without ray directions.
+/// Returns the classes of the returns: the values of the channel `class`. Returns an
+/// empty array if the file does not contain the channel.
+std::vector<SurfaceClass> read_classes(const Arrays& arrays, const std::vector<float>& range_m) {
+    std::vector<SurfaceClass> classes;
+    if (!arrays.find("class")) return classes;
+    const std::vector<double> numbers = arrays.values("class", 1);
+    for (std::size_t i = 0; i < numbers.size(); ++i) {
+        const double number = range_m[i] > 0.0f ? numbers[i] : 0.0;
+        if (!(number >= 0.0 && number < double(kSurfaceClasses)) || number != std::floor(number))
+            throw DataError(fmt::format("{} is {}, expected a whole number below {}", arrays.ray("class", i),
+                                        number, kSurfaceClasses));
+        classes.push_back(SurfaceClass(int(number)));
+    }
+    return classes;
+}
+
+/// Returns the rays of the sensor model. Used for images that do not contain ray
+/// directions.
 RayTable make_sensor_rays(const Arrays& arrays, const ImageSource& source) {
     RayTable rays = make_nominal_rays(source.lidar, source.time_s);
     if (rays.size() == 0)
@@ -229,6 +246,7 @@ Scan make_scan_from_images(const std::string& location, std::vector<NamedArray> 
         read_ranges(arrays, arrays.find("median_range") ? "median_range" : "range");
     scan.range_m = to_scan_array(range_m);
     scan.intensity = to_scan_array(read_intensities(arrays, "intensity", range_m, head.units));
+    scan.classes = to_scan_array(read_classes(arrays, range_m));
     for (std::size_t number = 2; number <= kMostReturns && arrays.find(fmt::format("range_{}", number));
          ++number) {
         SecondReturn echo{read_ranges(arrays, fmt::format("range_{}", number)), {}};
@@ -262,6 +280,9 @@ void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool mo
     else add("time", rays.time_offset_s);
     add("ring", rays.channel);
     if (!rays.ray_divergence_rad.empty()) add("divergence", rays.ray_divergence_rad);
+    std::vector<std::int32_t> classes;
+    for (const SurfaceClass surface : scan.classes) classes.push_back(std::int32_t(surface));
+    if (!classes.empty()) add("class", classes);
     for (std::size_t k = 0; k < scan.second_returns.size(); ++k) {
         add(fmt::format("range_{}", k + 2), scan.second_returns[k].range_m);
         add(fmt::format("intensity_{}", k + 2), scan.second_returns[k].intensity);

@@ -50,6 +50,7 @@ void check_points(const Points& points, std::size_t n_beams) {
     check("time_offset_s", points.time_offset_s.size(), true);
     check("return_number", points.return_number.size(), true);
     check("firing", points.firing.size(), true);
+    check("classes", points.classes.size(), true);
     for (std::size_t i = 0; i < points.size(); ++i) {
         if (n_beams > 0 && points.ring[i] >= n_beams)
             throw UsageError(
@@ -209,7 +210,7 @@ std::vector<double> compute_firing_times(const Points& points, const SpinningSen
     return measured;
 }
 
-void resize(Scan& scan, int rows, int columns, std::size_t n_second_returns) {
+void resize(Scan& scan, int rows, int columns, std::size_t n_second_returns, bool has_classes) {
     const std::size_t n = static_cast<std::size_t>(rows) * static_cast<std::size_t>(columns);
     scan.rays.rows = rows;
     scan.rays.columns = columns;
@@ -220,6 +221,7 @@ void resize(Scan& scan, int rows, int columns, std::size_t n_second_returns) {
     scan.range_m.assign(n, 0.0f);
     scan.intensity.assign(n, 0.0f);
     scan.second_returns.assign(n_second_returns, {std::vector<float>(n, 0.0f), std::vector<float>(n, 0.0f)});
+    scan.classes.assign(has_classes ? n : 0, SurfaceClass::unknown);
 }
 
 /// Marks a ray as dropped. Its origin and direction are those of the ideal beam; its
@@ -246,6 +248,7 @@ bool set_returned(Scan& scan, std::size_t ray, const BeamGeometry& beam, double 
     scan.range_m[ray] = static_cast<float>(range);
     scan.intensity[ray] = glm::clamp(points.intensity[index], 0.0f, 1.0f);
     if (!points.time_offset_s.empty()) scan.rays.time_offset_s[ray] = points.time_offset_s[index];
+    if (!points.classes.empty()) scan.classes[ray] = points.classes[index];
     return true;
 }
 
@@ -289,7 +292,8 @@ Scan make_spinning_scan(const Points& points, const SpinningSensor& sensor, cons
     for (const int tick : sweep.firings) firing_rad.push_back(sweep.lattice.compute_azimuth(tick));
     const int columns = sensor.columns;
     Scan scan;
-    resize(scan, static_cast<int>(sensor.beams.size()), columns, assigned.by_return.size() - 1);
+    resize(scan, static_cast<int>(sensor.beams.size()), columns, assigned.by_return.size() - 1,
+           !points.classes.empty());
     scan.rays.divergence_rad = static_cast<float>(sensor.divergence_rad);
     std::size_t at = 0;
     for (std::size_t ring = 0; ring < sensor.beams.size(); ++ring) {
@@ -324,7 +328,7 @@ Scan make_unordered_scan(const Points& points) {
             first.push_back(i);
     }
     Scan scan;
-    resize(scan, 1, static_cast<int>(first.size()), n_second_returns);
+    resize(scan, 1, static_cast<int>(first.size()), n_second_returns, !points.classes.empty());
     for (std::size_t at = 0; at < first.size(); ++at) {
         const std::size_t i = first[at];
         const float range = glm::length(points.position_m[i]);
@@ -333,6 +337,7 @@ Scan make_unordered_scan(const Points& points) {
         scan.rays.channel[at] = points.ring.empty() ? std::uint16_t(0) : points.ring[i];
         scan.range_m[at] = range;
         scan.intensity[at] = glm::clamp(points.intensity[i], 0.0f, 1.0f);
+        if (!points.classes.empty()) scan.classes[at] = points.classes[i];
         for (std::size_t k = i + 1; k < points.size() && get_ring_number(points, k) > 0; ++k)
             set_second_return(scan, at, points, k);
     }

@@ -63,8 +63,9 @@ const std::vector<ChannelInfo>& get_optional_channels() {
          .unit = "m/s",
          .meaning = "rate at which the range of the surface grows, from the motion of sensor and actor"},
         {.name = "class",
-         .meaning =
-             "kind of the surface: 0 background, 1 vehicle, 2 cyclist, 3 person, 4 other actor, -1 no hit",
+         .meaning = "kind of the surface: 0 unknown, 1 vehicle, 2 cyclist, 3 person, 4 other actor, 5 road, "
+                    "6 sidewalk, 7 terrain, 8 other ground, 9 building, 10 fence, 11 vegetation, 12 pole, "
+                    "13 sign, 14 structure, 15 object, -1 no hit",
          .none = -1.0},
         {.name = "spread", .unit = "m", .meaning = "distance between mean and median range"},
         {.name = "seen",

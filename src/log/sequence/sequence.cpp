@@ -92,8 +92,10 @@ std::size_t Scan::count_returns() const {
 
 void drop_outside_limits(Scan& scan, const RangeLimits& limits) {
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
-        if (scan.range_m[i] > 0.0f && !limits.contains(scan.range_m[i]))
+        if (scan.range_m[i] > 0.0f && !limits.contains(scan.range_m[i])) {
             scan.range_m[i] = scan.intensity[i] = 0.0f;
+            if (!scan.classes.empty()) scan.classes[i] = SurfaceClass::unknown;
+        }
         for (SecondReturn& f : scan.second_returns)
             if (scan.range_m[i] == 0.0f || !limits.contains(f.range_m[i]))
                 f.range_m[i] = f.intensity[i] = 0.0f;

@@ -122,6 +122,7 @@ void join_blocks(Run& run, const std::vector<Block>& blocks, const std::vector<f
         update_best_actors(part, run.sequence, blocks[k], actors);
         copy_poses(part, run.sequence, blocks[k], poses);
         run.coverage.add(part.coverage);
+        add_classes(run.classes, part.classes);
         if (!part.refined_poses.empty()) run.refined_poses = part.refined_poses;
     }
     scene.sensor_drop = drop.mean();

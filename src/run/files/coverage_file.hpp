@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads and writes coverage.safetensors, which stores the space that the training scans
-// of a run have observed. Private to run.
+// of a run have observed, and classes.safetensors, which stores the classes of the
+// background. Private to run.
 #pragma once
 
 #include <filesystem>
 
+#include <relidar/log/classes.hpp>
 #include <relidar/log/coverage.hpp>
 
 namespace relidar::run_detail {
@@ -16,5 +18,14 @@ void save_coverage(const std::filesystem::path& path, const Coverage& coverage);
 /// Reads from a file which space the log of a run has observed.
 /// @throws DataError for missing arrays, wrong shapes, or cells of another size
 Coverage load_coverage(const std::filesystem::path& path);
+
+/// Writes a class map to a file. The array `place` [cells,3] i4 has the position of each
+/// cell, in units of cells. The array `class` [cells,1] u2 has the classes. Writes no
+/// file if the map is empty.
+void save_classes(const std::filesystem::path& path, const ClassMap& map);
+/// Reads the class map of a run from a file.
+/// @throws DataError for missing arrays, wrong shapes, an unknown class, or cells of
+/// another size
+ClassMap load_classes(const std::filesystem::path& path);
 
 }  // namespace relidar::run_detail

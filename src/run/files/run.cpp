@@ -34,6 +34,7 @@ constexpr const char* kSceneFile = "scene.json";
 constexpr const char* kDropNetworkFile = "drop_network.safetensors";
 constexpr const char* kSweepsFile = "sweeps.safetensors";
 constexpr const char* kCoverageFile = "coverage.safetensors";
+constexpr const char* kClassesFile = "classes.safetensors";
 constexpr const char* kScatterFile = "intensity_scatter.safetensors";
 
 void make_folder(const fs::path& folder) {
@@ -103,6 +104,7 @@ void write_files(const Run& run, const fs::path& folder, bool keep_blocks) {
     if (!run.drop_network.empty()) save_drop_network(folder / kDropNetworkFile, run.drop_network);
     run_detail::save_sweeps(folder / kSweepsFile, run.sequence);
     run_detail::save_coverage(folder / kCoverageFile, run.coverage);
+    run_detail::save_classes(folder / kClassesFile, run.classes);
     run_detail::save_scatter(folder / kScatterFile, run.intensity_scatter);
 }
 
@@ -155,7 +157,7 @@ void move_files(const fs::path& staged, const fs::path& folder, const std::funct
     if (!same_config || remove_earlier) fs::remove(folder / kConfigFile);
     fs::remove(folder / kSceneFile);
     if (remove_earlier) remove_earlier();
-    for (const char* name : {kDropNetworkFile, kSweepsFile, kCoverageFile, kScatterFile})
+    for (const char* name : {kDropNetworkFile, kSweepsFile, kCoverageFile, kClassesFile, kScatterFile})
         if (!does_path_exist(staged / name)) fs::remove(folder / name);
     std::vector<fs::path> files;
     for (const auto& entry : fs::recursive_directory_iterator(staged))
@@ -217,6 +219,7 @@ Run load_run(const fs::path& folder) {
     if (does_path_exist(folder / kSweepsFile)) run_detail::load_sweeps(folder / kSweepsFile, run.sequence);
     if (does_path_exist(folder / kCoverageFile))
         run.coverage = run_detail::load_coverage(folder / kCoverageFile);
+    if (does_path_exist(folder / kClassesFile)) run.classes = run_detail::load_classes(folder / kClassesFile);
     if (does_path_exist(folder / kScatterFile))
         run.intensity_scatter = run_detail::load_scatter(folder / kScatterFile, run.sequence.lidars.size());
     if (does_path_exist(folder / kDropNetworkFile))

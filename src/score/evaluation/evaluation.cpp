@@ -52,6 +52,7 @@ struct RenderedFrame {
     /// [n] true for pixels whose return is in the box of a moving object that has no
     /// label. Empty if the run has no such boxes.
     std::vector<bool> discovered;
+    MetricRow class_scores;  ///< scores of the channel `class`; empty without labels
 
     std::vector<Region> regions() const {
         std::vector<Region> regions = make_standard_regions(frame.real, moving);
@@ -74,12 +75,21 @@ RenderedFrame make_real_frame(const Config& config, const Sequence& sequence, co
     return result;
 }
 
+/// Returns true if the classes of a rendered frame can be compared with labels. With
+/// another grid, labels and pixels do not correspond.
+bool has_class_scores(const ScanRenderer& renderer, const Config& config, const Frame& frame) {
+    return renderer.has_classes() && config.sensor.grid == "native" && !frame.scan.classes.empty();
+}
+
 RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence,
                            const Frame& frame, const Pose& sensor_offset) {
     RenderedFrame result = make_real_frame(config, sequence, frame, sensor_offset);
     const SensorChoice sensor = make_sensor_of_frame(config, sequence, frame);
     result.frame.n_rays = sensor.rays.size();
     result.frame.rendered = renderer.render(sensor, frame.time_s, sensor_offset);
+    const auto* classes = find_values<std::int32_t>(result.frame.rendered.channels, "class");
+    if (classes && has_class_scores(renderer, config, frame))
+        result.class_scores = evaluate_classes(*classes, frame.scan.classes);
     return result;
 }
 
@@ -107,6 +117,7 @@ std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config
     for (std::size_t i = 0; i < rendered.size(); ++i) {
         frames.push_back(std::move(rendered[i].frame));
         frames.back().metrics = rows[i];
+        frames.back().metrics.merge(rendered[i].class_scores);
         if (!has_intensities(frames.back().real))
             std::erase_if(frames.back().metrics, [](const auto& metric) {
                 return metric.first.find("intensity") != std::string::npos;
@@ -232,6 +243,10 @@ Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const S
     // because reports show both.
     if (on_frame && renderer.refines(make_configured_sensor(config, sequence)))
         renderer.enable_channels("surfel_drop_prob");
+    if (std::ranges::any_of(positions, [&](int position) {
+            return has_class_scores(renderer, config, sequence.frames.at(std::size_t(position)));
+        }))
+        renderer.enable_channels("class");
     std::vector<ScoredFrame> scored = score_frames(
         {positions, sequence, config, progress, on_frame}, "rendering held-out frames",
         [&](int, const Frame& frame) { return render_frame(renderer, config, sequence, frame, {}); });

@@ -6,6 +6,7 @@
 
 #include <relidar/diff/forward.hpp>
 #include <relidar/simulate/weather.hpp>
+#include "base/parallel.hpp"
 
 namespace relidar {
 namespace {
@@ -71,10 +72,20 @@ ChannelValues make_velocity_channel(const RenderedScan& scan, const ScanContext&
     return velocity;
 }
 
+/// Returns the class of the surface that each ray hits. The class of the background is
+/// the class of the place at the median range.
 ChannelValues make_class_channel(const RenderedScan& scan, const ScanContext& context) {
-    std::vector<std::int32_t> of_rays;
-    for (const std::int32_t instance : scan.instance)
-        of_rays.push_back(instance < 0 ? -1 : context.classes[std::size_t(instance)]);
+    std::vector<std::int32_t> of_rays(scan.instance.size(), -1);
+    for_each_block(of_rays.size(), [&](std::size_t ray) {
+        const std::int32_t instance = scan.instance[ray];
+        if (instance < 0) return;
+        of_rays[ray] = context.classes[std::size_t(instance)];
+        if (instance != 0 || !context.background) return;
+        const glm::dvec3 point_m = glm::dvec3(scan.image.origin[ray]) +
+                                   double(scan.median_range_m[ray]) * glm::dvec3(scan.image.direction[ray]);
+        of_rays[ray] = std::int32_t(
+            context.background->find(scan.get_firing_pose(ray) * point_m - context.log.world_offset_m));
+    });
     return of_rays;
 }
 
@@ -123,6 +134,9 @@ Maker find_maker(const ChannelInfo& channel) {
 }
 
 }  // namespace
+
+static_assert(1 + int(ObjectKind::vehicle) == int(SurfaceClass::vehicle) &&
+              1 + int(ObjectKind::other) == int(SurfaceClass::other_actor));
 
 std::vector<std::int32_t> instance_classes(const Scene& scene, const Sequence& sequence) {
     std::vector<std::int32_t> classes;

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include <relidar/log/channels.hpp>
+#include <relidar/log/classes.hpp>
 #include <relidar/log/sequence.hpp>
 #include <relidar/scene/scene.hpp>
 #include <relidar/simulate/render.hpp>
@@ -26,6 +27,8 @@ struct ScanContext {
     std::vector<InstancePose> placed;
     /// [instances] values of the channel "class", see instance_classes()
     std::vector<std::int32_t> classes = {};
+    /// classes of the background; null if they are unknown
+    const ClassFinder* background = nullptr;
 };
 
 /// A ray hits nothing if the blending weights of its surfels sum up to less than this

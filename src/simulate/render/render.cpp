@@ -147,6 +147,17 @@ SeenByLog ScanRenderer::Impl::compute_seen_by_log(const SensorChoice& sensor) co
             std::min(sensor.limits.max_m, double(config.dataset.max_range_m))};
 }
 
+/// Returns the data from which the channels of a scan are computed.
+ScanContext ScanRenderer::Impl::make_scan_context(const Sweep& sweep) {
+    ScanContext context{compute_seen_by_log(sweep.sensor), sweeps.log().world_from_sensor(sweep.sensor.lidar),
+                        sweep.instances};
+    if (!has_channel("class")) return context;
+    context.classes = instance_classes(sweeps.layout(), sweeps.log());
+    if (!class_finder && !class_map.empty()) class_finder = std::make_unique<ClassFinder>(class_map);
+    context.background = class_finder.get();
+    return context;
+}
+
 /// Loads the part of the scene around the sensor, and moves the instances to their poses.
 void ScanRenderer::Impl::load_scene(const RenderLane& lane, const Sweep& sweep) {
     // Waits for pending scans, because loading parts of the scene can replace the
@@ -271,12 +282,7 @@ RenderedScan ScanRenderer::Impl::render(const Sweep& sweep, std::optional<std::u
     load_scene(lanes->first(), sweep);
     auto [scan, drops] = plan.splits_beams() ? TracedScan{trace_beams(sweep, plan.beams), {}}
                                              : trace(sweep, sweep.rays(), plan.network == Network::device);
-    add_scan_channels(
-        scan,
-        {compute_seen_by_log(sensor), sweeps.log().world_from_sensor(sensor.lidar), sweep.instances,
-         has_channel("class") ? instance_classes(sweeps.layout(), sweeps.log())
-                              : std::vector<std::int32_t>{}},
-        settings.channels);
+    add_scan_channels(scan, make_scan_context(sweep), settings.channels);
     set_unseen_share(scan, compute_seen_by_log(sensor));
     std::vector<ActorView> views;
     if (settings.has_views) views = count_first_hits(scan);
@@ -300,6 +306,7 @@ ScanRenderer::ScanRenderer(Device& device, const Run& run)
     : ScanRenderer(device, run.scene, run.config, run.sequence) {
     if (run.config.refine.enabled && !run.drop_network.empty()) refine_drops(run.drop_network);
     compare_with(run.coverage);
+    classify_background(run.classes);
     scatter_intensities(run.intensity_scatter);
 }
 
@@ -338,6 +345,13 @@ int ScanRenderer::side_by_side() const {
 }
 
 void ScanRenderer::compute_views() { impl_->settings.has_views = true; }
+
+void ScanRenderer::classify_background(const ClassMap& map) {
+    impl_->class_map = map;
+    impl_->class_finder.reset();
+}
+
+bool ScanRenderer::has_classes() const { return !impl_->class_map.empty(); }
 
 void ScanRenderer::compare_with(const Coverage& coverage) { impl_->settings.coverage = coverage; }
 

@@ -21,6 +21,7 @@
 
 namespace relidar {
 
+struct ScanContext;
 class RenderLanes;
 class SensorRays;
 struct RenderLane;
@@ -48,6 +49,9 @@ struct ScanRenderer::Impl {
     SweepMaker sweeps;
     ResidentScene scene;
     std::unique_ptr<RenderLanes> lanes;
+    ClassMap class_map = {};
+    /// Search tree of `class_map`. Null until the first scan with the channel `class`.
+    std::unique_ptr<const ClassFinder> class_finder = {};
     std::deque<PendingPoints> pending = {};  ///< requested scans, sorted from the oldest to the newest
 
     Impl(Device& on, const Scene& all, const Config& settings_of_run, const Sequence& sequence);
@@ -77,6 +81,7 @@ struct ScanRenderer::Impl {
     void wait_for_device() noexcept;
     bool has_channel(const std::string& name) const;
     SeenByLog compute_seen_by_log(const SensorChoice& sensor) const;
+    ScanContext make_scan_context(const Sweep& sweep);
 };
 
 }  // namespace relidar

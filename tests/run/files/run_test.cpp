@@ -254,6 +254,24 @@ TEST_F(RunFolder, CoverageRoundTripsExactly) {
     EXPECT_NE(error_with_arrays(3, "2").find("cell_m: found 2, expected 1"), std::string::npos);
 }
 
+TEST_F(RunFolder, ClassesRoundTripExactly) {
+    const std::filesystem::path file = run.folder / "classes.safetensors";
+    EXPECT_FALSE(std::filesystem::exists(file)) << "the log has no labelled points";
+    run.classes = {{{-700, 3, 12}, SurfaceClass::object}, {{5, -1, 0}, SurfaceClass::unknown}};
+    save_run(run);
+    EXPECT_EQ(load_run(run.folder).classes, run.classes);
+    const std::vector<std::int32_t> places(6);
+    const std::vector<std::uint16_t> classes{1, 16};
+    write_safetensors(
+        file, {make_array("place", {2, 3}, places.data(), 6), make_array("class", {2, 1}, classes.data(), 2)},
+        {{"format", "relidar classes"}, {"version", "1"}, {"cell_m", "0.1"}});
+    EXPECT_NE(load_error().find("classes.safetensors: class of cell 1: found 16, expected a number below 16"),
+              std::string::npos);
+    run.classes.clear();
+    save_run(run);
+    EXPECT_FALSE(std::filesystem::exists(file));
+}
+
 TEST_F(RunFolder, SensorRoundTripsExactly) {
     const SpinningSensor a = load_run(run.folder).sequence.lidars[0].sensor,
                          &b = run.sequence.lidars[0].sensor;

@@ -47,6 +47,9 @@ constexpr const char* kActors =
     "errors above 0.3 m; Chamfer distance, both ways summed; share of the simulated points within 3 cm of a "
     "real one; F1 of the rays that return from a box enlarged by 0.3 m; the table of actors has the same "
     "for each moving box, labelled or discovered, with sums of points and means weighted by real points";
+constexpr const char* kClasses =
+    "labelled returns, the class of the rendered ray whatever its drop probability; accuracy: share with the "
+    "same class; mean_iou: mean over the labels of the frame";
 constexpr const char* kColumns[] = {"pixels",      "returned",     "depth_medae_m",
                                     "depth_mae_m", "depth_rmse_m", "intensity_rmse"};
 
@@ -69,12 +72,13 @@ Json make_protocol_json(const Config& config) {
         {"points", kPoints},
         {"regions", kRegions},
         {"actors", kActors},
+        {"classes", kClasses},
         {"drop_threshold", {{"peer", 0.4}, {"strict", 0.5}, {"regions", 0.5}}}};
 }
 
 bool is_of_protocol(const std::string& name) {
     return name.starts_with("peer/") || name.starts_with("strict/") || name.starts_with("points/") ||
-           name.starts_with("actors/");
+           name.starts_with("actors/") || name.starts_with("classes/");
 }
 
 /// Returns the minimum and the maximum of a metric over all frames. Frames without this

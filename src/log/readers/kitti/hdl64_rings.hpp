@@ -11,6 +11,8 @@
 
 #include <glm/glm.hpp>
 
+#include <relidar/log/classes.hpp>
+
 namespace relidar::kitti {
 
 constexpr int kRings = 64;
@@ -19,7 +21,8 @@ constexpr int kRings = 64;
 struct RawScan {
     std::vector<glm::vec4> points;  ///< x, y, z in metres in the sensor frame, and reflectance
     std::vector<std::uint8_t> ring;
-    int n_rings = 0;  ///< number of rings in the file; 64 in a complete scan
+    int n_rings = 0;                    ///< number of rings in the file; 64 in a complete scan
+    std::vector<SurfaceClass> classes;  ///< [points] classes; empty if the points have no labels
 };
 
 /// All points of a rotating beam lie on this cone: z = z0 + tan_el * distance from the

@@ -88,7 +88,7 @@ Sequence load_kitti_odometry(const fs::path& log_folder, const DatasetOptions& o
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
     for (std::size_t i = 0; i < frames.size(); ++i) add_frame(sequence, frames[i], time_s[i], poses[i]);
     recentre_sequence(sequence);
-    kitti::read_sweeps(sequence, folder / "velodyne", 6, options);
+    kitti::read_sweeps(sequence, folder / "velodyne", 6, options, folder / "labels");
     return sequence;
 }
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Loads KITTI odometry. The folder sequences/NN contains velodyne/%06d.bin, calib.txt and
-// times.txt. Poses are in poses.txt or in ../../poses/NN.txt.
+// times.txt. Poses are in poses.txt or in ../../poses/NN.txt. SemanticKITTI adds the
+// classes of all points in labels/%06d.label.
 #pragma once
 
 #include <filesystem>

@@ -33,10 +33,21 @@ std::vector<const RawScan*> spread(const std::vector<RawScan>& scans, std::size_
     return some;
 }
 
+/// Reads a scan file and splits its points into rings.
+/// @param labels  folder of the label files; empty if the points have no labels
+RawScan read_raw_scan(const std::filesystem::path& file, const std::filesystem::path& labels) {
+    ScanPoints scan =
+        read_scan(file, labels.empty() ? labels : labels / file.filename().replace_extension(".label"));
+    RawScan raw = split_rings(std::move(scan.points));
+    raw.classes = std::move(scan.classes);
+    return raw;
+}
+
 Points make_points(const RawScan& raw) {
     Points points;
     for (const glm::vec4& p : raw.points) points.position_m.emplace_back(p), points.intensity.push_back(p.w);
     points.ring.assign(raw.ring.begin(), raw.ring.end());
+    points.classes = raw.classes;
     return points;
 }
 
@@ -159,7 +170,7 @@ void check_rays(const std::vector<RawScan>& raw, const FiringLattice& lattice, c
 }  // namespace
 
 void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int digits,
-                 const DatasetOptions& options) {
+                 const DatasetOptions& options, const std::filesystem::path& labels) {
     const Progress& progress = options.progress;
     BrokenScans broken(options.skip_broken);
     const auto file_of = [&](std::size_t at) {
@@ -167,7 +178,7 @@ void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int di
     };
     std::vector<RawScan> raw(sequence.frames.size());
     for_each_with_progress(raw.size(), progress, "reading scans", [&](std::size_t at) {
-        broken.attempt(at, [&] { raw[at] = split_rings(read_scan(file_of(at))); });
+        broken.attempt(at, [&] { raw[at] = read_raw_scan(file_of(at), labels); });
     });
     const ScanSizes scan_sizes(raw);
     for (std::size_t at = 0; at < raw.size(); ++at)

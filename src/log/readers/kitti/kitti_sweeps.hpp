@@ -15,8 +15,9 @@ namespace relidar::kitti {
 /// @param sequence  log with frame numbers, and with the period and range of its LiDAR
 /// @param folder  folder that contains one scan file per frame
 /// @param digits  number of digits in a file name, for example 10 in 0000000042.bin
+/// @param labels  folder of the label files; empty if the points have no labels
 /// @throws DataError with the file
 void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int digits,
-                 const DatasetOptions& options);
+                 const DatasetOptions& options, const std::filesystem::path& labels = {});
 
 }  // namespace relidar::kitti

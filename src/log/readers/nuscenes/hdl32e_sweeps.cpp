@@ -46,14 +46,26 @@ void remove_unmeasured(Points& points, std::vector<int>& numbers) {
         points.intensity[n] = points.intensity[i];
         points.ring[n] = points.ring[i];
         points.time_offset_s[n] = points.time_offset_s[i];
+        if (!points.classes.empty()) points.classes[n] = points.classes[i];
         numbers[n++] = numbers[i];
     }
     points.position_m.resize(n), points.intensity.resize(n), points.ring.resize(n),
         points.time_offset_s.resize(n), numbers.resize(n);
+    if (!points.classes.empty()) points.classes.resize(n);
 }
 
-ReadSweep read_sweep(const fs::path& file, const SpinningSensor& sensor, const PoseTrack& world_from_sensor,
-                     double time_s) {
+/// Reads the category index of each point of a sweep.
+std::string read_categories(const fs::path& file, std::size_t n_points) {
+    std::string categories = read_file(file);
+    if (categories.size() != n_points)
+        throw DataError(fmt::format("{} has {} bytes, expected one for each of the {} points of the sweep",
+                                    file.string(), categories.size(), n_points));
+    return categories;
+}
+
+ReadSweep read_sweep(const SweepFiles& files, const std::array<SurfaceClass, 256>& classes,
+                     const SpinningSensor& sensor, const PoseTrack& world_from_sensor, double time_s) {
+    const fs::path& file = files.points;
     const std::string bytes = read_file(file);
     if (bytes.empty() || bytes.size() % (kBeams * kPointBytes) != 0 ||
         bytes.size() / (kBeams * kPointBytes) > kMostColumnsOfSweep)
@@ -61,6 +73,7 @@ ReadSweep read_sweep(const fs::path& file, const SpinningSensor& sensor, const P
             fmt::format("{} has {} bytes, expected columns of {} points with {} bytes each, 1 to {} columns",
                         file.string(), bytes.size(), kBeams, kPointBytes, kMostColumnsOfSweep));
     const std::size_t n = bytes.size() / kPointBytes, columns = n / kBeams;
+    const std::string categories = files.categories.empty() ? "" : read_categories(files.categories, n);
     ReadSweep read;
     std::vector<int> numbers;
     for (std::size_t i = 0; i < n; ++i) {
@@ -81,6 +94,8 @@ ReadSweep read_sweep(const fs::path& file, const SpinningSensor& sensor, const P
         read.points.intensity.push_back(v[3] / 255.0f);
         read.points.ring.push_back(std::uint16_t(kBeams - 1 - std::size_t(v[4])));
         read.points.time_offset_s.push_back(float(-kPeriod_s * (1.0 - double(column) / double(columns))));
+        if (!categories.empty())
+            read.points.classes.push_back(classes[static_cast<unsigned char>(categories[i])]);
         numbers.push_back(int(column));
     }
     undo_compensation(read.points, world_from_sensor, time_s);
@@ -105,8 +120,9 @@ Lidar make_hdl32e(const Pose& ego_from_lidar) {
     return {"", sensor, ego_from_lidar * theirs_from_ours};
 }
 
-void read_hdl32e_sweeps(Sequence& sequence, const std::vector<fs::path>& files,
-                        const PoseTrack& vehicle_track, const DatasetOptions& options) {
+void read_hdl32e_sweeps(Sequence& sequence, const std::vector<SweepFiles>& files,
+                        const std::array<SurfaceClass, 256>& classes, const PoseTrack& vehicle_track,
+                        const DatasetOptions& options) {
     BrokenScans broken(options.skip_broken);
     std::vector<PoseTrack> ways;  // [lidars] poses of each LiDAR over time
     for (const Lidar& lidar : sequence.lidars)
@@ -115,7 +131,7 @@ void read_hdl32e_sweeps(Sequence& sequence, const std::vector<fs::path>& files,
     for_each_with_progress(sweeps.size(), options.progress, "reading sweeps", [&](std::size_t at) {
         const Frame& frame = sequence.frames[at];
         broken.attempt(at, [&] {
-            sweeps[at] = read_sweep(files[at], sequence.get_lidar(frame).sensor,
+            sweeps[at] = read_sweep(files[at], classes, sequence.get_lidar(frame).sensor,
                                     ways[std::size_t(frame.lidar)], frame.time_s);
         });
     });

@@ -4,6 +4,7 @@
 // points to the end of the revolution (motion compensation).
 #pragma once
 
+#include <array>
 #include <filesystem>
 #include <vector>
 
@@ -16,11 +17,23 @@ namespace relidar::nuscenes {
 /// @param ego_from_lidar  pose of the LiDAR in the convention of nuScenes
 Lidar make_hdl32e(const Pose& ego_from_lidar);
 
-/// Reads the scans of all frames, and computes sensor properties from the scans.
-/// @param files  [frames] file with the points of each frame
-/// @param vehicle_track vehicle poses of the dataset, for undoing its motion compensation
+/// Files of one sweep.
+struct SweepFiles {
+    std::filesystem::path points;
+    /// Category index of each point, 8 bits per point. Empty if the points have no
+    /// labels.
+    std::filesystem::path categories;
+};
+
+/// Reads the scans of all frames in sequence.frames. Also sets the properties of the
+/// sensors that can be computed from the scans.
+/// @param files  [frames] files of each frame
+/// @param classes  class of each category index
+/// @param vehicle_track vehicle poses of the dataset, with which the motion compensation
+/// is undone
 /// @throws DataError with file and point
-void read_hdl32e_sweeps(Sequence& sequence, const std::vector<std::filesystem::path>& files,
-                        const PoseTrack& vehicle_track, const DatasetOptions& options);
+void read_hdl32e_sweeps(Sequence& sequence, const std::vector<SweepFiles>& files,
+                        const std::array<SurfaceClass, 256>& classes, const PoseTrack& vehicle_track,
+                        const DatasetOptions& options);
 
 }  // namespace relidar::nuscenes

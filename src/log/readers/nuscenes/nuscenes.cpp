@@ -166,10 +166,9 @@ public:
         sequence_.boxes = select_boxes_at(scene_.labels, vehicle_track.time_s, kBeyondLabels * step_s_);
         kitti::use_pose_file(sequence_, options_.poses_file);
         recentre_sequence(sequence_);
-        std::vector<fs::path> files;
-        for (const NumberedSweep& frame : frames_) files.push_back(get_file_of_sweep(*frame.record));
-        if (format_.is_compensated) read_hdl32e_sweeps(sequence_, files, vehicle_track, options_);
-        else read_clouds(files);
+        if (format_.is_compensated)
+            read_hdl32e_sweeps(sequence_, list_files(), scene_.classes, vehicle_track, options_);
+        else read_clouds();
         return std::move(sequence_);
     }
 
@@ -309,9 +308,26 @@ private:
         return sequence_.world_from_vehicle;
     }
 
-    /// Reads point files of datasets without ring numbers and without motion
-    /// compensation.
-    void read_clouds(const std::vector<fs::path>& files) {
+    /// Returns the files of each frame. Adds a note if files with categories are missing.
+    std::vector<SweepFiles> list_files() {
+        std::vector<SweepFiles> files;
+        std::size_t n_missing = 0;
+        for (const NumberedSweep& frame : frames_) {
+            const std::string& categories = frame.record->categories_file;
+            const bool has_categories = !categories.empty() && does_path_exist(folder_ / categories);
+            n_missing += !categories.empty() && !has_categories;
+            files.push_back({get_file_of_sweep(*frame.record), has_categories ? folder_ / categories : ""});
+        }
+        if (n_missing > 0)
+            note(fmt::format("labels of points: {} of the files in lidarseg.json are missing", n_missing));
+        return files;
+    }
+
+    /// Reads the point files of datasets whose points have no rings and are not
+    /// motion-compensated.
+    void read_clouds() {
+        std::vector<fs::path> files;
+        for (const NumberedSweep& frame : frames_) files.push_back(get_file_of_sweep(*frame.record));
         folder::Head head;
         head.name = sequence_.name;
         // The last column has no information: it is always 1 in Lyft's files and -1 in

@@ -15,6 +15,7 @@
 
 #include <relidar/base/error.hpp>
 #include "base/files.hpp"
+#include "log/classes/dataset_classes.hpp"
 #include "log/readers/nuscenes/json_records.hpp"
 
 namespace relidar::nuscenes {
@@ -231,6 +232,29 @@ std::vector<BoxLabel> read_labels(const fs::path& tables, const SceneTables& sce
     return labels;
 }
 
+/// Reads which files contain the categories of points, and the class of each category.
+/// Does nothing if the table lidarseg is missing, because it is a separate download.
+void read_lidarseg(const fs::path& tables, SceneTables& scene) {
+    const fs::path file = tables / "lidarseg.json";
+    if (!does_path_exist(file)) return;
+    ByToken<SweepRecord*> sweeps;
+    for (SceneLidar& lidar : scene.lidars)
+        for (SweepRecord& sweep : lidar.sweeps) sweeps[sweep.token] = &sweep;
+    for_each_record(file, [&](const JsonRecord& record) {
+        const auto sweep = sweeps.find(record.text("sample_data_token"));
+        if (sweep != sweeps.end()) sweep->second->categories_file = record.text("filename");
+    });
+    const fs::path categories = tables / "category.json";
+    for_each_record(categories, [&](const JsonRecord& record) {
+        const std::int64_t index = record.rounded("index");
+        if (index < 0 || index >= std::int64_t(scene.classes.size()))
+            throw DataError(fmt::format("{}, key 'index': found {} for '{}', expected 0 to {}",
+                                        categories.string(), index, make_excerpt(record.text("name")),
+                                        scene.classes.size() - 1));
+        scene.classes[std::size_t(index)] = convert_nuscenes_class(record.text("name"));
+    });
+}
+
 }  // namespace
 
 std::vector<std::string> list_scenes(const fs::path& tables) {
@@ -247,6 +271,7 @@ SceneTables read_scene(const fs::path& tables, const std::string& name) {
     scene.lidars = read_lidars(tables, samples);
     scene.world_from_ego = read_poses(tables, scene.lidars[0].sweeps);
     scene.labels = read_labels(tables, scene, samples);
+    read_lidarseg(tables, scene);
     return scene;
 }
 

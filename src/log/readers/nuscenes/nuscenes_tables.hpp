@@ -3,6 +3,7 @@
 // 5.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <filesystem>
 #include <string>
@@ -22,6 +23,9 @@ struct SweepRecord {
     std::string file;          ///< relative to the dataset
     std::int64_t time_us = 0;  ///< timestamp of the revolution
     bool is_keyframe = false;
+    /// File with the category of each point (nuScenes-lidarseg), relative to the dataset.
+    /// Empty if the points have no labels.
+    std::string categories_file = {};
 };
 
 /// A LiDAR of the scene: a channel whose name begins with LIDAR_.
@@ -41,6 +45,9 @@ struct SceneTables {
     /// Box labels of the keyframes in the world frame, with times in seconds after the
     /// first sweep.
     std::vector<BoxLabel> labels;
+    /// Class of each category index of nuScenes-lidarseg. An index that no category has
+    /// is `unknown`.
+    std::array<SurfaceClass, 256> classes{};
 
     /// Converts a time stamp to seconds after the first sweep of the first LiDAR.
     double seconds(std::int64_t time_us) const {

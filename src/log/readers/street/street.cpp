@@ -9,6 +9,7 @@
 #include <cmath>
 #include <limits>
 #include <span>
+#include <string_view>
 #include <utility>
 
 namespace relidar::street {
@@ -92,12 +93,20 @@ bool is_in_window(const Shape& wall, const glm::dvec3& local, const glm::dvec3& 
     return u - 3.0 * std::floor(u / 3.0) < 1.2 && v > 1.0 && v - 3.0 * std::floor(v / 3.0) > 1.5;
 }
 
-/// Returns the reflectance of a point on the ground: a road with a dashed centre line,
-/// and pavements on both sides.
-double compute_ground_reflectance(const glm::dvec3& point) {
+/// Returns the hit of a ray on the ground. The ground consists of a road with a dashed
+/// centre line, and pavements on both sides.
+/// @param range_m,cosine  range and cosine of the hit
+Hit make_ground_hit(const glm::dvec3& point, double range_m, double cosine) {
     const double middle = std::abs(point.y - 1.7);
     const bool dash = middle < 0.08 && point.x - 6.0 * std::floor(point.x / 6.0) < 3.0;
-    return dash ? 0.8 : middle < 4.2 ? 0.18 : 0.32;
+    if (middle < 4.2) return {range_m, cosine, dash ? 0.8 : 0.18, SurfaceClass::road};
+    return {range_m, cosine, 0.32, SurfaceClass::sidewalk};
+}
+
+SurfaceClass find_class(std::string_view category) {
+    return category == "Pedestrian" ? SurfaceClass::person
+           : category == "Cyclist"  ? SurfaceClass::cyclist
+                                    : SurfaceClass::vehicle;
 }
 
 /// Returns the bounding sphere of a shape, through the corners of its box.
@@ -138,7 +147,7 @@ public:
         const double t = -ray_.origin_m.z / ray_.direction.z;
         if (!(t > 0.0) || t > nearest_m_) return;
         nearest_m_ = t;
-        hit_ = Hit{t, -ray_.direction.z, compute_ground_reflectance(ray_.origin_m + t * ray_.direction)};
+        hit_ = make_ground_hit(ray_.origin_m + t * ray_.direction, t, -ray_.direction.z);
     }
 
     /// Intersects the ray with a shape, and stores the hit if it is the nearest so far.
@@ -154,7 +163,7 @@ public:
         if (!(m.t <= nearest_m_)) return;
         nearest_m_ = m.t;
         const bool glass = shape.material == Material::wall && is_in_window(shape, o + m.t * d, m.normal);
-        hit_ = Hit{m.t, std::abs(glm::dot(m.normal, d)), glass ? 0.06 : shape.reflectance};
+        hit_ = Hit{m.t, std::abs(glm::dot(m.normal, d)), glass ? 0.06 : shape.reflectance, shape.surface};
     }
 
     /// Intersects the ray with an arm or a leg, and stores the hit if it is the nearest
@@ -170,7 +179,7 @@ public:
         const Meeting m = intersect_capsule(limb.radius_m, limb.length_m, hanging(origin - limb.joint_m), d);
         if (!(m.t <= nearest_m_)) return;
         nearest_m_ = m.t;
-        hit_ = Hit{m.t, std::abs(glm::dot(m.normal, d)), limb.reflectance};
+        hit_ = Hit{m.t, std::abs(glm::dot(m.normal, d)), limb.reflectance, SurfaceClass::person};
     }
 
     const std::optional<Hit>& hit() const { return hit_; }
@@ -219,6 +228,7 @@ StreetCaster::StreetCaster(Street street) : solids_(make_solids(street.shapes)) 
         clusters_.push_back({compute_bounding_sphere(shapes.subspan(begin, end - begin)), end});
     }
     for (MovingCar& car : street.cars) {
+        for (Shape& shape : car.shapes) shape.surface = find_class(car.category);
         Car& new_car = cars_.emplace_back(Car{std::move(car), {}});
         new_car.solids = make_solids(new_car.moving.shapes);
         for (const Solid& s : new_car.solids)

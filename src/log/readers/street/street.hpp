@@ -22,6 +22,7 @@ struct Shape {
     double yaw_rad = 0.0;
     Material material = Material::wall;
     double reflectance = 0.5;  ///< reflectance from 0 to 1
+    SurfaceClass surface = SurfaceClass::building;
 };
 
 /// A leg or an arm of a walking person: a capsule that swings about its joint once per
@@ -81,6 +82,7 @@ struct Hit {
     double range_m;
     double cosine;  ///< cosine of the angle between ray and surface normal, 0 to 1
     double reflectance;
+    SurfaceClass surface;
 };
 
 /// Poses of all moving cars at one time. Consecutive rays with the same time reuse them.

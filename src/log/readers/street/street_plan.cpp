@@ -83,7 +83,8 @@ void add_poles_and_trees(Street& street, Random& random, const Side& at) {
                                  {radius, radius, 0.5 * height},
                                  0.0,
                                  tree ? Material::leaves : Material::metal,
-                                 tree ? 0.3 : 0.5});
+                                 tree ? 0.3 : 0.5,
+                                 tree ? SurfaceClass::vegetation : SurfaceClass::pole});
         if (!tree) continue;
         const double size = random.uniform(0.7, 1.2);
         street.shapes.push_back({Shape::Kind::box,
@@ -91,7 +92,8 @@ void add_poles_and_trees(Street& street, Random& random, const Side& at) {
                                  glm::dvec3(size),
                                  random.uniform(0.0, 1.5),
                                  Material::leaves,
-                                 0.4});
+                                 0.4,
+                                 SurfaceClass::vegetation});
     }
 }
 
@@ -143,6 +145,7 @@ void add_parked_car(Street& street, double x, double y, double yaw, const std::v
         shape.centre = glm::dvec3(x + c.x * std::cos(yaw) - c.y * std::sin(yaw),
                                   y + c.x * std::sin(yaw) + c.y * std::cos(yaw), c.z + kBoxCentre_m);
         shape.yaw_rad = yaw;
+        shape.surface = SurfaceClass::vehicle;
         street.shapes.push_back(shape);
     }
 }
@@ -163,8 +166,13 @@ void add_parked_cars(Street& street, Random& random, const Side& side, bool glaz
 void add_yard(Street& street, Random& random) {
     const double fence_y = kLeftKerb_m + 2.4;
     for (double x = kYardBegin_m; x < kYardEnd_m; x += random.uniform(0.4, 1.2))
-        street.shapes.push_back(
-            {Shape::Kind::box, {x, fence_y, 0.9}, {0.15, 0.05, 0.9}, 0.0, Material::wall, 0.4});
+        street.shapes.push_back({Shape::Kind::box,
+                                 {x, fence_y, 0.9},
+                                 {0.15, 0.05, 0.9},
+                                 0.0,
+                                 Material::wall,
+                                 0.4,
+                                 SurfaceClass::fence});
     for (double x = kYardBegin_m + 1.5; x < kYardEnd_m; x += random.uniform(2.6, 4.0))
         add_parked_car(street, x, fence_y + random.uniform(3.0, 4.0), 0.5 * kPi + random.uniform(-0.05, 0.05),
                        make_glazed_car_shapes(random.uniform(0.15, 0.8)));
@@ -207,7 +215,7 @@ void add_bush(Street& street, Random& random, const glm::dvec2& at_m) {
         const glm::dvec3 place(at_m + glm::dvec2(random.uniform(-1.0, 1.0), random.uniform(-0.5, 0.5)),
                                random.uniform(0.1, 1.6));
         street.shapes.push_back({Shape::Kind::box, place, glm::dvec3(random.uniform(0.03, 0.08)),
-                                 random.uniform(0.0, 1.5), Material::leaves, 0.4});
+                                 random.uniform(0.0, 1.5), Material::leaves, 0.4, SurfaceClass::vegetation});
     }
 }
 

@@ -104,7 +104,10 @@ void cast_rays(const street::Street& whole, const glm::dvec3& offset_m, const Po
 }
 
 Scan make_empty_scan(const RayTable& rays) {
-    return {rays, ScanArray<float>(rays.size(), 0.0f), ScanArray<float>(rays.size(), 0.0f)};
+    return {.rays = rays,
+            .range_m = ScanArray<float>(rays.size(), 0.0f),
+            .intensity = ScanArray<float>(rays.size(), 0.0f),
+            .classes = ScanArray<SurfaceClass>(rays.size(), SurfaceClass::unknown)};
 }
 
 /// Returns the origin of the log in the street frame: the sensor position in the middle
@@ -122,6 +125,7 @@ Scan cast_exactly(const street::Street& street, const glm::dvec3& offset_m, cons
         if (compute_drop_probability(hit) > 0.5) return;
         scan.range_m[ray] = static_cast<float>(hit.range_m);
         scan.intensity[ray] = static_cast<float>(compute_echo_intensity(hit));
+        scan.classes[ray] = hit.surface;
     });
     return scan;
 }
@@ -175,6 +179,7 @@ Scan measure_scan(const SyntheticOptions& options, const street::Street& street,
                   scan.range_m[ray] = static_cast<float>(std::max(range, 0.01));
                   scan.intensity[ray] = static_cast<float>(
                       glm::clamp(compute_echo_intensity(hit) + 0.01 * random.normal(), 0.0, 1.0));
+                  scan.classes[ray] = hit.surface;
               });
     return scan;
 }

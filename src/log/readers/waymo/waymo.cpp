@@ -27,6 +27,7 @@
 #include "base/files.hpp"
 #include "base/median.hpp"
 #include "base/progress_blocks.hpp"
+#include "log/classes/dataset_classes.hpp"
 #include "log/clouds/broken_scans.hpp"
 #include "log/clouds/lidar_rt_benchmark.hpp"
 #include "log/clouds/log_files.hpp"
@@ -230,6 +231,7 @@ public:
         for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
             if (!poses) place(ray, world_from_vehicle);
             else if (scan.range_m[ray] > 0.0f) place(ray, read_pixel_pose(*poses, ray, where_));
+        if (!images.labels.empty()) read_labels(images.labels);
         if (images.second.empty()) return;
         SecondReturn& second = scan.second_returns.emplace_back(
             SecondReturn{to_vector(scan.range_m), to_vector(scan.intensity)});
@@ -245,8 +247,18 @@ private:
     /// [columns] transform from the world of the log to the sensor when the column fires
     std::vector<Pose> sensor_from_world_;
 
-    Image inflate_image_of_pixels(std::string_view packed) const {
-        Image image = inflate_image(packed, kImageChannels, where_);
+    /// Reads the class of each pixel. A label consists of an instance and a class.
+    void read_labels(std::string_view packed) {
+        const Image labels = inflate_image_of_pixels(packed, 2, PixelType::integer);
+        scan.classes.assign(scan.rays.size(), SurfaceClass::unknown);
+        for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
+            if (scan.range_m[ray] > 0.0f)
+                scan.classes[ray] = convert_waymo_class(int(std::clamp(labels.pixel(ray)[1], 0.0f, 255.0f)));
+    }
+
+    Image inflate_image_of_pixels(std::string_view packed, int channels = kImageChannels,
+                                  PixelType type = PixelType::real) const {
+        Image image = inflate_image(packed, channels, where_, type);
         if (image.rows == scan.rays.rows && image.columns == scan.rays.columns) return image;
         throw DataError(
             fmt::format("{}: the range image has {} x {} pixels, expected {} x {} like in the first frame",

@@ -115,36 +115,46 @@ void parse_context(pbf_reader from, FrameRecord& frame, const std::string& locat
     }
 }
 
-/// Parses a RangeImage message. Its two compressed images are the range image and the
-/// vehicle poses of its pixels.
-void parse_range_image(pbf_reader from, std::string_view& image, std::string_view& pixel_pose) {
+/// Compressed images of a RangeImage message: the range image, the vehicle poses of its
+/// pixels, and their labels.
+struct ReturnImages {
+    std::string_view image, pixel_pose, labels;
+};
+
+ReturnImages parse_range_image(pbf_reader from) {
+    ReturnImages images;
     while (from.next()) {
         switch (from.tag_and_type()) {
             case make_message_tag(2):
-                image = to_string_view(from);
+                images.image = to_string_view(from);
                 break;
             case make_message_tag(4):
-                pixel_pose = to_string_view(from);
+                images.pixel_pose = to_string_view(from);
+                break;
+            case make_message_tag(6):
+                images.labels = to_string_view(from);
                 break;
             default:
                 from.skip();
         }
     }
+    return images;
 }
 
 LaserImages parse_laser(pbf_reader from) {
     LaserImages laser;
-    std::string_view none;
     while (from.next()) {
         switch (from.tag_and_type()) {
             case number(1):
                 laser.laser = from.get_enum();
                 break;
-            case make_message_tag(2):
-                parse_range_image(from.get_message(), laser.first, laser.pixel_pose);
+            case make_message_tag(2): {
+                const ReturnImages first = parse_range_image(from.get_message());
+                laser.first = first.image, laser.pixel_pose = first.pixel_pose, laser.labels = first.labels;
                 break;
+            }
             case make_message_tag(3):
-                parse_range_image(from.get_message(), laser.second, none);
+                laser.second = parse_range_image(from.get_message()).image;
                 break;
             default:
                 from.skip();
@@ -207,18 +217,24 @@ void parse_label(pbf_reader from, FrameRecord& frame, const std::string& locatio
     frame.labels.push_back(std::move(label));
 }
 
-/// Parses a MatrixFloat message, which contains values and dimensions.
-void parse_matrix(pbf_reader from, std::vector<float>& values, std::vector<std::int32_t>& dims) {
+/// Parses a MatrixFloat or MatrixInt32 message, which contains values and dimensions.
+void parse_matrix(pbf_reader from, PixelType type, std::vector<float>& values,
+                  std::vector<std::int32_t>& dims) {
     while (from.next()) {
         switch (from.tag_and_type()) {
             case make_single_real_tag(1):
                 values.push_back(from.get_float());
                 break;
-            case make_message_tag(1): {
-                const auto packed = from.get_packed_float();
-                values.insert(values.end(), packed.begin(), packed.end());
+            case number(1):
+                if (type == PixelType::integer) values.push_back(float(from.get_int32()));
+                else from.skip();
                 break;
-            }
+            case make_message_tag(1):
+                if (type == PixelType::real)
+                    for (const float value : from.get_packed_float()) values.push_back(value);
+                else
+                    for (const std::int32_t value : from.get_packed_int32()) values.push_back(float(value));
+                break;
             case make_message_tag(2):
                 for (pbf_reader shape = from.get_message(); shape.next();) {
                     if (shape.tag_and_type() == number(1)) dims.push_back(shape.get_int32());
@@ -305,13 +321,13 @@ FrameRecord parse_frame(std::string_view record, const std::string& location) {
     return frame;
 }
 
-Image inflate_image(std::string_view packed, int channels, const std::string& location) {
+Image inflate_image(std::string_view packed, int channels, const std::string& location, PixelType type) {
     constexpr int kMostRows = 1024, kMostColumns = 8192;
     Image image;
     std::vector<std::int32_t> dims;
     const std::string bytes = inflate(packed, location);
-    parse_with_context(location,
-                       [&] { parse_matrix(pbf_reader(bytes.data(), bytes.size()), image.values, dims); });
+    parse_with_context(
+        location, [&] { parse_matrix(pbf_reader(bytes.data(), bytes.size()), type, image.values, dims); });
     const bool fits =
         dims.size() == 3 && dims[0] >= 1 && dims[0] <= kMostRows && dims[1] >= 1 && dims[1] <= kMostColumns &&
         dims[2] == channels &&

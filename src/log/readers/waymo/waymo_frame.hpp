@@ -33,6 +33,9 @@ struct LaserImages {
     /// Image with the vehicle pose of each pixel of `first`. Empty if the record has only
     /// one pose for all pixels.
     std::string_view pixel_pose;
+    /// Instance and class of each pixel of the first return. Empty if the frame has no
+    /// labels of points.
+    std::string_view labels;
 };
 
 struct FrameRecord {
@@ -56,11 +59,14 @@ struct Image {
 
     const float* pixel(std::size_t index) const { return &values[index * std::size_t(channels)]; }
 };
-/// Decompresses a range image or a pose image.
+/// Types of the numbers in an image: MatrixFloat or MatrixInt32.
+enum class PixelType { real, integer };
+/// Decompresses a range image, a pose image or an image of labels.
 /// @param packed  image as a zlib stream
 /// @throws DataError if the stream is damaged, or if the image has another number of
 /// channels
-Image inflate_image(std::string_view packed, int channels, const std::string& location);
+Image inflate_image(std::string_view packed, int channels, const std::string& location,
+                    PixelType type = PixelType::real);
 
 /// Returns the elevation of each row of a range image, from the top row to the bottom
 /// row.

@@ -112,6 +112,7 @@ void expect_same_scans(const Sequence& sequence, const Sequence& truth) {
         EXPECT_TRUE(a.scan.rays.time_offset_s == b.scan.rays.time_offset_s &&
                     a.scan.rays.channel == b.scan.rays.channel)
             << "frame " << i;
+        EXPECT_EQ(a.scan.classes, b.scan.classes);
         ASSERT_EQ(a.scan.second_returns.size(), b.scan.second_returns.size());
         for (std::size_t k = 0; k < b.scan.second_returns.size(); ++k)
             EXPECT_TRUE(a.scan.second_returns[k].range_m == b.scan.second_returns[k].range_m &&

@@ -3,9 +3,12 @@
 // Compares times, poses and directions with their exact values.
 #include <relidar/log/dataset.hpp>
 
+#include <array>
 #include <cmath>
+#include <cstring>
 #include <filesystem>
 #include <functional>
+#include <map>
 
 #include <fmt/format.h>
 #include <gtest/gtest.h>
@@ -80,6 +83,64 @@ TEST(KittiOdometry, TakesPosesOfTheLidar) {
                      "1 0 0 5 0 1 0 0 0 0 1 0\n1 0 0 6 0 1 0 0 0 0 1 0\n1 0 0 7 0 1 0 0 0 0 1 0\n");
     EXPECT_EQ(read(odometry, odometry.folder / "lidar.txt").world_offset_m, glm::dvec3(6, 0, 0));
     EXPECT_EQ(read(odometry, kNoPoses).world_from_vehicle.pose[2].translation, glm::dvec3(0, 0, 0));
+}
+
+/// Labels of the points in a scan file, as SemanticKITTI stores them. Consecutive points
+/// have different classes, and instances in the upper 16 bits.
+std::vector<std::uint32_t> make_labels(std::size_t n_points) {
+    constexpr std::uint32_t kLabels[] = {0, 10, 40, 48, 50, 51, 70, 71, 72, 80, 81, 99, 252, 254, 259};
+    std::vector<std::uint32_t> labels;
+    for (std::size_t i = 0; i < n_points; ++i)
+        labels.push_back(kLabels[i % std::size(kLabels)] | std::uint32_t(i % 1000) << 16);
+    return labels;
+}
+
+TEST(KittiOdometry, ReadsTheClassesOfSemanticKitti) {
+    using enum SurfaceClass;
+    constexpr SurfaceClass kClasses[] = {unknown, vehicle,    road,       sidewalk, building,
+                                         fence,   vegetation, vegetation, terrain,  pole,
+                                         sign,    object,     vehicle,    person,   vehicle};
+    const Odometry odometry("odometry_labels");
+    for (const int frame : {0, 2}) {
+        const std::vector<std::uint32_t> labels = make_labels(fs::file_size(odometry.drive.scan(frame)) / 16);
+        test::write_text(odometry.folder / "labels" / fmt::format("{:06d}.label", frame),
+                         {reinterpret_cast<const char*>(labels.data()), 4 * labels.size()});
+    }
+    const Sequence log = load_sequence(odometry.folder.string(), {});
+    EXPECT_TRUE(log.frames[1].scan.classes.empty()) << "a frame without a file";
+    for (const int frame : {0, 2}) {
+        const std::string bytes = test::read_text(odometry.drive.scan(frame));
+        // The scan has coordinates in full millimetres, which identify a point.
+        std::map<std::array<long, 3>, SurfaceClass> expected;
+        const auto key_of = [](const glm::vec3& p) {
+            return std::array{std::lround(1e3 * double(p.x)), std::lround(1e3 * double(p.y)),
+                              std::lround(1e3 * double(p.z))};
+        };
+        for (std::size_t i = 0; i < bytes.size() / 16; ++i) {
+            glm::vec4 point;
+            std::memcpy(&point, bytes.data() + 16 * i, 16);
+            expected[key_of(glm::vec3(point))] = kClasses[i % std::size(kClasses)];
+        }
+        const Scan& scan = log.frames[std::size_t(frame)].scan;
+        ASSERT_EQ(scan.classes.size(), scan.range_m.size());
+        for (std::size_t ray = 0; ray < scan.classes.size(); ++ray)
+            ASSERT_EQ(scan.classes[ray],
+                      scan.range_m[ray] > 0.0f ? expected.at(key_of(scan.point(ray))) : unknown);
+    }
+}
+
+TEST(KittiOdometry, RefusesAnotherNumberOfLabels) {
+    const Odometry odometry("odometry_short_labels");
+    test::write_text(odometry.folder / "labels/000001.label", "12345678");
+    try {
+        load_sequence(odometry.folder.string(), {});
+        FAIL();
+    } catch (const DataError& error) {
+        EXPECT_NE(
+            std::string(error.what()).find("000001.label has 8 bytes, expected 4 bytes for each of the "),
+            std::string::npos)
+            << error.what();
+    }
 }
 
 TEST(KittiOdometry, SaysWhichFileIsWrong) {

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstring>
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -74,6 +75,71 @@ TEST(Nuscenes, EveryRayIsWhereItWasFired) {
             ASSERT_FLOAT_EQ(frame.scan.intensity[i], 0.2f);
         }
     }
+}
+
+/// Writes the tables of nuScenes-lidarseg, and labels of both keyframes of scene-0103.
+/// The point with index i has the category i % 3.
+void write_categories(const NuscenesFolder& data) {
+    test::write_text(data.table("category"),
+                     R"([{"token": "animal", "name": "animal", "index": 1},
+                         {"token": "vehicle", "name": "vehicle.car", "index": 2},
+                         {"token": "noise", "name": "noise", "index": 0}])");
+    std::string table;
+    for (const int sweep : {0, 10}) {
+        const std::string file = fmt::format("lidarseg/v1.0-mini/{}_lidarseg.bin", sweep);
+        table += fmt::format(R"({}{{"token": "x{}", "sample_data_token": "d{}", "filename": "{}"}})",
+                             table.empty() ? "" : ", ", sweep, sweep, file);
+        std::string bytes;
+        for (std::size_t i = 0; i < fs::file_size(data.sweep(sweep)) / 20; ++i) bytes += char(i % 3);
+        test::write_text(data.folder / file, bytes);
+    }
+    test::write_text(data.table("lidarseg"), "[" + table + "]");
+}
+
+TEST(Nuscenes, ReadsTheClassesOfLidarseg) {
+    const NuscenesFolder data("lidarseg");
+    write_categories(data);
+    const Sequence actual = load(data);
+    for (const Frame& frame : actual.frames) {
+        const Scan& scan = frame.scan;
+        ASSERT_EQ(scan.classes.size(), frame.index % 10 == 0 ? scan.range_m.size() : 0u);
+        for (std::size_t i = 0; i < scan.classes.size(); ++i) {
+            const double turned = 1.0 + double(scan.rays.time_offset_s[i]) / NuscenesFolder::kSweep_s;
+            const std::size_t column = std::size_t(std::lround(turned * data.columns)),
+                              point = column * 32 + 31u - scan.rays.channel[i];
+            const SurfaceClass expected = scan.range_m[i] == 0.0f || point % 3 == 0 ? SurfaceClass::unknown
+                                          : point % 3 == 1 ? SurfaceClass::other_actor
+                                                           : SurfaceClass::vehicle;
+            ASSERT_EQ(scan.classes[i], expected) << i;
+        }
+    }
+}
+
+TEST(Nuscenes, RefusesDamagedLabelsOfPoints) {
+    const NuscenesFolder data("bad_lidarseg", 40);
+    write_categories(data);
+    const fs::path file = data.folder / "lidarseg/v1.0-mini/10_lidarseg.bin";
+    const auto error_of_load = [&] {
+        try {
+            load(data);
+            return std::string("no error");
+        } catch (const DataError& error) {
+            return std::string(error.what());
+        }
+    };
+    test::write_text(file, "123");
+    EXPECT_THAT(error_of_load(),
+                testing::HasSubstr("10_lidarseg.bin has 3 bytes, expected one for each of the 1280 points"));
+    fs::remove(file);
+    const Sequence log = load(data);
+    EXPECT_THAT(log.notes,
+                testing::Contains("labels of points: 1 of the files in lidarseg.json are missing"));
+    EXPECT_TRUE(log.frames[10].scan.classes.empty());
+    EXPECT_FALSE(log.frames[0].scan.classes.empty());
+    test::write_text(data.table("category"),
+                     R"([{"token": "vehicle", "name": "vehicle.car", "index": 256}])");
+    EXPECT_THAT(error_of_load(),
+                testing::HasSubstr("key 'index': found 256 for 'vehicle.car', expected 0 to 255"));
 }
 
 TEST(Nuscenes, TablesOfT4) {

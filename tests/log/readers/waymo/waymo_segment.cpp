@@ -226,20 +226,32 @@ std::string make_waymo_matrix(const std::vector<float>& values, const std::vecto
     return deflate_bytes(make_waymo_unpacked_matrix(values, dims));
 }
 
+std::string make_waymo_integer_matrix(const std::vector<int>& values, const std::vector<int>& dims) {
+    std::string text, shape;
+    protozero::pbf_writer dimensions(shape);
+    for (const int dim : dims) dimensions.add_int32(1, dim);
+    protozero::pbf_writer matrix(text);
+    matrix.add_packed_int32(1, values.begin(), values.end());
+    matrix.add_message(2, shape);
+    return deflate_bytes(text);
+}
+
 std::string make_waymo_laser(int laser, const std::string& first, const std::string& second,
-                             const std::string& poses) {
-    const auto range_image = [](const std::string& image, const std::string& pixel_poses) {
+                             const std::string& poses, const std::string& labels) {
+    const auto range_image = [](const std::string& image, const std::string& pixel_poses,
+                                const std::string& pixel_labels) {
         std::string text;
         protozero::pbf_writer writer(text);
         writer.add_bytes(2, image);
         if (!pixel_poses.empty()) writer.add_bytes(4, pixel_poses);
+        if (!pixel_labels.empty()) writer.add_bytes(6, pixel_labels);
         return text;
     };
     std::string text;
     protozero::pbf_writer writer(text);
     writer.add_enum(1, laser);
-    if (!first.empty()) writer.add_message(2, range_image(first, poses));
-    if (!second.empty()) writer.add_message(3, range_image(second, ""));
+    if (!first.empty()) writer.add_message(2, range_image(first, poses, labels));
+    if (!second.empty()) writer.add_message(3, range_image(second, "", ""));
     return text;
 }
 

@@ -34,8 +34,11 @@ std::string make_waymo_matrix(const std::vector<float>& values, const std::vecto
 std::string deflate_bytes(const std::string& bytes);
 /// @param second second returns. Empty if the laser has no second returns.
 /// @param poses poses of the pixels. Empty if the laser has no pixel poses.
+/// @param labels labels of the pixels. Empty if the laser has no labels of points.
 std::string make_waymo_laser(int laser, const std::string& first, const std::string& second,
-                             const std::string& poses);
+                             const std::string& poses, const std::string& labels = "");
+/// Encodes a MatrixInt32 as a zlib stream.
+std::string make_waymo_integer_matrix(const std::vector<int>& values, const std::vector<int>& dims);
 std::string make_waymo_label(const std::string& id, int type, const glm::dvec3& centre,
                              const glm::dvec3& length_width_height, double heading);
 

@@ -312,6 +312,38 @@ TEST(Waymo, DamagedFramesAreRefused) {
     });
 }
 
+/// Returns a TOP laser whose pixels all have a range of 5 m, with labels of `n_labels`
+/// pixels. Pixel i has the instance i and one of four classes.
+std::string make_labelled_top(int n_labels, const std::vector<int>& dims) {
+    constexpr int kTypes[] = {0, 1, 18, 22};  // undefined, car, road, sidewalk
+    std::vector<int> labels;
+    for (int i = 0; i < n_labels; ++i) labels.insert(labels.end(), {i, kTypes[i % 4]});
+    const int h = WaymoSegment::kTopRows, w = WaymoSegment::kTopColumns;
+    return test::make_waymo_laser(
+        1, test::make_waymo_matrix(std::vector<float>(std::size_t(h * w * 4), 5.0f), {h, w, 4}), "", "",
+        test::make_waymo_integer_matrix(labels, dims));
+}
+
+TEST(Waymo, ReadsTheClassesOfPoints) {
+    using enum SurfaceClass;
+    constexpr SurfaceClass kClasses[] = {unknown, vehicle, road, sidewalk};
+    WaymoSegment segment("waymo_classes");
+    const int h = WaymoSegment::kTopRows, w = WaymoSegment::kTopColumns;
+    segment.frames[1].lasers[1] = make_labelled_top(h * w, {h, w, 2});
+    segment.write();
+    const Sequence log = read(segment);
+    for (const Frame& frame : log.frames) {
+        const bool has_labels = frame.index == 1 && log.get_lidar(frame).name == "TOP";
+        ASSERT_EQ(frame.scan.classes.size(), has_labels ? frame.scan.range_m.size() : 0u);
+        for (std::size_t i = 0; i < frame.scan.classes.size(); ++i)
+            ASSERT_EQ(frame.scan.classes[i], kClasses[i % 4]) << i;
+    }
+    segment.frames[1].lasers[1] = make_labelled_top(h * (w - 1), {h, w - 1, 2});
+    segment.write();
+    EXPECT_THAT(get_refusal(segment, test::read_text(segment.file)),
+                HasSubstr("the range image has 16 x 399 pixels, expected 16 x 400"));
+}
+
 TEST(Waymo, DamagedCalibrationsAreRefused) {
     WaymoSegment segment("waymo_calibration");
     const auto expect = [&](const std::string& part, const std::vector<std::string>& calibrations) {

@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: Apache-2.0
+// Classes of surfaces, and the class map of a log: the classes of all places at which the
+// log has labelled points. A simulated ray gets the class of the place that it hits.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include <glm/glm.hpp>
+
+namespace relidar {
+
+struct PoseTrack;
+struct Sequence;
+
+/// Class of a surface. The numbers are the values of the channel `class`.
+enum class SurfaceClass : std::uint8_t {
+    unknown,  ///< background without a label
+    vehicle,
+    cyclist,  ///< cycle or motorcycle, with or without a rider
+    person,
+    other_actor,
+    road,      ///< surface to drive on, including markings and parking spaces
+    sidewalk,  ///< surface to walk on, including kerbs
+    terrain,   ///< grass and soil
+    other_ground,
+    building,
+    fence,
+    vegetation,  ///< plants, including trunks
+    pole,
+    sign,       ///< traffic sign or traffic light
+    structure,  ///< man-made structure without a more specific class
+    object      ///< small static object, such as a cone or a barrier
+};
+inline constexpr std::size_t kSurfaceClasses = 16;
+
+/// A cubic cell of the world with labelled points, and their most frequent class.
+struct ClassCell {
+    glm::ivec3 place{0};  ///< position of the lowest corner, in units of kClassCell_m
+    SurfaceClass surface = SurfaceClass::unknown;
+
+    bool operator==(const ClassCell&) const = default;
+};
+/// Edge length of a cell.
+inline constexpr double kClassCell_m = 0.1;
+/// The cells of a log. Each place occurs at most once.
+using ClassMap = std::vector<ClassCell>;
+
+/// Computes the class map of some scans, in relidar's world frame. Uses the first returns
+/// of scans with classes. Ignores returns in moving boxes. In a tie between classes, uses
+/// the class with the higher number.
+/// @param world_from_vehicle  poses of the vehicle at the times of the frames
+/// @param positions  indices into Sequence::frames of the frames to use
+/// @return an empty map if no scan has classes
+ClassMap find_classes(const Sequence& sequence, const PoseTrack& world_from_vehicle,
+                      const std::vector<int>& positions);
+
+/// Adds the cells of another map. If both maps have a cell at a place, keeps the cell of
+/// the first map.
+void add_classes(ClassMap& map, const ClassMap& other);
+
+/// Finds the class of a point. Several threads can use the same object.
+class ClassFinder {
+public:
+    /// Builds a search tree of the cells.
+    /// @param map  at least one cell
+    explicit ClassFinder(const ClassMap& map);
+    ~ClassFinder();
+    /// Returns the class of the nearest cell. Returns `unknown` if the centre of this
+    /// cell is more than 2 m away, or if a coordinate is not finite.
+    /// @param point_m [3] metres, in relidar's world frame
+    SurfaceClass find(const glm::dvec3& point_m) const;
+
+private:
+    struct Impl;
+    std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace relidar

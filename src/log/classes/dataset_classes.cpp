@@ -1,0 +1,121 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "log/classes/dataset_classes.hpp"
+
+#include <algorithm>
+#include <span>
+
+namespace relidar {
+namespace {
+
+/// Number of a class in a dataset, and relidar's class.
+struct NumberedClass {
+    int number;
+    SurfaceClass surface;
+};
+
+/// First characters of the name of a class in a dataset, and relidar's class.
+struct NamedClass {
+    std::string_view prefix;
+    SurfaceClass surface;
+};
+
+SurfaceClass find_numbered_class(std::span<const NumberedClass> table, int number) {
+    const auto row = std::ranges::find(table, number, &NumberedClass::number);
+    return row == table.end() ? SurfaceClass::unknown : row->surface;
+}
+
+}  // namespace
+
+SurfaceClass convert_semantic_kitti_class(int label) {
+    using enum SurfaceClass;
+    static constexpr NumberedClass kClasses[] = {
+        {10, vehicle},       // car
+        {11, cyclist},       // bicycle
+        {13, vehicle},       // bus
+        {15, cyclist},       // motorcycle
+        {16, vehicle},       // on-rails
+        {18, vehicle},       // truck
+        {20, vehicle},       // other-vehicle
+        {30, person},        // person
+        {31, cyclist},       // bicyclist
+        {32, cyclist},       // motorcyclist
+        {40, road},          // road
+        {44, road},          // parking
+        {48, sidewalk},      // sidewalk
+        {49, other_ground},  // other-ground
+        {50, building},      // building
+        {51, fence},         // fence
+        {52, structure},     // other-structure
+        {60, road},          // lane-marking
+        {70, vegetation},    // vegetation
+        {71, vegetation},    // trunk
+        {72, terrain},       // terrain
+        {80, pole},          // pole
+        {81, sign},          // traffic-sign
+        {99, object},        // other-object
+        {252, vehicle},      // moving-car
+        {253, cyclist},      // moving-bicyclist
+        {254, person},       // moving-person
+        {255, cyclist},      // moving-motorcyclist
+        {256, vehicle},      // moving-on-rails
+        {257, vehicle},      // moving-bus
+        {258, vehicle},      // moving-truck
+        {259, vehicle},      // moving-other-vehicle
+    };
+    return find_numbered_class(kClasses, label);
+}
+
+SurfaceClass convert_nuscenes_class(std::string_view category) {
+    using enum SurfaceClass;
+    // The first row with a matching prefix defines the class.
+    static constexpr NamedClass kClasses[] = {
+        {"vehicle.ego", unknown},
+        {"vehicle.bicycle", cyclist},
+        {"vehicle.motorcycle", cyclist},
+        {"vehicle.", vehicle},
+        {"human.", person},
+        {"animal", other_actor},
+        {"flat.driveable_surface", road},
+        {"flat.sidewalk", sidewalk},
+        {"flat.terrain", terrain},
+        {"flat.", other_ground},
+        {"static.manmade", structure},
+        {"static.vegetation", vegetation},
+        {"static", object},
+        {"movable_object.", object},
+    };
+    const auto* row = std::ranges::find_if(
+        kClasses, [&](const NamedClass& named) { return category.starts_with(named.prefix); });
+    return row == std::end(kClasses) ? unknown : row->surface;
+}
+
+SurfaceClass convert_waymo_class(int type) {
+    using enum SurfaceClass;
+    static constexpr NumberedClass kClasses[] = {
+        {1, vehicle},        // car
+        {2, vehicle},        // truck
+        {3, vehicle},        // bus
+        {4, vehicle},        // other vehicle
+        {5, cyclist},        // motorcyclist
+        {6, cyclist},        // bicyclist
+        {7, person},         // pedestrian
+        {8, sign},           // sign
+        {9, sign},           // traffic light
+        {10, pole},          // pole
+        {11, object},        // construction cone
+        {12, cyclist},       // bicycle
+        {13, cyclist},       // motorcycle
+        {14, building},      // building
+        {15, vegetation},    // vegetation
+        {16, vegetation},    // tree trunk
+        {17, sidewalk},      // kerb
+        {18, road},          // road
+        {19, road},          // lane marker
+        {20, other_ground},  // other ground
+        {21, terrain},       // walkable
+        {22, sidewalk},      // sidewalk
+    };
+    return find_numbered_class(kClasses, type);
+}
+
+}  // namespace relidar

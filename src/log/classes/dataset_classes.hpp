@@ -1,0 +1,19 @@
+// SPDX-License-Identifier: Apache-2.0
+// Maps the classes of datasets to relidar's classes. Returns `unknown` for classes that
+// are not in the tables, because they are noise, the recording vehicle, or not labelled.
+#pragma once
+
+#include <string_view>
+
+#include <relidar/log/classes.hpp>
+
+namespace relidar {
+
+/// @param label  number of a class in SemanticKITTI
+SurfaceClass convert_semantic_kitti_class(int label);
+/// @param category  name of a category in nuScenes, for example "flat.sidewalk"
+SurfaceClass convert_nuscenes_class(std::string_view category);
+/// @param type  number of a Segmentation.Type in Waymo Open
+SurfaceClass convert_waymo_class(int type);
+
+}  // namespace relidar

@@ -1,0 +1,78 @@
+// SPDX-License-Identifier: Apache-2.0
+// Computes the class map of a log: the labelled returns in each cell of the world vote
+// for the class of the cell.
+#include <relidar/log/classes.hpp>
+
+#include <algorithm>
+#include <array>
+
+#include <relidar/log/sequence.hpp>
+
+#include "base/cell_key.hpp"
+#include "base/cell_numbers.hpp"
+#include "base/parallel.hpp"
+
+namespace relidar {
+namespace {
+
+/// Returns the cells of the labelled returns of a frame that are not in a moving box.
+/// @param moving  moving boxes of the log
+std::vector<ClassCell> list_votes(const Sequence& sequence, const PoseTrack& world_from_sensor,
+                                  const std::vector<BoxTrack>& moving, const Frame& frame) {
+    const Scan& scan = frame.scan;
+    std::vector<ClassCell> votes;
+    for (std::size_t ray = 0; ray < scan.classes.size(); ++ray) {
+        if (!(scan.range_m[ray] > 0.0f)) continue;
+        const WorldRay world =
+            make_world_ray(world_from_sensor, frame.time_s, scan.rays, ray, sequence.rolling_shutter);
+        const glm::dvec3 point_m =
+            world.origin_m + double(compute_surface_return(sequence, frame, ray).range_m) * world.direction;
+        const double time_s =
+            frame.time_s + (sequence.rolling_shutter ? double(scan.rays.time_offset_s[ray]) : 0.0);
+        if (is_in_moving_box(moving, point_m, time_s, kMoverMargin_m)) continue;
+        votes.push_back({glm::ivec3(glm::floor(point_m / kClassCell_m)), scan.classes[ray]});
+    }
+    return votes;
+}
+
+/// Returns the class with most votes. In a tie, returns the class with the higher number.
+SurfaceClass choose_class(const std::array<std::uint32_t, kSurfaceClasses>& votes) {
+    std::size_t best = 0;
+    for (std::size_t k = 1; k < votes.size(); ++k)
+        if (votes[k] >= votes[best] && votes[k] > 0) best = k;
+    return SurfaceClass(best);
+}
+
+}  // namespace
+
+ClassMap find_classes(const Sequence& sequence, const PoseTrack& world_from_vehicle,
+                      const std::vector<int>& positions) {
+    std::vector<PoseTrack> world_from_sensor;
+    for (const Lidar& lidar : sequence.lidars)
+        world_from_sensor.push_back(mount_on_track(world_from_vehicle, lidar.vehicle_from_sensor));
+    std::vector<BoxTrack> moving = sequence.boxes;
+    std::erase_if(moving, [](const BoxTrack& box) { return !box.moves(); });
+    std::vector<std::vector<ClassCell>> votes_of_frame(positions.size());
+    parallel_for(static_cast<int>(positions.size()), [&](int index) {
+        const Frame& frame = sequence.frames[std::size_t(positions[std::size_t(index)])];
+        votes_of_frame[std::size_t(index)] =
+            list_votes(sequence, world_from_sensor[std::size_t(frame.lidar)], moving, frame);
+    });
+    std::vector<ClassCell> votes;
+    for (std::vector<ClassCell>& some : votes_of_frame) {
+        votes.insert(votes.end(), some.begin(), some.end());
+        some = {};
+    }
+    const CellNumbers cells = number_cells(
+        votes.size(), [&](std::size_t vote) { return make_cell_key(glm::dvec3(votes[vote].place), 1.0); });
+    ClassMap map(cells.n_cells);
+    std::vector<std::array<std::uint32_t, kSurfaceClasses>> counts(cells.n_cells);
+    for (std::size_t i = 0; i < votes.size(); ++i) {
+        map[cells.of[i]].place = votes[i].place;
+        ++counts[cells.of[i]][std::size_t(votes[i].surface)];
+    }
+    for (std::size_t cell = 0; cell < map.size(); ++cell) map[cell].surface = choose_class(counts[cell]);
+    return map;
+}
+
+}  // namespace relidar

@@ -1,0 +1,117 @@
+// SPDX-License-Identifier: Apache-2.0
+// Compares the class map of a street with a count of its labels, and the class of random
+// points with a search through all cells.
+#include <relidar/log/classes.hpp>
+
+#include <array>
+#include <cmath>
+#include <limits>
+#include <map>
+#include <tuple>
+
+#include <gtest/gtest.h>
+
+#include <relidar/log/dataset.hpp>
+
+#include "base/random.hpp"
+#include "log/classes/dataset_classes.hpp"
+
+namespace relidar {
+namespace {
+
+using Place = std::tuple<int, int, int>;
+Place to_place(const glm::ivec3& place) { return {place.x, place.y, place.z}; }
+
+/// Counts the labels in each cell, except those in moving boxes.
+std::map<Place, std::array<int, kSurfaceClasses>> count_labels(const Sequence& log,
+                                                               const std::vector<int>& positions) {
+    std::map<Place, std::array<int, kSurfaceClasses>> counts;
+    for (const int position : positions) {
+        const Frame& frame = log.frames[std::size_t(position)];
+        for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
+            if (frame.scan.range_m[ray] == 0.0f) continue;
+            const WorldReturn hit = compute_world_return(log, frame, ray);
+            if (is_in_moving_box(log.boxes, hit.point_m, hit.time_s, kMoverMargin_m)) continue;
+            ++counts[to_place(glm::ivec3(glm::floor(10.0 * hit.point_m)))]
+                    [std::size_t(frame.scan.classes[ray])];
+        }
+    }
+    return counts;
+}
+
+TEST(ClassMap, HasTheMostFrequentClassOfEachCell) {
+    const Sequence log = make_synthetic_street({.n_frames = 8, .rows = 16, .columns = 256, .people = true});
+    const std::vector<int> positions = {0, 1, 3, 4};
+    auto counts = count_labels(log, positions);
+    const ClassMap map = find_classes(log, log.world_from_vehicle, positions);
+    ASSERT_EQ(map.size(), counts.size());
+    std::array<std::size_t, kSurfaceClasses> n_cells{};
+    for (const ClassCell& cell : map) {
+        const std::array<int, kSurfaceClasses>& votes = counts[to_place(cell.place)];
+        ++n_cells[std::size_t(cell.surface)];
+        for (const int n : votes) ASSERT_LE(n, votes[std::size_t(cell.surface)]);
+    }
+    using enum SurfaceClass;
+    for (const SurfaceClass surface : {vehicle, road, sidewalk, building, fence, vegetation, pole})
+        EXPECT_GT(n_cells[std::size_t(surface)], 10u) << int(surface);
+    for (const SurfaceClass surface : {unknown, person, cyclist})
+        EXPECT_EQ(n_cells[std::size_t(surface)], 0u) << int(surface) << ": only in moving boxes";
+}
+
+TEST(ClassMap, IgnoresScansWithoutLabels) {
+    Sequence log = make_synthetic_street({.n_frames = 2, .rows = 8, .columns = 64});
+    const std::size_t n_first = find_classes(log, log.world_from_vehicle, {0}).size();
+    log.frames[1].scan.classes.clear();
+    EXPECT_EQ(find_classes(log, log.world_from_vehicle, {0, 1}).size(), n_first);
+    log.frames[0].scan.classes.clear();
+    EXPECT_TRUE(find_classes(log, log.world_from_vehicle, {0, 1}).empty());
+}
+
+TEST(ClassMap, KeepsItsOwnCellsIfAnotherMapIsAdded) {
+    ClassMap map = {{{-1, 2, 3}, SurfaceClass::road}};
+    add_classes(map, {{{-1, 2, 3}, SurfaceClass::pole}, {{1, 2, 3}, SurfaceClass::sign}});
+    EXPECT_EQ(map, (ClassMap{{{-1, 2, 3}, SurfaceClass::road}, {{1, 2, 3}, SurfaceClass::sign}}));
+}
+
+TEST(ClassFinder, FindsTheNearestCell) {
+    Random random(3);
+    const auto random_vector = [&](double reach) {
+        return glm::dvec3(random.uniform(-reach, reach), random.uniform(-reach, reach),
+                          random.uniform(-reach, reach));
+    };
+    ClassMap map;
+    for (int i = 0; i < 300; ++i)
+        map.push_back({glm::ivec3(random_vector(60.0)), SurfaceClass(random.uniform() * 15.99)});
+    const ClassFinder finder(map);
+    std::size_t n_far = 0;
+    for (int i = 0; i < 2000; ++i) {
+        const glm::dvec3 point = random_vector(8.0);
+        double nearest_m = std::numeric_limits<double>::infinity();
+        SurfaceClass expected = SurfaceClass::unknown;
+        for (const ClassCell& cell : map)
+            if (const double away_m = glm::distance(0.1 * (glm::dvec3(cell.place) + 0.5), point);
+                away_m < nearest_m)
+                nearest_m = away_m, expected = cell.surface;
+        if (nearest_m > 2.0) expected = SurfaceClass::unknown, ++n_far;
+        ASSERT_EQ(finder.find(point), expected) << i;
+    }
+    EXPECT_GT(n_far, 50u);
+    EXPECT_EQ(finder.find(glm::dvec3(0.0, std::nan(""), 0.0)), SurfaceClass::unknown);
+}
+
+TEST(DatasetClasses, AreRelidarsClasses) {
+    using enum SurfaceClass;
+    EXPECT_EQ(convert_semantic_kitti_class(0), unknown);
+    EXPECT_EQ(convert_semantic_kitti_class(48), sidewalk);
+    EXPECT_EQ(convert_semantic_kitti_class(252), vehicle);
+    EXPECT_EQ(convert_nuscenes_class("vehicle.ego"), unknown);
+    EXPECT_EQ(convert_nuscenes_class("vehicle.bus.rigid"), vehicle);
+    EXPECT_EQ(convert_nuscenes_class("flat.other"), other_ground);
+    EXPECT_EQ(convert_nuscenes_class("static_object.bicycle_rack"), object);
+    EXPECT_EQ(convert_nuscenes_class("noise"), unknown);
+    EXPECT_EQ(convert_waymo_class(17), sidewalk);
+    EXPECT_EQ(convert_waymo_class(23), unknown);
+}
+
+}  // namespace
+}  // namespace relidar

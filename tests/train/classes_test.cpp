@@ -1,0 +1,108 @@
+// SPDX-License-Identifier: Apache-2.0
+// Trains on a street in the format of SemanticKITTI and compares the channel `class` of
+// held-out scans with the exact classes of the street.
+#include <cmath>
+#include <cstring>
+#include <filesystem>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <fmt/format.h>
+#include <gtest/gtest.h>
+
+#include <relidar/log/dataset.hpp>
+#include <relidar/score/evaluation.hpp>
+#include <relidar/train/train.hpp>
+
+#include "../support/device.hpp"
+#include "log/readers/kitti/kitti_drive.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// Number of each class of the street in SemanticKITTI.
+std::uint32_t get_label(SurfaceClass surface) {
+    switch (surface) {
+        case SurfaceClass::vehicle:
+            return 10;
+        case SurfaceClass::road:
+            return 40;
+        case SurfaceClass::sidewalk:
+            return 48;
+        case SurfaceClass::building:
+            return 50;
+        case SurfaceClass::vegetation:
+            return 70;
+        case SurfaceClass::pole:
+            return 80;
+        default:
+            return 0;
+    }
+}
+
+/// Writes a scan ring by ring. In each ring, the azimuth increases from the forward
+/// direction.
+void write_scan(const fs::path& folder, int frame, const Scan& scan) {
+    std::string points, labels;
+    const int columns = scan.rays.columns;
+    for (int row = 0; row < scan.rays.rows; ++row)
+        for (int k = 0; k < columns; ++k) {
+            // Columns are sorted by decreasing azimuth from +180 degrees.
+            const auto ray = std::size_t(row * columns + (columns / 2 - 1 - k + columns) % columns);
+            if (scan.range_m[ray] == 0.0f) continue;
+            const glm::vec4 point(scan.point(ray), scan.intensity[ray]);
+            const std::uint32_t label = get_label(scan.classes[ray]) | 77u << 16;
+            points.append(reinterpret_cast<const char*>(&point), sizeof point);
+            labels.append(reinterpret_cast<const char*>(&label), sizeof label);
+        }
+    test::write_text(folder / "velodyne" / fmt::format("{:06d}.bin", frame), points);
+    test::write_text(folder / "labels" / fmt::format("{:06d}.label", frame), labels);
+}
+
+/// Writes a street without moving objects as a KITTI odometry sequence with labels. All
+/// rays of a scan start at the same pose.
+void write_semantic_kitti(const fs::path& folder, const SyntheticOptions& options) {
+    const Sequence street = make_synthetic_street(options);
+    std::string poses, times;
+    for (const Frame& frame : street.frames) {
+        const Pose pose = street.world_from_vehicle.pose[street.get_pose_index(frame)];
+        const glm::dmat4 m = to_matrix(pose);
+        for (int i = 0; i < 12; ++i) poses += fmt::format("{}{}", m[i % 4][i / 4], i == 11 ? "\n" : " ");
+        times += fmt::format("{}\n", frame.time_s);
+        RayTable rays = make_rays(street.lidars[0].sensor);
+        std::fill(rays.time_offset_s.begin(), rays.time_offset_s.end(), 0.0f);
+        write_scan(folder, frame.index,
+                   cast_synthetic_street(options, rays, {{frame.time_s}, {pose}}, frame.time_s));
+    }
+    test::write_text(folder / "calib.txt", "Tr: 1 0 0 0 0 1 0 0 0 0 1 0\n");
+    test::write_text(folder / "poses.txt", poses);
+    test::write_text(folder / "times.txt", times);
+}
+
+class TrainedClasses : public test::DeviceTest {};
+
+TEST_F(TrainedClasses, OfHeldOutScansAreThoseOfTheStreet) {
+    const fs::path folder = fs::path(testing::TempDir()) / "relidar_semantic_kitti/sequences/00";
+    write_semantic_kitti(folder, {.n_frames = 7, .rows = 64, .columns = 200, .moving_cars = false});
+    const Sequence log = load_sequence(folder.string(), {});
+    fs::remove_all(folder.parent_path().parent_path());
+    const Split split = split_frames(log, 0, "3");
+    Config config = make_preset("quick");
+    config.init.voxel_m = 0.4;
+    config.train.iterations = 60;
+    config.train.rays_per_iteration = 0;
+    const TrainResult result = train(device(), log, split, config, [](const TrainProgress&) { return true; });
+
+    ScanRenderer renderer(device(), result.scene, config, log);
+    EXPECT_FALSE(evaluate_frames(renderer, config, log, split.test).mean.contains("classes/accuracy"));
+    renderer.classify_background(result.classes);
+    const MetricRow scores = evaluate_frames(renderer, config, log, split.test).mean;
+    EXPECT_GT(scores.at("classes/accuracy"), 0.9);
+    EXPECT_GT(scores.at("classes/mean_iou"), 0.7);
+}
+
+}  // namespace
+}  // namespace relidar
