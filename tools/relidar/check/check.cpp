@@ -29,7 +29,7 @@ namespace {
 using Clock = std::chrono::steady_clock;
 
 struct CheckOptions {
-    std::string json, run;
+    std::string json, run, sensor;
     bool speed = false;
     DeviceChoice device;
 };
@@ -119,13 +119,15 @@ void check_device(const CheckOptions& options) {
     if (std::error_code failed; std::filesystem::is_directory(options.json, failed))
         throw DataError(
             fmt::format("--json {}: this is a folder; expected the name of a file to write", options.json));
+    if (!options.sensor.empty() && options.run.empty())
+        throw UsageError("--sensor can only be used with --run, because the street has fixed rays");
     if (!options.run.empty() && !options.speed)
         throw UsageError("--run can only be used with --speed, because the checks use no run");
     std::optional<OutputFolder> folder;
     if (const std::filesystem::path json = options.json; !json.empty())
         folder.emplace(json.has_parent_path() ? json.parent_path() : ".");
     catch_interrupts();
-    if (options.speed) measure_speed({options.run, options.json, options.device});
+    if (options.speed) measure_speed({options.run, options.sensor, options.json, options.device});
     else run_checks(options);
 }
 
@@ -138,7 +140,8 @@ times until the device has finished.
 Examples:
   relidar check
   relidar check --device 1 --json check.json
-  relidar check --speed --run run --json speed.json)";
+  relidar check --speed --run run --json speed.json
+  relidar check --speed --run run --sensor rig.json)";
 
 }  // namespace
 
@@ -151,6 +154,11 @@ void add_check(CLI::App& app, Call& call) {
         ->add_option("--run", options->run,
                      "with --speed: measure on the scene and sensor of this run instead of the street")
         ->type_name("RUN");
+    command
+        ->add_option("--sensor", options->sensor,
+                     "with --run: sensor or rig whose scans per second are measured (default: the log's "
+                     "sensor)")
+        ->type_name("NAME|FILE");
     command->add_option("--json", options->json, "also write the results to this file")->type_name("FILE");
     add_device_options(*command, options->device);
     command->footer(kCheckHelp);
