@@ -298,9 +298,9 @@ public:
     /// @throws UsageError for an unknown channel, and for a channel that needs normals if
     /// the primitives have none
     void enable_channels(const std::string& names);
-    /// Computes RenderedScan::actor_views in all following scans. Traces the rays near
-    /// each actor a second time, without all other surfaces.
-    void compute_views();
+    /// Switches RenderedScan::actor_views of all following scans on or off. To compute
+    /// them, traces the rays near each actor a second time, without all other surfaces.
+    void compute_views(bool enabled = true);
     /// Sets the space that the log observed. All following scans are compared with this
     /// space to set RenderedScan::compute_unseen_share. An empty coverage switches the
     /// comparison off.

@@ -337,7 +337,7 @@ int ScanRenderer::side_by_side() const {
     return impl_->sweeps.layout().blocks.empty() ? impl_->lanes->most() : 1;
 }
 
-void ScanRenderer::compute_views() { impl_->settings.has_views = true; }
+void ScanRenderer::compute_views(bool enabled) { impl_->settings.has_views = enabled; }
 
 void ScanRenderer::compare_with(const Coverage& coverage) { impl_->settings.coverage = coverage; }
 
