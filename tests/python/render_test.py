@@ -54,6 +54,33 @@ class Render(TestCase):
         for axis, name in enumerate("xyz"):
             self.assert_same(scan["points"][returned][:, axis], np.ascontiguousarray(vertices[name]))
 
+    def test_boxes_contain_the_points_of_their_actors(self):
+        """Counts the points in each box. Also compares the boxes with those of the tool."""
+        time, number = run().times[3], run().frame_numbers[3]
+        scan = run().render(time=time, frame="world", boxes=True)
+        boxes = scan["boxes"]
+        self.assertGreater(boxes["points"].max(), 20)
+        returned = (scan["drop_prob"] < 0.5) & (scan["median_range"] > 0)
+        points, instance = scan["points"][returned], scan["instance"][returned]
+        for i, track in enumerate(boxes["track"]):
+            of_actor = instance == list(scan["instance_names"]).index(track)
+            n = np.count_nonzero(of_actor)
+            self.assertEqual(boxes["points"][i], n)
+            in_box = np.abs(np.linalg.inv(boxes["pose"][i]) @ np.c_[points, np.ones(len(points))].T)[:3].T
+            larger, smaller = (np.all(in_box < boxes["size_m"][i] / 2 + margin, axis=1) for margin in (0.15, -0.15))
+            self.assertGreaterEqual(np.count_nonzero(larger & of_actor), 0.95 * n, track)
+            self.assertLessEqual(np.count_nonzero(smaller & ~of_actor), 0.05 * n, track)
+        tool("render", run().folder, "--out", FOLDER / "boxes", "--frames", f"{number}:{number + 1}", "--boxes")
+        written = json.loads((FOLDER / "boxes/scans.json").read_text())["scans"][0]["boxes"]
+        self.assertEqual(list(boxes["track"]), [box["track"] for box in written])
+        for name in ("size_m", "time_s", "velocity_mps", "points", "visible_share"):
+            np.testing.assert_allclose(boxes[name], [box[name] for box in written], rtol=1e-4, atol=1e-3, err_msg=name)
+        np.testing.assert_allclose(boxes["pose"], [box["world_from_box"] for box in written], atol=1e-4)
+        moved = run().render(time=time, actors={boxes["track"][0]: boxes["pose"][0]}, boxes=True)["boxes"]
+        self.assertEqual(list(moved["track"]), [boxes["track"][0]])
+        np.testing.assert_allclose(moved["pose"], boxes["pose"][:1], atol=1e-6)
+        self.assertNotIn("boxes", run().render(time=time))
+
     def test_a_ray_that_meets_nothing_gives_no_point(self):
         """Follows the recipe of the README. The last bias of the network is far below 0, so that it
         predicts a return for every ray."""

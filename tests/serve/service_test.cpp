@@ -305,6 +305,45 @@ TEST_F(Service, ImageAndPointsHaveAsManyReturns) {
     }
 }
 
+/// The car drives away from the sensor. A copy of the car is behind the wall.
+TEST_F(Service, BoxesAreThoseOfTheRequestAndCountItsPoints) {
+    start();
+    v1::SpawnActorsRequest spawn;
+    spawn.add_actors()->set_name("hidden"), spawn.mutable_actors(0)->set_actor("car");
+    v1::SpawnActorsResponse spawned;
+    grpc::ClientContext context;
+    ASSERT_TRUE(stub()->SpawnActors(&context, spawn, &spawned).ok());
+    v1::RenderLidarRequest request = make_standing_request();
+    request.set_time_s(0.5);
+    request.mutable_sensor()->set_name("VLP-16:3600x10");
+    for (const auto& [name, x_m] : {std::pair("car", 4.0), std::pair("hidden", 12.0)}) {
+        v1::ActorTrack& actor = *request.mutable_actors()->add_actors();
+        actor.set_name(name);
+        add_pose(*actor.mutable_poses(), 0.4, make_pose_at_x(x_m));
+        add_pose(*actor.mutable_poses(), 0.6, make_pose_at_x(x_m + 1.0));
+    }
+    EXPECT_EQ(scan_of(request).boxes_size(), 0) << "not requested";
+    request.mutable_wanted()->Clear();
+    request.mutable_wanted()->set_points(true), request.mutable_wanted()->set_boxes(true);
+    const v1::LidarScan scan = scan_of(request);
+    ASSERT_EQ(scan.boxes_size(), 2);
+    const v1::ActorBox &car = scan.boxes(0), &hidden = scan.boxes(1);
+    EXPECT_EQ(car.name() + hidden.name(), "carhidden");
+    EXPECT_EQ(car.category() + hidden.category(), "CarCar");
+    EXPECT_EQ(hidden.size_m().y(), 1.0);
+    EXPECT_NEAR(car.time_s(), 0.5, 1e-3) << "the sensor faces ahead at the time of the scan";
+    const double travelled_m = 5.0 * (car.time_s() - 0.4);
+    EXPECT_NEAR(car.dataset_from_box().translation().x() - kDatasetOrigin_m.x, 4.0 + travelled_m, 1e-6);
+    EXPECT_NEAR(car.velocity_mps().x(), 5.0, 1e-4);
+    const std::vector<std::int32_t> instances = values<std::int32_t>(scan.points().instance());
+    EXPECT_EQ(car.points(), std::uint64_t(std::ranges::count(instances, 1)));
+    EXPECT_EQ(hidden.points(),
+              std::uint64_t(std::ranges::count(instances, std::int32_t(spawned.actors(0).instance()))));
+    EXPECT_GT(car.points(), 100u);
+    EXPECT_NEAR(car.visible_share(), 1.0, 0.02);
+    EXPECT_EQ(hidden.visible_share(), 0.0);
+}
+
 TEST_F(Service, ChannelsComeWithPointsAndImage) {
     channels = "normal,spread";
     start();

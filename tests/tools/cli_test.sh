@@ -950,6 +950,9 @@ bench() {
     check "bench --run: other rays than the run's 8 x 96" grep -q '"rays": 768' run.json
     check "bench --run: other surfels than the run's" grep -q "\"surfels\": $("$relidar" info run | sed -n 's/^surfels *\([0-9]*\).*/\1/p')," run.json
     check "run.json lacks scans_per_s" grep -Eq '"scans_per_s": [0-9.]*[1-9]' run.json
+    good check --speed --run run --sensor rig.json
+    says "^ +[0-9.]+ per second if the sensors are rendered one after the other$"
+    bad 2 "--sensor can only be used with --run" check --speed --sensor rig.json
     bad 3 "nowhere: no such folder" check --speed --run nowhere --json lost.json
     absent lost.json
 }

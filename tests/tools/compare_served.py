@@ -6,9 +6,12 @@ image in the request.
 
   compare_served.py SOURCE_ROOT HOST:PORT WAY.csv TIME_S SCAN.npz SENSOR [CERT.pem]
 
+Boxes must equal those that `--boxes` writes to scans.json in the folder of SCAN.npz.
 The poses of WAY.csv have no rotation. Prints errors and exits with code 1 if a check fails.
 """
 import csv
+import json
+import pathlib
 import sys
 
 import grpc
@@ -29,7 +32,7 @@ def check(what, condition):
 poses = [[float(x) for x in row] for row in list(csv.reader(open(way)))[1:]]
 path = [v1.TimedPose(time_s=t, pose=v1.Pose(translation=v1.Vector(x=x, y=y, z=z))) for t, x, y, z, _ in poses]
 request = v1.RenderLidarRequest(path=path, time_s=float(time_s), points_at_s=float(time_s),
-                                wanted=v1.Wanted(points=True, range_image=True, drop_probability=True))
+                                wanted=v1.Wanted(points=True, range_image=True, drop_probability=True, boxes=True))
 if sensor:
     request.sensor.name = sensor
 if len(sys.argv) > 7:
@@ -57,6 +60,16 @@ for what, points in (("points beside an image", scan.points), ("points alone", a
         served, expected = np.frombuffer(data, kind), expected[hit].ravel()
         check(f"{what}: {len(served)} numbers of {name}, expected {len(expected)}, more than 10", len(served) == len(expected) > 10)
         check(f"{what}: {name} differs", np.array_equal(served, expected))
+
+boxes = json.loads(pathlib.Path(npz).with_name("scans.json").read_text())["scans"][0]["boxes"]
+check(f"{len(scan.boxes)} boxes, expected {len(boxes)}, at least 1", len(scan.boxes) == len(boxes) > 0)
+for served, expected in zip(scan.boxes, boxes):
+    pose, what = served.dataset_from_box.translation, f"box {expected['track']}"
+    check(f"{what}: {served.name} of class {served.category}", (served.name, served.category) == (expected["track"], expected["category"]))
+    check(f"{what}: {served.points} points, share {served.visible_share}",
+          (served.points, served.visible_share) == (expected["points"], expected["visible_share"]))
+    check(f"{what}: another time or pose", np.allclose([served.time_s, pose.x, pose.y, pose.z],
+                                                       [expected["time_s"], *(row[3] for row in expected["world_from_box"][:3])], atol=1e-6))
 
 print("\n".join(failures))
 sys.exit(1 if failures else 0)

@@ -118,7 +118,7 @@ PYTHON
 printf 'time_s,x,y,z,yaw_deg\n0.4,3.25,0.5,1.73,0\n0.6,5.5,0.25,1.73,0\n' >way.csv
 for sensor in "" VLP-16:90x10; do
     rm -rf scans
-    "$relidar" render run --out scans --trajectory way.csv --times 0.5:0.5:1 --deskew --format npz --quiet ${sensor:+--sensor "$sensor"} \
+    "$relidar" render run --out scans --trajectory way.csv --times 0.5:0.5:1 --deskew --boxes --format npz --quiet ${sensor:+--sensor "$sensor"} \
         || fail "render --trajectory"
     "$python" -B "$root/tests/tools/compare_served.py" "$root" "$address" way.csv 0.5 scans/frame_000000.npz "$sensor" \
         || fail "a client's scan of sensor '$sensor' differs from that of render --trajectory"

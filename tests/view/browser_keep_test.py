@@ -12,7 +12,8 @@ import subprocess
 import sys
 from urllib.parse import unquote
 
-from browser_page import Page, Viewer, need, train_street   # before selenium: reports missing programs
+from browser_page import Page, need   # before selenium: reports missing programs
+from viewer_process import Viewer, train_street
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select

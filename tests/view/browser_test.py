@@ -11,7 +11,8 @@ import pathlib
 import subprocess
 import sys
 
-from browser_page import Page, Viewer, need, train_street   # before selenium: reports missing programs
+from browser_page import Page, need   # before selenium: reports missing programs
+from viewer_process import Viewer, train_street
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select

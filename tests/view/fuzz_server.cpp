@@ -38,7 +38,10 @@ public:
             "HEAD /../../etc/passwd HTTP/1.0\r\nHost: localhost\r\nConnection: keep-alive\r\n\r\n",
             "GET /live HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: "
             "Upgrade\r\nSec-WebSocket-Key: "
-            "dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"};
+            "dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n",
+            "GET / HTTP/1.1\r\nHost: localhost\r\nOrigin: http://localhost:80\r\nUpgrade: websocket\r\n"
+            "Connection: Upgrade\r\nSec-WebSocket-Protocol: foxglove.sdk.v1, foxglove.websocket.v1\r\n"
+            "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"};
         return changed(seeds[below(seeds.size())]);
     }
     std::string frame() {
@@ -119,7 +122,7 @@ int run(int n_requests, unsigned seed) {
     options.max_message_bytes = 4096;
     view::Server* server = nullptr;
     const auto echo = [&](view::ClientId id, std::string text) { server->send_text(id, std::move(text)); };
-    view::Server made(options, {[](view::ClientId) {}, echo, [](view::ClientId) {}});
+    view::Server made(options, {[](view::ClientId) {}, echo, [](view::ClientId) {}, [](view::ClientId) {}});
     server = &made;
     Changer change(seed);
     for (int sent = 0, checked = 0; sent < n_requests; sent += kTogether) {

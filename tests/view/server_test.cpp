@@ -34,12 +34,13 @@ struct Echo {
     Server server;
 
     explicit Echo(ServerOptions options = {})
-        : server(filled(options), {[](ClientId) {},
-                                   [this](ClientId id, std::string text) {
-                                       last = id;
-                                       server.send_text(id, "echo " + text);
-                                   },
-                                   [](ClientId) {}}) {}
+        : server(filled(options),
+                 {[](ClientId) {},
+                  [this](ClientId id, std::string text) {
+                      last = id;
+                      server.send_text(id, "echo " + text);
+                  },
+                  [](ClientId) {}, [this](ClientId id) { server.send_text(id, "foxglove"); }}) {}
     static ServerOptions filled(ServerOptions options) {
         options.port = 0;
         options.assets = kAssets;
@@ -65,6 +66,13 @@ std::string make_upgrade_request(const std::string& fields = "Host: localhost\r\
            "dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n";
 }
 
+/// Returns the handshake of Foxglove or Lichtblick.
+std::string make_foxglove_request(const std::string& origin, const std::string& target = "/") {
+    return make_upgrade_request("Host: localhost:8080\r\nOrigin: " + origin +
+                                    "\r\nSec-WebSocket-Protocol: foxglove.sdk.v1, foxglove.websocket.v1\r\n",
+                                target);
+}
+
 /// A client with an open WebSocket.
 struct Socket : RawClient {
     explicit Socket(int port, const std::string& handshake = make_upgrade_request()) : RawClient(port) {
@@ -80,6 +88,35 @@ int close_code(const std::string& bytes) {
     const std::size_t at = bytes.rfind(static_cast<char>(0x88));
     if (at == std::string::npos || at + 4 > bytes.size()) return 0;
     return static_cast<unsigned char>(bytes[at + 2]) * 256 + static_cast<unsigned char>(bytes[at + 3]);
+}
+
+TEST(ViewServer, AcceptsFoxgloveFromKnownOriginsOrWithTheToken) {
+    const Echo echo;
+    for (const char* origin : {"https://app.foxglove.dev", "https://lichtblick-suite.github.io", "file://",
+                               "http://localhost:3000", "http://127.0.0.1:3000", "http://localhost:8080"}) {
+        Socket socket(echo.port(), make_foxglove_request(origin));
+        EXPECT_EQ(status_of(socket.answer), 101) << origin;
+        EXPECT_THAT(socket.answer, HasSubstr("Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n"));
+        EXPECT_EQ(socket.receive(10),
+                  "\x81\x08"
+                  "foxglove")
+            << "opened as a client of Foxglove";
+    }
+    for (const char* origin : {"http://evil.example", "null", "https://app.foxglove.dev.evil.example",
+                               "http://localhost.evil.example", "http://127.0.0.1.evil.example:80"})
+        EXPECT_EQ(status_of(ask(echo.port(), make_foxglove_request(origin))), 403) << origin;
+    const std::string fields = "Host: localhost:8080\r\nOrigin: https://app.foxglove.dev\r\n";
+    EXPECT_EQ(status_of(ask(echo.port(), make_upgrade_request(fields))), 403)
+        << "not with the page's protocol";
+    EXPECT_EQ(status_of(ask(echo.port(), get("/", fields))), 403);
+    ServerOptions options;
+    options.token = kToken;
+    const Echo locked(options);
+    const std::string target = std::string("/?token=") + kToken;
+    EXPECT_EQ(status_of(Socket(locked.port(), make_foxglove_request("http://any.example", target)).answer),
+              101);
+    EXPECT_EQ(status_of(ask(locked.port(), make_foxglove_request("http://any.example", target + "0"))), 403);
+    EXPECT_EQ(status_of(ask(locked.port(), make_foxglove_request("https://app.foxglove.dev"))), 401);
 }
 
 TEST(ViewServer, ServesItsAssetsByTheirExactNames) {

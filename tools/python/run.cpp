@@ -11,7 +11,7 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/simulate/scan_files.hpp>
+#include <relidar/simulate/actor_boxes.hpp>
 #include "arrays.hpp"
 #include "config.hpp"
 #include "module.hpp"
@@ -36,6 +36,7 @@ struct RenderArguments {
     std::string frame;
     bool deskew;
     std::string weather;
+    bool boxes;
 };
 
 PointFrame find_frame(const std::string& name) {
@@ -96,6 +97,34 @@ ScanRequest request_of(const RenderArguments& arguments, const Run& run, int lid
     return request;
 }
 
+/// Returns the boxes of the actors in a scan as a dict of arrays.
+py::dict make_boxes_dict(const RenderedScan& scan, const ScanFormat& format) {
+    const std::vector<ActorBox> boxes = find_actor_boxes(scan, format);
+    std::vector<std::string> tracks, categories;
+    std::vector<double> sizes_m, times_s, poses, velocities_mps, shares;
+    std::vector<std::int32_t> points;
+    const auto append = [](std::vector<double>& values, const glm::dvec3& vector) {
+        values.insert(values.end(), {vector.x, vector.y, vector.z});
+    };
+    for (const ActorBox& box : boxes) {
+        tracks.push_back(box.track), categories.push_back(box.category);
+        append(sizes_m, box.size_m), append(velocities_mps, box.velocity_mps);
+        times_s.push_back(box.time_s), shares.push_back(box.visible_share);
+        points.push_back(std::int32_t(box.n_points));
+        const glm::dmat4 columns = to_matrix(box.dataset_from_box);
+        for (int row = 0; row < 4; ++row)
+            for (int column = 0; column < 4; ++column) poses.push_back(columns[column][row]);
+    }
+    const std::size_t n = boxes.size();
+    return to_dict({make_text_array("track", tracks), make_text_array("category", categories),
+                    make_array("size_m", {n, 3}, sizes_m.data(), sizes_m.size()),
+                    make_array("time_s", {n}, times_s.data(), n),
+                    make_array("pose", {n, 4, 4}, poses.data(), poses.size()),
+                    make_array("velocity_mps", {n, 3}, velocities_mps.data(), velocities_mps.size()),
+                    make_array("points", {n}, points.data(), n),
+                    make_array("visible_share", {n}, shares.data(), n)});
+}
+
 py::dict render(LoadedRun& loaded, const RenderArguments& arguments) {
     const Run& run = loaded.run;
     const int lidar = find_lidar(run.sequence, arguments.lidar);
@@ -116,9 +145,15 @@ py::dict render(LoadedRun& loaded, const RenderArguments& arguments) {
         const DeviceUse use(renderer.device());
         renderer->show_only(shown);
         renderer->set_weather(weather);
+        renderer->compute_views(arguments.boxes);
         scan = renderer->render(sensor, request, arguments.sample);
     }
-    return to_dict(make_scan_arrays(scan, find_nearest_sweep(run.sequence, request.time_s), format));
+    py::dict arrays =
+        to_dict(make_scan_arrays(scan, find_nearest_sweep(run.sequence, request.time_s), format));
+    if (!arguments.boxes) return arrays;
+    if (request.dataset_from_actor) place_boxes(format, *request.dataset_from_actor);
+    arrays["boxes"] = make_boxes_dict(scan, format);
+    return arrays;
 }
 
 std::vector<std::string> list_track_names(const Run& run) {
@@ -185,7 +220,11 @@ constexpr const char* kHelpAfterWeather =
     "deskewed, sensor, run, units; each channel of render.channels by its name, "
     "[rows,columns] or\n"
     "[rows,columns,3]; unseen, the share of rays that cross space that the log has not "
-    "observed, if the run has this information.\n\n"
+    "observed, if the run has this information.\n"
+    "With `boxes`, also the dict boxes of the n actors that a ray would hit, each at the time "
+    "at which the sensor faces it: track and category [n] str,\n"
+    "size_m [n,3], time_s [n], pose of the centre [n,4,4], velocity_mps [n,3] float64, points "
+    "(first returns on it) [n] int32, visible_share [n].\n\n"
     "Raises DataError for arrays of wrong shape, dtype or order and poses that are not "
     "rigid, UsageError for unknown names and weather.";
 
@@ -219,15 +258,16 @@ void add_calls(py::class_<LoadedRun>& type) {
             "render",
             [](LoadedRun& run, const py::object& sensor, const py::object& pose, std::optional<double> time,
                std::optional<py::dict> actors, std::string lidar, std::vector<std::string> only,
-               std::optional<std::uint64_t> sample, std::string frame, bool deskew, std::string weather) {
+               std::optional<std::uint64_t> sample, std::string frame, bool deskew, std::string weather,
+               bool boxes) {
                 return render(run, {sensor, pose, time, std::move(actors), std::move(lidar), std::move(only),
-                                    sample, std::move(frame), deskew, std::move(weather)});
+                                    sample, std::move(frame), deskew, std::move(weather), boxes});
             },
             py::arg("sensor") = py::none(), py::kw_only(), py::arg("pose") = py::none(),
             py::arg("time") = py::none(), py::arg("actors") = py::none(), py::arg("lidar") = "",
             py::arg("only") = std::vector<std::string>(), py::arg("sample") = py::none(),
             py::arg("frame") = "sensor", py::arg("deskew") = false, py::arg("weather") = "",
-            render_help().c_str())
+            py::arg("boxes") = false, render_help().c_str())
         .def(
             "rays",
             [](const LoadedRun& run, const py::object& sensor, const std::string& lidar) {

@@ -3,9 +3,11 @@
 
 #include <algorithm>
 #include <bit>
+#include <map>
 
 #include <fmt/format.h>
 
+#include <relidar/simulate/actor_boxes.hpp>
 #include <relidar/simulate/place_points.hpp>
 
 #include "geometry_messages.hpp"
@@ -66,9 +68,7 @@ void write_actor(const Run& run, const std::string& name, v1::Actor& message) {
     if (!box) return;
     const PoseTrack& track = box->world_from_box;
     message.set_category(box->category);
-    message.mutable_size_m()->set_x(box->size_m.x);
-    message.mutable_size_m()->set_y(box->size_m.y);
-    message.mutable_size_m()->set_z(box->size_m.z);
+    write_vector(box->size_m, *message.mutable_size_m());
     message.set_poses(track.pose.size());
     message.set_length_m(length_m(track));
     if (track.time_s.empty()) return;
@@ -104,6 +104,34 @@ void write_scan(const RenderedScan& scan, const RenderRequest& request, const Co
     set_array(*image.mutable_range_m(), scan.image.range_m);
     set_array(*image.mutable_intensity(), scan.image.intensity);
     write_channels(scan.channels, *image.mutable_channels());
+}
+
+void write_boxes(const RenderedScan& scan, const RenderRequest& request, const Run& run,
+                 v1::LidarScan& message) {
+    ScanFormat format = make_scan_format(run, *request.sensor);
+    std::map<std::string, std::string> names;  // of the actors by track
+    if (request.request.dataset_from_actor) {
+        format.actors.clear();
+        for (const PlacedActor& actor : request.placed) {
+            names[actor.track] = actor.name;
+            format.instance_names.resize(std::max(format.instance_names.size(), actor.instance + 1));
+            format.instance_names[actor.instance] = actor.track;
+            format.actors.push_back({actor.track, actor.category, actor.size_m, {}});
+        }
+        place_boxes(format, *request.request.dataset_from_actor);
+    }
+    for (const ActorBox& box : find_actor_boxes(scan, format)) {
+        v1::ActorBox& written = *message.add_boxes();
+        const auto name = names.find(box.track);
+        written.set_name(name == names.end() ? box.track : name->second);
+        written.set_category(box.category);
+        write_vector(box.size_m, *written.mutable_size_m());
+        written.set_time_s(box.time_s);
+        write_pose(box.dataset_from_box, *written.mutable_dataset_from_box());
+        write_vector(box.velocity_mps, *written.mutable_velocity_mps());
+        written.set_points(box.n_points);
+        written.set_visible_share(box.visible_share);
+    }
 }
 
 void write_scene(const std::string& name, const Run& run, v1::Scene& message) {

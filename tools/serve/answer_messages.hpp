@@ -17,6 +17,11 @@ void write_scan(const RenderedScan& scan, const RenderRequest& request, const Co
 /// Writes a scan that has points but no range image into a Protobuf message.
 void write_scan(const RenderedPoints& scan, const RenderRequest& request, v1::LidarScan& message);
 
+/// Writes the boxes of the actors in a scan into a Protobuf message.
+/// @param run run without surfels
+void write_boxes(const RenderedScan& scan, const RenderRequest& request, const Run& run,
+                 v1::LidarScan& message);
+
 /// Writes the description of a scene into a message.
 /// @param run run without surfels
 void write_scene(const std::string& name, const Run& run, v1::Scene& message);

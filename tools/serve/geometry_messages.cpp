@@ -61,10 +61,14 @@ PoseTrack read_track(const google::protobuf::RepeatedPtrField<v1::TimedPose>& me
     return track;
 }
 
+void write_vector(const glm::dvec3& vector, v1::Vector& message) {
+    message.set_x(vector.x);
+    message.set_y(vector.y);
+    message.set_z(vector.z);
+}
+
 void write_pose(const Pose& pose, v1::Pose& message) {
-    message.mutable_translation()->set_x(pose.translation.x);
-    message.mutable_translation()->set_y(pose.translation.y);
-    message.mutable_translation()->set_z(pose.translation.z);
+    write_vector(pose.translation, *message.mutable_translation());
     message.mutable_rotation()->set_w(pose.rotation.w);
     message.mutable_rotation()->set_x(pose.rotation.x);
     message.mutable_rotation()->set_y(pose.rotation.y);

@@ -31,6 +31,7 @@ PoseTrack read_track(const google::protobuf::RepeatedPtrField<v1::TimedPose>& me
 /// @throws Refusal if the time is not finite or exceeds 1e10 s
 double read_time(double time_s, const std::string& field);
 
+void write_vector(const glm::dvec3& vector, v1::Vector& message);
 void write_pose(const Pose& pose, v1::Pose& message);
 void write_track(const PoseTrack& track, google::protobuf::RepeatedPtrField<v1::TimedPose>& messages);
 

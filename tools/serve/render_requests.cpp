@@ -23,7 +23,10 @@ std::vector<std::string> list_names_of_spawned(const std::vector<SpawnedActors::
 template <class Function>
 SceneSet::Load use(SceneSet& scenes, const RenderRequest& request, const Function& function) {
     try {
-        return scenes.use(request.scene, request.weather, function);
+        return scenes.use(request.scene, request.weather, [&](ScanRenderer& renderer) {
+            renderer.compute_views(request.boxes);
+            function(renderer);
+        });
     } catch (const DataError& error) {
         throw Refusal(grpc::StatusCode::INTERNAL, error.what());
     }

@@ -178,17 +178,25 @@ std::shared_ptr<const SensorChoice> RequestReader::find_sensor(const SensorReque
 /// added.
 std::vector<PlacedActor> RequestReader::list_known_actors(std::size_t scene) const {
     const Run& run = outlines_[scene];
+    const auto find_actor_box = [&](const std::string& track) {
+        const BoxTrack* box = find_box(run.sequence, track);
+        return box ? *box : BoxTrack{};
+    };
     std::vector<PlacedActor> actors;
-    for (const Instance& instance : run.scene.instances) {
+    for (std::size_t i = 0; i < run.scene.instances.size(); ++i) {
+        const Instance& instance = run.scene.instances[i];
         if (instance.track.empty()) continue;
-        const auto box = std::ranges::find(run.sequence.boxes, instance.track, &BoxTrack::id);
-        actors.push_back({instance.track, instance.track,
-                          box == run.sequence.boxes.end() ? glm::dvec3(0.0) : box->size_m,
+        const BoxTrack box = find_actor_box(instance.track);
+        actors.push_back({instance.track, instance.track, box.category, i, box.size_m,
                           run.scene.models[instance.model].count});
     }
-    for (const SpawnedActors::Place& place : spawned_.list_taken_places(scene))
-        actors.push_back(
-            {place.actor.name, make_track_of_slot(place.position), place.actor.size_m, place.actor.surfels});
+    for (const SpawnedActors::Place& place : spawned_.list_taken_places(scene)) {
+        const auto& [is_asset, source] = place.actor.source;
+        actors.push_back({place.actor.name, make_track_of_slot(place.position),
+                          is_asset ? assets_.find(source)->facts.category : find_actor_box(source).category,
+                          run.scene.instances.size() + place.position, place.actor.size_m,
+                          place.actor.surfels});
+    }
     return actors;
 }
 
@@ -263,6 +271,7 @@ RenderRequest RequestReader::read_scan(const v1::RenderLidarRequest& message, co
         wanted.points = message.wanted().points();
         wanted.range_image = message.wanted().range_image();
         wanted.drop_probability = message.wanted().drop_probability();
+        wanted.boxes = message.wanted().boxes();
     }
     return wanted;
 }

@@ -28,6 +28,8 @@ struct ActorToSpawn;
 struct PlacedActor {
     std::string name;   ///< Name of the actor in the request.
     std::string track;  ///< Name of the actor's track in the rendered scene.
+    std::string category;
+    std::size_t instance = 0;  ///< Number of the actor in the points of scans.
     glm::dvec3 size_m{0.0};
     std::size_t surfels = 0;
 };
@@ -52,7 +54,7 @@ struct RenderRequest {
     /// server was started.
     std::optional<Weather> weather;
     double points_at_s = 0.0;
-    bool points = true, range_image = false, drop_probability = false;
+    bool points = true, range_image = false, drop_probability = false, boxes = false;
 };
 
 /// Returns the names of a run's actors. They equal the names of the actors' tracks.

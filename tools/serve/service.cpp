@@ -13,7 +13,7 @@ namespace relidar::serve {
 namespace {
 
 bool needs_image(const RenderRequest& request) {
-    return request.range_image || request.drop_probability || !request.points;
+    return request.range_image || request.drop_probability || request.boxes || !request.points;
 }
 
 void write_times(const Request& request, v1::LidarScan& answer) {
@@ -27,7 +27,9 @@ RenderedScan RenderService::render_image(RenderQueue::Slot& slot, const RenderRe
                                          const grpc::ServerContext& context, v1::LidarScan& answer) {
     ScanImageRequest request(scenes_, context, wanted);
     request.run(slot);
-    write_scan(request.scan, wanted, scenes_.outlines()[wanted.scene].config, answer);
+    const Run& run = scenes_.outlines()[wanted.scene];
+    write_scan(request.scan, wanted, run.config, answer);
+    if (wanted.boxes) write_boxes(request.scan, wanted, run, answer);
     write_sparse_actors(wanted, answer);
     write_times(request, answer);
     return std::move(request.scan);

@@ -3,22 +3,15 @@
 
 #include <relidar/run/edit.hpp>
 
+#include "geometry_messages.hpp"
+
 namespace relidar::serve {
-namespace {
-
-void write_size(const glm::dvec3& size_m, v1::Vector& message) {
-    message.set_x(size_m.x);
-    message.set_y(size_m.y);
-    message.set_z(size_m.z);
-}
-
-}  // namespace
 
 void write_asset(const AssetFacts& facts, v1::Asset& message) {
     message.set_name(facts.name);
     message.set_category(facts.category);
     message.set_kind(get_name(facts.kind));
-    write_size(facts.size_m, *message.mutable_size_m());
+    write_vector(facts.size_m, *message.mutable_size_m());
     message.set_score(facts.score());
     message.set_seen(facts.seen);
     message.set_nearest_m(facts.nearest_m);
@@ -31,7 +24,7 @@ void write_spawned(const SpawnedActors::Place& place, const Run& run, v1::Spawne
     if (place.actor.source.is_asset) message.set_asset(place.actor.source.name);
     else message.set_actor(place.actor.source.name);
     message.set_instance(std::uint32_t(run.scene.instances.size() + place.position));
-    write_size(place.actor.size_m, *message.mutable_size_m());
+    write_vector(place.actor.size_m, *message.mutable_size_m());
     message.set_surfels(place.actor.surfels);
 }
 

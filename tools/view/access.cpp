@@ -56,6 +56,16 @@ bool is_same_origin(std::string_view origin, std::string_view host) {
            (origin.starts_with(kScheme) && are_equal_ignoring_case(origin.substr(kScheme.size()), host));
 }
 
+bool is_foxglove_origin(std::string_view origin) {
+    if (origin == "https://app.foxglove.dev" || origin == "https://lichtblick-suite.github.io" ||
+        origin == "file://")
+        return true;
+    const std::size_t scheme = origin.find("://");
+    if (scheme == std::string_view::npos) return false;
+    const std::string_view name = remove_port(origin.substr(scheme + 3));
+    return are_equal_ignoring_case(name, "localhost") || name == "127.0.0.1" || name == "::1";
+}
+
 bool is_same_secret(std::string_view first, std::string_view second) {
     unsigned differs = first.size() == second.size() ? 0u : 1u;
     // Always compares all characters of the secret `second`, so that the duration does

@@ -26,6 +26,10 @@ bool is_local_host(std::string_view host, std::string_view host_name);
 /// sends this header when it opens a WebSocket. Other programs do not send it.
 /// @param host value of the Host header in the same request
 bool is_same_origin(std::string_view origin, std::string_view host);
+/// Returns true if the Origin header names a program that may connect with Foxglove's
+/// protocol: the web pages of Foxglove and Lichtblick, a page of this machine, or a
+/// desktop program, whose page is a file.
+bool is_foxglove_origin(std::string_view origin);
 /// Compares two secrets in constant time, so that the duration does not show how many
 /// characters match.
 bool is_same_secret(std::string_view first, std::string_view second);

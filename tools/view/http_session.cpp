@@ -5,6 +5,7 @@
 
 #include <boost/beast/http/error.hpp>
 #include <boost/beast/http/read.hpp>
+#include <boost/beast/http/rfc7230.hpp>
 #include <boost/beast/http/write.hpp>
 #include <boost/beast/websocket/rfc6455.hpp>
 
@@ -76,30 +77,49 @@ void HttpSession::on_read(Error failed) {
     if (const std::optional<Status> status = status_of(failed)) refuse(*status);
 }
 
-/// Returns the HTTP error status of a request that must be rejected, or no value if it is
-/// allowed. The order of the checks reveals little to a client without access.
-std::optional<HttpSession::Status> HttpSession::find_objection(const Request& request) const {
+/// Returns the first of Foxglove's subprotocols that a WebSocket handshake requests.
+/// Returns an empty text for other requests, and if the server does not offer them.
+std::string_view HttpSession::find_foxglove_protocol(const Request& request) const {
+    if (!hub_.events.foxglove_opened || !boost::beast::websocket::is_upgrade(request)) return {};
+    for (const auto& requested : http::token_list{request[http::field::sec_websocket_protocol]})
+        for (const std::string_view known : kFoxgloveProtocols)
+            if (view(requested) == known) return known;
+    return {};
+}
+
+/// Returns the HTTP status if a request is rejected. Returns no value if the request is
+/// allowed. The order of the checks reveals as little as possible to a client without
+/// access.
+std::optional<HttpSession::Status> HttpSession::find_objection(const Request& request,
+                                                               bool is_foxglove) const {
     if (request.count(http::field::host) != 1) return Status::bad_request;
     const Credentials credentials{view(request[http::field::host]), view(request[http::field::origin]),
                                   view(request[http::field::cookie]), query_of(view(request.target()))};
     if (!is_local_host(credentials.host, hub_.host_name)) return Status::forbidden;
-    if (request.count(http::field::origin) > 1 || !is_same_origin(credentials.origin, credentials.host))
+    const std::string& token = hub_.options.token;
+    const bool may_be_foreign =
+        is_foxglove && (is_foxglove_origin(credentials.origin) ||
+                        (!token.empty() && is_same_secret(value_of(credentials.query, "token", '&'), token)));
+    if (request.count(http::field::origin) > 1 ||
+        (!may_be_foreign && !is_same_origin(credentials.origin, credentials.host)))
         return Status::forbidden;
-    if (!hub_.options.token.empty() && !has_valid_token(credentials, hub_.options.token, hub_.cookie_name))
-        return Status::unauthorized;
+    if (!token.empty() && !has_valid_token(credentials, token, hub_.cookie_name)) return Status::unauthorized;
     if (request.method() != http::verb::get && request.method() != http::verb::head)
         return Status::method_not_allowed;
     return {};
 }
 
 void HttpSession::answer(const Request& request) {
-    if (const std::optional<Status> status = find_objection(request)) return refuse(*status);
+    const std::string_view foxglove = find_foxglove_protocol(request);
+    if (const std::optional<Status> status = find_objection(request, !foxglove.empty()))
+        return refuse(*status);
     const std::string_view target = view(request.target()), path = path_of(target);
-    if (path == kSocketPath) {
+    if (path == kSocketPath || (path == "/" && !foxglove.empty())) {
         if (!boost::beast::websocket::is_upgrade(request)) return refuse(Status::upgrade_required);
         // A client must not send data before the WebSocket handshake is complete.
         if (buffer_.size() > 0) return refuse(Status::bad_request);
-        std::make_shared<SocketSession>(std::move(stream_), std::move(counted_), hub_)->start(request);
+        std::make_shared<SocketSession>(std::move(stream_), std::move(counted_), hub_)
+            ->start(request, foxglove);
         return;
     }
     const auto asset = std::find_if(hub_.options.assets.begin(), hub_.options.assets.end(),

@@ -6,6 +6,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <string_view>
 
 #include <boost/asio/ip/tcp.hpp>
 #include <boost/asio/steady_timer.hpp>
@@ -37,7 +38,8 @@ private:
     void limit(std::chrono::milliseconds time);
     void on_read(Error failed);
     void answer(const Request& request);
-    std::optional<Status> find_objection(const Request& request) const;
+    std::string_view find_foxglove_protocol(const Request& request) const;
+    std::optional<Status> find_objection(const Request& request, bool is_foxglove) const;
     Response make_response(Status status, const std::string& host) const;
     void refuse(Status status);
     void write();

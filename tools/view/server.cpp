@@ -96,11 +96,20 @@ struct Server::Impl {
         });
     }
 
-    void send(ClientId client, std::string bytes, bool is_text) {
-        boost::asio::post(hub.io, [this, client, is_text, bytes = std::move(bytes)]() mutable {
+    /// Calls a function with the session of a client in the thread of the server. Does
+    /// nothing if the client has disconnected.
+    template <class Work>
+    void post_to(ClientId client, Work work) {
+        boost::asio::post(hub.io, [this, client, work = std::move(work)]() mutable {
             const auto match = hub.clients.find(client);
             if (match == hub.clients.end()) return;
-            if (const auto session = match->second.lock()) session->send(std::move(bytes), is_text, !is_text);
+            if (const auto session = match->second.lock()) work(*session);
+        });
+    }
+
+    void send(ClientId client, std::string bytes, bool is_text) {
+        post_to(client, [is_text, bytes = std::move(bytes)](SocketSession& session) mutable {
+            session.send(std::move(bytes), is_text, !is_text);
         });
     }
 };
@@ -146,6 +155,11 @@ std::string Server::url() const {
 
 void Server::send_text(ClientId client, std::string text) { impl_->send(client, std::move(text), true); }
 void Server::send_newest(ClientId client, std::string bytes) { impl_->send(client, std::move(bytes), false); }
+void Server::send_if_idle(ClientId client, std::vector<std::string> messages) {
+    impl_->post_to(client, [messages = std::move(messages)](SocketSession& session) mutable {
+        session.send_if_idle(std::move(messages));
+    });
+}
 
 void check_address(const std::string& address) { (void)parse_address(address); }
 

@@ -6,7 +6,8 @@
 //   clients must send the access token: first in the URL, then as a cookie.
 // - The Host header must be an IP address, "localhost" or the name of this machine,
 //   because other names allow DNS rebinding.
-// - Requests whose Origin header names another server are rejected.
+// - Requests whose Origin header names another server are rejected. Foxglove may connect
+//   from the origins of is_foxglove_origin(), and from any origin with the token in the URL.
 //
 // All resources are limited: connections, bytes of headers and messages, time for a
 // request, and messages queued for a slow client.
@@ -20,6 +21,7 @@
 #include <span>
 #include <string>
 #include <string_view>
+#include <vector>
 
 namespace relidar::view {
 
@@ -50,6 +52,9 @@ struct ServerOptions {
 
 /// Path of the WebSocket.
 inline constexpr std::string_view kSocketPath = "/live";
+/// WebSocket subprotocols of Foxglove. Both have the same messages. Clients that request
+/// one of them can also connect to the path "/".
+inline constexpr std::string_view kFoxgloveProtocols[] = {"foxglove.websocket.v1", "foxglove.sdk.v1"};
 
 /// Identifies one open WebSocket during its lifetime.
 using ClientId = std::uint64_t;
@@ -62,6 +67,9 @@ struct Events {
     /// max_message_bytes bytes. Binary messages are rejected.
     std::function<void(ClientId, std::string)> message;
     std::function<void(ClientId)> closed;
+    /// Called instead of `opened` for clients with one of kFoxgloveProtocols. If the
+    /// function is empty, the server does not offer these protocols.
+    std::function<void(ClientId)> foxglove_opened = {};
 };
 
 class Server {
@@ -86,6 +94,9 @@ public:
     /// Sends a binary message to a client. The message replaces an older binary message
     /// that is still queued, because only the newest scan matters.
     void send_newest(ClientId client, std::string bytes);
+    /// Sends several binary messages to a client. Skips all of them if earlier messages
+    /// are still queued, because the client is slow.
+    void send_if_idle(ClientId client, std::vector<std::string> messages);
     /// Rejects new connections. Closes each WebSocket after its queued messages are sent.
     /// @param patience longest time to wait until the messages are sent
     void close(std::chrono::milliseconds patience);

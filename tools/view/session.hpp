@@ -39,6 +39,8 @@ public:
     /// @param save_folder folder in which edited runs are saved
     Session(Run run, OtherRuns others, Device& device, std::filesystem::path save_folder, Answers answers);
 
+    const Run& run() const { return scanner_.run(); }
+
     void open(TabId tab);
     void close(TabId tab);
     void receive(TabId tab, const std::string& message);

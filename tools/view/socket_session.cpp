@@ -27,12 +27,21 @@ SocketSession::SocketSession(boost::beast::tcp_stream stream, Counted counted, H
     stream_.auto_fragment(false);
 }
 
-void SocketSession::start(const boost::beast::http::request<boost::beast::http::empty_body>& upgrade) {
-    stream_.async_accept(upgrade, [self = shared_from_this()](Error failed) {
+void SocketSession::start(const boost::beast::http::request<boost::beast::http::empty_body>& upgrade,
+                          std::string_view foxglove_protocol) {
+    const bool is_foxglove = !foxglove_protocol.empty();
+    if (is_foxglove)
+        stream_.set_option(
+            websocket::stream_base::decorator([foxglove_protocol](websocket::response_type& response) {
+                response.set(boost::beast::http::field::sec_websocket_protocol,
+                             boost::beast::string_view(foxglove_protocol.data(), foxglove_protocol.size()));
+            }));
+    stream_.async_accept(upgrade, [self = shared_from_this(), is_foxglove](Error failed) {
         if (failed) return;
         self->id_ = ++self->hub_.last_client;
         self->hub_.clients[self->id_] = self;
-        self->hub_.events.opened(self->id_);
+        const Events& events = self->hub_.events;
+        (is_foxglove ? events.foxglove_opened : events.opened)(self->id_);
         self->read();
     });
 }
@@ -69,6 +78,12 @@ void SocketSession::send(std::string bytes, bool is_text, bool newest_only) {
     }
     outgoing_.push_back({std::move(bytes), is_text, newest_only});
     if (outgoing_.size() == 1) write();
+}
+
+void SocketSession::send_if_idle(std::vector<std::string> messages) {
+    if (id_ == 0 || refused_ || messages.empty() || !outgoing_.empty()) return;
+    for (std::string& bytes : messages) outgoing_.push_back({std::move(bytes), false, false});
+    write();
 }
 
 void SocketSession::write() {

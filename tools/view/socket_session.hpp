@@ -7,6 +7,8 @@
 #include <deque>
 #include <memory>
 #include <string>
+#include <string_view>
+#include <vector>
 
 #include <boost/beast/core/flat_buffer.hpp>
 #include <boost/beast/core/tcp_stream.hpp>
@@ -22,8 +24,12 @@ class SocketSession : public std::enable_shared_from_this<SocketSession> {
 public:
     SocketSession(boost::beast::tcp_stream stream, Counted counted, Hub& hub);
     /// Accepts the WebSocket handshake. Then reads messages until the client disconnects.
-    void start(const boost::beast::http::request<boost::beast::http::empty_body>& upgrade);
+    /// @param foxglove_protocol selected subprotocol of Foxglove; empty for the web page
+    void start(const boost::beast::http::request<boost::beast::http::empty_body>& upgrade,
+               std::string_view foxglove_protocol);
     void send(std::string bytes, bool is_text, bool newest_only);
+    /// Sends binary messages. Skips all of them if earlier messages are still queued.
+    void send_if_idle(std::vector<std::string> messages);
     /// Closes the connection after all queued messages are sent.
     void leave();
 

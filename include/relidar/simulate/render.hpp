@@ -297,12 +297,12 @@ public:
     /// @throws UsageError for an unknown channel, or for a channel that needs normals in
     /// a scene of 3D Gaussians
     void enable_channels(const std::string& names);
-    /// From now on, computes how visible each actor is (RenderedScan::actor_views). For
-    /// this, the rays near each actor are traced a second time, without all other
-    /// surfaces.
-    void compute_views();
-    /// Sets the space that the log observed. All following scans then report the share of
-    /// rays outside it (RenderedScan::unseen_share). An empty coverage switches this off.
+    /// Switches RenderedScan::actor_views of all following scans on or off. To compute
+    /// them, traces the rays near each actor a second time, without all other surfaces.
+    void compute_views(bool enabled = true);
+    /// Sets the space that the log observed. All following scans are compared with this
+    /// space to set RenderedScan::unseen_share. An empty coverage switches the
+    /// comparison off.
     void compare_with(const Coverage& coverage);
     /// Sets the classes of the background for the channel `class` of all following scans.
     /// With an empty map, the class of the background is `unknown`.

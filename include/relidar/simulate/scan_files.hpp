@@ -150,6 +150,34 @@ private:
     std::shared_ptr<Impl> impl_;
 };
 
+/// A topic of ScanMessages.
+struct ScanTopic {
+    std::string name, type;     ///< type: name of the Protobuf message
+    std::string schema_base64;  ///< FileDescriptorSet of the message
+};
+/// A Protobuf message of a topic.
+struct ScanMessage {
+    std::size_t topic;  ///< index in ScanMessages::topics()
+    std::uint64_t time_ns;
+    std::string bytes;
+};
+
+/// Converts scans to the messages of the recording mcap, for live connections.
+class ScanMessages {
+public:
+    /// @param sensors  formats of the sensors, as in ScanRecordings
+    explicit ScanMessages(std::vector<ScanFormat> sensors);
+    std::vector<ScanTopic> topics() const;
+    /// Returns the messages of all topics in the order of their times.
+    /// @param scans  a scan for each sensor, all of the same sweep
+    /// @throws DataError if times decrease
+    std::vector<ScanMessage> convert(std::span<const RenderedScan> scans);
+
+private:
+    struct Impl;
+    std::shared_ptr<Impl> impl_;
+};
+
 /// Writes the scans of a sensor to a folder one by one, and a summary file scans.json.
 /// The files of a scan are FOLDER/frame_000123.<format>:
 ///   npz  range, median_range, intensity, drop_prob, weight, time, ring [rows,columns];

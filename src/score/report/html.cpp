@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts texts, numbers and images to text for HTML pages. Base64 follows RFC 4648 with
-// padding.
+// Converts texts, numbers and images to text for HTML pages.
 #include "html.hpp"
 
 #include <algorithm>
@@ -8,24 +7,9 @@
 
 #include <fmt/format.h>
 
+#include "base/base64.hpp"
+
 namespace relidar::report_detail {
-namespace {
-
-constexpr std::string_view kDigits = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-
-}  // namespace
-
-std::string encode_base64(const std::vector<std::uint8_t>& bytes) {
-    std::string text;
-    text.reserve((bytes.size() + 2) / 3 * 4);
-    for (std::size_t i = 0; i < bytes.size(); i += 3) {
-        const std::size_t n = std::min<std::size_t>(3, bytes.size() - i);
-        std::uint32_t group = 0;
-        for (std::size_t k = 0; k < 3; ++k) group = group << 8 | (k < n ? bytes[i + k] : 0u);
-        for (std::size_t k = 0; k < 4; ++k) text += k <= n ? kDigits[group >> (18 - 6 * k) & 63] : '=';
-    }
-    return text;
-}
 
 std::string escape_html(std::string_view text) {
     std::string result;

@@ -17,9 +17,6 @@ std::string escape_html(std::string_view text);
 /// Returns a dash for NaN.
 std::string format_number(double value);
 
-/// Encodes bytes as base64 (RFC 4648, with padding).
-std::string encode_base64(const std::vector<std::uint8_t>& bytes);
-
 /// Encodes an image as PNG and returns it as a URL of the form data:image/png;base64,...
 std::string make_png_data_url(const Image& image);
 

@@ -13,6 +13,7 @@
 
 #include <fmt/format.h>
 
+#include "base/base64.hpp"
 #include "html.hpp"
 
 namespace relidar {

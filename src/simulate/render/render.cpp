@@ -344,7 +344,7 @@ int ScanRenderer::side_by_side() const {
     return impl_->sweeps.layout().blocks.empty() ? impl_->lanes->most() : 1;
 }
 
-void ScanRenderer::compute_views() { impl_->settings.has_views = true; }
+void ScanRenderer::compute_views(bool enabled) { impl_->settings.has_views = enabled; }
 
 void ScanRenderer::classify_background(const ClassMap& map) {
     impl_->class_map = map;

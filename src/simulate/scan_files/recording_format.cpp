@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "recording_format.hpp"
 
+#include <algorithm>
+
 namespace relidar::scan_files {
 
 std::span<const RecordingFormat> list_recording_formats() {
@@ -17,6 +19,15 @@ std::span<const RecordingFormat> list_recording_formats() {
          list_ros_topics},
     };
     return formats;
+}
+
+std::vector<ScanMessage> list_messages(std::span<const RecordedTopic> topics, const RecordedMoment& moment) {
+    std::vector<ScanMessage> messages;
+    for (std::size_t topic = 0; topic < topics.size(); ++topic)
+        for (auto& [time_ns, bytes] : topics[topic].messages(moment))
+            messages.push_back({topic, time_ns, std::move(bytes)});
+    std::ranges::stable_sort(messages, {}, &ScanMessage::time_ns);
+    return messages;
 }
 
 }  // namespace relidar::scan_files

@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include <relidar/simulate/scan_files.hpp>
 #include "recorded_moment.hpp"
 
 namespace relidar::scan_files {
@@ -40,8 +41,12 @@ struct RecordingFormat {
 
 std::span<const RecordingFormat> list_recording_formats();
 
-/// Return the topics of a recording: Foxglove schemas in protobuf, or ROS 2 messages in
-/// CDR.
+/// Returns the messages of all topics in the order of their times. Messages with the same
+/// time are in the order of the topics.
+std::vector<ScanMessage> list_messages(std::span<const RecordedTopic> topics, const RecordedMoment& moment);
+
+/// These functions return the topics of a recording. list_foxglove_topics() uses
+/// Foxglove's schemas in protobuf. list_ros_topics() uses ROS 2 messages in CDR.
 std::vector<RecordedTopic> list_foxglove_topics(const RecordedRig& rig);
 std::vector<RecordedTopic> list_ros_topics(const RecordedRig& rig);
 

@@ -12,11 +12,11 @@
 #include <relidar/base/error.hpp>
 #include <relidar/base/files.hpp>
 #include <relidar/run/run.hpp>
+#include <relidar/simulate/actor_boxes.hpp>
 #include <relidar/simulate/render.hpp>
 #include "simulate/scan_files/packet_files.hpp"
 #include "simulate/scan_files/recording_format.hpp"
 #include "simulate/scan_files/scan_entry.hpp"
-#include "simulate/scan_files/seen_actors.hpp"
 
 namespace relidar {
 namespace {
@@ -149,27 +149,19 @@ void ScanFolder::summarise() const {
 
 namespace {
 
-/// Returns the boxes of the actors that at least one ray of the scan would hit. Each box
-/// has its pose at the time at which the sensor faces the actor.
-Json make_boxes_json(const RenderedScan& scan, const ScanFormat& format) {
-    Json boxes = Json::array();
-    for (const scan_files::SeenActor& actor : scan_files::find_actors(scan, format)) {
-        if (!actor.visible_share) continue;
-        const BoxTrack& box = *actor.box;
-        const Pose pose = actor.world_from_box(actor.faced_s);
-        const glm::dvec3 velocity_mps =
-            pose.rotation * scan_files::compute_velocity(actor.world_from_box, actor.faced_s).linear_mps;
-        boxes.push_back({{"track", box.id},
-                         {"category", box.category},
-                         {"class", get_name(parse_object_kind(box.category))},
-                         {"size_m", {box.size_m.x, box.size_m.y, box.size_m.z}},
-                         {"time_s", actor.faced_s},
-                         {"world_from_box", make_matrix_json(pose)},
-                         {"velocity_mps", {velocity_mps.x, velocity_mps.y, velocity_mps.z}},
-                         {"points", actor.n_points},
-                         {"visible_share", *actor.visible_share}});
-    }
-    return boxes;
+Json make_boxes_json(const std::vector<ActorBox>& boxes) {
+    Json json = Json::array();
+    for (const ActorBox& box : boxes)
+        json.push_back({{"track", box.track},
+                        {"category", box.category},
+                        {"class", get_name(parse_object_kind(box.category))},
+                        {"size_m", {box.size_m.x, box.size_m.y, box.size_m.z}},
+                        {"time_s", box.time_s},
+                        {"world_from_box", make_matrix_json(box.dataset_from_box)},
+                        {"velocity_mps", {box.velocity_mps.x, box.velocity_mps.y, box.velocity_mps.z}},
+                        {"points", box.n_points},
+                        {"visible_share", box.visible_share}});
+    return json;
 }
 
 }  // namespace
@@ -190,7 +182,7 @@ std::string scan_files::make_entry_json(int frame, const RenderedScan& scan, con
                         {"unseen", scan.unseen_share ? Json(*scan.unseen_share) : Json()},
                         {"unseen_sides", sides},
                         {"completed_sides", completed},
-                        {"boxes", scan.actor_views.empty() ? Json::array() : make_boxes_json(scan, format)},
+                        {"boxes", make_boxes_json(find_actor_boxes(scan, format))},
                         {"files", files}};
     return entry.dump(-1, ' ', false, Json::error_handler_t::replace);
 }

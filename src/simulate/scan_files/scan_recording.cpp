@@ -19,15 +19,15 @@ ScanRecording::ScanRecording(fs::path path, const RecordingFormat& format, const
     : path_(std::move(path)),
       temporary_(make_temporary_path(path_)),
       notes_(notes),
-      writer_(temporary_, format.profile) {
+      writer_(temporary_, format.profile),
+      topics_(format.topics(rig)) {
     std::map<std::string, std::uint16_t> schemas;
-    for (RecordedTopic& topic : format.topics(rig)) {
+    for (const RecordedTopic& topic : topics_) {
         if (!schemas.contains(topic.type))
             schemas[topic.type] =
                 writer_.add_schema(topic.type, format.definition_encoding, topic.definition);
-        const std::uint16_t id =
-            writer_.add_channel(schemas[topic.type], topic.name, format.message_encoding, topic.metadata);
-        channels_.push_back({id, std::move(topic)});
+        channels_.push_back(
+            writer_.add_channel(schemas[topic.type], topic.name, format.message_encoding, topic.metadata));
     }
     for (const auto& [name, values] : format.metadata) writer_.add_metadata(name, values);
 }
@@ -44,16 +44,12 @@ void ScanRecording::add(const RecordedMoment& moment, double shift_s) {
         values["time_shift_s"] = fmt::format("{}", shift_s);
         writer_.add_metadata("relidar", values);
     }
-    std::vector<std::pair<std::uint16_t, RecordedMessage>> messages;
-    for (const Channel& channel : channels_)
-        for (RecordedMessage& message : channel.topic.messages(moment))
-            messages.emplace_back(channel.id, std::move(message));
-    std::ranges::stable_sort(messages, {}, [](const auto& message) { return message.second.logged_ns; });
-    for (const auto& [channel, message] : messages) {
+    for (const ScanMessage& message : list_messages(topics_, moment)) {
         // Log times in the file must not decrease, although sweeps can overlap. A message
-        // that is too early gets the log time of the previous message.
-        last_logged_ns_ = std::max(last_logged_ns_, message.logged_ns);
-        writer_.add_message(channel, last_logged_ns_, message.bytes);
+        // that is earlier than the previous message gets the log time of the previous
+        // message.
+        last_logged_ns_ = std::max(last_logged_ns_, message.time_ns);
+        writer_.add_message(channels_[message.topic], last_logged_ns_, message.bytes);
     }
     // Starts a new chunk after every scan, because players display all messages of a scan
     // together.

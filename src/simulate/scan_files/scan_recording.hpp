@@ -32,14 +32,11 @@ public:
     void finish();
 
 private:
-    struct Channel {
-        std::uint16_t id;
-        RecordedTopic topic;
-    };
     std::filesystem::path path_, temporary_;
     FileNotes notes_;
     McapWriter writer_;
-    std::vector<Channel> channels_;
+    std::vector<RecordedTopic> topics_;
+    std::vector<std::uint16_t> channels_;  ///< [topics] numbers of the topics in the file
     bool has_notes_ = false;
     std::uint64_t last_logged_ns_ = 0;
 };

@@ -12,6 +12,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/simulate/render.hpp>
+#include "base/base64.hpp"
 #include "simulate/scan_files/moment_recorder.hpp"
 #include "simulate/scan_files/packet_files.hpp"
 #include "simulate/scan_files/scan_entry.hpp"
@@ -148,5 +149,28 @@ void ScanRecordings::finish() {
 }
 
 std::vector<std::string> ScanRecordings::names() const { return impl_->names; }
+
+struct ScanMessages::Impl {
+    scan_files::MomentRecorder recorder;
+    std::vector<scan_files::RecordedTopic> topics;
+};
+
+ScanMessages::ScanMessages(std::vector<ScanFormat> sensors)
+    : impl_(std::make_shared<Impl>(Impl{scan_files::MomentRecorder(std::move(sensors)), {}})) {
+    impl_->topics = scan_files::list_foxglove_topics(impl_->recorder.rig());
+}
+
+std::vector<ScanTopic> ScanMessages::topics() const {
+    std::vector<ScanTopic> topics;
+    for (const scan_files::RecordedTopic& topic : impl_->topics) {
+        const auto* schema = reinterpret_cast<const std::uint8_t*>(topic.definition.data());
+        topics.push_back({topic.name, topic.type, encode_base64({schema, topic.definition.size()})});
+    }
+    return topics;
+}
+
+std::vector<ScanMessage> ScanMessages::convert(std::span<const RenderedScan> scans) {
+    return scan_files::list_messages(impl_->topics, impl_->recorder.take(scans));
+}
 
 }  // namespace relidar

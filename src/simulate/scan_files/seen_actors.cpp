@@ -3,6 +3,7 @@
 
 #include <algorithm>
 
+#include <relidar/simulate/actor_boxes.hpp>
 #include <relidar/simulate/render.hpp>
 
 namespace relidar::scan_files {
@@ -82,17 +83,45 @@ std::vector<SeenActor> find_actors(const RenderedScan& scan, const ScanFormat& f
     const SampledRays rays(scan);
     std::vector<SeenActor> actors;
     for (const BoxTrack& box : format.actors) {
-        if (!box.present(scan.time_s)) continue;
+        const std::optional<double> visible_share = find_visible_share(scan, box.id);
+        if (!visible_share && !box.present(scan.time_s)) continue;
         const auto world_from_box = [&box, &format](double t_s) {
             const Pose pose = box.world_from_box.at(t_s);
             return Pose{pose.rotation, pose.translation + format.world_offset_m};
         };
         const double faced_s =
             rays.find_facing_time([&](double t_s) { return world_from_box(t_s).translation; });
-        actors.push_back({&box, world_from_box, faced_s, count_points_on(scan, format, box.id),
-                          find_visible_share(scan, box.id)});
+        actors.push_back(
+            {&box, world_from_box, faced_s, count_points_on(scan, format, box.id), visible_share});
     }
     return actors;
 }
 
 }  // namespace relidar::scan_files
+
+namespace relidar {
+
+std::vector<ActorBox> find_actor_boxes(const RenderedScan& scan, const ScanFormat& format) {
+    std::vector<ActorBox> boxes;
+    if (scan.actor_views.empty()) return boxes;
+    for (const scan_files::SeenActor& actor : scan_files::find_actors(scan, format)) {
+        if (!actor.visible_share) continue;
+        const Pose pose = actor.world_from_box(actor.faced_s);
+        const glm::dvec3 velocity_mps =
+            pose.rotation * scan_files::compute_velocity(actor.world_from_box, actor.faced_s).linear_mps;
+        boxes.push_back({actor.box->id, actor.box->category, actor.box->size_m, actor.faced_s, pose,
+                         velocity_mps, actor.n_points, *actor.visible_share});
+    }
+    return boxes;
+}
+
+void place_boxes(ScanFormat& format, const ActorPoses& dataset_from_actor) {
+    std::erase_if(format.actors, [&](BoxTrack& box) {
+        const auto poses = dataset_from_actor.find(box.id);
+        if (poses == dataset_from_actor.end()) return true;
+        box.world_from_box = shift_track(poses->second, -format.world_offset_m);
+        return false;
+    });
+}
+
+}  // namespace relidar

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <chrono>
 #include <optional>
+#include <span>
 
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
@@ -18,6 +19,7 @@
 #include "bench/training_step.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"
+#include "render/target_sensors.hpp"
 #include "scene/benchmark_street.hpp"
 
 namespace relidar::cli {
@@ -42,6 +44,8 @@ struct BenchTimes {
     /// Number of rendered scans per second. Measured only if the benchmark uses a trained
     /// run.
     std::optional<double> scans_per_s;
+    /// The same for a rig whose sensors are measured one after the other.
+    std::optional<double> separate_scans_per_s = {};
 };
 
 double measure_ms_since(Clock::time_point start) {
@@ -106,29 +110,47 @@ BenchTimes measure(Device& device, const BenchCase& bench) {
         median(build), median(refit), median(forward), median(backward), median(iteration), build.size(), {}};
 }
 
-/// Returns how many scans are rendered per second along the recorded path of the log's
-/// sensor. While the points of one scan are read, the device already renders the next
-/// scan.
-double measure_scans_per_second(Device& device, const Run& run) {
-    ScanRenderer renderer(device, run);
-    const SensorChoice sensor = choose_sensor("native", run.config, run.sequence);
+/// Returns how many scans are rendered per second. The times of the scans are evenly
+/// spaced along the recorded path of the log's sensor. The scans of all sensors at the
+/// same time are submitted together. While they are read, the device already renders the
+/// next scans.
+double measure_scans_per_second(ScanRenderer& renderer, const Run& run,
+                                std::span<const TargetSensor> sensors) {
     const PoseTrack path = shift_track(run.sequence.world_from_sensor(0), run.sequence.world_offset_m);
     const double first_s = path.time_s.front(), length_s = path.time_s.back() - first_s;
-    const auto request = [&](int scan) {
+    const auto submit = [&](int scan) {
         const double time_s = first_s + length_s * (scan + 0.5) / kScans;
-        renderer.submit_points(sensor, {time_s, path}, time_s);
+        for (const TargetSensor& target : sensors)
+            renderer.submit_points(
+                target.sensor, {time_s, mount_on_track(path, target.mounting)}, time_s, {},
+                &target == &sensors.back() ? ScanRenderer::Send::now : ScanRenderer::Send::with_next);
     };
-    request(0);
-    // does not measure the first scan, because it allocates memory
-    renderer.wait_for_points();
+    const auto collect = [&] {
+        for (std::size_t i = 0; i < sensors.size(); ++i) renderer.wait_for_points();
+    };
+    submit(0);
+    // Renders the first scans without measuring them, because they allocate memory.
+    collect();
     const Clock::time_point start = Clock::now();
-    request(0);
+    submit(0);
     for (int scan = 1; scan <= kScans; ++scan) {
         stop_if_interrupted();
-        if (scan < kScans) request(scan);
-        renderer.wait_for_points();
+        if (scan < kScans) submit(scan);
+        collect();
     }
-    return 1e3 * kScans / measure_ms_since(start);
+    return 1e3 * double(sensors.size()) * kScans / measure_ms_since(start);
+}
+
+void measure_scans(Device& device, const Run& run, const std::string& sensor, BenchTimes& times) {
+    ScanRenderer renderer(device, run);
+    const std::vector<TargetSensor> sensors =
+        list_target_sensors(sensor.empty() ? "native" : sensor, find_rig(sensor), run, 0);
+    times.scans_per_s = measure_scans_per_second(renderer, run, sensors);
+    if (sensors.size() == 1) return;
+    double seconds = 0.0;
+    for (const TargetSensor& target : sensors)
+        seconds += 1.0 / measure_scans_per_second(renderer, run, {&target, 1});
+    times.separate_scans_per_s = double(sensors.size()) / seconds;
 }
 
 const char* get_traversal_name(const Device& device) {
@@ -147,6 +169,9 @@ std::string format_report(const BenchCase& bench, const BenchTimes& times, const
         times.build_ms, times.refit_ms, times.forward_ms, krays / times.forward_ms, times.backward_ms,
         krays / times.backward_ms, times.iteration_ms);
     if (times.scans_per_s) text += fmt::format("scans       {:.1f} per second\n", *times.scans_per_s);
+    if (times.separate_scans_per_s)
+        text += fmt::format("            {:.1f} per second if the sensors are rendered one after the other\n",
+                            *times.separate_scans_per_s);
     return text + fmt::format("relidar {}; wall times, medians of {}\n", RELIDAR_VERSION, times.repetitions);
 }
 
@@ -170,6 +195,7 @@ std::string make_report_json(const BenchCase& bench, const BenchTimes& times, co
                                    {"backward_mrays_per_s", krays / times.backward_ms},
                                    {"repetitions", times.repetitions}};
     if (times.scans_per_s) json["scans_per_s"] = *times.scans_per_s;
+    if (times.separate_scans_per_s) json["separate_scans_per_s"] = *times.separate_scans_per_s;
     return json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
 }
 
@@ -182,7 +208,7 @@ void measure_speed(const BenchOptions& options) {
     const BenchCase bench = run ? make_run_case(*run)
                                 : make_street_case(100000, false, make_benchmark_rays(64, 1024, 2.0, -24.9));
     BenchTimes times = measure(device, bench);
-    if (run) times.scans_per_s = measure_scans_per_second(device, *run);
+    if (run) measure_scans(device, *run, options.sensor, times);
     if (!options.json.empty()) write_text(options.json, make_report_json(bench, times, device));
     print(format_report(bench, times, device));
 }

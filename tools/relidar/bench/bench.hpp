@@ -9,8 +9,9 @@
 namespace relidar::cli {
 
 struct BenchOptions {
-    std::string run;   ///< Folder of the run. Empty = benchmark street.
-    std::string json;  ///< File for the report. Empty = none.
+    std::string run;     ///< Folder of the run. Empty = benchmark street.
+    std::string sensor;  ///< Sensor or rig whose scans are measured. Empty = the log's sensor.
+    std::string json;    ///< File for the report. Empty = none.
     DeviceChoice device;
 };
 

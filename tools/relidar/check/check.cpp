@@ -30,7 +30,7 @@ namespace {
 using Clock = std::chrono::steady_clock;
 
 struct CheckOptions {
-    std::string json, run;
+    std::string json, run, sensor;
     bool speed = false;
     DeviceChoice device;
 };
@@ -132,11 +132,13 @@ void check_device(const CheckOptions& options) {
     if (std::error_code failed; std::filesystem::is_directory(options.json, failed))
         throw DataError(
             fmt::format("--json {}: this is a folder; expected the name of a file to write", options.json));
+    if (!options.sensor.empty() && (options.run.empty() || !options.speed))
+        throw UsageError("--sensor can only be used with --speed and --run, because only they measure scans");
     std::optional<OutputFolder> folder;
     if (const std::filesystem::path json = options.json; !json.empty())
         folder.emplace(json.has_parent_path() ? json.parent_path() : ".");
     catch_interrupts();
-    if (options.speed) measure_speed({options.run, options.json, options.device});
+    if (options.speed) measure_speed({options.run, options.sensor, options.json, options.device});
     else run_checks(options);
 }
 
@@ -150,7 +152,8 @@ Examples:
   relidar check
   relidar check --run run
   relidar check --device 1 --json check.json
-  relidar check --speed --run run --json speed.json)";
+  relidar check --speed --run run --json speed.json
+  relidar check --speed --run run --sensor rig.json)";
 
 }  // namespace
 
@@ -163,6 +166,12 @@ void add_check(CLI::App& app, Call& call) {
         ->add_option("--run", options->run,
                      "also check the images of this run; with --speed: measure on its scene and sensor")
         ->type_name("RUN");
+    command
+        ->add_option(
+            "--sensor", options->sensor,
+            "with --speed and --run: sensor or rig whose scans per second are measured (default: the log's "
+            "sensor)")
+        ->type_name("NAME|FILE");
     command->add_option("--json", options->json, "also write the results to this file")->type_name("FILE");
     add_device_options(*command, options->device);
     command->footer(kCheckHelp);

@@ -14,6 +14,7 @@
 #include "../../network/descriptors.hpp"
 #include "../../network/host_port.hpp"
 #include "../../network/loopback.hpp"
+#include "../../view/foxglove.hpp"
 #include "../../view/page.hpp"
 #include "../../view/server.hpp"
 #include "../../view/session.hpp"
@@ -91,18 +92,30 @@ void run_view(const ViewOptions& options) {
     if (!options.save_to.empty()) made.emplace(options.save_to);
     const std::filesystem::path folder = save_folder(options, run);
     Device device(make_device_options(options.device));
-    // The session sends its results through this pointer. The server itself is created
-    // later and destroyed earlier, because it also calls the session.
+    // Server that sends the results of the session to the browser. The server also calls
+    // the session and the player, so it must be destroyed before them.
     view::Server* out = nullptr;
     view::Session session(
         std::move(run), load_other_runs(options.inserts), device, folder,
         {[&](view::TabId tab, std::string text) { out->send_text(tab, std::move(text)); },
          [&](view::TabId tab, std::string frame) { out->send_newest(tab, std::move(frame)); }});
-    view::Server server(server_settings,
-                        {[&](view::ClientId tab) { session.open(tab); },
-                         [&](view::ClientId tab, std::string text) { session.receive(tab, text); },
-                         [&](view::ClientId tab) { session.close(tab); }});
-    out = &server;  // The session uses this pointer only in work(), which is called later.
+    view::FoxglovePlayer foxglove(
+        session.run(), device,
+        {[&](view::ClientId client, std::string text) { out->send_text(client, std::move(text)); },
+         [&](view::ClientId client, std::vector<std::string> scan) {
+             out->send_if_idle(client, std::move(scan));
+         }});
+    view::Server server(server_settings, {[&](view::ClientId tab) { session.open(tab); },
+                                          [&](view::ClientId client, std::string text) {
+                                              if (!foxglove.receive(client, text))
+                                                  session.receive(client, text);
+                                          },
+                                          [&](view::ClientId client) {
+                                              foxglove.close(client);
+                                              session.close(client);
+                                          },
+                                          [&](view::ClientId client) { foxglove.open(client); }});
+    out = &server;
     catch_interrupts();
     print(server.url() + "\n");
     std::fflush(stdout);
@@ -110,7 +123,7 @@ void run_view(const ViewOptions& options) {
                                                     : "only clients that know this address have access";
     if (!options.quiet) note(fmt::format("{}; Ctrl-C ends it", who));
     if (options.open) open_in_browser(server.url());
-    while (!is_interrupted()) session.work(kViewPatience);
+    while (!is_interrupted()) session.work(foxglove.play(kViewPatience));
     session.finish();
     server.close(kGoodbye);
 }
@@ -119,7 +132,8 @@ constexpr const char* kViewHelp =
     R"(The page moves the sensor with mouse and keys, plays the log, and changes sensor and traffic. The
 key ? lists all keys. The page also shows the real scans if the log is still at its path. The URL
 of the page contains its state, including edits, and works again after the program is restarted.
-docs/viewer.md describes the page.
+docs/viewer.md describes the page. Foxglove and Lichtblick connect to the same address with ws://
+instead of http:// and show the log in a loop.
 Examples:
   relidar view run
   relidar view run --port 0 --open

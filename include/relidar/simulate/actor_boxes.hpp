@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+// Finds the boxes of the actors in a scan, and how much of each actor the scan shows.
+#pragma once
+
+#include <cstddef>
+#include <string>
+#include <vector>
+
+#include <relidar/base/math.hpp>
+#include <relidar/scene/scene.hpp>
+#include <relidar/simulate/render.hpp>
+#include <relidar/simulate/scan_files.hpp>
+
+namespace relidar {
+
+/// Box of an actor at the time at which the sensor faces the actor. The box of a moving
+/// actor matches its points only at this time.
+struct ActorBox {
+    std::string track, category;
+    glm::dvec3 size_m{0.0};        ///< length, width and height
+    double time_s = 0.0;           ///< time of the box, in the time of the log
+    Pose dataset_from_box;         ///< pose of the centre of the box
+    glm::dvec3 velocity_mps{0.0};  ///< in the world frame of the dataset
+    std::size_t n_points = 0;      ///< first returns of the scan on the actor
+    /// Rays that hit the actor first, divided by the rays that would hit it if the scene
+    /// contained only this actor.
+    double visible_share = 0.0;
+};
+
+/// Returns the boxes of the actors of `format` that at least one ray of a scan would hit.
+/// @param scan with RenderedScan::actor_views, see ScanRenderer::compute_views()
+std::vector<ActorBox> find_actor_boxes(const RenderedScan& scan, const ScanFormat& format);
+
+/// Replaces the poses of the boxes of a format by the poses of a ScanRequest. Removes the
+/// boxes of actors that the request does not contain.
+void place_boxes(ScanFormat& format, const ActorPoses& dataset_from_actor);
+
+}  // namespace relidar

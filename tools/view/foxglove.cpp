@@ -1,0 +1,214 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "foxglove.hpp"
+
+#include <algorithm>
+#include <limits>
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+#include <relidar/base/error.hpp>
+
+namespace relidar::view {
+namespace {
+
+using Json = nlohmann::json;
+
+constexpr char kMessageData = 1, kTime = 2;  // first bytes of binary messages
+constexpr int kErrorLevel = 2;
+// Maximum number of queued texts of a client. Further errors are not reported.
+constexpr std::size_t kMaxTexts = 16;
+
+template <class T>
+void append_number(std::string& bytes, T value) {
+    bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
+}
+
+std::string encode_time(std::uint64_t time_ns) {
+    std::string bytes(1, kTime);
+    append_number(bytes, time_ns);
+    return bytes;
+}
+
+std::string encode_message(std::uint32_t subscription, const ScanMessage& message) {
+    std::string bytes(1, kMessageData);
+    append_number(bytes, subscription);
+    append_number(bytes, message.time_ns);
+    return bytes + message.bytes;
+}
+
+std::string make_error(const std::string& text) {
+    const Json status{{"op", "status"}, {"level", kErrorLevel}, {"message", text}};
+    return status.dump(-1, ' ', false, Json::error_handler_t::replace);
+}
+
+std::string make_advertisement(const std::vector<ScanTopic>& topics) {
+    Json channels = Json::array();
+    for (const ScanTopic& topic : topics)
+        channels.push_back({{"id", channels.size()},
+                            {"topic", topic.name},
+                            {"encoding", "protobuf"},
+                            {"schemaName", topic.type},
+                            {"schema", topic.schema_base64},
+                            {"schemaEncoding", "protobuf"}});
+    return Json{{"op", "advertise"}, {"channels", channels}}.dump();
+}
+
+const Json& read_list(const Json& message, const char* name) {
+    const auto list = message.find(name);
+    if (list == message.end() || !list->is_array())
+        throw UsageError(fmt::format("{}: expected a list in the message", name));
+    return *list;
+}
+
+std::uint32_t read_id(const Json& value, const char* name) {
+    if (!value.is_number_unsigned() || value.get<std::uint64_t>() > std::numeric_limits<std::uint32_t>::max())
+        throw UsageError(fmt::format("{}: expected an integer from 0 to 2^32 - 1", name));
+    return value.get<std::uint32_t>();
+}
+
+std::uint32_t read_member_id(const Json& object, const char* name) {
+    const auto member = object.find(name);
+    if (member == object.end())
+        throw UsageError(fmt::format("{}: expected this member in the message", name));
+    return read_id(*member, name);
+}
+
+std::vector<double> list_sweep_times(const Sequence& log, int lidar) {
+    std::vector<double> times_s;
+    for (const Frame& frame : log.frames)
+        if (frame.lidar == lidar) times_s.push_back(frame.time_s);
+    return times_s;
+}
+
+}  // namespace
+
+FoxglovePlayer::FoxglovePlayer(const Run& run, Device& device, FoxgloveAnswers answers)
+    : run_(run),
+      device_(device),
+      answers_(std::move(answers)),
+      sensor_(make_configured_sensor(run.config, run.sequence)),
+      format_(make_scan_format(run, sensor_)),
+      topics_(ScanMessages({format_}).topics()),
+      times_s_(list_sweep_times(run.sequence, sensor_.lidar)) {}
+
+void FoxglovePlayer::open(ClientId id) {
+    const Json info{{"op", "serverInfo"}, {"name", "relidar"}, {"capabilities", Json::array({"time"})}};
+    const std::lock_guard lock(mutex_);
+    clients_[id].texts = {info.dump(), make_advertisement(topics_)};
+}
+
+void FoxglovePlayer::close(ClientId id) {
+    const std::lock_guard lock(mutex_);
+    clients_.erase(id);
+}
+
+bool FoxglovePlayer::receive(ClientId id, const std::string& message) {
+    const std::lock_guard lock(mutex_);
+    const auto client = clients_.find(id);
+    if (client == clients_.end()) return false;
+    try {
+        change_subscriptions(client->second, message);
+    } catch (const UsageError& error) {
+        if (client->second.texts.size() < kMaxTexts) client->second.texts.push_back(make_error(error.what()));
+    }
+    return true;
+}
+
+void FoxglovePlayer::change_subscriptions(Client& client, const std::string& text) const {
+    const Json message = Json::parse(text, nullptr, false);
+    if (!message.is_object()) throw UsageError("cannot read a message: expected a JSON object");
+    const auto operation = message.find("op");
+    if (operation != message.end() && *operation == "subscribe") {
+        for (const Json& request : read_list(message, "subscriptions")) {
+            const std::uint32_t id = read_member_id(request, "id"),
+                                topic = read_member_id(request, "channelId");
+            const auto is_of_topic = [&](const auto& known) { return known.second == topic; };
+            if (topic >= topics_.size())
+                throw UsageError(
+                    fmt::format("channelId: found {}, expected at most {}", topic, topics_.size() - 1));
+            if (client.subscriptions.contains(id) || std::ranges::any_of(client.subscriptions, is_of_topic))
+                throw UsageError(fmt::format(
+                    "subscription {} to channel {}: expected a new id, and one subscription for each channel",
+                    id, topic));
+            client.subscriptions.emplace(id, topic);
+        }
+    } else if (operation != message.end() && *operation == "unsubscribe") {
+        for (const Json& id : read_list(message, "subscriptionIds"))
+            client.subscriptions.erase(read_id(id, "subscriptionIds"));
+    } else {
+        throw UsageError("op: expected \"subscribe\" or \"unsubscribe\"");
+    }
+}
+
+/// Sends the queued texts of all clients.
+/// @return true if a client subscribes to a topic
+bool FoxglovePlayer::send_texts() {
+    const std::lock_guard lock(mutex_);
+    bool has_subscriptions = false;
+    for (auto& [id, client] : clients_) {
+        has_subscriptions |= !client.subscriptions.empty();
+        for (std::string& text : std::exchange(client.texts, {})) answers_.text(id, std::move(text));
+    }
+    return has_subscriptions;
+}
+
+std::chrono::milliseconds FoxglovePlayer::play(std::chrono::milliseconds patience) {
+    if (!send_texts() || times_s_.empty()) {
+        playback_.reset();
+        return patience;
+    }
+    try {
+        if (!playback_) playback_.emplace(device_, run_, format_);
+        if (Clock::now() >= playback_->due) play_next_scan();
+        // A device error ends the viewer, because no client can receive a scan without a
+        // device.
+    } catch (const DeviceError&) {
+        throw;
+    } catch (const Error& error) {
+        stop(error.what());
+        return patience;
+    }
+    const auto pause = std::chrono::ceil<std::chrono::milliseconds>(playback_->due - Clock::now());
+    return std::clamp(pause, std::chrono::milliseconds(0), patience);
+}
+
+void FoxglovePlayer::play_next_scan() {
+    std::size_t& frame = playback_->frame;
+    const double time_s = times_s_[frame];
+    const RenderedScan scan = playback_->renderer.render(sensor_, time_s);
+    send(playback_->messages.convert({&scan, 1}));
+    frame = (frame + 1) % times_s_.size();
+    // The last scan lasts one period of the sensor. The next loop needs new messages,
+    // because the times of a ScanMessages must not decrease.
+    if (frame == 0) playback_->messages = ScanMessages({format_});
+    const std::chrono::duration<double> interval(
+        frame > 0 ? times_s_[frame] - time_s : run_.sequence.lidars[std::size_t(sensor_.lidar)].period_s());
+    playback_->due =
+        std::max(Clock::now(), playback_->due + std::chrono::duration_cast<Clock::duration>(interval));
+}
+
+void FoxglovePlayer::send(const std::vector<ScanMessage>& messages) {
+    const std::lock_guard lock(mutex_);
+    for (const auto& [id, client] : clients_) {
+        if (client.subscriptions.empty()) continue;
+        // The time is sent first, because a client removes the messages of the previous
+        // loop when the time decreases.
+        std::vector<std::string> packets{encode_time(messages.back().time_ns)};
+        for (const ScanMessage& message : messages)
+            for (const auto& [subscription, topic] : client.subscriptions)
+                if (topic == message.topic) packets.push_back(encode_message(subscription, message));
+        answers_.scan(id, std::move(packets));
+    }
+}
+
+/// Ends all subscriptions because no scan can be rendered.
+void FoxglovePlayer::stop(const std::string& why) {
+    const std::lock_guard lock(mutex_);
+    for (auto& [id, client] : clients_) {
+        client.subscriptions.clear();
+        client.texts.push_back(make_error(why));
+    }
+}
+
+}  // namespace relidar::view
