@@ -952,7 +952,7 @@ bench() {
     check "run.json lacks scans_per_s" grep -Eq '"scans_per_s": [0-9.]*[1-9]' run.json
     good check --speed --run run --sensor rig.json
     says "^ +[0-9.]+ per second if the sensors are rendered one after the other$"
-    bad 2 "--sensor can only be used with --run" check --speed --sensor rig.json
+    bad 2 "--sensor can only be used with --speed and --run" check --speed --sensor rig.json
     bad 3 "nowhere: no such folder" check --speed --run nowhere --json lost.json
     absent lost.json
 }
