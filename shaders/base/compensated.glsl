@@ -4,13 +4,13 @@
 #ifndef RELIDAR_INCLUDED_BASE_COMPENSATED_GLSL
 #define RELIDAR_INCLUDED_BASE_COMPENSATED_GLSL
 
-/// Adds x to `sum` with Kahan summation: the rounding error is stored in `lost`, and the
+/// Adds x to `sum` with Kahan summation: the rounding error is stored in `rounding_error`, and the
 /// next call corrects the sum by it.
-void add_with_compensation(inout float sum, inout float lost, float x) {
-    precise float y = x - lost;
+void add_with_compensation(inout float sum, inout float rounding_error, float value) {
+    precise float y = value - rounding_error;
     precise float t = sum + y;
     precise float rest = (t - sum) - y;
     sum = t;
-    lost = rest;
+    rounding_error = rest;
 }
 #endif

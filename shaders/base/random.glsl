@@ -5,18 +5,18 @@
 #ifndef RELIDAR_INCLUDED_BASE_RANDOM_GLSL
 #define RELIDAR_INCLUDED_BASE_RANDOM_GLSL
 
-uvec4 pcg4d(uvec4 v) {
-    v = v * 1664525u + 1013904223u;
-    v.x += v.y * v.w;
-    v.y += v.z * v.x;
-    v.z += v.x * v.y;
-    v.w += v.y * v.z;
-    v ^= v >> 16u;
-    v.x += v.y * v.w;
-    v.y += v.z * v.x;
-    v.z += v.x * v.y;
-    v.w += v.y * v.z;
-    return v;
+uvec4 pcg4d(uvec4 key) {
+    key = key * 1664525u + 1013904223u;
+    key.x += key.y * key.w;
+    key.y += key.z * key.x;
+    key.z += key.x * key.y;
+    key.w += key.y * key.z;
+    key ^= key >> 16u;
+    key.x += key.y * key.w;
+    key.y += key.z * key.x;
+    key.z += key.x * key.y;
+    key.w += key.y * key.z;
+    return key;
 }
 
 /// Returns two independent random numbers with a standard normal distribution (Box and

@@ -57,7 +57,7 @@ uvec2 find_lanes_with_same_digit(bool valid, uint digit) {
 /// @param count total number of keys
 /// @param row row of counters
 /// @param in_turn true if this subgroup ranks its keys in this call
-void rank_keys(uint run, uint count, uint row, bool in_turn) {
+void compute_key_ranks(uint run, uint count, uint row, bool in_turn) {
     for (uint r = 0u; r < ROUNDS; ++r) {
         uint i = run + r * gl_SubgroupSize;
         bool valid = in_turn && i < count;
@@ -98,7 +98,7 @@ void main() {
     for (uint i = thread; i < n_rows * WORDS; i += RELIDAR_TILE_THREADS) counters[i] = 0u;
     barrier();
     for (uint turn = 0u; turn < sharing; ++turn) {
-        rank_keys(run, n, row, gl_SubgroupID % sharing == turn);
+        compute_key_ranks(run, n, row, gl_SubgroupID % sharing == turn);
         barrier();
     }
     sum_counters(n_rows);

@@ -30,7 +30,7 @@ bool compute_channels(uint surfel, bool is_surfel, vec3 direction, out vec3 valu
     evaluate_sh_basis(direction, params.sh_degree, basis);
     uint n = count_sh_coefficients(params.sh_degree);
     float size = 0.0;
-    select_transfers(is_surfel, false);
+    set_sh_transfers(is_surfel, false);
     for (uint c = 0u; c < 3u; ++c) {
         load_channel(params.surfels.sh, surfel, c, n);
         float value = 0.5;
@@ -56,8 +56,8 @@ void main() {
     Floats mean = params.surfels.mean, rotation = params.surfels.rotation,
            log_scale = params.surfels.log_scale;
     uint model = find_model(params.models, params.n_models, surfel);
-    Gait gait =
-        load_gait(params.surfels.gait, surfel, is_null(params.surfels.gait) ? -1.0 : params.phases.at[model]);
+    Gait gait = evaluate_gait(params.surfels.gait, surfel,
+                              is_null(params.surfels.gait) ? -1.0 : params.phases.at[model]);
     SurfelRecord s;
     s.mean =
         vec3(mean.at[3 * surfel], mean.at[3 * surfel + 1], mean.at[3 * surfel + 2]) + gait.sine * gait.swing;

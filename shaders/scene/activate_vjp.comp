@@ -48,14 +48,14 @@ vec3 backpropagate_channels(uint surfel, bool any_gradient, vec3 direction, vec3
 
 vec3 load_vec3(Floats array, uint row) { return vec3(array.at[row], array.at[row + 1], array.at[row + 2]); }
 
-void store_view(uint surfel, vec3 gradient) {
+void store_view_gradient(uint surfel, vec3 gradient) {
     if (is_null(params.d_view)) return;
     for (uint k = 0u; k < 3u; ++k) params.d_view.at[3 * surfel + k] = gradient[k];
 }
 
 /// Loads the gradient of a surfel's record, summed over all instances of its model.
 /// @return true if any component is not zero
-bool load_row(uint surfel, ModelEntry model, out float row[16]) {
+bool load_record_gradient(uint surfel, ModelEntry model, out float row[16]) {
     for (uint k = 0u; k < 16u; ++k) row[k] = params.d_records.at[16u * surfel + k];
     for (uint p = 0u; p < model.n_more; ++p) {
         uint first = 16u * (params.more_rows.at[model.first_more + p] + surfel - model.first_surfel);
@@ -84,7 +84,7 @@ void store_zero(uint surfel) {
 
 /// Writes the gradients of all parameters of a surfel except its spherical-harmonic
 /// coefficients.
-void store_geometry(uint surfel, Gait gait, vec3 d_mean, float row[16]) {
+void write_geometry_gradients(uint surfel, Gait gait, vec3 d_mean, float row[16]) {
     vec3 d_axis_u = vec3(row[4], row[5], row[6]);
     vec3 d_axis_v = vec3(row[8], row[9], row[10]);
     vec3 d_normal = vec3(row[12], row[13], row[14]);
@@ -115,28 +115,28 @@ void store_geometry(uint surfel, Gait gait, vec3 d_mean, float row[16]) {
 void apply_chain_rule(uint surfel, bool is_surfel) {
     uint model = find_model(params.models, params.n_models, surfel);
     float row[16];
-    bool any_gradient = is_surfel && load_row(surfel, params.models.at[model], row);
+    bool any_gradient = is_surfel && load_record_gradient(surfel, params.models.at[model], row);
     if (is_surfel) params.touched.at[surfel] = any_gradient ? 1u : 0u;
 
-    Gait gait =
-        load_gait(params.surfels.gait, is_surfel ? surfel : 0u, has_gait() ? params.phases.at[model] : -1.0);
+    Gait gait = evaluate_gait(params.surfels.gait, is_surfel ? surfel : 0u,
+                              has_gait() ? params.phases.at[model] : -1.0);
     vec3 d_to_mean = vec3(0.0);
     if (params.sh_per_surfel != 0u && (STAGED || any_gradient)) {
         vec3 mean = load_vec3(params.surfels.mean, 3 * (is_surfel ? surfel : 0u)) + gait.sine * gait.swing;
         vec3 to_mean = any_gradient ? mean - params.view_origins.at[model] : vec3(1.0);
         float inverse_length = inversesqrt(dot(to_mean, to_mean));
         vec3 direction = to_mean * inverse_length;
-        select_transfers(any_gradient, is_surfel && (any_gradient || params.zero_untouched != 0u));
+        set_sh_transfers(any_gradient, is_surfel && (any_gradient || params.zero_untouched != 0u));
         vec3 d_direction =
             backpropagate_channels(surfel, any_gradient, direction, vec3(row[7], row[11], row[15]));
         d_to_mean = (d_direction - direction * dot(direction, d_direction)) * inverse_length;
     }
     if (any_gradient) {
-        store_geometry(surfel, gait, vec3(row[0], row[1], row[2]) + d_to_mean, row);
-        store_view(surfel, -d_to_mean);
+        write_geometry_gradients(surfel, gait, vec3(row[0], row[1], row[2]) + d_to_mean, row);
+        store_view_gradient(surfel, -d_to_mean);
     } else if (is_surfel) {
         if (params.zero_untouched != 0u) store_zero(surfel);
-        store_view(surfel, vec3(0.0));
+        store_view_gradient(surfel, vec3(0.0));
     }
 }
 

@@ -22,7 +22,7 @@ shared bool staged_loads[gl_WorkGroupSize.x], staged_stores[gl_WorkGroupSize.x];
 /// Sets whether this thread loads and stores the spherical-harmonic coefficients of its
 /// surfel. Every thread of the workgroup must call this function and load_channel() and
 /// store_channel(), because all threads copy together.
-void select_transfers(bool loads, bool stores) {
+void set_sh_transfers(bool loads, bool stores) {
     if (!STAGED) return;
     staged_loads[gl_LocalInvocationIndex] = loads;
     staged_stores[gl_LocalInvocationIndex] = stores;

@@ -28,7 +28,7 @@ uint get_frame_ray(uint index) {
 vec3 load_vec3(Floats array, uint row) { return vec3(array.at[row], array.at[row + 1u], array.at[row + 2u]); }
 
 /// Sums the gradients of every n_threads-th ray, starting with ray number `thread`.
-void sum_rays(uint thread, uint n_threads, uint knot, out vec3 force, out vec3 torque) {
+void sum_ray_gradients(uint thread, uint n_threads, uint knot, out vec3 force, out vec3 torque) {
     force = torque = vec3(0.0);
     for (uint k = thread; k < params.n_rays; k += n_threads) {
         RayPlace place = params.places.at[get_frame_ray(k)];
@@ -46,8 +46,8 @@ void sum_rays(uint thread, uint n_threads, uint knot, out vec3 force, out vec3 t
 void main() {
     uint group = get_workgroup_index(), local = gl_LocalInvocationID.x;
     uint row = group / params.n_knots, knot = group % params.n_knots;
-    sum_rays(row * RELIDAR_KNOT_WORKGROUP + local, params.n_rows * RELIDAR_KNOT_WORKGROUP, knot,
-             forces[local], torques[local]);
+    sum_ray_gradients(row * RELIDAR_KNOT_WORKGROUP + local, params.n_rows * RELIDAR_KNOT_WORKGROUP, knot,
+                      forces[local], torques[local]);
     for (uint n = RELIDAR_KNOT_WORKGROUP / 2u; n > 0u; n /= 2u) {
         barrier();
         if (local < n) {

@@ -22,7 +22,7 @@ constexpr std::size_t kItemsPerBlock = 1 << 16;
 /// keys.
 using ItemsByPart = std::array<std::vector<std::uint32_t>, kParts>;
 
-std::vector<ItemsByPart> distribute_items(std::span<const std::uint64_t> key) {
+std::vector<ItemsByPart> partition_items_by_key(std::span<const std::uint64_t> key) {
     std::vector<ItemsByPart> blocks((key.size() + kItemsPerBlock - 1) / kItemsPerBlock);
     parallel_for(static_cast<int>(blocks.size()), [&](int s) {
         const std::size_t begin = std::size_t(s) * kItemsPerBlock;
@@ -34,8 +34,8 @@ std::vector<ItemsByPart> distribute_items(std::span<const std::uint64_t> key) {
 
 }  // namespace
 
-CellNumbers number_cells(std::span<const std::uint64_t> key) {
-    const std::vector<ItemsByPart> blocks = distribute_items(key);
+CellNumbers assign_cell_numbers(std::span<const std::uint64_t> key) {
+    const std::vector<ItemsByPart> blocks = partition_items_by_key(key);
     CellNumbers numbers{std::vector<std::uint32_t>(key.size()), 0};
     // First stores, for each item, the index of the first item in the same cell. At the
     // end, this index is replaced by the number of the cell.

@@ -19,15 +19,15 @@ struct CellNumbers {
 };
 /// Numbers the grid cells that contain items: 0, 1, 2, ...
 /// @param key [items] key of the grid cell that contains each item
-CellNumbers number_cells(std::span<const std::uint64_t> key);
+CellNumbers assign_cell_numbers(std::span<const std::uint64_t> key);
 /// Numbers the grid cells that contain items: 0, 1, 2, ...
 /// @param count number of items
 /// @param key_of function that returns the key of an item's grid cell
 template <class KeyOf>
-CellNumbers number_cells(std::size_t count, const KeyOf& key_of) {
+CellNumbers assign_cell_numbers(std::size_t count, const KeyOf& key_of) {
     std::vector<std::uint64_t> keys(count);
     for_each_block(count, [&](std::size_t index) { keys[index] = key_of(index); });
-    return number_cells(keys);
+    return assign_cell_numbers(keys);
 }
 
 /// Lists the items of each cell in ascending order.

@@ -10,7 +10,7 @@ namespace relidar {
 /// Concatenates lists into one list. Frees each list after it has been copied, to save
 /// memory.
 template <class T>
-std::vector<T> joined(std::vector<std::vector<T>> parts) {
+std::vector<T> concatenate(std::vector<std::vector<T>> parts) {
     std::size_t n = 0;
     for (const std::vector<T>& part : parts) n += part.size();
     std::vector<T> all;

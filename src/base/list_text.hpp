@@ -13,7 +13,7 @@ namespace relidar {
 
 /// Formats numbers as "3, 4, 7". If the list has more than `max_count` numbers, shortens
 /// it: "3, 4, 7, ... 91 (78 in all)".
-inline std::string list_text(const std::vector<int>& numbers, std::size_t max_count = 6) {
+inline std::string format_number_list(const std::vector<int>& numbers, std::size_t max_count = 6) {
     if (numbers.size() <= max_count) return fmt::format("{}", fmt::join(numbers, ", "));
     return fmt::format("{}, ... {} ({} in total)",
                        fmt::join(numbers.begin(), numbers.begin() + std::ptrdiff_t(max_count) - 1, ", "),

@@ -45,7 +45,7 @@ void check_size(const Device::Impl& device, std::size_t size, const std::string&
 
 /// Checks that an array fits into the memory limit of the user and into the memory budget
 /// of the driver. Reading the budget is slow, so it is read only for large arrays.
-void check_budget(const Device::Impl& device, std::size_t size, const std::string& description) {
+void check_memory_budget(const Device::Impl& device, std::size_t size, const std::string& description) {
     constexpr std::size_t kLarge = gpu::MemoryPools::kBlockBytes / 2;
     if (device.memory_limit_bytes != 0 && device.allocated + size > device.memory_limit_bytes)
         throw OutOfDeviceMemory(fmt::format(
@@ -67,11 +67,11 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::MemoryUse used, c
     // A device that is opened only for compilation allocates no memory, because it may
     // have no hardware.
     if (owner.compile_only) return;
-    owner.free_orphans();
+    owner.free_orphaned_buffers();
     check_size(owner, size, description);
     // Staging and parameter buffers are small or in host memory, so the budget does not
     // apply.
-    if (use == gpu::MemoryUse::device) check_budget(owner, size, description);
+    if (use == gpu::MemoryUse::device) check_memory_budget(owner, size, description);
     VkBufferCreateInfo info{VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO};
     info.size = size;
     info.usage = VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_SHADER_DEVICE_ADDRESS_BIT |
@@ -133,10 +133,10 @@ VkResult Buffer::Impl::allocate_pieces(const VkMemoryRequirements& needs, std::u
         if (result != VK_SUCCESS) return result;
         memory.push_back(piece);
     }
-    return device->bind_pieces(handle, memory);
+    return device->bind_sparse_memory(handle, memory);
 }
 
-VkResult Device::Impl::bind_pieces(VkBuffer buffer, const std::vector<gpu::MemoryPiece>& pieces) {
+VkResult Device::Impl::bind_sparse_memory(VkBuffer buffer, const std::vector<gpu::MemoryPiece>& pieces) {
     std::vector<VkSparseMemoryBind> binds;
     VkDeviceSize offset = 0;
     for (const gpu::MemoryPiece& piece : pieces) {
@@ -177,7 +177,7 @@ void Device::Impl::free_buffer(const Orphan& buffer) noexcept {
     }
 }
 
-void Device::Impl::free_orphans() {
+void Device::Impl::free_orphaned_buffers() {
     const std::lock_guard lock(orphans_mutex);
     if (orphans.empty() || n_recording > 0) return;
     wait_idle();

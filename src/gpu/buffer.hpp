@@ -23,7 +23,7 @@ struct Buffer::Impl {
     /// Allocates a buffer.
     /// @throws OutOfDeviceMemory if memory is exhausted or the device does not allow such
     /// a large buffer
-    Impl(Device::Impl& device, std::size_t n_bytes, gpu::MemoryUse use, const std::string& what);
+    Impl(Device::Impl& device, std::size_t n_bytes, gpu::MemoryUse use, const std::string& description);
     ~Impl();
     Impl(const Impl&) = delete;
     Impl& operator=(const Impl&) = delete;

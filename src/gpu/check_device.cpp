@@ -108,7 +108,7 @@ std::string find_wrong_operations(Device& device) {
                 const auto expected = compute_expected_results(values, lane, before, total);
                 const std::uint32_t* found = actual.data() + (first + lane) * RELIDAR_CHECK_RESULTS;
                 for (std::size_t k = 0; k < expected.size(); ++k)
-                    if (found[k] != expected[k] && (k != kInBranch || does_reconverge(device)))
+                    if (found[k] != expected[k] && (k != kInBranch || has_maximal_reconvergence(device)))
                         return fmt::format("{}: found {} in lane {}, expected {}", kOperations[k], found[k],
                                            lane, expected[k]);
             }

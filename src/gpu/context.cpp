@@ -149,7 +149,7 @@ namespace relidar {
 
 namespace {
 
-std::vector<DeviceInfo> describe_all(const std::vector<VkPhysicalDevice>& physical) {
+std::vector<DeviceInfo> describe_physical_devices(const std::vector<VkPhysicalDevice>& physical) {
     std::vector<DeviceInfo> infos;
     for (std::size_t i = 0; i < physical.size(); ++i)
         infos.push_back(gpu::describe(physical[i], static_cast<int>(i)));
@@ -158,7 +158,7 @@ std::vector<DeviceInfo> describe_all(const std::vector<VkPhysicalDevice>& physic
 
 /// Returns the index of the requested device. If none is requested, prefers GPUs to CPUs,
 /// and among GPUs those with ray queries.
-int choose(const std::vector<DeviceInfo>& infos, const DeviceOptions& options) {
+int choose_device(const std::vector<DeviceInfo>& infos, const DeviceOptions& options) {
     if (infos.empty())
         throw DeviceError(
             "cannot open a device: this machine has no Vulkan device, expected at least one; install "
@@ -185,7 +185,7 @@ int choose(const std::vector<DeviceInfo>& infos, const DeviceOptions& options) {
     return best;
 }
 
-void require(const DeviceInfo& info, Traversal traversal) {
+void check_traversal_support(const DeviceInfo& info, Traversal traversal) {
     if (!info.why_not_usable.empty())
         throw DeviceError(fmt::format("cannot open device {} ({}): it lacks these required features: {}",
                                       info.index, info.name, info.why_not_usable));
@@ -214,7 +214,7 @@ void require(const DeviceInfo& info, Traversal traversal) {
 
 std::vector<DeviceInfo> list_devices() {
     const gpu::Instance instance(false);
-    return describe_all(instance.physical_devices());
+    return describe_physical_devices(instance.physical_devices());
 }
 
 Traversal find_traversal(const std::string& name) {
@@ -235,10 +235,10 @@ Traversal choose_best_traversal(const DeviceInfo& info) {
 Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
     impl_->instance = std::make_unique<gpu::Instance>(options.validation);
     const std::vector<VkPhysicalDevice> physical = impl_->instance->physical_devices();
-    const std::vector<DeviceInfo> infos = describe_all(physical);
-    const int index = choose(infos, options);
+    const std::vector<DeviceInfo> infos = describe_physical_devices(physical);
+    const int index = choose_device(infos, options);
     impl_->info = infos[static_cast<std::size_t>(index)];
-    require(impl_->info, options.traversal);
+    check_traversal_support(impl_->info, options.traversal);
     impl_->traversal =
         options.traversal == Traversal::automatic ? choose_best_traversal(impl_->info) : options.traversal;
     // If no traversal method works, selects the software tree, whose constructor then
@@ -247,7 +247,7 @@ Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
     impl_->physical = physical[static_cast<std::size_t>(index)];
     impl_->memory_limit_bytes = options.memory_limit_bytes;
     impl_->compile_only = options.compile_only;
-    gpu::replace_faulty_methods(*impl_, gpu::find_trust(*impl_, options));
+    gpu::replace_faulty_methods(*impl_, gpu::get_device_trust(*impl_, options));
     impl_->open(options.pipeline_cache);
 }
 

@@ -71,7 +71,7 @@ bool has_extension(VkPhysicalDevice physical, const char* name);
 /// Collects the names of features that a device lacks, for an error message.
 struct Missing {
     std::string text;
-    void need(bool present, const char* name) {
+    void add_if_missing(bool present, const char* name) {
         if (!present) text += (text.empty() ? "" : ", ") + std::string(name);
     }
 };
@@ -122,7 +122,7 @@ struct Pipelines {
     std::mutex mutex;
     std::map<std::string, std::shared_future<Made>> by_key;
     std::counting_semaphore<> compilers{/// Limits the number of threads that compile simultaneously.
-                                        std::ptrdiff_t(max_concurrency())};
+                                        std::ptrdiff_t(get_max_concurrency())};
 };
 
 /// Describes a physical device. The description includes the names of all missing
@@ -220,11 +220,11 @@ struct Device::Impl {
     void wait_idle() noexcept;
     /// Binds pieces of memory to a sparse buffer, one after another. Waits until the
     /// queue has done this.
-    VkResult bind_pieces(VkBuffer buffer, const std::vector<gpu::MemoryPiece>& pieces);
+    VkResult bind_sparse_memory(VkBuffer buffer, const std::vector<gpu::MemoryPiece>& pieces);
     void free_buffer(const Orphan& buffer) noexcept;
     /// Frees the buffers that were kept after exceptions (Orphan), unless a stream still
     /// has recorded commands.
-    void free_orphans();
+    void free_orphaned_buffers();
 };
 
 }  // namespace relidar

@@ -50,8 +50,9 @@ std::uint64_t find_largest_local_heap(VkPhysicalDevice physical) {
     return largest;
 }
 
-std::string format_version(std::uint32_t v) {
-    return fmt::format("{}.{}.{}", VK_API_VERSION_MAJOR(v), VK_API_VERSION_MINOR(v), VK_API_VERSION_PATCH(v));
+std::string format_version(std::uint32_t version) {
+    return fmt::format("{}.{}.{}", VK_API_VERSION_MAJOR(version), VK_API_VERSION_MINOR(version),
+                       VK_API_VERSION_PATCH(version));
 }
 
 constexpr VkSubgroupFeatureFlags kSubgroupOperations =
@@ -123,13 +124,14 @@ std::string list_missing_for_software(const VkPhysicalDeviceSubgroupProperties& 
                (subgroup.supportedOperations & required) == required;
     };
     Missing groups;
-    groups.need(operations(VK_SUBGROUP_FEATURE_VOTE_BIT), "subgroup votes in compute");
-    groups.need(operations(VK_SUBGROUP_FEATURE_BALLOT_BIT), "subgroup ballots in compute");
-    groups.need(operations(VK_SUBGROUP_FEATURE_ARITHMETIC_BIT), "subgroup arithmetic in compute");
-    groups.need(operations(VK_SUBGROUP_FEATURE_SHUFFLE_BIT), "subgroup shuffles in compute");
-    groups.need(sizes.minSubgroupSize >= 4 && sizes.maxSubgroupSize <= 64, "subgroups with 4 to 64 lanes");
-    groups.need(has_known_subgroups(sizes, optional),
-                "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
+    groups.add_if_missing(operations(VK_SUBGROUP_FEATURE_VOTE_BIT), "subgroup votes in compute");
+    groups.add_if_missing(operations(VK_SUBGROUP_FEATURE_BALLOT_BIT), "subgroup ballots in compute");
+    groups.add_if_missing(operations(VK_SUBGROUP_FEATURE_ARITHMETIC_BIT), "subgroup arithmetic in compute");
+    groups.add_if_missing(operations(VK_SUBGROUP_FEATURE_SHUFFLE_BIT), "subgroup shuffles in compute");
+    groups.add_if_missing(sizes.minSubgroupSize >= 4 && sizes.maxSubgroupSize <= 64,
+                          "subgroups with 4 to 64 lanes");
+    groups.add_if_missing(has_known_subgroups(sizes, optional),
+                          "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
     return groups.text;
 }
 
@@ -137,10 +139,10 @@ std::string list_missing_for_networks(const VkPhysicalDeviceSubgroupProperties& 
                                       const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                                       const OptionalFeatures& optional) {
     Missing groups;
-    groups.need(subgroup.supportedOperations & VK_SUBGROUP_FEATURE_SHUFFLE_BIT,
-                "subgroup shuffles in compute");
-    groups.need(has_known_subgroups(sizes, optional),
-                "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
+    groups.add_if_missing(subgroup.supportedOperations & VK_SUBGROUP_FEATURE_SHUFFLE_BIT,
+                          "subgroup shuffles in compute");
+    groups.add_if_missing(has_known_subgroups(sizes, optional),
+                          "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
     return groups.text;
 }
 
@@ -158,17 +160,18 @@ std::string list_missing_for_kernels(const VkPhysicalDeviceProperties& propertie
                                      const VkPhysicalDeviceVulkan13Features& v13,
                                      const VkPhysicalDeviceSubgroupProperties& subgroup) {
     Missing base;
-    base.need(properties.apiVersion >= VK_API_VERSION_1_3, "Vulkan 1.3");
-    base.need(!is_old_lavapipe(driver), "lavapipe from Mesa 24.1 or newer");
-    base.need(v12.bufferDeviceAddress, "bufferDeviceAddress");
-    base.need(v12.scalarBlockLayout, "scalarBlockLayout");
-    base.need(v12.timelineSemaphore, "timelineSemaphore");
-    base.need(v12.hostQueryReset, "hostQueryReset");
-    base.need(v13.maintenance4, "maintenance4");
-    base.need((subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
-                  (subgroup.supportedOperations & kSubgroupOperations) == kSubgroupOperations,
-              "subgroup arithmetic and ballots in compute");
-    base.need(subgroup.subgroupSize >= 4 && subgroup.subgroupSize <= 64, "subgroups with 4 to 64 lanes");
+    base.add_if_missing(properties.apiVersion >= VK_API_VERSION_1_3, "Vulkan 1.3");
+    base.add_if_missing(!is_old_lavapipe(driver), "lavapipe from Mesa 24.1 or newer");
+    base.add_if_missing(v12.bufferDeviceAddress, "bufferDeviceAddress");
+    base.add_if_missing(v12.scalarBlockLayout, "scalarBlockLayout");
+    base.add_if_missing(v12.timelineSemaphore, "timelineSemaphore");
+    base.add_if_missing(v12.hostQueryReset, "hostQueryReset");
+    base.add_if_missing(v13.maintenance4, "maintenance4");
+    base.add_if_missing((subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
+                            (subgroup.supportedOperations & kSubgroupOperations) == kSubgroupOperations,
+                        "subgroup arithmetic and ballots in compute");
+    base.add_if_missing(subgroup.subgroupSize >= 4 && subgroup.subgroupSize <= 64,
+                        "subgroups with 4 to 64 lanes");
     return base.text;
 }
 
@@ -180,9 +183,9 @@ std::string list_missing_for_ray_query(const std::vector<VkExtensionProperties>&
     Missing rays;
     for (const char* name : {VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME,
                              VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME, VK_KHR_RAY_QUERY_EXTENSION_NAME})
-        rays.need(has_extension(extensions, name), name);
-    rays.need(accel.accelerationStructure, "accelerationStructure");
-    rays.need(query.rayQuery, "rayQuery");
+        rays.add_if_missing(has_extension(extensions, name), name);
+    rays.add_if_missing(accel.accelerationStructure, "accelerationStructure");
+    rays.add_if_missing(query.rayQuery, "rayQuery");
     return rays.text;
 }
 

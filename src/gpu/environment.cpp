@@ -43,14 +43,14 @@ std::filesystem::path find_cache_folder() {
 
 }  // namespace
 
-DeviceOptions from_environment(DeviceOptions options) {
+DeviceOptions apply_environment_variables(DeviceOptions options) {
     if (read_variable("RELIDAR_VALIDATION") == "1") options.validation = true;
     const std::string limit = read_variable("RELIDAR_MEMORY_LIMIT_MIB");
     if (!limit.empty() && options.memory_limit_bytes == 0)
         options.memory_limit_bytes = read_memory_limit(limit);
     if (options.pipeline_cache.empty()) options.pipeline_cache = find_cache_folder();
 #ifdef RELIDAR_ASSERTS
-    gpu::set_faults(read_variable("RELIDAR_FAULTS"));
+    gpu::set_injected_faults(read_variable("RELIDAR_FAULTS"));
 #endif
     return options;
 }

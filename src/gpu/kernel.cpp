@@ -21,7 +21,7 @@ namespace relidar {
 
 namespace {
 
-std::span<const std::uint32_t> find_words(std::string_view name) {
+std::span<const std::uint32_t> find_embedded_spirv(std::string_view name) {
     for (const EmbeddedKernel& kernel : embedded_kernels())
         if (kernel.name == name) return kernel.words;
     throw Error(
@@ -37,7 +37,7 @@ constexpr std::array<std::string_view, 3> kReconverging{"diff/accel/bvh_cluster"
 
 /// Returns true for lavapipe up to version 25.0. In these versions, a load in a branch
 /// does nothing if no lane takes the branch.
-bool loads_through_mask(const std::string& driver) {
+bool skips_loads_in_branches(const std::string& driver) {
     int major = 0, minor = 0;
     const std::size_t version = driver.find("Mesa ");
     if (version == std::string::npos ||
@@ -52,9 +52,9 @@ std::vector<std::uint32_t> load_module_words(const Device::Impl& device, std::st
     std::map<std::uint32_t, std::uint32_t> values;
     for (const Constant& c : constants) values[static_cast<std::uint32_t>(c.id)] = c.value;
     std::vector<std::uint32_t> words =
-        gpu::make_parameters_read_only(gpu::resolve_branches(find_words(name), values));
+        gpu::make_parameters_read_only(gpu::resolve_branches(find_embedded_spirv(name), values));
     if (device.info.driver.starts_with("llvmpipe")) {
-        if (!loads_through_mask(device.info.driver)) words = gpu::use_lane_indices(words);
+        if (!skips_loads_in_branches(device.info.driver)) words = gpu::make_indices_nonuniform(words);
         words = gpu::move_parameters_first(words);
     }
     if (std::find(kReconverging.begin(), kReconverging.end(), stem) != kReconverging.end()) {
@@ -158,7 +158,7 @@ std::shared_future<gpu::Pipelines::Made> find_or_begin_pipeline(Device::Impl& de
         made = std::async(launch_mode, [&device, module = kernel.module, stem = kernel.name,
                                         constants = kernel.constants, subgroups = kernel.subgroups] {
             const Turn turn(device.pipelines.compilers);
-            const std::string constants_shown = format_constants(find_words(module), constants);
+            const std::string constants_shown = format_constants(find_embedded_spirv(module), constants);
             return make_pipeline(device, load_module_words(device, module, stem, constants),
                                  constants_shown.empty() ? module : module + " " + constants_shown, constants,
                                  subgroups);
@@ -193,8 +193,8 @@ KernelBase::KernelBase(Device& owner, std::string_view name, const std::vector<C
                                    [](const Constant& c) { return c.id == ConstantId::WORKGROUP_SIZE; });
     impl_->workgroup_size = size == all.end() ? device.workgroup_size : size->value;
     if (size == all.end()) all.push_back({ConstantId::WORKGROUP_SIZE, device.workgroup_size});
-    impl_->addresses = gpu::list_parameter_addresses(find_words(name));
-    if (gpu::can_cut(impl_->name)) impl_->speed = &device.launch_limit.speed(impl_->name);
+    impl_->addresses = gpu::list_parameter_addresses(find_embedded_spirv(name));
+    if (gpu::can_split_launch(impl_->name)) impl_->speed = &device.launch_limit.speed(impl_->name);
     impl_->made_ = find_or_begin_pipeline(device, *impl_,
                                           device.compiles_ahead ? std::launch::async : std::launch::deferred);
     if (device.compile_only) compile_only();
@@ -214,7 +214,7 @@ void KernelBase::compile_only() {
     Device::Impl& device = *impl_->device;
     PipelineStatistics s;
     s.kernel = impl_->module;
-    s.constants = format_constants(find_words(impl_->module), impl_->constants);
+    s.constants = format_constants(find_embedded_spirv(impl_->module), impl_->constants);
     s.workgroup_size = static_cast<int>(impl_->workgroup_size);
     const auto is_same = [&](const PipelineStatistics& known) {
         return known.kernel == s.kernel && known.constants == s.constants &&
@@ -229,7 +229,7 @@ void KernelBase::compile_only() {
 
 KernelBase::~KernelBase() = default;
 
-bool does_reconverge(const Device& device) {
+bool has_maximal_reconvergence(const Device& device) {
     const gpu::OptionalFeatures& optional = device.impl().optional;
     return optional.maximal_reconvergence || optional.subgroup_uniform_control_flow;
 }

@@ -134,7 +134,7 @@ bool must_test_every_surfel(const Device& device);
 
 /// Returns true if the lanes of a subgroup reconverge after a branch or loop. Vulkan
 /// guarantees this only with an extension.
-bool does_reconverge(const Device& device);
+bool has_maximal_reconvergence(const Device& device);
 
 /// Returns the names of the features that neural networks need and the device lacks.
 /// Empty if no feature is missing.

@@ -37,7 +37,7 @@ KernelSpeed& LaunchLimit::speed(const std::string& kernel) {
     return speeds_[kernel];
 }
 
-bool can_cut(const std::string& kernel) {
+bool can_split_launch(const std::string& kernel) {
     constexpr std::array<std::string_view, 4> kWholeKernels{"diff/accel/bvh_refit", "diff/optimizer/adam",
                                                             "scene/activate_vjp", "gpu/radix_scan"};
     return std::ranges::find(kWholeKernels, kernel) == kWholeKernels.end();

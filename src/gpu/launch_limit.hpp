@@ -56,6 +56,6 @@ private:
 /// Returns true if launches of this kernel may be split into several dispatches. Kernels
 /// that read the total number of workgroups must not be split, because each dispatch
 /// would report a smaller number.
-bool can_cut(const std::string& kernel);
+bool can_split_launch(const std::string& kernel);
 
 }  // namespace relidar::gpu

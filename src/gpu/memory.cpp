@@ -90,7 +90,7 @@ MemoryPools::MemoryPools(VkPhysicalDevice physical, VkDevice device) : device_(d
 }
 
 MemoryPools::~MemoryPools() {
-    for (std::uint32_t type = 0; type < VK_MAX_MEMORY_TYPES; ++type) release_empty(type, 0);
+    for (std::uint32_t type = 0; type < VK_MAX_MEMORY_TYPES; ++type) release_empty_blocks(type, 0);
 }
 
 /// Returns the size of a memory block that several buffers share. It is smaller for a
@@ -105,7 +105,8 @@ std::uint64_t MemoryPools::shared_bytes(std::uint32_t type) const {
 /// Returns the memory types that satisfy the requirements, best first. Only small
 /// parameter buffers may use device memory that the host can access, because there may be
 /// little of it.
-std::vector<std::uint32_t> MemoryPools::types(const VkMemoryRequirements& needs, MemoryUse use) const {
+std::vector<std::uint32_t> MemoryPools::list_memory_types(const VkMemoryRequirements& needs,
+                                                          MemoryUse use) const {
     std::vector<std::uint32_t> suitable_types;
     for (const VkMemoryPropertyFlags properties_mask : list_preferred_properties(use))
         for (std::uint32_t type = 0; type < properties_.memoryTypeCount; ++type) {
@@ -134,7 +135,7 @@ std::optional<MemoryPiece> MemoryPools::allocate_of_type(const VkMemoryRequireme
 VkResult MemoryPools::take(const VkMemoryRequirements& needs, MemoryUse use, MemoryPiece& piece) {
     const std::lock_guard lock(mutex_);
     VkResult result = VK_ERROR_FEATURE_NOT_PRESENT;  // Result if no memory type is suitable.
-    for (const std::uint32_t type : types(needs, use)) {
+    for (const std::uint32_t type : list_memory_types(needs, use)) {
         std::optional<MemoryPiece> free_piece = allocate_of_type(needs, type);
         result = free_piece ? VK_SUCCESS : grow(needs, type, free_piece);
         if (result != VK_SUCCESS) continue;
@@ -155,7 +156,7 @@ VkResult MemoryPools::grow(const VkMemoryRequirements& needs, std::uint32_t type
     for (const std::uint64_t n_bytes : {needs.size > shared / 2 ? needs.size : shared, needs.size}) {
         result = add_block(type, n_bytes);
         if (result == VK_SUCCESS && (piece = allocate_of_type(needs, type))) return VK_SUCCESS;
-        release_empty(type, 0);
+        release_empty_blocks(type, 0);
     }
     return result;
 }
@@ -189,14 +190,14 @@ VkResult MemoryPools::map(MemoryBlock& block) {
 void MemoryPools::release(const MemoryPiece& piece) {
     const std::lock_guard lock(mutex_);
     piece.block->free.release(piece.offset, piece.n_bytes);
-    if (piece.block->free.all_free()) release_empty(piece.block->type, 1);
+    if (piece.block->free.is_fully_free()) release_empty_blocks(piece.block->type, 1);
 }
 
 /// Frees the empty memory blocks of a memory type.
 /// @param n_kept number of empty blocks of normal size that are kept
-void MemoryPools::release_empty(std::uint32_t type, std::size_t n_kept) {
+void MemoryPools::release_empty_blocks(std::uint32_t type, std::size_t n_kept) {
     std::erase_if(blocks_[type], [&](const std::unique_ptr<MemoryBlock>& block) {
-        if (!block->free.all_free()) return false;
+        if (!block->free.is_fully_free()) return false;
         if (n_kept > 0 && block->n_bytes == shared_bytes(type)) {
             --n_kept;
             return false;

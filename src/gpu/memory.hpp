@@ -51,7 +51,7 @@ public:
     /// @return offset of the allocated range, or nullopt if no free range is large enough
     std::optional<std::uint64_t> take(std::uint64_t n_bytes, std::uint64_t alignment);
     void release(std::uint64_t offset, std::uint64_t n_bytes);
-    bool all_free() const { return ranges_.size() == 1 && ranges_.begin()->second == n_bytes_; }
+    bool is_fully_free() const { return ranges_.size() == 1 && ranges_.begin()->second == n_bytes_; }
 
 private:
     std::uint64_t n_bytes_;
@@ -100,13 +100,13 @@ private:
     mutable std::mutex mutex_;
     std::array<Blocks, VK_MAX_MEMORY_TYPES> blocks_;  ///< Memory blocks, indexed by memory type.
 
-    std::vector<std::uint32_t> types(const VkMemoryRequirements& needs, MemoryUse use) const;
+    std::vector<std::uint32_t> list_memory_types(const VkMemoryRequirements& needs, MemoryUse use) const;
     std::uint64_t shared_bytes(std::uint32_t type) const;
     std::optional<MemoryPiece> allocate_of_type(const VkMemoryRequirements& needs, std::uint32_t type);
     VkResult grow(const VkMemoryRequirements& needs, std::uint32_t type, std::optional<MemoryPiece>& piece);
     VkResult map(MemoryBlock& block);
     VkResult add_block(std::uint32_t type, std::uint64_t n_bytes);
-    void release_empty(std::uint32_t type, std::size_t n_kept);
+    void release_empty_blocks(std::uint32_t type, std::size_t n_kept);
 };
 
 }  // namespace relidar::gpu

@@ -8,7 +8,7 @@
 namespace relidar::gpu {
 namespace {
 
-double as_double(const VkPipelineExecutableStatisticKHR& statistic) {
+double convert_statistic(const VkPipelineExecutableStatisticKHR& statistic) {
     switch (statistic.format) {
         case VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_BOOL32_KHR:
             return statistic.value.b32 ? 1.0 : 0.0;
@@ -47,7 +47,7 @@ void read_statistics(VkDevice device, VkPipeline pipeline, PipelineStatistics& s
     check(vkGetPipelineExecutableStatisticsKHR(device, &program, &n, values.data()),
           "vkGetPipelineExecutableStatisticsKHR");
     for (const VkPipelineExecutableStatisticKHR& value : values)
-        statistics.values[value.name] = as_double(value);
+        statistics.values[value.name] = convert_statistic(value);
 }
 
 }  // namespace relidar::gpu

@@ -43,16 +43,16 @@ RadixSort::RadixSort(Device& device, std::uint32_t capacity, std::uint32_t key_w
             device.info().name));
 }
 
-SortSet RadixSort::run(Stream& stream, SortSet from, SortSet other, std::uint32_t key_bits,
+SortSet RadixSort::run(Stream& stream, SortSet input, SortSet scratch, std::uint32_t key_bits,
                        Address<std::uint32_t, shared::SortCount> n_keys) const {
     const std::size_t n_threads = count_tiles(capacity_) * RELIDAR_TILE_THREADS;
     for (std::uint32_t pass = 0; pass < passes(key_bits); ++pass) {
         const shared::RadixSortParams params{
             .n_keys = n_keys,
-            .keys = from.keys,
-            .order = pass == 0 ? Address<std::uint32_t, shared::SortOrder>() : from.order,
-            .sorted_keys = other.keys,
-            .sorted_order = other.order,
+            .keys = input.keys,
+            .order = pass == 0 ? Address<std::uint32_t, shared::SortOrder>() : input.order,
+            .sorted_keys = scratch.keys,
+            .sorted_order = scratch.order,
             .counts = counts_.address(),
             .totals = totals_.address(),
             .capacity = capacity_,
@@ -60,9 +60,9 @@ SortSet RadixSort::run(Stream& stream, SortSet from, SortSet other, std::uint32_
         relidar::run(stream, count_, n_threads, params);
         relidar::run(stream, scan_, kScanThreads, params);
         relidar::run(stream, scatter_, n_threads, params);
-        std::swap(from, other);
+        std::swap(input, scratch);
     }
-    return from;
+    return input;
 }
 
 }  // namespace relidar

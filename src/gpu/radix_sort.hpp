@@ -30,11 +30,11 @@ public:
     static std::uint32_t passes(std::uint32_t key_bits) { return key_bits > 8 ? (key_bits + 7) / 8 : 1; }
     /// Submits kernels that sort keys by their low `key_bits` bits. Equal keys keep their
     /// order. Overwrites both sets.
-    /// @param from keys to sort. The order array of this set is not read
+    /// @param input keys to sort. The order array of this set is not read
     /// @param n_keys address of the number of keys. If null, the number equals the
     /// capacity. Keys beyond the capacity are ignored
     /// @return the set that contains the sorted keys
-    SortSet run(Stream& stream, SortSet from, SortSet other, std::uint32_t key_bits,
+    SortSet run(Stream& stream, SortSet input, SortSet scratch, std::uint32_t key_bits,
                 Address<std::uint32_t, shared::SortCount> n_keys = {}) const;
     std::uint64_t memory_bytes() const {
         return counts_.buffer().size_bytes() + totals_.buffer().size_bytes();

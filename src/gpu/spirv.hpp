@@ -48,7 +48,7 @@ std::vector<std::uint32_t> move_parameters_first(std::span<const std::uint32_t> 
 ///
 /// Call this function before move_parameters_first(), which moves the loads of
 /// parameters.
-std::vector<std::uint32_t> use_lane_indices(std::span<const std::uint32_t> words);
+std::vector<std::uint32_t> make_indices_nonuniform(std::span<const std::uint32_t> words);
 
 /// Returns a copy of a SPIR-V module without branches that depend only on specialisation
 /// constants. Unreachable blocks stay in the module. lavapipe then compiles large kernels

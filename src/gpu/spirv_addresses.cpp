@@ -61,12 +61,16 @@ private:
     /// of the member.
     std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t> offsets_;
 
-    void read(std::uint32_t opcode, Instruction i) {
-        if (opcode == kOpName && get_name_in(i) == std::string("ParamsBlock")) block_ = i[1];
-        if (opcode == type_pointer || opcode == type_array || opcode == type_struct) types_[i[1]] = i;
-        if (opcode == constant) constants_[i[2]] = i[3];
-        if (opcode == kOpDecorate && i[2] == array_stride) strides_[i[1]] = i[3];
-        if (opcode == member_decorate && i[3] == member_offset) offsets_[{i[1], i[2]}] = i[4];
+    void read(std::uint32_t opcode, Instruction instruction) {
+        if (opcode == kOpName && get_name_in(instruction) == std::string("ParamsBlock"))
+            block_ = instruction[1];
+        if (opcode == type_pointer || opcode == type_array || opcode == type_struct)
+            types_[instruction[1]] = instruction;
+        if (opcode == constant) constants_[instruction[2]] = instruction[3];
+        if (opcode == kOpDecorate && instruction[2] == array_stride)
+            strides_[instruction[1]] = instruction[3];
+        if (opcode == member_decorate && instruction[3] == member_offset)
+            offsets_[{instruction[1], instruction[2]}] = instruction[4];
     }
 };
 

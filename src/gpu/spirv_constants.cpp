@@ -53,7 +53,7 @@ public:
                 break;
             case kOpConstant:
             case kOpSpecConstant:
-                if (types_.contains(instruction[1])) known_[instruction[2]] = value_of(instruction);
+                if (types_.contains(instruction[1])) known_[instruction[2]] = get_constant_value(instruction);
                 break;
             case kOpSpecConstantOp:
                 store_result(instruction, instruction[3], instruction.subspan(4));
@@ -73,7 +73,7 @@ private:
     std::set<std::uint32_t> types_;
     std::map<std::uint32_t, std::uint32_t> spec_ids_, known_;
 
-    std::uint32_t value_of(Instruction constant) const {
+    std::uint32_t get_constant_value(Instruction constant) const {
         const auto spec_id = spec_ids_.find(constant[2]);
         const auto override_value =
             spec_id == spec_ids_.end() ? constants_.end() : constants_.find(spec_id->second);
@@ -140,24 +140,25 @@ public:
         });
     }
 
-    /// Returns true if the branch from block `from` to block `left` can be removed.
+    /// Returns true if the branch from block `source_block` to block `successor` can be removed.
     /// Blocks behind it become unreachable. They must not be predecessors in a phi
     /// instruction, and must not end or continue an enclosing loop.
     /// @param merge block in which both paths of the branch join
-    bool can_be_left(std::uint32_t from, std::uint32_t left, std::uint32_t merge) const {
-        if (left == merge) return !with_phi_.contains(merge);
-        std::set<std::uint32_t> behind = {left};
-        for (std::vector<std::uint32_t> open = {left}; !open.empty();) {
+    bool can_remove_branch(std::uint32_t source_block, std::uint32_t successor, std::uint32_t merge) const {
+        if (successor == merge) return !with_phi_.contains(merge);
+        std::set<std::uint32_t> behind = {successor};
+        for (std::vector<std::uint32_t> open = {successor}; !open.empty();) {
             const auto next = next_.find(open.back());
             open.pop_back();
             if (next == next_.end()) continue;  // A block without a successor returns from the function.
             for (const std::uint32_t block : next->second)
                 if (block != merge && behind.insert(block).second) open.push_back(block);
         }
-        return !behind.contains(from) && std::all_of(behind.begin(), behind.end(), [&](std::uint32_t block) {
-            const auto header = header_of_.find(block);
-            return header == header_of_.end() || behind.contains(header->second);
-        });
+        return !behind.contains(source_block) &&
+               std::all_of(behind.begin(), behind.end(), [&](std::uint32_t block) {
+                   const auto header = header_of_.find(block);
+                   return header == header_of_.end() || behind.contains(header->second);
+               });
     }
 
 private:
@@ -185,7 +186,7 @@ std::vector<std::uint32_t> resolve_branches(std::span<const std::uint32_t> words
         }
         std::optional<std::uint32_t> condition;
         if (opcode == kOpBranchConditional && !merge.empty()) condition = values.at(instruction[1]);
-        if (condition && blocks.can_be_left(block, instruction[*condition != 0 ? 3 : 2], merge[1])) {
+        if (condition && blocks.can_remove_branch(block, instruction[*condition != 0 ? 3 : 2], merge[1])) {
             result.insert(result.end(), {2u << 16 | kOpBranch, instruction[*condition != 0 ? 2 : 3]});
         } else {
             append(result, merge);

@@ -28,7 +28,7 @@ public:
         if (is_new_lane_) lane_ = next_++;
     }
 
-    std::vector<std::uint32_t> written() {
+    std::vector<std::uint32_t> make_module_words() {
         result_.assign(words_.begin(), words_.begin() + kHeaderWords);
         for_each_instruction(
             words_, [&](std::uint32_t opcode, Instruction instruction) { write(opcode, instruction); });
@@ -72,15 +72,19 @@ private:
     std::set<std::uint32_t> storage_pointers_, parameters_;
     bool is_new_lane_ = false, decorated_ = false, declared_ = false, in_entry_ = false, filled_ = false;
 
-    void read(std::uint32_t opcode, Instruction i) {
-        if (opcode == kOpName && get_name_in(i) == std::string("ParamsBlock")) block_ = i[1];
-        if (opcode == entry_point) entry_ = i[2];
-        if (opcode == type_int && i[2] == 32 && i[3] == 0) uint_ = i[1];
-        if (opcode == type_pointer && i[2] == physical_storage) storage_pointers_.insert(i[1]);
-        if (opcode == type_pointer && i[2] == physical_storage && i[3] == block_) block_pointer_ = i[1];
-        if (opcode == variable && i[3] == push_constant) push_ = i[2];
-        if (opcode == decorate && i[2] == built_in && i[3] == local_invocation_index) lane_ = i[1];
-        if (opcode == load && i[1] == block_pointer_) parameters_.insert(i[2]);
+    void read(std::uint32_t opcode, Instruction instruction) {
+        if (opcode == kOpName && get_name_in(instruction) == std::string("ParamsBlock"))
+            block_ = instruction[1];
+        if (opcode == entry_point) entry_ = instruction[2];
+        if (opcode == type_int && instruction[2] == 32 && instruction[3] == 0) uint_ = instruction[1];
+        if (opcode == type_pointer && instruction[2] == physical_storage)
+            storage_pointers_.insert(instruction[1]);
+        if (opcode == type_pointer && instruction[2] == physical_storage && instruction[3] == block_)
+            block_pointer_ = instruction[1];
+        if (opcode == variable && instruction[3] == push_constant) push_ = instruction[2];
+        if (opcode == decorate && instruction[2] == built_in && instruction[3] == local_invocation_index)
+            lane_ = instruction[1];
+        if (opcode == load && instruction[1] == block_pointer_) parameters_.insert(instruction[2]);
     }
 
     void emit(Number op, std::initializer_list<std::uint32_t> operands) {
@@ -147,8 +151,8 @@ private:
 
 }  // namespace
 
-std::vector<std::uint32_t> use_lane_indices(std::span<const std::uint32_t> words) {
-    return LaneIndices(words).written();
+std::vector<std::uint32_t> make_indices_nonuniform(std::span<const std::uint32_t> words) {
+    return LaneIndices(words).make_module_words();
 }
 
 }  // namespace relidar::gpu

@@ -69,22 +69,25 @@ struct Module {
 private:
     std::map<std::uint32_t, Words> chains_;
 
-    void read(std::uint32_t opcode, Instruction i) {
-        if (opcode == kOpName && get_name_in(i) == std::string("ParamsBlock")) block = i[1];
-        if (opcode == kEntryPoint) entry = i[2];
-        if (opcode >= 19 && opcode <= 39) types[i[1]] = Words(i.begin(), i.end());
-        if (opcode == kTypePointer && i[2] == kPhysicalStorage && i[3] == block) block_pointer = i[1];
-        if (opcode == kTypeInt && i[2] == 32 && !int_type) int_type = i[1];
-        if (opcode == kConstant && i.size() == 4 && types.contains(i[1]) &&
-            (types.at(i[1])[0] & 0xffffu) == kTypeInt)
-            constants[i[2]] = i[3];
-        if (opcode == kAccessChain) read_chain(i);
-        if (opcode == kLoad && i[1] == block_pointer && block_pointer) {
-            addresses.insert(i[2]);
-            push_chain = chains_[i[3]];
+    void read(std::uint32_t opcode, Instruction instruction) {
+        if (opcode == kOpName && get_name_in(instruction) == std::string("ParamsBlock"))
+            block = instruction[1];
+        if (opcode == kEntryPoint) entry = instruction[2];
+        if (opcode >= 19 && opcode <= 39)
+            types[instruction[1]] = Words(instruction.begin(), instruction.end());
+        if (opcode == kTypePointer && instruction[2] == kPhysicalStorage && instruction[3] == block)
+            block_pointer = instruction[1];
+        if (opcode == kTypeInt && instruction[2] == 32 && !int_type) int_type = instruction[1];
+        if (opcode == kConstant && instruction.size() == 4 && types.contains(instruction[1]) &&
+            (types.at(instruction[1])[0] & 0xffffu) == kTypeInt)
+            constants[instruction[2]] = instruction[3];
+        if (opcode == kAccessChain) read_access_chain(instruction);
+        if (opcode == kLoad && instruction[1] == block_pointer && block_pointer) {
+            addresses.insert(instruction[2]);
+            push_chain = chains_[instruction[3]];
         }
     }
-    void read_chain(Instruction instruction) {
+    void read_access_chain(Instruction instruction) {
         if (!addresses.contains(instruction[3])) {
             chains_[instruction[2]] = Words(instruction.begin(), instruction.end());
             return;
@@ -108,7 +111,7 @@ public:
     /// addresses and structs of these.
     bool can_store(std::uint32_t type) const {
         const Words& t = module_.types.at(type);
-        if ((t[0] & 0xffffu) != kTypeStruct) return align_of(type).has_value();
+        if ((t[0] & 0xffffu) != kTypeStruct) return get_type_alignment(type).has_value();
         for (std::size_t k = 2; k < t.size(); ++k)
             if (!can_store(t[k])) return false;
         return true;
@@ -137,7 +140,7 @@ public:
     /// Returns the edited SPIR-V module.
     /// @param code all functions of the module, in which loads of parameters were already
     /// replaced
-    Words written(std::span<const std::uint32_t> words, const Words& code) {
+    Words make_module_words(std::span<const std::uint32_t> words, const Words& code) {
         const Words first = fill();
         Words result(words.begin(), words.begin() + kHeaderWords);
         bool functions = false, decorated = false;
@@ -150,7 +153,7 @@ public:
             append(result, opcode == kEntryPoint ? entry_point(instruction)
                                                  : Words(instruction.begin(), instruction.end()));
         });
-        append_code(result, code, first);
+        append_functions(result, code, first);
         result[3] = next_;
         return result;
     }
@@ -167,14 +170,14 @@ private:
 
     /// Returns the alignment of a type in bytes. Returns nullopt unless the type is a
     /// number, vector or address.
-    std::optional<std::uint32_t> align_of(std::uint32_t type) const {
+    std::optional<std::uint32_t> get_type_alignment(std::uint32_t type) const {
         const Words& t = module_.types.at(type);
         switch (t[0] & 0xffffu) {
             case kTypeInt:
             case kTypeFloat:
                 return t[2] / 8;
             case kTypeVector:
-                return align_of(t[2]);
+                return get_type_alignment(t[2]);
             case kTypePointer:
                 return t[2] == kPhysicalStorage ? std::optional(8u) : std::nullopt;
             default:
@@ -218,7 +221,7 @@ private:
             Words place{std::uint32_t(path.size() + 4) << 16 | kAccessChain, to_storage, at, block};
             for (const std::uint32_t member : path) place.push_back(index(member));
             append(code, place);
-            append(code, instruction(kLoad, {v.type, value, at, kAligned, *align_of(v.type)}));
+            append(code, instruction(kLoad, {v.type, value, at, kAligned, *get_type_alignment(v.type)}));
             append(code, instruction(kStore, {v.id, value}));
         }
         return code;
@@ -231,7 +234,7 @@ private:
     }
     /// Appends all functions to the SPIR-V module. In the entry point, inserts the
     /// instructions `first` after the variable declarations.
-    void append_code(Words& result, const Words& code, const Words& first) const {
+    void append_functions(Words& result, const Words& code, const Words& first) const {
         bool in_entry = false, filled = false;
         for (std::size_t at = 0; at < code.size(); at += code[at] >> 16) {
             const std::uint32_t op = code[at] & 0xffffu;
@@ -262,7 +265,7 @@ std::vector<std::uint32_t> move_parameters_first(std::span<const std::uint32_t> 
         result.load(code, instruction[1], place->second, instruction[2]);
         any = true;
     });
-    return any ? result.written(words, code) : Words(words.begin(), words.end());
+    return any ? result.make_module_words(words, code) : Words(words.begin(), words.end());
 }
 
 }  // namespace relidar::gpu

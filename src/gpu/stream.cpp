@@ -108,7 +108,7 @@ void Stream::Impl::end_concurrent() {
     barrier();
 }
 
-void Stream::Impl::keep(const std::string& name, Command command) {
+void Stream::Impl::store_lane_command(const std::string& name, Command command) {
     StreamLane& chosen = lanes[lane];
     if (chosen.empty() || chosen.back().closed) chosen.push_back({name, {}});
     chosen.back().commands.push_back(std::move(command));
@@ -118,7 +118,7 @@ void Stream::Impl::keep(const std::string& name, Command command) {
 /// Records the commands of all lanes (concurrent sequences), step by step. Each step has
 /// a single pair of timestamps. More timestamps would make its commands wait for each
 /// other.
-void Stream::Impl::record_lanes() {
+void Stream::Impl::record_concurrent_lanes() {
     std::size_t n_steps = 0;
     for (const StreamLane& one : lanes) n_steps = std::max(n_steps, one.size());
     for (std::size_t k = 0; k < n_steps; ++k) {
@@ -233,11 +233,13 @@ struct Stream::Impl::Dispatch {
     std::array<std::uint64_t, 2> pushed;
     std::uint32_t rows, columns, rows_per_piece;
 
-    std::uint32_t count_rows_from(std::uint32_t row) const { return std::min(rows_per_piece, rows - row); }
+    std::uint32_t count_workgroup_rows_from(std::uint32_t row) const {
+        return std::min(rows_per_piece, rows - row);
+    }
     void record(VkCommandBuffer commands, VkPipelineLayout layout, std::uint32_t row) const {
         vkCmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, pipeline);
         vkCmdPushConstants(commands, layout, VK_SHADER_STAGE_COMPUTE_BIT, 0, sizeof(pushed), pushed.data());
-        vkCmdDispatchBase(commands, 0, row, 0, columns, count_rows_from(row), 1);
+        vkCmdDispatchBase(commands, 0, row, 0, columns, count_workgroup_rows_from(row), 1);
     }
 };
 
@@ -277,17 +279,17 @@ void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, con
                                             speed ? speed->choose_groups_per_piece(limit.piece_s) : n_groups);
     // Launches in lanes (concurrent sequences) are not split, because their commands are
     // recorded later and in a single submission.
-    if (speed && lanes.empty()) return record_pieces(kernel.impl(), dispatch);
+    if (speed && lanes.empty()) return record_dispatch_pieces(kernel.impl(), dispatch);
     record(name, [layout = device->pipeline_layout, dispatch](VkCommandBuffer commands) {
         for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece)
             dispatch.record(commands, layout, row);
     });
 }
 
-void Stream::Impl::record_pieces(const KernelBase::Impl& kernel, const Dispatch& dispatch) {
+void Stream::Impl::record_dispatch_pieces(const KernelBase::Impl& kernel, const Dispatch& dispatch) {
     const double piece_s = device->launch_limit.piece_s;
     for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece) {
-        const std::uint32_t n_groups = dispatch.count_rows_from(row) * dispatch.columns;
+        const std::uint32_t n_groups = dispatch.count_workgroup_rows_from(row) * dispatch.columns;
         double expected_s = kernel.speed->estimate_seconds(n_groups);
         // While the speed of a kernel is unknown, each of its dispatches gets a separate
         // submission.
@@ -376,11 +378,11 @@ StreamLanes::~StreamLanes() {
     Stream::Impl& s = stream_.impl();
     // After an exception the commands are dropped, because the arrays that they use may
     // be destroyed.
-    if (std::uncaught_exceptions() == 0) s.record_lanes();
+    if (std::uncaught_exceptions() == 0) s.record_concurrent_lanes();
     s.lanes.clear();
 }
 
-void StreamLanes::choose(std::size_t lane) {
+void StreamLanes::select_lane(std::size_t lane) {
     Stream::Impl& s = stream_.impl();
     if (lane >= s.lanes.size() || s.n_concurrent > 0)
         throw Error(
@@ -396,7 +398,7 @@ std::uint64_t Stream::submit() {
     if (s.device->compile_only) return 0;
     if (s.n_concurrent > 0)
         throw Error(ExitCode::bug, "cannot submit commands: a Concurrent scope is still open");
-    s.record_lanes();
+    s.record_concurrent_lanes();
     VkCommandBuffer commands = s.commands();
     // Marks the end of a frame. RenderDoc and GFXReconstruct need this label to capture a
     // program that has no window.

@@ -121,11 +121,11 @@ struct Stream::Impl {
     /// if there is none.
     VkCommandBuffer commands();
     /// Records a command with timestamps, and a barrier after it. In a StreamLanes scope,
-    /// only stores the command; record_lanes() records it later.
+    /// only stores the command; record_concurrent_lanes() records it later.
     /// @param name name of the command in the measured times
     template <class Recorded>
     void record(const std::string& name, Recorded command) {
-        if (!lanes.empty()) return keep(name, std::move(command));
+        if (!lanes.empty()) return store_lane_command(name, std::move(command));
         begin_timing(name);
         begin_label(name);
         command(commands());
@@ -136,7 +136,7 @@ struct Stream::Impl {
     void end_concurrent();
     /// Records the stored commands of all lanes (concurrent sequences) and clears the
     /// lanes. Step n of a lane may run concurrently with step n of the other lanes.
-    void record_lanes();
+    void record_concurrent_lanes();
     /// Where a value from the host is stored until the submission is complete.
     struct Stored {
         VkBuffer buffer;
@@ -167,7 +167,7 @@ private:
     /// of a buffer with zeros.
     /// @return device address of the stored struct
     std::uint64_t store_parameters(const KernelBase& kernel, const void* bytes, std::size_t n_bytes);
-    void keep(const std::string& name, Command command);
+    void store_lane_command(const std::string& name, Command command);
     /// Records a barrier, so that later commands see earlier device writes. In a
     /// Concurrent scope, only the end of the scope records a barrier.
     void barrier();
@@ -182,7 +182,7 @@ private:
     /// Begins a named region that debuggers show. end_label() ends it.
     void begin_label(const std::string& name);
     void end_label();
-    void record_pieces(const KernelBase::Impl& kernel, const Dispatch& dispatch);
+    void record_dispatch_pieces(const KernelBase::Impl& kernel, const Dispatch& dispatch);
     void begin_buffer(Slot& slot);
     /// Sends the commands recorded so far to the device. The submission continues in a
     /// new command buffer.

@@ -35,7 +35,8 @@ Transfers::~Transfers() {
     vkDestroyCommandPool(device_.device, pool_, nullptr);
 }
 
-Buffer::Impl& Transfers::staging(std::unique_ptr<Buffer::Impl>& buffer, MemoryUse use, std::size_t n_bytes) {
+Buffer::Impl& Transfers::get_staging_buffer(std::unique_ptr<Buffer::Impl>& buffer, MemoryUse use,
+                                            std::size_t n_bytes) {
     const std::size_t staging_bytes = std::clamp(std::bit_ceil(n_bytes), kSmallest, kLargest);
     if (!buffer || buffer->n_bytes < staging_bytes) {
         buffer.reset();
@@ -47,7 +48,7 @@ Buffer::Impl& Transfers::staging(std::unique_ptr<Buffer::Impl>& buffer, MemoryUs
 void Transfers::upload(const Buffer::Impl& target, const void* data, std::size_t n_bytes,
                        std::size_t offset_bytes) {
     const std::lock_guard lock(mutex_);
-    const Buffer::Impl& from = staging(upload_, MemoryUse::upload, n_bytes);
+    const Buffer::Impl& from = get_staging_buffer(upload_, MemoryUse::upload, n_bytes);
     for (std::size_t done = 0; done < n_bytes; done += kLargest) {
         const std::size_t n = std::min(kLargest, n_bytes - done);
         std::memcpy(from.mapped, static_cast<const std::byte*>(data) + done, n);
@@ -58,7 +59,7 @@ void Transfers::upload(const Buffer::Impl& target, const void* data, std::size_t
 void Transfers::download(const Buffer::Impl& source, void* data, std::size_t n_bytes,
                          std::size_t offset_bytes) {
     const std::lock_guard lock(mutex_);
-    const Buffer::Impl& to = staging(download_, MemoryUse::readback, n_bytes);
+    const Buffer::Impl& to = get_staging_buffer(download_, MemoryUse::readback, n_bytes);
     for (std::size_t done = 0; done < n_bytes; done += kLargest) {
         const std::size_t n = std::min(kLargest, n_bytes - done);
         copy_and_wait(source.handle, to.handle, {offset_bytes + done, 0, n});

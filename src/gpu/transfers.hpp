@@ -33,7 +33,8 @@ private:
     std::unique_ptr<Buffer::Impl> upload_, download_;
 
     void make_commands();
-    Buffer::Impl& staging(std::unique_ptr<Buffer::Impl>& buffer, MemoryUse use, std::size_t n_bytes);
+    Buffer::Impl& get_staging_buffer(std::unique_ptr<Buffer::Impl>& buffer, MemoryUse use,
+                                     std::size_t n_bytes);
     void copy_and_wait(VkBuffer source, VkBuffer target, const VkBufferCopy& region);
 };
 

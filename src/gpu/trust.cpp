@@ -20,7 +20,7 @@ FirstUse& get_first_use() {
     return functions;
 }
 
-std::string& collect_all_faults() {
+std::string& get_injected_faults() {
     static std::string faults;
     return faults;
 }
@@ -31,7 +31,7 @@ struct UnstoredTrust {
     std::mutex mutex;
     std::map<std::string, DeviceTrust> by_device;
 };
-UnstoredTrust& unstored_trust() {
+UnstoredTrust& get_unstored_trust() {
     static UnstoredTrust results;
     return results;
 }
@@ -72,8 +72,8 @@ std::optional<DeviceTrust> read_trust(const std::filesystem::path& path, const s
 
 void set_first_use(FirstUse functions) {
     get_first_use() = std::move(functions);
-    const std::scoped_lock lock(unstored_trust().mutex);
-    unstored_trust().by_device.clear();
+    const std::scoped_lock lock(get_unstored_trust().mutex);
+    get_unstored_trust().by_device.clear();
 }
 
 Trusting::Trusting(const DeviceTrust& trust) : before_(fixed_trust), trust_(trust) { fixed_trust = &trust_; }
@@ -81,12 +81,12 @@ Trusting::~Trusting() { fixed_trust = before_; }
 
 namespace gpu {
 
-void set_faults(const std::string& faults) { collect_all_faults() = faults; }
+void set_injected_faults(const std::string& faults) { get_injected_faults() = faults; }
 bool has_fault(const std::string& fault) {
-    return ("," + collect_all_faults() + ",").find("," + fault + ",") != std::string::npos;
+    return ("," + get_injected_faults() + ",").find("," + fault + ",") != std::string::npos;
 }
 
-DeviceTrust find_trust(const Device::Impl& device, const DeviceOptions& options) {
+DeviceTrust get_device_trust(const Device::Impl& device, const DeviceOptions& options) {
     if (fixed_trust) return *fixed_trust;
     if (!get_first_use().check || options.compile_only) return {};
     VkPhysicalDeviceProperties properties;
@@ -94,13 +94,13 @@ DeviceTrust find_trust(const Device::Impl& device, const DeviceOptions& options)
     std::filesystem::path path;
     // Results with faults that a test has forced must not affect later runs, so they are
     // not stored.
-    if (!options.pipeline_cache.empty() && collect_all_faults().empty())
+    if (!options.pipeline_cache.empty() && get_injected_faults().empty())
         path = options.pipeline_cache / ("check_" + make_device_key(properties) + ".txt");
     const auto is_complete = [&](const std::optional<DeviceTrust>& trust) {
         return trust && (trust->ray_query != Trust::unknown || device.traversal != Traversal::ray_query);
     };
-    const std::string key = make_device_key(properties) + " " + collect_all_faults();
-    UnstoredTrust& unstored = unstored_trust();
+    const std::string key = make_device_key(properties) + " " + get_injected_faults();
+    UnstoredTrust& unstored = get_unstored_trust();
     const std::scoped_lock lock(unstored.mutex);
     const std::optional<DeviceTrust> known = read_trust(path, device.info.driver);
     if (is_complete(known)) return *known;

@@ -40,7 +40,7 @@ void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<B
                std::vector<std::vector<Sample>>& samples) {
     std::vector<std::size_t> present;
     for (std::size_t b = 0; b < boxes.size(); ++b)
-        if (boxes[b].present(frame.time_s)) present.push_back(b);
+        if (boxes[b].is_present(frame.time_s)) present.push_back(b);
     if (present.empty()) return;
     for_each_return(sequence, frame, second_returns, [&](const WorldReturn& world_return) {
         for (const std::size_t b : present) {
@@ -239,13 +239,13 @@ std::vector<InstancePose> place_instances_by(const Scene& scene, const Sequence&
 
 }  // namespace
 
-std::vector<BoxTrack> separate_boxes(const Sequence& sequence, const InitialiseOptions& options) {
+std::vector<BoxTrack> list_foreground_boxes(const Sequence& sequence, const InitialiseOptions& options) {
     check_tracks(sequence, options.actor_tracks);
     std::vector<BoxTrack> boxes;
     for (const BoxTrack& box : sequence.boxes) {
         check_box(box);
         if (!options.mask_others && !is_wanted(box, options)) continue;
-        if (box.moves() || contains_word_in_list(options.actor_tracks, box.id)) boxes.push_back(box);
+        if (box.is_moving() || contains_word_in_list(options.actor_tracks, box.id)) boxes.push_back(box);
     }
     return boxes;
 }
@@ -254,7 +254,7 @@ Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_p
                        const InitialiseOptions& options, const Progress& progress,
                        std::vector<std::string>* notes) {
     Scene scene = make_background_scene(initialise_background(sequence, train_positions, options, progress));
-    std::vector<BoxTrack> wanted = separate_boxes(sequence, options);
+    std::vector<BoxTrack> wanted = list_foreground_boxes(sequence, options);
     std::erase_if(wanted, [&](const BoxTrack& box) { return !is_wanted(box, options); });
     std::vector<std::vector<Sample>> in_boxes =
         collect_box_samples(sequence, train_positions, wanted, options, progress);
@@ -268,7 +268,7 @@ Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_p
 
 std::vector<BoxTrack> find_masked_boxes(const Scene& scene, const Sequence& sequence,
                                         const InitialiseOptions& options) {
-    std::vector<BoxTrack> boxes = separate_boxes(sequence, options);
+    std::vector<BoxTrack> boxes = list_foreground_boxes(sequence, options);
     std::erase_if(boxes, [&](const BoxTrack& box) {
         return std::any_of(scene.instances.begin(), scene.instances.end(),
                            [&](const Instance& i) { return i.track == box.id; });
@@ -277,7 +277,7 @@ std::vector<BoxTrack> find_masked_boxes(const Scene& scene, const Sequence& sequ
 }
 
 std::vector<BoxTrack> find_unselected_boxes(const Sequence& sequence, const InitialiseOptions& options) {
-    std::vector<BoxTrack> boxes = separate_boxes(sequence, options);
+    std::vector<BoxTrack> boxes = list_foreground_boxes(sequence, options);
     std::erase_if(boxes, [&](const BoxTrack& box) { return is_wanted(box, options); });
     return boxes;
 }
@@ -296,7 +296,7 @@ std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& se
     // uses a hash map because a log can have a thousand tracks
     std::unordered_map<std::string_view, const PoseTrack*> tracks;
     for (const BoxTrack& box : sequence.boxes)
-        if (box.present(sweep.time_s)) tracks.emplace(box.id, &box.world_from_box);
+        if (box.is_present(sweep.time_s)) tracks.emplace(box.id, &box.world_from_box);
     return place_instances_by(scene, sequence, sweep, [&](const std::string& name) {
         const auto track = tracks.find(name);
         return track == tracks.end() ? nullptr : track->second;

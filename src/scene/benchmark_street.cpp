@@ -115,8 +115,8 @@ std::vector<Rectangle> make_street_layout() {
 
 /// Picks a random rectangle for each surfel. The probability of a rectangle is
 /// proportional to its area.
-std::vector<std::uint16_t> pick_rectangles(std::size_t count, const std::vector<Rectangle>& rectangles,
-                                           LegacyRandom& random) {
+std::vector<std::uint16_t> draw_rectangle_indices(std::size_t count, const std::vector<Rectangle>& rectangles,
+                                                  LegacyRandom& random) {
     std::vector<double> cumulative;
     double total = 0.0;
     for (const Rectangle& r : rectangles) cumulative.push_back(total += r.area);
@@ -146,12 +146,13 @@ void draw_means(const std::vector<Rectangle>& rectangles, const std::vector<std:
 
 /// Returns the unit quaternion (w, x, y, z) of a rotation matrix with the columns x, y,
 /// z. The largest component of the quaternion is positive.
-glm::dvec4 make_quaternion(const glm::dvec3& x, const glm::dvec3& y, const glm::dvec3& z) {
-    const double trace = x.x + y.y + z.z;
-    const std::array<glm::dvec4, 4> candidates{{{1 + trace, y.z - z.y, z.x - x.z, x.y - y.x},
-                                                {y.z - z.y, 1 + 2 * x.x - trace, x.y + y.x, z.x + x.z},
-                                                {z.x - x.z, x.y + y.x, 1 + 2 * y.y - trace, y.z + z.y},
-                                                {x.y - y.x, z.x + x.z, y.z + z.y, 1 + 2 * z.z - trace}}};
+glm::dvec4 make_quaternion(const glm::dvec3& x_axis, const glm::dvec3& y_axis, const glm::dvec3& z_axis) {
+    const double trace = x_axis.x + y_axis.y + z_axis.z;
+    const std::array<glm::dvec4, 4> candidates{
+        {{1 + trace, y_axis.z - z_axis.y, z_axis.x - x_axis.z, x_axis.y - y_axis.x},
+         {y_axis.z - z_axis.y, 1 + 2 * x_axis.x - trace, x_axis.y + y_axis.x, z_axis.x + x_axis.z},
+         {z_axis.x - x_axis.z, x_axis.y + y_axis.x, 1 + 2 * y_axis.y - trace, y_axis.z + z_axis.y},
+         {x_axis.y - y_axis.x, z_axis.x + x_axis.z, y_axis.z + z_axis.y, 1 + 2 * z_axis.z - trace}}};
     int best = 0;
     for (int k = 1; k < 4; ++k)
         if (candidates[k][k] > candidates[best][best]) best = k;
@@ -217,7 +218,7 @@ Surfels make_benchmark_street(std::uint32_t count, std::uint32_t seed, bool refi
     LegacyRandom random(seed);
     Surfels surfels;
     surfels.resize(count);
-    const std::vector<std::uint16_t> index = pick_rectangles(count, rectangles, random);
+    const std::vector<std::uint16_t> index = draw_rectangle_indices(count, rectangles, random);
     draw_means(rectangles, index, random, surfels);
     draw_rotations(rectangles, index, random, surfels);
     draw_scales_and_opacities(refine, random, surfels);

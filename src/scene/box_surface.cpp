@@ -41,7 +41,7 @@ const char* get_name(BoxSide side) {
     return kNames[static_cast<int>(side)];
 }
 
-double least_cosine(BoxSide side) { return side == BoxSide::top ? 0.02 : 0.2; }
+double get_min_side_cosine(BoxSide side) { return side == BoxSide::top ? 0.02 : 0.2; }
 
 BoxSurface::BoxSurface(const glm::dvec3& size_m) : half_m_(0.5 * size_m) {
     for (std::size_t s = 0; s < kBoxSides; ++s) {
@@ -88,7 +88,7 @@ void BoxSurface::add(const glm::dvec3& point_m, const glm::dvec3& direction) {
     if (!patch) return;
     const auto side = std::size_t(patch->side);
     const SideFrame& frame = kSideFrames[side];
-    if (!(-frame.sign * direction[frame.normal] >= least_cosine(patch->side))) return;
+    if (!(-frame.sign * direction[frame.normal] >= get_min_side_cosine(patch->side))) return;
     seen_[side][std::size_t(patch->row * n_[side][0] + patch->column)] = 1;
 }
 
@@ -102,7 +102,7 @@ bool BoxSurface::is_mirrored(const glm::dvec3& point_m) const {
     return patch && !at(*patch) && at(mirror(*patch));
 }
 
-std::array<double, 2> BoxSurface::areas(BoxSide side, bool mirrored) const {
+std::array<double, 2> BoxSurface::compute_patch_areas(BoxSide side, bool mirrored) const {
     const SideFrame& frame = kSideFrames[std::size_t(side)];
     const auto [columns, rows] = n_[std::size_t(side)];
     const double patch_m2 = 4.0 * half_m_[frame.first] * half_m_[frame.second] / (columns * rows);
@@ -121,19 +121,19 @@ std::array<double, 2> BoxSurface::areas(BoxSide side, bool mirrored) const {
 double BoxSurface::share(bool mirrored) const {
     double held_m2 = 0.0, all_m2 = 0.0;
     for (std::size_t s = 0; s < kBoxSides; ++s) {
-        const std::array<double, 2> area = areas(BoxSide(s), mirrored);
+        const std::array<double, 2> area = compute_patch_areas(BoxSide(s), mirrored);
         held_m2 += area[0], all_m2 += area[1];
     }
     return held_m2 / all_m2;
 }
 
 double BoxSurface::seen(BoxSide side) const {
-    const std::array<double, 2> area = areas(side, false);
+    const std::array<double, 2> area = compute_patch_areas(side, false);
     return area[0] / area[1];
 }
 
 double BoxSurface::mirrored(BoxSide side) const {
-    const std::array<double, 2> area = areas(side, true);
+    const std::array<double, 2> area = compute_patch_areas(side, true);
     return area[0] / area[1];
 }
 
@@ -147,13 +147,13 @@ SideShares BoxSurface::known() const {
     return shares;
 }
 
-std::optional<BoxSide> BoxSurface::completed_side(const glm::dvec3& point_m) const {
+std::optional<BoxSide> BoxSurface::find_completed_side(const glm::dvec3& point_m) const {
     const std::optional<Patch> patch = is_completed ? find(point_m) : std::nullopt;
     if (!patch || at(*patch) || !at(mirror(*patch))) return std::nullopt;
     return patch->side;
 }
 
-double BoxSurface::asymmetry_m(const std::vector<glm::vec3>& points_m) const {
+double BoxSurface::compute_asymmetry_m(const std::vector<glm::vec3>& points_m) const {
     struct Mean {
         double sum_m = 0.0;
         int n = 0;
@@ -181,7 +181,7 @@ std::string BoxSurface::patches(BoxSide side) const {
     return text;
 }
 
-bool BoxSurface::set_patches(BoxSide side, const std::string& text) {
+bool BoxSurface::parse_patches(BoxSide side, const std::string& text) {
     std::vector<char>& patches = seen_[std::size_t(side)];
     if (text.size() != patches.size() || text.find_first_not_of("01") != std::string::npos) return false;
     std::ranges::transform(text, patches.begin(), [](char character) { return char(character == '1'); });

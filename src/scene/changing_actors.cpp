@@ -72,8 +72,8 @@ Frames group_samples_by_frame(const std::vector<Sample>& samples) {
 /// Estimates how the surface around a sample moves, in metres per frame. This shift moves
 /// the points around the sample onto the points of two earlier and two later frames.
 /// @param index index of the sample's frame
-glm::vec3 shift_per_frame(const Frames& frames, std::size_t index, const std::vector<Sample>& samples,
-                          const Sample& sample) {
+glm::vec3 estimate_shift_per_frame(const Frames& frames, std::size_t index,
+                                   const std::vector<Sample>& samples, const Sample& sample) {
     constexpr float kFarthest_m = 0.3f, kHighest_m = 0.08f, kStep_m = 0.04f;
     constexpr double kPatch_m = 0.12, kFar_m = 0.15;
     constexpr std::size_t kOfPatch = 6;
@@ -101,8 +101,8 @@ glm::vec3 shift_per_frame(const Frames& frames, std::size_t index, const std::ve
 
 /// Smooths the shifts. Each shift is replaced by the median of the shifts at the nearest
 /// samples, separately for each axis.
-std::vector<glm::vec3> median_shifts(const std::vector<Sample>& samples,
-                                     const std::vector<glm::vec3>& shifts) {
+std::vector<glm::vec3> smooth_shifts_by_median(const std::vector<Sample>& samples,
+                                               const std::vector<glm::vec3>& shifts) {
     constexpr double kAround_m = 0.15;
     constexpr std::size_t kMost = 9;
     std::vector<std::uint32_t> all(samples.size());
@@ -131,7 +131,7 @@ Surfels make_surfels_at(const std::vector<Sample>& samples, const std::vector<Ga
 }
 
 /// Returns true for each sample at a static position, where most frames have a point.
-std::vector<char> find_resting(const std::vector<Sample>& samples, const Frames& frames) {
+std::vector<char> find_static_samples(const std::vector<Sample>& samples, const Frames& frames) {
     std::vector<char> rests(samples.size());
     const std::size_t step = frames.size() / kCompared + 1;
     for_each_block(samples.size(), [&](std::size_t index) {
@@ -151,10 +151,11 @@ Surfels make_surfels_of_frame(const Frames& frames, std::size_t index, const std
                               const InitialiseOptions& options, double incidence) {
     const FrameSamples& frame = *frames[index];
     std::vector<glm::vec3> shifts(changing.size());
-    for_each_block(changing.size(),
-                   [&](std::size_t i) { shifts[i] = shift_per_frame(frames, index, samples, changing[i]); });
+    for_each_block(changing.size(), [&](std::size_t i) {
+        shifts[i] = estimate_shift_per_frame(frames, index, samples, changing[i]);
+    });
     std::vector<Gait> gait;
-    for (const glm::vec3& shift : median_shifts(changing, shifts))
+    for (const glm::vec3& shift : smooth_shifts_by_median(changing, shifts))
         gait.push_back({float(frame.walked_m / period_m), float(period_m / (2.0 * kPi * frame.spacing_m)),
                         float(period_m / (2.0 * kPi * frame.spacing_m)) * shift});
     return make_surfels_at(changing, gait, options, incidence);
@@ -176,7 +177,7 @@ ChangingSurfels make_changing_surfels(const std::vector<Sample>& samples, const 
             {}, 0.0, fmt::format("it walked {:.1f} m, expected at least {} m", recorded_m, kFewestWalked_m)};
     ChangingSurfels actor;
     actor.period_m = recorded_m * (1.0 + kFramesBetween / double(frames.size() - 1));
-    const std::vector<char> rests = find_resting(samples, frames);
+    const std::vector<char> rests = find_static_samples(samples, frames);
     std::vector<Sample> resting;
     for (std::size_t i = 0; i < samples.size(); ++i)
         if (rests[i]) resting.push_back(samples[i]);

@@ -29,7 +29,8 @@ void check_primitive(Primitive primitive, const ImageModel& model) {
     throw UsageError(
         fmt::format("cannot use image.primitive={}: the scene consists of {}; use image.primitive={}, "
                     "because the primitive cannot change after training",
-                    kind_of(model.primitive).name, kind_of(primitive).label, kind_of(primitive).name));
+                    get_primitive_kind(model.primitive).name, get_primitive_kind(primitive).label,
+                    get_primitive_kind(primitive).name));
 }
 
 void check_layout(const Scene& scene) {
@@ -182,7 +183,7 @@ struct DeviceScene::Impl {
     /// Returns the view origin in the frame of each model. If a model has several
     /// instances, uses the pose of the first instance.
     /// @return [models], valid for the next submission
-    Address<glm::vec3> view_origins(Stream& stream, const glm::vec3& world) const {
+    Address<glm::vec3> upload_view_origins(Stream& stream, const glm::vec3& world) const {
         std::vector<glm::vec3> origins;
         for (const std::int64_t i : placements.first_instance)
             origins.push_back(i < 0 ? world
@@ -195,7 +196,7 @@ struct DeviceScene::Impl {
     /// instances, uses the first instance.
     /// @return [models] phase as a fraction of a stride, 0..1; negative for rigid models.
     /// The address is null if all models are rigid.
-    Address<float> phases(Stream& stream) const {
+    Address<float> upload_gait_phases(Stream& stream) const {
         if (!parameters.bends) return {};
         std::vector<float> all;
         for (std::size_t m = 0; m < layout.models.size(); ++m) {
@@ -240,8 +241,8 @@ void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::v
         {.surfels = get_surfel_pointers(impl_->parameters),
          .records = impl_->records.address(),
          .models = impl_->models.address(),
-         .view_origins = impl_->view_origins(stream, view_origin_m),
-         .phases = impl_->phases(stream).as<shared::GaitPhases>(),
+         .view_origins = impl_->upload_view_origins(stream, view_origin_m),
+         .phases = impl_->upload_gait_phases(stream).as<shared::GaitPhases>(),
          .alpha_min = model.alpha_min,
          .n_surfels = size(),
          .n_models = impl_->n_models(),
@@ -249,20 +250,21 @@ void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::v
          .sh_per_surfel = model.sh_direction == ShDirection::surfel ? 1u : 0u});
 }
 
-bool DeviceScene::lists_touched() const { return impl_->list.has_value(); }
+bool DeviceScene::can_skip_untouched_surfels() const { return impl_->list.has_value(); }
 
 void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m,
                                const ActivationGradients& gradients) {
     if (size() == 0) return;
-    const bool listed = gradients.touched_is_marked && lists_touched() && !gradients.zero_untouched;
+    const bool listed =
+        gradients.touched_is_marked && can_skip_untouched_surfels() && !gradients.zero_untouched;
     if (listed) impl_->list->find(stream, gradients.touched->address(), size());
     run(stream, impl_->activate_vjp, listed ? impl_->list->threads(size()) : size(),
         {.surfels = get_surfel_pointers(impl_->parameters),
          .d_records = gradients.d_records->address(),
          .models = impl_->models.address(),
          .more_rows = impl_->more_rows.address(),
-         .view_origins = impl_->view_origins(stream, view_origin_m),
-         .phases = impl_->phases(stream).as<shared::GaitPhases>(),
+         .view_origins = impl_->upload_view_origins(stream, view_origin_m),
+         .phases = impl_->upload_gait_phases(stream).as<shared::GaitPhases>(),
          .d_surfels = get_surfel_pointers(*gradients.d_surfels),
          .touched = gradients.touched->address(),
          .rows = listed ? impl_->list->rows() : Address<std::uint32_t, shared::TouchedRows>{},

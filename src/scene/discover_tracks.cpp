@@ -67,7 +67,7 @@ bool is_plausible(const BoxTrack& box) {
            fastest > kSlowest_mps && fastest < kFastest_mps && travel.net_m > kWayOfSize * longest &&
            travel.net_m > kStraightness * travel.path_m &&
            // `moves()` rejects a track whose only motion is a jump across a gap in time.
-           !turns_on_the_spot && box.moves();
+           !turns_on_the_spot && box.is_moving();
 }
 
 /// Fits a box to a track if other frames prove that the object moved. First removes the
@@ -75,14 +75,14 @@ bool is_plausible(const BoxTrack& box) {
 /// is no proof, or if the motion is implausible.
 std::optional<BoxTrack> find_proven_box(const Visibility& visibility, MoverTrack& track) {
     EvidenceSum sum;
-    const BoxTrack box = box_of(track);
+    const BoxTrack box = fit_track_box(track);
     for (Observation& o : track.seen) sum += remove_static_returns(visibility, o.cluster, box);
     if (!sum.has_proof_of_motion()) return std::nullopt;
     std::erase_if(track.seen, [](const Observation& observation) {
         return observation.cluster.points_m.size() < kFewestPoints;
     });
-    if (!has_moved_far(track)) return std::nullopt;
-    BoxTrack result = box_of(track);
+    if (!is_moving_track(track)) return std::nullopt;
+    BoxTrack result = fit_track_box(track);
     if (!is_plausible(result)) return std::nullopt;
     complete_size(result, track);
     return result;
@@ -91,8 +91,8 @@ std::optional<BoxTrack> find_proven_box(const Visibility& visibility, MoverTrack
 /// Extends a labelled box to the times before and after its labels. Uses only those parts
 /// of the track in which other frames prove that the object moved. Returns nothing if
 /// there is no such part.
-std::optional<BoxTrack> find_proven_continuation(const Visibility& visibility, MoverTrack& track,
-                                                 const BoxTrack& label) {
+std::optional<BoxTrack> find_proven_track_extension(const Visibility& visibility, MoverTrack& track,
+                                                    const BoxTrack& label) {
     const BoxTrack box = make_continued_box(track, label);
     const double first_s = label.world_from_box.time_s.front();
     EvidenceSum before, after;
@@ -121,9 +121,9 @@ struct BoxHead {
 
 /// Collects the boxes from all processes of the group. The box of a labelled track gets
 /// the id and the class of the label.
-std::vector<BoxTrack> joined(const ProcessGroup& group, const std::vector<MoverTrack>& tracks,
-                             const std::vector<std::optional<BoxTrack>>& found, std::size_t first,
-                             const Sequence& sequence) {
+std::vector<BoxTrack> collect_proven_boxes(const ProcessGroup& group, const std::vector<MoverTrack>& tracks,
+                                           const std::vector<std::optional<BoxTrack>>& found,
+                                           std::size_t first, const Sequence& sequence) {
     std::vector<BoxHead> heads;
     std::vector<double> times_s;
     std::vector<Pose> poses;
@@ -172,37 +172,37 @@ std::vector<BoxTrack> find_proven_boxes(Visibility& visibility, std::vector<Move
         found[index] =
             track.label == kNoLabel
                 ? find_proven_box(visibility, track)
-                : find_proven_continuation(visibility, track, sequence.boxes[std::size_t(track.label)]);
+                : find_proven_track_extension(visibility, track, sequence.boxes[std::size_t(track.label)]);
     });
-    return joined(group, tracks, found, share.begin, sequence);
+    return collect_proven_boxes(group, tracks, found, share.begin, sequence);
 }
 
 /// Returns true if two boxes belong to the same object. This is the case if the centre of
 /// `part` is inside `box`, plus a margin, for more than half of the time.
-bool is_part_of(const BoxTrack& part, const BoxTrack& box) {
+bool is_part_of_box(const BoxTrack& part, const BoxTrack& box) {
     const double margin =
         std::max(box.size_m.x, box.size_m.y) < kVehicle_m ? kFragment_m : kVehicleFragment_m;
     std::size_t inside = 0;
     for (std::size_t i = 0; i < part.world_from_box.time_s.size(); ++i) {
         const double t_s = part.world_from_box.time_s[i];
-        inside += box.present(t_s) && box.holds(part.world_from_box.pose[i].translation, t_s, margin);
+        inside += box.is_present(t_s) && box.holds(part.world_from_box.pose[i].translation, t_s, margin);
     }
     return 2 * inside > part.world_from_box.time_s.size();
 }
 
-bool is_continued(const BoxTrack& box) { return !box.id.empty(); }
+bool is_continued_label(const BoxTrack& box) { return !box.id.empty(); }
 
 /// Removes duplicate boxes of an object. Keeps the box with the most observations, or a
 /// box that extends a label. Boxes of different labels are never duplicates.
 std::vector<BoxTrack> remove_parts(std::vector<BoxTrack> boxes) {
     std::ranges::stable_sort(boxes, [](const BoxTrack& first, const BoxTrack& second) {
-        return std::pair(is_continued(first), first.world_from_box.time_s.size()) >
-               std::pair(is_continued(second), second.world_from_box.time_s.size());
+        return std::pair(is_continued_label(first), first.world_from_box.time_s.size()) >
+               std::pair(is_continued_label(second), second.world_from_box.time_s.size());
     });
     std::vector<BoxTrack> kept;
     for (const BoxTrack& box : boxes)
         if (std::ranges::none_of(kept, [&](const BoxTrack& other) {
-                return is_continued(box) ? box.id == other.id : is_part_of(box, other);
+                return is_continued_label(box) ? box.id == other.id : is_part_of_box(box, other);
             }))
             kept.push_back(box);
     return kept;
@@ -211,9 +211,9 @@ std::vector<BoxTrack> remove_parts(std::vector<BoxTrack> boxes) {
 /// Returns true if a box should be fitted to a track. The track must be an unlabelled
 /// object that moves, or a labelled object that was also observed outside the time of its
 /// labels.
-bool should_add_box(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
+bool should_fit_box(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
     if (track.label == kNoLabel)
-        return has_moved_far(track) && !is_fixed_to_vehicle(track, world_from_vehicle);
+        return is_moving_track(track) && !is_fixed_to_vehicle(track, world_from_vehicle);
     return !std::ranges::all_of(
         track.seen, [](const Observation& observation) { return observation.cluster.label != kNoLabel; });
 }
@@ -229,7 +229,7 @@ std::vector<BoxTrack> discover_with_lidar(int lidar, const Sequence& sequence, s
     std::vector<MoverTrack> tracks =
         link_clusters(find_mover_clusters(sequence, positions, visibility, progress, group), times, sequence);
     std::erase_if(
-        tracks, [&](const MoverTrack& track) { return !should_add_box(track, sequence.world_from_vehicle); });
+        tracks, [&](const MoverTrack& track) { return !should_fit_box(track, sequence.world_from_vehicle); });
     join_parts(tracks);
     return remove_parts(find_proven_boxes(visibility, tracks, sequence, progress, group));
 }
@@ -238,14 +238,15 @@ std::vector<BoxTrack> discover_with_lidar(int lidar, const Sequence& sequence, s
 /// the box that extends a label. Otherwise keeps the existing box, unless the new box has
 /// more than 1.5 times as many observations. In this case the first LiDAR lost the
 /// object.
-void add_movers(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> others) {
-    for (BoxTrack& other : others) {
+void merge_movers_of_lidars(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> other_boxes) {
+    for (BoxTrack& other : other_boxes) {
         const auto is_same = [&](const BoxTrack& b) {
-            return is_continued(b) && is_continued(other) ? b.id == other.id
-                                                          : is_part_of(other, b) || is_part_of(b, other);
+            return is_continued_label(b) && is_continued_label(other)
+                       ? b.id == other.id
+                       : is_part_of_box(other, b) || is_part_of_box(b, other);
         };
         const auto stays = [&](const BoxTrack& b) {
-            if (is_continued(b) != is_continued(other)) return is_continued(b);
+            if (is_continued_label(b) != is_continued_label(other)) return is_continued_label(b);
             return 2 * other.world_from_box.time_s.size() <= 3 * b.world_from_box.time_s.size();
         };
         if (std::ranges::any_of(boxes, [&](const BoxTrack& b) { return is_same(b) && stays(b); })) continue;
@@ -262,11 +263,12 @@ std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vecto
     // Processes each LiDAR separately. If two LiDARs scan at the same time, joint
     // processing would add an object twice to one track.
     for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)
-        add_movers(boxes, discover_with_lidar(lidar, sequence, train_positions, progress, group));
-    std::stable_partition(boxes.begin(), boxes.end(), [](const BoxTrack& box) { return !is_continued(box); });
+        merge_movers_of_lidars(boxes, discover_with_lidar(lidar, sequence, train_positions, progress, group));
+    std::stable_partition(boxes.begin(), boxes.end(),
+                          [](const BoxTrack& box) { return !is_continued_label(box); });
     int n = 0;
     for (BoxTrack& box : boxes)
-        if (!is_continued(box)) box.id = fmt::format("mover-{}", n++);
+        if (!is_continued_label(box)) box.id = fmt::format("mover-{}", n++);
     return boxes;
 }
 

@@ -82,7 +82,7 @@ void rotate_harmonics(const Turn& turn, float* channel) {
 /// Moves a surfel of a walking actor to its position at the given phase of the walk. If
 /// the surfel was recorded at another phase, reduces its opacity
 /// (shaders/scene/gaussian/gait.glsl).
-void bend(Surfels& surfels, std::size_t index, double phase) {
+void apply_gait(Surfels& surfels, std::size_t index, double phase) {
     const Gait& gait = surfels.gait[index];
     const double angle = 2.0 * kPi * (phase - double(gait.phase)), sharpness = double(gait.sharpness);
     surfels.mean[index] =
@@ -94,7 +94,7 @@ void bend(Surfels& surfels, std::size_t index, double phase) {
     surfels.opacity_logit[index] = float(std::log(std::max(opacity, kFaintest) / (1.0 - opacity)));
 }
 
-void place(Surfels& surfels, const Pose& world_from_model) {
+void transform_surfels(Surfels& surfels, const Pose& world_from_model) {
     const Turn turn = make_turn(world_from_model.rotation);
     for_each_block(surfels.size(), [&](std::size_t index) {
         surfels.mean[index] = glm::vec3(world_from_model * glm::dvec3(surfels.mean[index]));
@@ -109,7 +109,7 @@ void place(Surfels& surfels, const Pose& world_from_model) {
 
 }  // namespace
 
-Surfels freeze(const Scene& scene, const std::vector<InstancePose>& placed) {
+Surfels bake_instances(const Scene& scene, const std::vector<InstancePose>& placed) {
     if (placed.size() != scene.instances.size())
         throw DataError(fmt::format("cannot freeze the scene: found {} poses, expected {}", placed.size(),
                                     scene.instances.size()));
@@ -120,10 +120,10 @@ Surfels freeze(const Scene& scene, const std::vector<InstancePose>& placed) {
         const Model& model = scene.models[scene.instances[k].model];
         Surfels own = scene.surfels.slice(model.first, model.count);
         if (model.stride_m > 0.0f && own.bends)
-            for (std::size_t i = 0; i < own.size(); ++i) bend(own, i, placed[k].phase);
+            for (std::size_t i = 0; i < own.size(); ++i) apply_gait(own, i, placed[k].phase);
         own.gait.clear();
         own.bends = false;
-        if (!scene.instances[k].track.empty()) place(own, placed[k].world_from_model);
+        if (!scene.instances[k].track.empty()) transform_surfels(own, placed[k].world_from_model);
         all.append(own);
     }
     return all;

@@ -63,7 +63,7 @@ std::vector<Sample> collect_frame_samples(const Sequence& sequence, const Frame&
     std::vector<Sample> samples;
     for_each_return(sequence, frame, options.second_returns, [&](const WorldReturn& world_return) {
         const auto is_in = [&](const BoxTrack& box) {
-            return box.present(world_return.time_s) &&
+            return box.is_present(world_return.time_s) &&
                    box.holds(world_return.point_m, world_return.time_s, kMoverMargin_m);
         };
         if (std::ranges::any_of(separate, is_in)) return;
@@ -147,7 +147,7 @@ struct Voxels {
 std::vector<Sample> compute_voxel_means(const Sequence& sequence, const std::vector<int>& train,
                                         const InitialiseOptions& options, const Progress& progress) {
     constexpr std::size_t kFrames = 16;
-    const std::vector<BoxTrack> separate = separate_boxes(sequence, options);
+    const std::vector<BoxTrack> separate = list_foreground_boxes(sequence, options);
     const NearestPlace<float> sensors(list_sensor_positions(sequence, train));
     std::vector<Voxels> parts(kParts);
     for (std::size_t begin = 0; begin < train.size(); begin += kFrames) {

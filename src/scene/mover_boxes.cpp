@@ -34,17 +34,18 @@ constexpr double kBeside_m = 0.5;
 struct Placement {
     glm::dvec3 position_m{0.0};
     double yaw = 0.0;
-    glm::dvec3 along() const { return {std::cos(yaw), std::sin(yaw), 0.0}; }
-    glm::dvec3 across() const { return {-std::sin(yaw), std::cos(yaw), 0.0}; }
+    glm::dvec3 get_forward_axis() const { return {std::cos(yaw), std::sin(yaw), 0.0}; }
+    glm::dvec3 get_lateral_axis() const { return {-std::sin(yaw), std::cos(yaw), 0.0}; }
     glm::dquat rotation() const { return {std::cos(0.5 * yaw), 0.0, 0.0, std::sin(0.5 * yaw)}; }
     /// Transforms a point from the world frame into the frame of the object: x along the
     /// heading, y to the left.
     glm::dvec3 to_local(const glm::dvec3& world) const {
         const glm::dvec3 d = world - position_m;
-        return {glm::dot(along(), d), glm::dot(across(), d), d.z};
+        return {glm::dot(get_forward_axis(), d), glm::dot(get_lateral_axis(), d), d.z};
     }
     glm::dvec3 to_world(const glm::dvec3& local) const {
-        return position_m + local.x * along() + local.y * across() + glm::dvec3(0.0, 0.0, local.z);
+        return position_m + local.x * get_forward_axis() + local.y * get_lateral_axis() +
+               glm::dvec3(0.0, 0.0, local.z);
     }
 };
 
@@ -116,7 +117,7 @@ std::vector<double> compute_centres_along(const MoverTrack& track, const std::ve
 /// Returns the height of the object's top for each observation. Uses the highest return
 /// within one second before and after, because beams can miss the top of a distant
 /// object.
-std::vector<double> list_tops(const MoverTrack& track) {
+std::vector<double> compute_top_heights(const MoverTrack& track) {
     std::vector<double> own, result;
     for (const Observation& o : track.seen)
         own.push_back(compute_extent_along(o.cluster, {0.0, 0.0, 1.0}).high);
@@ -133,15 +134,17 @@ std::vector<double> list_tops(const MoverTrack& track) {
 /// Returns the position of the object in each observation. Computes the horizontal centre
 /// from the end that faces the sensor. The height is the top of the object.
 /// @param size_m length and width; if null, the visible size is used
-std::vector<glm::dvec3> find_near_end_positions(const MoverTrack& track, const std::vector<Placement>& placed,
-                                                const glm::dvec3* size_m) {
+std::vector<glm::dvec3> estimate_positions_from_near_end(const MoverTrack& track,
+                                                         const std::vector<Placement>& placed,
+                                                         const glm::dvec3* size_m) {
     std::vector<glm::dvec3> along, across, places;
-    for (const Placement& p : placed) along.push_back(p.along()), across.push_back(p.across());
+    for (const Placement& p : placed)
+        along.push_back(p.get_forward_axis()), across.push_back(p.get_lateral_axis());
     const std::vector<double> x = compute_centres_along(
         track, along, size_m ? 0.5 * size_m->x : estimate_visible_half_length_m(track, along));
     const std::vector<double> y = compute_centres_along(
         track, across, size_m ? 0.5 * size_m->y : estimate_visible_half_length_m(track, across));
-    const std::vector<double> top = list_tops(track);
+    const std::vector<double> top = compute_top_heights(track);
     for (std::size_t k = 0; k < placed.size(); ++k)
         places.push_back(x[k] * along[k] + y[k] * across[k] + glm::dvec3(0.0, 0.0, top[k]));
     return places;
@@ -152,7 +155,7 @@ std::vector<glm::dvec3> find_near_end_positions(const MoverTrack& track, const s
 struct Corners {
     glm::dvec3 low, high;
 };
-Corners find_corners(const MoverTrack& track, const std::vector<Placement>& placed) {
+Corners find_nearest_corners(const MoverTrack& track, const std::vector<Placement>& placed) {
     std::vector<double> along[3];
     for (std::size_t k = 0; k < track.seen.size(); ++k)
         for (const glm::dvec3& p : track.seen[k].cluster.points_m) {
@@ -193,7 +196,7 @@ constexpr double kCyclistWidth_m = 1.1, kCyclistTop_m = 1.4;
 
 /// Returns the kind of an object of which only the rear, the front or a side is visible.
 /// Returns null if the object is too slow or too small to classify.
-const Kind* kind_of(const glm::dvec3& size_m, double speed_mps) {
+const Kind* classify_size(const glm::dvec3& size_m, double speed_mps) {
     if (speed_mps < kDrives_mps) return nullptr;
     const bool cyclist =
         size_m.y < kCyclistWidth_m && size_m.z > kCyclistTop_m && size_m.x < kCar.least_length_m;
@@ -255,15 +258,15 @@ NearLabels collect_near_labels(const MoverTrack& track) {
 
 }  // namespace
 
-BoxTrack box_of(const MoverTrack& track) {
+BoxTrack fit_track_box(const MoverTrack& track) {
     const std::vector<double> times = track.times();
     std::vector<glm::dvec3> places;
     for (const Observation& o : track.seen) places.push_back(o.cluster.centre_m);
     std::vector<PathState> path = smooth_path(times, places);
     for (int round = 0; round < kRounds; ++round)
-        path = smooth_path(
-            times, find_near_end_positions(track, find_placements_along(list_positions(path)), nullptr));
-    const auto [low, high] = find_corners(track, find_placements_along(list_positions(path)));
+        path = smooth_path(times, estimate_positions_from_near_end(
+                                      track, find_placements_along(list_positions(path)), nullptr));
+    const auto [low, high] = find_nearest_corners(track, find_placements_along(list_positions(path)));
     const std::vector<Placement> at_frames = find_placements_at_frames(track, path);
     BoxTrack box;
     box.category = kDiscoveredCategory;
@@ -278,7 +281,7 @@ BoxTrack box_of(const MoverTrack& track) {
 
 void complete_size(BoxTrack& box, const MoverTrack& track) {
     const std::vector<double> speeds = compute_speeds_mps(box);
-    const Kind* kind = speeds.empty() ? nullptr : kind_of(box.size_m, median(speeds));
+    const Kind* kind = speeds.empty() ? nullptr : classify_size(box.size_m, median(speeds));
     if (!kind) return;
     glm::dvec3 grown = box.size_m, shift(0.0);
     if (box.size_m.x < kind->least_length_m) grown.x = kind->length_m;
@@ -301,7 +304,7 @@ BoxTrack make_continued_box(const MoverTrack& track, const BoxTrack& label) {
     Offset before, after;
     for (int round = 0; round < kRounds; ++round) {
         const std::vector<Placement> placed = find_placements_along(list_positions(path));
-        places = find_near_end_positions(track, placed, &label.size_m);
+        places = estimate_positions_from_near_end(track, placed, &label.size_m);
         before = estimate_offset(track, near.first, placed, places, label),
         after = estimate_offset(track, near.last, placed, places, label);
         for (std::size_t k = 0; k < places.size(); ++k)

@@ -13,7 +13,7 @@ namespace relidar {
 /// Fits an upright box to the returns of a track. Returns one pose per frame. The x axis
 /// points along the motion. Only the end near the sensor is measured reliably in each
 /// frame. Therefore the size of the box is the largest visible extent over the track.
-BoxTrack box_of(const MoverTrack& track);
+BoxTrack fit_track_box(const MoverTrack& track);
 
 /// Enlarges a box away from the sensor if only one side of the object was visible. The
 /// new size is the typical size of a car, a truck or a cyclist. Stores the name of this

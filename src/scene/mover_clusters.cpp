@@ -75,8 +75,8 @@ std::vector<LabelledBox> find_labelled_boxes_at(const Sequence& sequence, double
         const BoxTrack& box = sequence.boxes[i];
         const PoseTrack& track = box.world_from_box;
         if (track.pose.empty()) continue;
-        if (box.moves()) {
-            if (box.present(time_s)) boxes.push_back({box, static_cast<int>(i)});
+        if (box.is_moving()) {
+            if (box.is_present(time_s)) boxes.push_back({box, static_cast<int>(i)});
             continue;
         }
         BoxTrack& still = boxes.emplace_back(LabelledBox{box, kNoLabel}).box;
@@ -130,11 +130,11 @@ Returns returns_of(const Sequence& sequence, const Frame& frame) {
 
 /// Assigns each return to a cell of a world grid.
 /// @return [cells] mean position of the returns in each cell
-std::vector<glm::vec3> merge_into_cells(std::vector<Returns>& frames) {
+std::vector<glm::vec3> average_returns_by_cell(std::vector<Returns>& frames) {
     std::vector<Return*> all;
     for (Returns& frame : frames)
         for (Return& r : frame.others) all.push_back(&r);
-    const CellNumbers numbers = number_cells(all.size(), [&](std::size_t index) {
+    const CellNumbers numbers = assign_cell_numbers(all.size(), [&](std::size_t index) {
         return make_cell_key(glm::dvec3(all[index]->point_m), kCell_m);
     });
     const ItemsOfCells items(numbers);
@@ -153,7 +153,7 @@ std::vector<glm::vec3> merge_into_cells(std::vector<Returns>& frames) {
 /// with the most returns.
 /// @param heights_m heights of the moved returns of a cluster, at least one
 /// @return lowest and highest point, metres
-std::pair<double, double> find_heights_of_one_object(std::vector<double> heights_m) {
+std::pair<double, double> find_object_height_range(std::vector<double> heights_m) {
     std::sort(heights_m.begin(), heights_m.end());
     std::size_t best = 0, n_best = 0;
     for (std::size_t first = 0, end; first < heights_m.size(); first = end) {
@@ -198,7 +198,7 @@ std::vector<MoverCluster> group_returns(const std::vector<Return>& returns) {
                     near->second.clear();  // all returns of this square have been added
                 }
         }
-        const auto [bottom_m, top_m] = find_heights_of_one_object(std::move(moved_at_m));
+        const auto [bottom_m, top_m] = find_object_height_range(std::move(moved_at_m));
         glm::dvec3 low(1e30), high(-1e30);
         double n_moved = 0.0;
         for (const std::uint32_t member : members) {
@@ -238,7 +238,7 @@ Clusters find_clusters_of_frames(const Sequence& sequence, std::span<const int> 
         frames[std::size_t(index)] =
             returns_of(sequence, sequence.frames[std::size_t(positions[std::size_t(index)])]);
     });
-    const std::vector<glm::vec3> cells = merge_into_cells(frames);
+    const std::vector<glm::vec3> cells = average_returns_by_cell(frames);
     visibility.request_images(cells);
     std::vector<Motion> motion(cells.size());
     for_each_block(cells.size(), [&](std::size_t index) {
@@ -259,8 +259,8 @@ Clusters find_clusters_of_frames(const Sequence& sequence, std::span<const int> 
 }
 
 /// Collects the clusters of all frames from all processes of the group.
-Clusters join_clusters(const ProcessGroup& group, const Clusters& own) {
-    if (group.size == 1) return own;
+Clusters join_clusters(const ProcessGroup& group, const Clusters& local_clusters) {
+    if (group.size == 1) return local_clusters;
     struct Head {
         double time_s;
         glm::dvec3 centre_m;
@@ -270,7 +270,7 @@ Clusters join_clusters(const ProcessGroup& group, const Clusters& own) {
     std::vector<std::uint64_t> n_clusters;  // [frames]
     std::vector<Head> heads;
     std::vector<glm::dvec3> points;
-    for (const std::vector<MoverCluster>& frame : own) {
+    for (const std::vector<MoverCluster>& frame : local_clusters) {
         n_clusters.push_back(frame.size());
         for (const MoverCluster& cluster : frame) {
             heads.push_back({cluster.time_s, cluster.centre_m, cluster.points_m.size(), cluster.label});

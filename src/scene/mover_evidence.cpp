@@ -55,7 +55,7 @@ EvidenceSum remove_static_returns(const Visibility& visibility, MoverCluster& cl
     for (const glm::dvec3& p : cluster.points_m) {
         const Evidence evidence = collect_evidence(visibility, p, box);
         sum.looks += evidence;
-        sum.told += evidence.is_any();
+        sum.told += evidence.has_observations();
         sum.moved += evidence.has_proof_of_motion();
         if (!evidence.has_proof_of_rest()) kept.push_back(p);
     }

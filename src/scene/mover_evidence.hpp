@@ -18,7 +18,7 @@ struct Evidence {
     std::size_t stayed = 0;
     std::size_t left = 0;  ///< frames that observe an empty space at the position
     void operator+=(const Evidence& other) { stayed += other.stayed, left += other.left; }
-    bool is_any() const { return stayed + left > 0; }
+    bool has_observations() const { return stayed + left > 0; }
     bool has_proof_of_rest() const { return stayed > 0 && stayed >= left; }
     bool has_proof_of_motion() const { return left > kMuchMore * stayed; }
     /// Motion is proven if `left` is more than this factor times `stayed`. `stayed` can

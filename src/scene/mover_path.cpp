@@ -44,9 +44,9 @@ glm::dmat3 make_jerk_noise(double dt) {
                               d2 / 2.0, dt);
 }
 
-Estimate predict_state(const Estimate& from, double dt) {
+Estimate predict_state(const Estimate& state, double dt) {
     const glm::dmat3 f = make_transition_matrix(dt);
-    return {f * from.state, f * from.covariance * glm::transpose(f) + make_jerk_noise(dt)};
+    return {f * state.state, f * state.covariance * glm::transpose(f) + make_jerk_noise(dt)};
 }
 
 void correct(Estimate& estimate, const glm::dvec3& place_m, double weight) {
@@ -87,7 +87,7 @@ std::vector<PathState> smooth_path_once(const std::vector<double>& time_s,
 /// Walks along the path from one of its positions. Returns the first point at the
 /// distance kChord_m, or the end of the path.
 /// @param step 1 for later positions, -1 for earlier positions
-glm::dvec2 end_of_chord(const std::vector<glm::dvec3>& path_m, std::size_t place, int step) {
+glm::dvec2 find_chord_end(const std::vector<glm::dvec3>& path_m, std::size_t place, int step) {
     const glm::dvec2 here(path_m[place]);
     glm::dvec2 last = here;
     for (auto k = std::ptrdiff_t(place) + step; k >= 0 && k < std::ptrdiff_t(path_m.size()); k += step) {
@@ -119,8 +119,8 @@ std::vector<PathState> smooth_path(const std::vector<double>& time_s,
 std::vector<double> compute_headings_along(const std::vector<glm::dvec3>& path_m) {
     std::vector<double> result;
     for (std::size_t k = 0; k < path_m.size(); ++k) {
-        const glm::dvec2 from = end_of_chord(path_m, k, -1), here(path_m[k]);
-        glm::dvec2 to = end_of_chord(path_m, k, 1);
+        const glm::dvec2 from = find_chord_end(path_m, k, -1), here(path_m[k]);
+        glm::dvec2 to = find_chord_end(path_m, k, 1);
         if (glm::distance(from, to) <
             kTurnsBack * std::max(glm::distance(from, here), glm::distance(here, to)))
             to = here;

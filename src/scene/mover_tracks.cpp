@@ -48,8 +48,8 @@ constexpr double kBesides_m = 1.5;  // maximum distance between the parts of one
 // offset varies because the visible side of the vehicle changes.
 constexpr double kRigid_m = 0.5;
 
-glm::dvec3 compute_velocity_between(const MoverCluster& from, const MoverCluster& to) {
-    return (to.centre_m - from.centre_m) / std::max(to.time_s - from.time_s, 1e-3);
+glm::dvec3 compute_velocity_between(const MoverCluster& first, const MoverCluster& second) {
+    return (second.centre_m - first.centre_m) / std::max(second.time_s - first.time_s, 1e-3);
 }
 glm::dvec3 estimate_last_velocity(const MoverTrack& track, std::size_t max_count) {
     return compute_velocity_between(
@@ -94,9 +94,9 @@ public:
     explicit OpenTracks(const Sequence& sequence) : sequence_(sequence) {}
 
     void add(double frame_time_s, const std::vector<MoverCluster>& clusters) {
-        std::erase_if(open_, [&](std::size_t t) { return is_over(tracks_[t], frame_time_s); });
+        std::erase_if(open_, [&](std::size_t t) { return has_ended(tracks_[t], frame_time_s); });
         std::vector<char> track_is_used(tracks_.size(), 0), cluster_is_used(clusters.size(), 0);
-        for (const Fit& fit : fits(frame_time_s, clusters)) {
+        for (const Fit& fit : list_possible_matches(frame_time_s, clusters)) {
             if (track_is_used[fit.track] || cluster_is_used[fit.cluster]) continue;
             track_is_used[fit.track] = cluster_is_used[fit.cluster] = 1;
             take(tracks_[fit.track], frame_time_s, clusters[fit.cluster]);
@@ -119,7 +119,7 @@ private:
     std::vector<MoverTrack> tracks_;
     std::vector<std::size_t> open_;  // indices of the tracks that may continue
 
-    bool is_over(const MoverTrack& track, double frame_time_s) const {
+    bool has_ended(const MoverTrack& track, double frame_time_s) const {
         if (track.label != kNoLabel &&
             sequence_.boxes[std::size_t(track.label)].world_from_box.time_s.back() >= frame_time_s)
             return false;
@@ -127,7 +127,8 @@ private:
     }
     /// Returns all possible pairs of a track and a cluster. The pairs are sorted from the
     /// best match to the worst.
-    std::vector<Fit> fits(double frame_time_s, const std::vector<MoverCluster>& clusters) const {
+    std::vector<Fit> list_possible_matches(double frame_time_s,
+                                           const std::vector<MoverCluster>& clusters) const {
         std::vector<Fit> result;
         for (const std::size_t t : open_)
             for (std::size_t c = 0; c < clusters.size(); ++c)
@@ -200,14 +201,14 @@ bool move_as_one(const MoverTrack& track, const MoverTrack& part) {
 /// Returns how badly one track continues another track after a gap. Predicts the position
 /// across the gap from both sides. A value above 1 means that the tracks are different
 /// objects.
-double compute_mismatch_over_gap(const MoverTrack& before, const MoverTrack& after) {
-    if (before.label != kNoLabel && after.label != kNoLabel) return 2.0;
-    if (std::min(before.seen.size(), after.seen.size()) < kEndsOfGap) return 2.0;
-    const double dt = after.seen.front().cluster.time_s - before.last().time_s;
+double compute_mismatch_over_gap(const MoverTrack& earlier_track, const MoverTrack& later_track) {
+    if (earlier_track.label != kNoLabel && later_track.label != kNoLabel) return 2.0;
+    if (std::min(earlier_track.seen.size(), later_track.seen.size()) < kEndsOfGap) return 2.0;
+    const double dt = later_track.seen.front().cluster.time_s - earlier_track.last().time_s;
     if (!(dt > 0.0 && dt < kLongestGap_s)) return 2.0;
-    const glm::dvec3 from_velocity = estimate_last_velocity(before, kFar),
-                     to_velocity = estimate_first_velocity(after, kFar);
-    const glm::dvec3 way = after.seen.front().cluster.centre_m - before.last().centre_m;
+    const glm::dvec3 from_velocity = estimate_last_velocity(earlier_track, kFar),
+                     to_velocity = estimate_first_velocity(later_track, kFar);
+    const glm::dvec3 way = later_track.seen.front().cluster.centre_m - earlier_track.last().centre_m;
     const double off = std::max(glm::length(glm::dvec2(way - dt * from_velocity)),
                                 glm::length(glm::dvec2(way - dt * to_velocity)));
     return std::max(off / (kAcceleration_m + kOverGap_mps * dt),
@@ -281,7 +282,7 @@ std::vector<MoverTrack> link_clusters(const std::vector<std::vector<MoverCluster
     return join_across_gaps(std::move(open).all());
 }
 
-bool has_moved_far(const MoverTrack& track) {
+bool is_moving_track(const MoverTrack& track) {
     if (track.seen.size() < kMinObservations) return false;
     std::vector<glm::dvec3> centres;
     for (const Observation& o : track.seen) centres.push_back(o.cluster.centre_m * glm::dvec3(1.0, 1.0, 0.0));

@@ -39,7 +39,7 @@ std::vector<MoverTrack> link_clusters(const std::vector<std::vector<MoverCluster
 
 /// Returns true if a track has enough observations, moves far enough, and is fairly
 /// straight.
-bool has_moved_far(const MoverTrack& track);
+bool is_moving_track(const MoverTrack& track);
 
 /// Returns true if a track stays near the recording vehicle at a fixed position relative
 /// to the vehicle. Such a track is a part of the vehicle itself.

@@ -92,9 +92,9 @@ glm::dvec3 is_direction_within(const glm::dvec3& normal, double angle) {
     return std::cos(angle) * x + std::sin(angle) * glm::cross(normal, x);
 }
 
-/// Returns the rotation (w, x, y, z) whose first and third columns are `x` and `normal`.
-glm::vec4 make_normal_rotation(const glm::dvec3& x, const glm::dvec3& normal) {
-    const glm::dquat q = glm::quat_cast(glm::dmat3(x, glm::cross(normal, x), normal));
+/// Returns the rotation (w, x, y, z) whose first and third columns are `x_axis` and `normal`.
+glm::vec4 make_normal_rotation(const glm::dvec3& x_axis, const glm::dvec3& normal) {
+    const glm::dquat q = glm::quat_cast(glm::dmat3(x_axis, glm::cross(normal, x_axis), normal));
     return {float(q.w), float(q.x), float(q.y), float(q.z)};
 }
 
@@ -197,8 +197,8 @@ struct Place {
 /// If all neighbours lie on one scan line or on one side of a gap, searches again with
 /// more neighbours. Points of a single line do not determine the rotation of the plane
 /// about this line.
-Place place_of(const Tree& tree, const std::vector<Sample>& samples, std::size_t index,
-               std::vector<std::size_t> nearest, const InitialiseOptions& options) {
+Place estimate_surface_at(const Tree& tree, const std::vector<Sample>& samples, std::size_t index,
+                          std::vector<std::size_t> nearest, const InitialiseOptions& options) {
     constexpr int kWider = 2;  // maximum number of repeated searches with more neighbours
     Place place{fit_plane(samples, nearest, samples[index].view, options.flatness), {}};
     if (options.max_gap_m <= 0.0) return place;
@@ -232,7 +232,7 @@ void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& sam
     nearest.samples.resize(std::min(nearest.samples.size(), std::size_t(options.normal_neighbours) + 1));
     Place place{{{}, draw_random_direction(random)}, {}};
     if (options.normals && nearest.samples.size() >= 3)
-        place = place_of(tree, samples, i, std::move(nearest.samples), options);
+        place = estimate_surface_at(tree, samples, i, std::move(nearest.samples), options);
     const Plane& plane = place.plane;
     surfels.mean[i] = samples[i].position;
     if (options.flatness < 1.0 && plane.is_surface)

@@ -48,13 +48,13 @@ struct SampleIndex {
     SampleIndex(const std::vector<Sample>& samples, std::vector<std::uint32_t> of)
         : cloud{samples, std::move(of)}, tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(8)) {}
 
-    /// Returns the distance to the nearest sample, limited to `most_m`.
-    double distance_m(const glm::vec3& point, double most_m) const {
-        if (cloud.of.empty()) return most_m;
+    /// Returns the distance to the nearest sample, limited to `max_distance_m`.
+    double distance_m(const glm::vec3& point, double max_distance_m) const {
+        if (cloud.of.empty()) return max_distance_m;
         std::size_t nearest;
         float distance2;
         tree.knnSearch(&point.x, 1, &nearest, &distance2);
-        return std::min(most_m, std::sqrt(double(distance2)));
+        return std::min(max_distance_m, std::sqrt(double(distance2)));
     }
     /// Returns the indices of at most `max_count` samples within a radius around `point`,
     /// sorted by distance.

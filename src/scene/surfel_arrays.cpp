@@ -49,7 +49,8 @@ void SurfelArrays::upload(const Surfels& surfels) {
     surfels.check_shapes();
     if (surfels.size() > 0 && surfels.primitive != primitive)
         throw DataError(fmt::format("cannot upload surfels: found {}, expected {} like in the arrays",
-                                    kind_of(surfels.primitive).label, kind_of(primitive).label));
+                                    get_primitive_kind(surfels.primitive).label,
+                                    get_primitive_kind(primitive).label));
     if (surfels.size() > 0 && surfels.bends != bends)
         throw DataError(fmt::format("cannot upload surfels: found {}, expected {} like in the arrays",
                                     surfels.bends ? "a gait" : "no gait", bends ? "a gait" : "no gait"));

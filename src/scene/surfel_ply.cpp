@@ -62,7 +62,7 @@ std::vector<Property> list_properties(ParameterSet parameter_set) {
         list.push_back({fmt::format("f_rest_{}", k), &kSh, k % kRest + 1, k < kRest});
     list.push_back({"opacity", &kOpacityLogit});
     add("scale_", 2, kLogScale, 0);
-    if (kind_of(parameter_set.primitive).third_scale) list.push_back({"scale_2", &kLogScaleW});
+    if (get_primitive_kind(parameter_set.primitive).third_scale) list.push_back({"scale_2", &kLogScaleW});
     else list.push_back({"scale_2", nullptr, 0, false, Property::thickness});
     add("rot_", 4, kRotation, 0);
     add("hit_", kShCoefficients, kSh, kShCoefficients);
@@ -209,7 +209,7 @@ Columns find_columns(const Layout& layout, ParameterSet parameter_set) {
     return columns;
 }
 
-float checked(float value, const Property& property, std::size_t row, std::size_t n_models) {
+float check_property_value(float value, const Property& property, std::size_t row, std::size_t n_models) {
     if (!std::isfinite(value))
         throw DataError(
             fmt::format("vertex {}: {} is {}, expected a finite number", row, property.name, value));
@@ -274,7 +274,7 @@ Scene parse_surfels(const std::vector<std::byte>& file, const Scene& scene_layou
             float value;
             std::memcpy(&value, file.data() + data + i * layout.stride + columns.offset[k], sizeof value);
             set_value(columns.property[k], surfels, i, model[i],
-                      checked(value, columns.property[k], i, scene_layout.models.size()));
+                      check_property_value(value, columns.property[k], i, scene_layout.models.size()));
         }
     return group_surfels_by_model(surfels, model, scene_layout);
 }
@@ -284,7 +284,7 @@ Scene parse_surfels(const std::vector<std::byte>& file, const Scene& scene_layou
 std::string make_ply_header_text(const Surfels& surfels, const std::vector<Property>& list, const char* frame,
                                  const FileNotes& notes = {}) {
     std::string text = "ply\nformat binary_little_endian 1.0\ncomment relidar ";
-    const PrimitiveKind& kind = kind_of(surfels.primitive);
+    const PrimitiveKind& kind = get_primitive_kind(surfels.primitive);
     text += fmt::format("{}: metres, {}{}\n", kind.label, frame,
                         kind.third_scale ? "" : "; scale_2 only makes them flat");
     for (const auto& note : notes) text += fmt::format("comment {}\n", report_detail::format_note_line(note));

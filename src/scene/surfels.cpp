@@ -27,7 +27,7 @@ static_assert(are_terms_in_order(), "the numbers of primitives count up from 0")
 bool has_group(ParameterSet parameter_set, const ParameterGroup& group) {
     switch (group.of) {
         case ParameterGroup::Of::third_scale:
-            return kind_of(parameter_set.primitive).third_scale;
+            return get_primitive_kind(parameter_set.primitive).third_scale;
         case ParameterGroup::Of::bends:
             return parameter_set.bends;
         default:
@@ -57,8 +57,8 @@ void Surfels::check_shapes() const {
         if (found != expected)
             throw DataError(fmt::format(
                 "cannot use {}: {} has {} values, expected {}, which is {} for each of the {} means",
-                kind_of(primitive).label, group.name, found, expected, is_there ? group.floats() : 0,
-                size()));
+                get_primitive_kind(primitive).label, group.name, found, expected,
+                is_there ? group.floats() : 0, size()));
     }
 }
 
@@ -67,7 +67,8 @@ void Surfels::append(const Surfels& other) {
         throw DataError(
             fmt::format("cannot join {} and {} primitives: found {} and {}, expected the same primitive "
                         "(image.primitive)",
-                        size(), other.size(), kind_of(primitive).label, kind_of(other.primitive).label));
+                        size(), other.size(), get_primitive_kind(primitive).label,
+                        get_primitive_kind(other.primitive).label));
     if (other.size() > 0) primitive = other.primitive;
     if (other.bends) add_gait();
     const std::size_t n = size() + other.size();
@@ -102,7 +103,7 @@ Surfels Surfels::slice(std::size_t first, std::size_t count) const {
 void make_primitive(Surfels& surfels, Primitive primitive, double thickness) {
     surfels.primitive = primitive;
     surfels.log_scale_w.clear();
-    if (!kind_of(primitive).third_scale) return;
+    if (!get_primitive_kind(primitive).third_scale) return;
     for (const glm::vec2& s : surfels.log_scale)
         surfels.log_scale_w.push_back(0.5f * (s.x + s.y) + static_cast<float>(std::log(thickness)));
 }

@@ -42,7 +42,7 @@ std::size_t complete_by_symmetry(Surfels& surfels, BoxSurface& surface) {
     std::vector<glm::vec3> opaque_m;
     for (std::size_t i = 0; i < surfels.size(); ++i)
         if (surfels.opacity_logit[i] > 0.0f) opaque_m.push_back(surfels.mean[i]);
-    if (surface.asymmetry_m(opaque_m) > kMostAsymmetry_m) return 0;
+    if (surface.compute_asymmetry_m(opaque_m) > kMostAsymmetry_m) return 0;
     std::vector<std::uint32_t> kept, copied;
     for (std::uint32_t i = 0; i < surfels.size(); ++i) {
         const glm::dvec3 here(surfels.mean[i]), there(here.x, -here.y, here.z);

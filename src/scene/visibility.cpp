@@ -83,7 +83,7 @@ glm::dvec3 compute_tile_centre(const glm::dvec3& point) {
 }
 
 /// Shortens the list to at most kMostViews views, which are evenly spaced in the list.
-void thin_list(std::vector<std::uint32_t>& views) {
+void thin_view_list(std::vector<std::uint32_t>& views) {
     if (views.size() <= kMostViews) return;
     std::vector<std::uint32_t> kept;
     for (std::size_t k = 0; k < kMostViews; ++k) kept.push_back(views[k * views.size() / kMostViews]);
@@ -147,10 +147,10 @@ Visibility::Visibility(const Sequence& sequence, const std::vector<int>& positio
         if (!std::exchange(has_grid[lidar], 1)) grids_[lidar] = BeamGrid(frame.scan);
         views_.push_back({frame.time_s, frame.lidar, {}, {}});
     }
-    sort_by_tile();
+    sort_views_by_tile();
 }
 
-void Visibility::request_point(const glm::dvec3& point_m) {
+void Visibility::request_point_images(const glm::dvec3& point_m) {
     const auto tile = tiles_.find(make_cell_key(compute_tile_centre(point_m), kTile_m));
     if (tile == tiles_.end() || std::exchange(tile->second.wanted, true)) return;
     for (const std::uint32_t view : tile->second.views)
@@ -180,7 +180,7 @@ void Visibility::make(View& view, const Frame& frame) const {
     view.range_m = grids_[std::size_t(frame.lidar)].compute_nearest_m(frame.scan);
 }
 
-void Visibility::sort_by_tile() {
+void Visibility::sort_views_by_tile() {
     struct Seen {
         std::uint32_t view;
         double distance_m;
@@ -207,7 +207,7 @@ void Visibility::sort_by_tile() {
         std::vector<std::uint32_t>& views = tiles_[key].views;
         for (const Seen& s : seen)
             if (s.distance_m <= std::max(kNear_m, kHardlyFarther * nearest)) views.push_back(s.view);
-        thin_list(views);
+        thin_view_list(views);
     }
 }
 

@@ -64,7 +64,7 @@ public:
     /// @param points_m [points] vectors of 3, world
     template <class Points>
     void request_images(const Points& points_m) {
-        for (const auto& point_m : points_m) request_point(glm::dvec3(point_m));
+        for (const auto& point_m : points_m) request_point_images(glm::dvec3(point_m));
         make_requested_images();
     }
 
@@ -129,10 +129,10 @@ private:
     /// indices of the views whose images must still be created; can contain duplicates
     std::vector<std::uint32_t> wanted_;
 
-    void request_point(const glm::dvec3& point_m);
+    void request_point_images(const glm::dvec3& point_m);
     void make_requested_images();
     void make(View& view, const Frame& frame) const;
-    void sort_by_tile();
+    void sort_views_by_tile();
     Surroundings find_surroundings(const View& view, const glm::dvec3& point_m) const;
 };
 

@@ -43,7 +43,7 @@ Scene make_smallest_scene(const Sequence& street, Primitive primitive) {
     return scene;
 }
 
-void compile_for(Device& device, const Sequence& street, const Config& config) {
+void compile_training_pipelines(Device& device, const Sequence& street, const Config& config) {
     const Scene scene = make_smallest_scene(street, config.image.primitive);
     Split split;
     split.train = {0, 1};
@@ -53,7 +53,7 @@ void compile_for(Device& device, const Sequence& street, const Config& config) {
 
 /// Compiles all variants of the ray traversal. A running program uses only one variant,
 /// which depends on the type of the device.
-void compile_searches(Device& device, const Sequence& street) {
+void compile_search_variants(Device& device, const Sequence& street) {
     const Config config = make_preset("default");
     const Scene scene = make_smallest_scene(street, config.image.primitive);
     for (const Walk walk : {Walk::lane, Walk::subgroup})
@@ -79,7 +79,7 @@ void compile_pipelines(Device& device, const std::function<void(const std::strin
     };
     for (const char* preset : {"paper", "released", "default", "quick"}) {
         report(preset);
-        compile_for(device, street, make_preset(preset));
+        compile_training_pipelines(device, street, make_preset(preset));
     }
     std::vector<Setting> settings(std::begin(kSettings), std::end(kSettings));
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) \
@@ -90,11 +90,11 @@ void compile_pipelines(Device& device, const std::function<void(const std::strin
     for (const Setting& setting : settings) {
         report(std::string(setting.key) + "=" + setting.value);
         Config config = make_preset("default");
-        set_key(config, setting.key, setting.value);
-        compile_for(device, street, config);
+        set_config_value(config, setting.key, setting.value);
+        compile_training_pipelines(device, street, config);
     }
     report("kernels of the ray traversal and of sums");
-    compile_searches(device, street);
+    compile_search_variants(device, street);
     for (const char* network : {"small", "paper", "pixel"}) {
         report(std::string("refine.network=") + network);
         RefineOptions options;

@@ -47,8 +47,8 @@ std::optional<IterationReports::Report> IterationReports::take(Stream& stream, i
     const auto count = [&](Readback& readback) {
         return *static_cast<const std::uint32_t*>(readback.wait(stream));
     };
-    add_up(report, static_cast<const float*>(slot.terms.wait(stream)));
-    if (report.line) end_line(*report.line);
+    add_report_terms(report, static_cast<const float*>(slot.terms.wait(stream)));
+    if (report.line) complete_log_line(*report.line);
     return Report{.first_step = first_step,
                   .last_step = last_step,
                   .pass_cap = count(slot.pass_cap),
@@ -58,7 +58,7 @@ std::optional<IterationReports::Report> IterationReports::take(Stream& stream, i
                   .kept_hits = report.kept_hits};
 }
 
-void IterationReports::add_up(const Closed& report, const float* terms) {
+void IterationReports::add_report_terms(const Closed& report, const float* terms) {
     for (const auto& [step, frame] : report.iterations) {
         for (std::size_t k = 0; k < kLossTerms; ++k) {
             const float term = *terms++;
@@ -72,7 +72,7 @@ void IterationReports::add_up(const Closed& report, const float* terms) {
     n_summed_ += report.iterations.size();
 }
 
-void IterationReports::end_line(LogLine line) {
+void IterationReports::complete_log_line(LogLine line) {
     for (std::size_t k = 0; k < kLossTerms; ++k)
         line.terms[k] = std::exchange(sums_[k], 0.0) / static_cast<double>(n_summed_);
     n_summed_ = 0;

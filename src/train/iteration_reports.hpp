@@ -108,8 +108,8 @@ private:
     std::uint64_t n_summed_ = 0;  ///< number of iterations in sums_
     std::vector<LogLine> lines_;
 
-    void add_up(const Closed& report, const float* terms);
-    void end_line(LogLine line);
+    void add_report_terms(const Closed& report, const float* terms);
+    void complete_log_line(LogLine line);
 };
 
 }  // namespace relidar

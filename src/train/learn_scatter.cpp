@@ -14,11 +14,11 @@ namespace {
 
 constexpr int kMostFrames = 16;  // maximum number of frames per LiDAR
 
-std::vector<int> frames_of(const Run& run, int lidar) {
+std::vector<int> list_lidar_training_frames(const Run& run, int lidar) {
     std::vector<int> frames;
     for (const int position : run.split.train)
         if (run.sequence.frames[std::size_t(position)].lidar == lidar) frames.push_back(position);
-    return spread(frames, kMostFrames);
+    return select_evenly_spaced(frames, kMostFrames);
 }
 
 std::vector<float> collect_measured_intensities(const Sequence& sequence, const Frame& frame,
@@ -39,7 +39,7 @@ std::vector<IntensityScatter> learn_scatter(Device& device, const Run& run, cons
     const Unknown masks = make_masks(config, run.scene);
     std::vector<IntensityScatter> result;
     for (int lidar = 0; lidar < int(run.sequence.lidars.size()); ++lidar) {
-        const std::vector<int> positions = frames_of(run, lidar);
+        const std::vector<int> positions = list_lidar_training_frames(run, lidar);
         std::vector<MeasuredIntensities> images;
         for (const int position : positions) {
             if (session.stop && session.stop()) return {};

@@ -121,7 +121,7 @@ void report_lost_scans(const Sequence& sequence, const Registration& registratio
     }
     const std::size_t n = sequence.world_from_vehicle.pose.size();
     const std::string text = fmt::format("{} of {} scans could not be registered (frames {})", frames.size(),
-                                         n, list_text(frames));
+                                         n, format_number_list(frames));
     if (double(frames.size()) > std::max(1.0, kMostLost * double(n)) && !config.train.allow_lost_scans)
         throw DataError(
             fmt::format("cannot register the scans of {}: {}; expected at most {:.0f} % of the scans. Use "
@@ -137,7 +137,7 @@ Registration register_log(Sequence& sequence, const Split& split, const Config& 
                           const PrepareSession& session) {
     Registration registration;
     try {
-        RegisterOptions options = register_options(sequence, config);
+        RegisterOptions options = make_register_options(sequence, config);
         options.stop = session.stop;
         options.progress = session.progress;
         options.group = session.group;
@@ -178,7 +178,7 @@ void register_sensor(Sequence& sequence, const Split& split, const Config& confi
 void calibrate_beams(Sequence& sequence, const Split& split, const SensorConfig& config,
                      const PrepareSession& session) {
     const std::size_t n = sequence.count_beams();
-    if (n > 1 && config.calibrates("range")) {
+    if (n > 1 && config.should_calibrate("range")) {
         const LaserCalibration calibration = calibrate_ranges(sequence, split.train);
         session.tell(fmt::format(
             "range calibration of {} beams ({:.1f} million returns): mean distance from planes "
@@ -236,7 +236,7 @@ void calibrate(Sequence& sequence, const Split& split, const SensorConfig& confi
         measure_range_noise(sequence, split.train);
         report_noise(sequence, session);
         throw_if_interrupted(session);
-        if (config.calibrates("intensity")) calibrate_intensities(sequence, split, session);
+        if (config.should_calibrate("intensity")) calibrate_intensities(sequence, split, session);
     }
     const auto broadcast_from_first = [&](auto& values) {
         values = session.group.broadcast(std::move(values));
@@ -317,13 +317,13 @@ void register_boxes(Sequence& sequence, const Split& split, const PrepareSession
 
 }  // namespace
 
-RegisterOptions register_options(const Sequence& sequence, const Config& config) {
+RegisterOptions make_register_options(const Sequence& sequence, const Config& config) {
     RegisterOptions options;
     options.use_pose_motion = has_poses(sequence, config);
     // Without vehicle poses, the motion of a box in the world is unknown. All boxes are
     // then treated as moving.
     for (const BoxTrack& box : sequence.boxes)
-        if (!options.use_pose_motion || box.moves()) options.movers.push_back(box);
+        if (!options.use_pose_motion || box.is_moving()) options.movers.push_back(box);
     return options;
 }
 

@@ -30,13 +30,13 @@ StepTimes time_steps(Device& device, const Run& run, int n_steps, const std::fun
     TrainLoop loop(device, run.sequence, run.split, run.scene, run.config);
     const int first = std::max(1, run.config.train.iterations - n_steps - kWarmUp + 1);
     for (int k = 0; k < kWarmUp; ++k) loop.run_iteration(first + k);
-    loop.settle();
+    loop.wait_for_iterations();
     const std::map<std::string, KernelTimes::Total> before = loop.times().totals;
     StepTimes result;
     const auto start = std::chrono::steady_clock::now();
     for (; result.n_steps < n_steps && !(stop && stop()); ++result.n_steps)
         loop.run_iteration(first + kWarmUp + result.n_steps);
-    loop.settle();
+    loop.wait_for_iterations();
     if (result.n_steps == 0) return result;
     result.wall_ms = 1e3 * std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count() /
                      result.n_steps;

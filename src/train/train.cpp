@@ -28,7 +28,7 @@ double measure_seconds_since(Clock::time_point start) {
 /// Returns the options for the initial scene. A model with a single drop logit starts
 /// with the difference of the usual two logits, which gives the same ray-drop probability
 /// (docs/method.md M6).
-InitialiseOptions start_options(const Config& config) {
+InitialiseOptions make_initialise_options(const Config& config) {
     InitialiseOptions options = config.init;
     options.seed = config.train.seed;
     options.one_logit = config.image.single_drop_logit;
@@ -36,10 +36,11 @@ InitialiseOptions start_options(const Config& config) {
 }
 
 /// Returns the initial scene of a training.
-Scene start_scene(const Sequence& sequence, const Split& split, const Config& config,
-                  const TrainSession& session) {
+Scene make_initial_scene(const Sequence& sequence, const Split& split, const Config& config,
+                         const TrainSession& session) {
     std::vector<std::string> notes;
-    Scene scene = initialise_scene(sequence, split.train, start_options(config), session.progress, &notes);
+    Scene scene =
+        initialise_scene(sequence, split.train, make_initialise_options(config), session.progress, &notes);
     for (const std::string& note : notes)
         if (session.note) session.note(note);
     make_primitive(scene.surfels, config.image.primitive, config.init.thickness);
@@ -60,7 +61,7 @@ void report_masked_boxes(const Scene& scene, const Sequence& sequence, const Con
 
 /// Prints how many training frames are kept in device memory. Prints nothing if all
 /// frames are kept.
-void report_sent_frames(const TrainingFrames& frames, const Config& config, const TrainSession& session) {
+void report_resident_frames(const TrainingFrames& frames, const Config& config, const TrainSession& session) {
     if (frames.n_resident() == frames.all().size() || !session.note) return;
     session.note(
         fmt::format("{} of {} training frames fit into the device memory for frames "
@@ -124,7 +125,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     const Clock::time_point begin = Clock::now();
     begin_stage(session.stages, "initialise");
     const Scene initial =
-        session.start ? read_scene(*session.start) : start_scene(sequence, split, config, session);
+        session.start ? read_scene(*session.start) : make_initial_scene(sequence, split, config, session);
     result.initialise_s = measure_seconds_since(begin);
     report_masked_boxes(initial, sequence, config, session);
 
@@ -134,7 +135,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     if (session.progress) session.progress("allocating memory and loading kernels", 0.0);
     TrainLoop loop(device, sequence, split, initial, findable);
     if (session.progress) session.progress("allocating memory and loading kernels", 1.0);
-    report_sent_frames(loop.frames(), config, session);
+    report_resident_frames(loop.frames(), config, session);
     if (session.start) {
         loop.restore(*session.start);
         read_result(*session.start, config, result);
@@ -155,8 +156,8 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
         loop.run_iteration(step, should_log_at(step, config.train));
         collect_lines();
         stop = stop || (session.stop && session.stop());
-        if (!stop && !checkpoints.due(step)) continue;
-        loop.settle();
+        if (!stop && !checkpoints.should_save(step)) continue;
+        loop.wait_for_iterations();
         collect_lines();  // A checkpoint includes the log lines.
         checkpoints.save(loop, result, trained_s());
     }
@@ -169,7 +170,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     return result;
 }
 
-void move_result(Run& run, TrainResult& result) {
+void move_result_into_run(Run& run, TrainResult& result) {
     run.scene = std::move(result.scene);
     run.coverage = std::move(result.coverage), run.classes = std::move(result.classes);
     if (!result.poses) return;

@@ -43,17 +43,19 @@ struct Sight {
     /// Returns true if a ray hits the box of the actor, enlarged by kBeside_m.
     /// @param after_s  firing time of the ray, relative to the reference time of the
     /// sweep
-    bool is_hit_by(const WorldRay& ray, double after_s) const { return meets(ray, after_s, kBeside_m); }
+    bool is_hit_by(const WorldRay& ray, double after_s) const {
+        return intersects_ray(ray, after_s, kBeside_m);
+    }
     /// Returns true if a ray to the actor's box can also hit this sphere, in front of the
     /// actor or behind it.
     bool can_observe(const glm::dvec3& point_m, double reach_m) const {
         const double driven_length_m = glm::length(placed.motion.velocity_mps) * placed.motion.half_span_s;
-        return meets({sensor_m, glm::normalize(point_m - sensor_m)}, placed.motion.middle_s,
-                     kBeside_m + kSweep_m + driven_length_m + reach_m);
+        return intersects_ray({sensor_m, glm::normalize(point_m - sensor_m)}, placed.motion.middle_s,
+                              kBeside_m + kSweep_m + driven_length_m + reach_m);
     }
 
 private:
-    bool meets(const WorldRay& ray, double after_s, double grown_m) const {
+    bool intersects_ray(const WorldRay& ray, double after_s, double grown_m) const {
         const PlacedBox box{inverse(placed.motion.at(placed.world_from_model, after_s)), half_size_m};
         const glm::dvec2 inside = box.compute_ray_interval(ray, grown_m);
         return inside.x <= inside.y;
@@ -67,7 +69,7 @@ struct SightedFrame {
     double reach_m = 0.0;  ///< range of the farthest return in the frame
     std::vector<Sight> sights;
 
-    bool reaches(const SceneBlock& block) const {
+    bool can_reach_block(const SceneBlock& block) const {
         return block.count > 0 && block.distance_m(sensor_m) <= reach_m + kAlong_m;
     }
 };
@@ -116,7 +118,7 @@ std::vector<Stretch> divide_into_stretches(const Run& run, const std::vector<Pos
         if (frame.sights.empty()) continue;
         std::set<std::size_t> reached, together = stretches.back().blocks;
         for (std::size_t i = 0; i < run.scene.blocks.size(); ++i)
-            if (frame.reaches(run.scene.blocks[i])) reached.insert(i);
+            if (frame.can_reach_block(run.scene.blocks[i])) reached.insert(i);
         together.insert(reached.begin(), reached.end());
         std::size_t n = 0;
         for (const std::size_t i : together) n += run.scene.blocks[i].count;
@@ -152,7 +154,7 @@ Scan select_rays_near(const Run& run, const Frame& frame, const PoseTrack& world
 }
 
 /// Returns the part of the log for one section. Its frames contain only rays near actors.
-Sequence log_of(const Run& run, const Stretch& stretch, const std::vector<PoseTrack>& tracks) {
+Sequence select_stretch_log(const Run& run, const Stretch& stretch, const std::vector<PoseTrack>& tracks) {
     std::vector<Frame> frames(stretch.frames.size());
     parallel_for(static_cast<int>(frames.size()), [&](int index) {
         const SightedFrame& sighted = stretch.frames[std::size_t(index)];
@@ -204,7 +206,7 @@ StretchScene make_scene_of_stretch(const Run& run, const Stretch& stretch) {
         const Scene block = make_background_scene(read_block(run.scene.blocks[i]));
         std::vector<const SightedFrame*> near;
         for (const SightedFrame& frame : stretch.frames)
-            if (frame.reaches(run.scene.blocks[i])) near.push_back(&frame);
+            if (frame.can_reach_block(run.scene.blocks[i])) near.push_back(&frame);
         background.append(select_surfels_along_rays(block.surfels, near));
         extent_m += compute_background_extent(block) / double(stretch.blocks.size());
     }
@@ -213,7 +215,7 @@ StretchScene make_scene_of_stretch(const Run& run, const Stretch& stretch) {
 
 /// Returns the settings for training only the actors. Uses all rays, and does not refine
 /// poses or change the number of surfels.
-Config make_settings(const Config& config, std::size_t n_frames) {
+Config make_actor_config(const Config& config, std::size_t n_frames) {
     Config c = config;
     TrainConfig& t = c.train;
     t.iterations = static_cast<int>(
@@ -239,12 +241,12 @@ TrainingEnd train_actors(Device& device, Run& run, const ActorSession& session) 
     std::size_t n_frames = 0, done = 0;
     for (const Stretch& stretch : stretches) n_frames += stretch.frames.size();
     for (const Stretch& stretch : stretches) {
-        const Sequence log = log_of(run, stretch, tracks);
+        const Sequence log = select_stretch_log(run, stretch, tracks);
         if (log.frames.empty()) continue;
         Split split;
         for (std::size_t i = 0; i < log.frames.size(); ++i) split.train.push_back(static_cast<int>(i));
         const auto [scene, extent_m] = make_scene_of_stretch(run, stretch);
-        const Config config = make_settings(run.config, log.frames.size());
+        const Config config = make_actor_config(run.config, log.frames.size());
         TrainLoop loop(device, log, split, scene, config, scene.models.front().count, extent_m);
         for (int step = 1; step <= config.train.iterations; ++step) {
             loop.run_iteration(step);

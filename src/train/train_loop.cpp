@@ -131,11 +131,12 @@ RendererOptions make_renderer_options(const Config& config, const TrainingFrames
 /// Returns the maximum scale of each surfel, proportional to its initial scale. Surfels
 /// close to each other start small and need little growth. Surfels far apart must be able
 /// to close the holes between them.
-std::vector<float> scale_bounds(const Surfels& surfels, double max_growth) {
+std::vector<float> compute_scale_limits(const Surfels& surfels, double max_growth) {
     std::vector<float> bounds;
     for (std::size_t i = 0; i < surfels.size(); ++i) {
         float largest = std::max(surfels.log_scale[i].x, surfels.log_scale[i].y);
-        if (kind_of(surfels.primitive).third_scale) largest = std::max(largest, surfels.log_scale_w[i]);
+        if (get_primitive_kind(surfels.primitive).third_scale)
+            largest = std::max(largest, surfels.log_scale_w[i]);
         bounds.push_back(largest + static_cast<float>(std::log(max_growth)));
     }
     return bounds;
@@ -143,9 +144,12 @@ std::vector<float> scale_bounds(const Surfels& surfels, double max_growth) {
 
 /// Returns true if every surfel gets a gradient in each iteration, even if no ray hits
 /// it. The box loss has this effect, because it depends only on the surfels.
-bool have_all_gradients(const Config& config) { return config.loss.box > 0.0f && !config.train.only_touched; }
+bool has_dense_gradients(const Config& config) {
+    return config.loss.box > 0.0f && !config.train.only_touched;
+}
 
-Unknown unknown(const Sequence& sequence, const Split& split, const Scene& scene, const Config& config) {
+Unknown make_mask_rules(const Sequence& sequence, const Split& split, const Scene& scene,
+                        const Config& config) {
     Unknown masks{config.init,
                   {},
                   config.train.sensor_drop ? estimate_observed_drops(sequence, split.train) : DropTable{}};
@@ -172,7 +176,7 @@ std::optional<RangeGrid> get_trained_grid(const Config& config) {
 
 FrameUse choose_frame_use(const Sequence& sequence, const Split& split, const Scene& scene,
                           const Config& config) {
-    return {.unknown = unknown(sequence, split, scene, config),
+    return {.unknown = make_mask_rules(sequence, split, scene, config),
             .moves_rays = config.train.refines("sensor"),
             .resident_bytes = std::uint64_t(config.train.frame_memory_mib) << 20,
             .grid = get_trained_grid(config)};
@@ -188,7 +192,7 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       batches_(device, config, frames_.all()),
       refiner_(device, sequence, initial, config.train, frames_),
       differentiable_(device, initial, config.image, make_renderer_options(config, frames_, n_fixed),
-                      {make_backward_options(config), refiner_.wanted(), have_all_gradients(config)}),
+                      {make_backward_options(config), refiner_.wanted(), has_dense_gradients(config)}),
       renderer_(differentiable_.renderer()),
       stream_(renderer_.stream()),
       losses_(make_losses(device, config.loss, find_max_rays(frames_.all()))),
@@ -205,7 +209,7 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
     // Limits the size of surfels. With densification, large surfels are split, so no
     // limit is needed.
     if (config.densify.strategy == DensifyStrategy::none)
-        adam_.bound_scales(device, scale_bounds(initial.surfels, config.train.max_growth));
+        adam_.bound_scales(device, compute_scale_limits(initial.surfels, config.train.max_growth));
 }
 
 TrainLoop::~TrainLoop() {
@@ -242,7 +246,7 @@ void TrainLoop::record_batch(const RayBatch& rays, const TargetBatch& targets, c
 }
 
 void TrainLoop::run_iteration(int step, bool ends_line) {
-    check_reports(step - kReadbackLag);
+    check_iteration_reports(step - kReadbackLag);
     refiner_.apply_steps(stream_, step - kReadbackLag);
     const std::size_t frame_index = sampler_.next();
     DeviceScene& scene = renderer_.scene();
@@ -266,25 +270,27 @@ void TrainLoop::run_iteration(int step, bool ends_line) {
     if (config_.densify.strategy == DensifyStrategy::adaptive)
         rates.models = &scene.models(), rates.mean_factors = compute_mean_factors(scene.layout(), extent_m_);
     const Array<std::uint32_t, shared::TouchedSurfels>* touched =
-        have_all_gradients(config_) ? nullptr : &gradients.touched;
+        has_dense_gradients(config_) ? nullptr : &gradients.touched;
     adam_.step(stream_, scene.parameters(), gradients.surfels, touched, rates, step,
                renderer_.model().sh_degree);
     reports_.add(step, frame.index);
-    if (densifier_.due(step))
-        change_surfels(
-            [&](double others_bytes) { return densifier_.run(stream_, scene, adam_, step, others_bytes); });
+    if (densifier_.should_densify(step))
+        change_surfels([&](double other_allocation_bytes) {
+            return densifier_.run(stream_, scene, adam_, step, other_allocation_bytes);
+        });
     densifier_.after_step(stream_, scene, adam_, step);
-    if (ends_line || reports_.is_full()) close_report(step, ends_line);
-    if (step % kGrowthEvery == 0) renderer_.accel().check_growth(stream_);
+    if (ends_line || reports_.is_full()) request_report(step, ends_line);
+    if (step % kGrowthEvery == 0) renderer_.accel().measure_tree_cost(stream_);
     submitted_ = stream_.submit();
     last_step_ = step;
 }
 
-void TrainLoop::change_surfels(const std::function<DensifyReport(double others_bytes)>& change) {
-    differentiable_.change_surfels([&](double others_bytes) { densified_.add(change(others_bytes)); });
+void TrainLoop::change_surfels(const std::function<DensifyReport(double other_allocation_bytes)>& change) {
+    differentiable_.change_surfels(
+        [&](double other_allocation_bytes) { densified_.add(change(other_allocation_bytes)); });
 }
 
-void TrainLoop::close_report(int step, bool ends_line) {
+void TrainLoop::request_report(int step, bool ends_line) {
     const BackwardPass& backward = differentiable_.backward_pass();
     const DeviceCounts counts{&renderer_.forward_pass().pass_cap_count(),
                               config_.train.deterministic ? backward.most_hits() : nullptr,
@@ -295,19 +301,19 @@ void TrainLoop::close_report(int step, bool ends_line) {
                              : std::nullopt);
 }
 
-void TrainLoop::check_reports(int last) {
+void TrainLoop::check_iteration_reports(int last) {
     while (const std::optional<IterationReports::Report> report = reports_.take(stream_, last)) {
         if (report->pass_cap > 0)
             throw DeviceError(fmt::format(
                 "training failed in iterations {} to {}: {} rays exceeded the maximum number of "
                 "traversal passes or the traversal stack; the scene may have too many overlapping surfels",
                 report->first_step, report->last_step, report->pass_cap));
-        check_room(*report);
-        keep_more_hits(*report);
+        adapt_hit_capacity(*report);
+        increase_kept_hits(*report);
     }
 }
 
-void TrainLoop::check_room(const IterationReports::Report& report) {
+void TrainLoop::adapt_hit_capacity(const IterationReports::Report& report) {
     if (report.most_hits > report.hit_capacity)
         throw DeviceError(fmt::format(
             "training failed in iterations {} to {} with train.deterministic=true: one iteration has "
@@ -316,19 +322,19 @@ void TrainLoop::check_room(const IterationReports::Report& report) {
     if (report.most_hits <= differentiable_.backward_pass().hit_capacity() / 2) return;
     // The capacity for hits changes now. Requests the report of the steps so far, because
     // they used the old capacity.
-    close_report(last_step_, false);
+    request_report(last_step_, false);
     // Doubles the reserved space before the number of hits exceeds it.
     differentiable_.backward_pass().reserve_hits(stream_, 2 * std::uint64_t(report.most_hits));
 }
 
-void TrainLoop::keep_more_hits(const IterationReports::Report& report) {
+void TrainLoop::increase_kept_hits(const IterationReports::Report& report) {
     // Ignores reports from before the last increase of the hits per ray.
     if (report.kept_hits != renderer_.kept_hits() || no_room_to_keep_more_) return;
     const std::uint32_t n_hits = recommend_kept_hits(report.kept_hits, report.overfull);
     if (n_hits == report.kept_hits) return;
     // The number of hits per ray changes now. Requests the report of the steps so far,
     // because they used the old number.
-    close_report(last_step_, false);
+    request_report(last_step_, false);
     try {
         renderer_.keep_hits(n_hits);
     } catch (const OutOfDeviceMemory&) {
@@ -336,28 +342,28 @@ void TrainLoop::keep_more_hits(const IterationReports::Report& report) {
     }
 }
 
-void TrainLoop::settle() {
-    close_report(last_step_, false);
+void TrainLoop::wait_for_iterations() {
+    request_report(last_step_, false);
     submitted_ = stream_.submit();
-    check_reports(last_step_);
+    check_iteration_reports(last_step_);
     refiner_.fetch(stream_);
     stream_.wait(submitted_);
 }
 
 void TrainLoop::finish() {
-    settle();
+    wait_for_iterations();
     refiner_.apply_steps(stream_, last_step_);
 }
 
 void TrainLoop::save(Checkpoint& checkpoint) {
-    settle();
+    wait_for_iterations();
     checkpoint.texts["layout"] = layout_to_json(renderer_.scene().layout());
     visit_state(StateWriter(checkpoint));
 }
 
 void TrainLoop::restore(const Checkpoint& checkpoint) {
     // waits for pending iterations, because they would overwrite the restored state
-    settle();
+    wait_for_iterations();
     visit_state(StateReader(checkpoint));
     last_step_ = checkpoint.iteration;
     if (!sampler_.is_sound(frames_.all().size()) || !reports_.is_sound())

@@ -70,11 +70,11 @@ public:
     /// last 64 + kReadbackLag iterations
     void run_iteration(int step, bool ends_line = false);
     /// Returns the new log lines since the last call. The line of an iteration becomes
-    /// available kReadbackLag iterations later, or after settle().
+    /// available kReadbackLag iterations later, or after wait_for_iterations().
     std::vector<LogLine> collect_lines() { return reports_.collect_lines(); }
     /// Waits for all submitted iterations and reads their reports.
     /// @throws DataError if a loss of these iterations was not finite
-    void settle();
+    void wait_for_iterations();
     /// Completes training after the last iteration. Waits for all iterations, then
     /// applies the pending pose updates.
     void finish();
@@ -159,20 +159,20 @@ private:
     /// Records GPU commands that render a batch, and compute its losses and gradients.
     void record_batch(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms);
     /// Checks the losses and counters of all iterations up to `last`.
-    void check_reports(int last);
-    void close_report(int step, bool ends_line);
+    void check_iteration_reports(int last);
+    void request_report(int step, bool ends_line);
     /// Compares the number of hits in a report with the capacity of the hit buffer.
     /// Increases the capacity if more than half of it was used.
     /// @throws DeviceError if a deterministic step exceeded the capacity
-    void check_room(const IterationReports::Report& report);
+    void adapt_hit_capacity(const IterationReports::Report& report);
     /// Increases the number of hits that are stored per ray if too many rays had more
     /// hits, because these rays must be traced twice.
-    void keep_more_hits(const IterationReports::Report& report);
+    void increase_kept_hits(const IterationReports::Report& report);
     /// Counts the rays of a batch for which the scene predicts a return, and how many
     /// were dropped.
     void count_dropped_rays(DropCounts& counts, const Sequence& sequence, const FrameData& frame,
                             const SampledBatch& batch);
-    void change_surfels(const std::function<DensifyReport(double others_bytes)>& change);
+    void change_surfels(const std::function<DensifyReport(double other_allocation_bytes)>& change);
 };
 
 }  // namespace relidar

@@ -69,7 +69,7 @@ TEST(ParallelFor, ThrowsTheFirstFailureAndBeginsNothingElse) {
             EXPECT_STREQ(error.what(), "7");
         }
         EXPECT_EQ(n_begun, n_ended);
-        EXPECT_LE(n_begun, 8 + int(max_concurrency()));
+        EXPECT_LE(n_begun, 8 + int(get_max_concurrency()));
     }
 }
 
@@ -89,7 +89,7 @@ TEST(ParallelFor, WorksInAFork) {
 
 TEST(ParallelFor, RunsOnTheCallingThreadWhereOneIsAllowed) {
     const tbb::global_control one(tbb::global_control::max_allowed_parallelism, 1);
-    EXPECT_EQ(max_concurrency(), 1u);
+    EXPECT_EQ(get_max_concurrency(), 1u);
     std::vector<int> order;
     std::vector<std::thread::id> threads;
     parallel_for(1000, [&](int index) {
@@ -174,7 +174,7 @@ TEST(ParallelReduce, IsTheSameForAnyNumberOfThreads) {
     for (const int n_threads : {1, 2, 3, 16})
         for (int repeat = 0; repeat < 10; ++repeat)
             with_threads(n_threads, [&] {
-                EXPECT_EQ(max_concurrency(), std::size_t(n_threads));
+                EXPECT_EQ(get_max_concurrency(), std::size_t(n_threads));
                 EXPECT_EQ(parallel_reduce(kItems, kPart, sum), expected) << n_threads << " threads";
             });
 }
@@ -219,7 +219,7 @@ TEST(CellNumbers, CountCellsAsTheyAreFirstNamed) {
     std::vector<std::uint64_t> keys;
     for (std::uint64_t i = 0; i < 200000; ++i) keys.push_back(combine_hashes(combine_hashes(i) % 30000));
     std::map<std::uint64_t, std::uint32_t> numbers;
-    const CellNumbers cells = number_cells(keys);
+    const CellNumbers cells = assign_cell_numbers(keys);
     const ItemsOfCells items(cells);
     for (std::size_t i = 0; i < keys.size(); ++i) {
         const auto expected =
@@ -235,7 +235,7 @@ TEST(CellNumbers, CountCellsAsTheyAreFirstNamed) {
         n += items.of(cell).size();
     }
     EXPECT_EQ(n, keys.size());
-    EXPECT_EQ(number_cells({}).n_cells, 0u);
+    EXPECT_EQ(assign_cell_numbers({}).n_cells, 0u);
 }
 
 }  // namespace

@@ -342,16 +342,16 @@ void read_message(std::string_view input, const fs::path&) {
                            : kind % 2                          ? "ros1"
                                                                : "cdr"};
     const std::string_view bytes = input.substr(1);
-    if (bag::use_of(topic) == bag::Use::cloud) {
+    if (bag::get_topic_use(topic) == bag::Use::cloud) {
         const SharedBytes message = share_bytes(std::string(bytes));
         bag::make_point_table(bag::read_cloud(topic, message.bytes), message);
-    } else if (bag::use_of(topic) == bag::Use::packets) {
+    } else if (bag::get_topic_use(topic) == bag::Use::packets) {
         bag::Header header;
         packets::PacketLog log;
         const std::vector<packets::PacketView> views = packets::read_packets(topic, bytes, 0, header);
         for (int k = 0; k < 2; ++k) log.add(views, 0, {}, {});
         read_turns(log, views);
-    } else if (bag::use_of(topic) == bag::Use::boxes) {
+    } else if (bag::get_topic_use(topic) == bag::Use::boxes) {
         bag::read_boxes(topic, bytes);
     } else if (topic_type == "std_msgs/String") {
         packets::read_text_message(topic, bytes);
@@ -407,8 +407,8 @@ void read_ousters(std::string_view input, const fs::path&) {
     while (reader.left() >= calibration.ouster->packet_bytes && views.size() < kMostPackets)
         views.push_back(
             {std::int64_t(views.size()) * 50000000, reader.take(calibration.ouster->packet_bytes)});
-    packets::format_of({calibration.ouster}, "/ouster/lidar_packets",
-                       views.empty() ? std::string_view() : views.front().bytes);
+    packets::match_ouster_format({calibration.ouster}, "/ouster/lidar_packets",
+                                 views.empty() ? std::string_view() : views.front().bytes);
     packets::PacketLog log;
     log.add(views, 0, {}, calibration);
     read_turns(log, views);

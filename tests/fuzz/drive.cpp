@@ -97,7 +97,7 @@ void read_texts(const Drive& drive, unsigned options) {
                      if (options & kPosesFile) kitti::read_pose_file(drive.poses(), frames);
                      else kitti::read_oxts_poses(drive.folder(), frames);
                  },
-                 [&] { kitti::split_rings(kitti::read_scan(drive.scan()).points); },
+                 [&] { kitti::split_points_into_rings(kitti::read_scan(drive.scan()).points); },
                  [&] { kitti::read_tracklets(drive.folder() / "tracklet_labels.xml", frames, track); }});
 }
 

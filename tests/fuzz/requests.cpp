@@ -127,7 +127,7 @@ void read_call(std::string_view input, const fs::path& folder) {
     serve::RequestReader reader(served.outlines, served.sources, served.assets, served.spawned);
     const unsigned call = static_cast<unsigned char>(input[0]) % 4u;
     input.remove_prefix(1);
-    const grpc::Status status = serve::answered([&] {
+    const grpc::Status status = serve::run_with_grpc_status([&] {
         if (call == 0) (void)reader.read(parse_message<v1::RenderLidarRequest>(input));
         if (call == 1) (void)reader.read(parse_message<v1::RenderRigRequest>(input));
         if (call == 2) (void)reader.upload(parse_message<v1::UploadSensorRequest>(input).sensor());
@@ -148,7 +148,7 @@ void read_frame(std::string_view input, const fs::path& folder) {
     static const serve::RequestReader scenes(served.outlines, served.sources, served.assets, served.spawned);
     static serve::SensorsimReader reader(served.outlines, scenes, serve::PoseOrder::translation_first);
     silence_protobuf();
-    check_status(serve::answered(
+    check_status(serve::run_with_grpc_status(
         [&] { (void)reader.read(parse_message<serve::sensorsim::LidarRenderRequest>(input)); }));
 }
 

@@ -53,7 +53,7 @@ void read_scene(std::string_view input, const fs::path& folder) {
     const Run read = load_run(run.folder);
     const SpinningSensor& sensor = read.sequence.lidars[0].sensor;
     if (!sensor.beams.empty() && sensor.beams.size() * std::size_t(sensor.columns) < 10000) make_rays(sensor);
-    for (const BoxTrack& box : read.sequence.boxes) (void)box.present(read.sequence.frames[0].time_s);
+    for (const BoxTrack& box : read.sequence.boxes) (void)box.is_present(read.sequence.frames[0].time_s);
     for (const Lidar& lidar : read.sequence.lidars)  // creates the rays only if their number is small
         if (lidar.pattern && std::holds_alternative<RayTable>(*lidar.pattern)) make_nominal_rays(lidar, 0.0);
     split_frames(read.sequence, 10);

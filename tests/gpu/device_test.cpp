@@ -77,9 +77,9 @@ TEST_F(Gpu, MemoryLimitIsKept) {
     first = {};
     EXPECT_NO_THROW(Array<float>(limited, 3 << 19, "what fits now"));
     ::setenv("RELIDAR_MEMORY_LIMIT_MIB", "1", 1);
-    Device by_environment(from_environment());
+    Device by_environment(apply_environment_variables());
     ::setenv("RELIDAR_MEMORY_LIMIT_MIB", "much", 1);
-    EXPECT_THROW(from_environment(), UsageError);
+    EXPECT_THROW(apply_environment_variables(), UsageError);
     EXPECT_NO_THROW(Device()) << "nobody asked for the environment";
     ::unsetenv("RELIDAR_MEMORY_LIMIT_MIB");
     EXPECT_THROW(Array<float>(by_environment, 1 << 19, "2 MiB"), DeviceError);

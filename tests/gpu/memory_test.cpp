@@ -53,9 +53,9 @@ TEST(FreeRanges, NeverOverlapAndMergeAgain) {
         taken[*offset] = n;
     }
     EXPECT_GT(n_refused, 100u) << "a full block was met";
-    EXPECT_FALSE(free.all_free());
+    EXPECT_FALSE(free.is_fully_free());
     for (const auto& [offset, n] : taken) free.release(offset, n);
-    EXPECT_TRUE(free.all_free());
+    EXPECT_TRUE(free.is_fully_free());
     EXPECT_EQ(free.take(kBytes, 256), 0u) << "in one piece";
 }
 

@@ -66,14 +66,14 @@ protected:
     };
     /// Opens a device, creates pipelines and closes the device.
     static Opened open() {
-        Device opened(from_environment());
+        Device opened(apply_environment_variables());
         const PrefixSum prefix_sum(opened);
         return {opened.impl().pipeline_cache->path(), opened.impl().pipeline_cache->read_bytes()};
     }
     /// Returns true if the driver stores pipelines, which means that its cache is longer
     /// than the Vulkan header.
     static bool is_cached_by_driver() {
-        Device opened(from_environment());
+        Device opened(apply_environment_variables());
         std::size_t n_bytes = 0;
         const Device::Impl& impl = opened.impl();
         vkGetPipelineCacheData(impl.device, impl.pipeline_cache->handle(), &n_bytes, nullptr);
@@ -152,7 +152,7 @@ TEST_F(PipelineCacheFile, TheEnvironmentSaysWhere) {
 /// Equal kernels must share a pipeline per device, also if the second kernel is created
 /// later. Kernels with any difference must have separate pipelines.
 TEST_F(PipelinesOfADevice, AreMadeOnceForKernelsThatAreAlike) {
-    Device opened(from_environment());
+    Device opened(apply_environment_variables());
     const auto n_made = [&] { return opened.impl().pipelines.by_key.size(); };
     const std::vector<Constant> of_64{{ConstantId::WORKGROUP_SIZE, 64}},
         of_32{{ConstantId::WORKGROUP_SIZE, 32}};
@@ -181,7 +181,7 @@ TEST_F(PipelinesOfADevice, AreMadeOnceForKernelsThatAreAlike) {
 /// Creating a kernel must start the compilation of its pipeline in a different thread, as
 /// on a GPU. A kernel may be destroyed before its pipeline is ready, or may never run.
 TEST_F(PipelinesOfADevice, AreBegunWithTheirKernels) {
-    Device opened(from_environment());
+    Device opened(apply_environment_variables());
     opened.impl().compiles_ahead = true;
     const auto begin = [&](std::uint32_t size) {
         return std::make_unique<Kernel<shared::ListTouchedParams>>(

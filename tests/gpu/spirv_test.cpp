@@ -182,7 +182,7 @@ TEST(SpirvParameters, AreAcceptedBySpirvVal) {
 
 TEST(SpirvLanes, AreAcceptedBySpirvVal) {
     expect_valid([](std::span<const std::uint32_t> words) {
-        return gpu::move_parameters_first(gpu::use_lane_indices(words));
+        return gpu::move_parameters_first(gpu::make_indices_nonuniform(words));
     });
 }
 
@@ -194,7 +194,7 @@ TEST(SpirvLanes, AreInEveryIndex) {
         std::uint32_t block = 0, block_pointer = 0;
         std::set<std::uint32_t> addresses, parameters, sums;
         int n_indices = 0;
-        for (const Words& i : instructions(gpu::use_lane_indices(kernel.words))) {
+        for (const Words& i : instructions(gpu::make_indices_nonuniform(kernel.words))) {
             const std::uint32_t opcode = i[0] & 0xffffu;
             if (opcode == name && std::string(reinterpret_cast<const char*>(&i[2])) == "ParamsBlock")
                 block = i[1];

@@ -196,17 +196,17 @@ TEST_F(StreamHazards, LanesHaveABarrierAfterEachStep) {
     {
         StreamLanes lanes(stream, 2);
         stream.fill(arrays[0], 1u);
-        lanes.choose(1);
+        lanes.select_lane(1);
         {
             const Concurrent scope(stream);  // a single step
             stream.fill(arrays[3], 2u);
             stream.fill(arrays[4], 3u);
         }
         copy(stream, 3, 5);
-        lanes.choose(0);
+        lanes.select_lane(0);
         copy(stream, 0, 1);
         copy(stream, 1, 2);
-        lanes.choose(1);
+        lanes.select_lane(1);
         stream.impl().write(arrays[3].buffer(), Words(50, 7u).data(), 200);
     }
     copy(stream, 5, 0);
@@ -224,7 +224,7 @@ TEST_F(StreamHazards, LanesHaveABarrierAfterEachStep) {
     {
         StreamLanes lanes(stream, 2);
         stream.fill(arrays[0], 5u);
-        lanes.choose(1);
+        lanes.select_lane(1);
         stream.fill(arrays[0], 6u);  // deliberate hazard: an array that the other lane writes
     }
     stream.finish();
@@ -237,7 +237,7 @@ TEST_F(StreamTest, LanesMayBeSubmittedBeforeTheirEnd) {
     Readback first(device(), 400, "a"), second(device(), 400, "b");
     {
         StreamLanes lanes(stream, 3);
-        lanes.choose(2);
+        lanes.select_lane(2);
         stream.fill(a, 1u);
         first.record(stream, a.buffer(), 400);
         stream.finish();
@@ -245,10 +245,10 @@ TEST_F(StreamTest, LanesMayBeSubmittedBeforeTheirEnd) {
         EXPECT_EQ(static_cast<const std::uint32_t*>(first.wait(stream))[99], 1u);
         stream.fill(b, 2u);
         second.record(stream, b.buffer(), 400);
-        EXPECT_THROW(lanes.choose(3), Error);
+        EXPECT_THROW(lanes.select_lane(3), Error);
         EXPECT_THROW(StreamLanes(stream, 2), Error) << "within others";
         const Concurrent scope(stream);
-        EXPECT_THROW(lanes.choose(0), Error) << "in an open scope";
+        EXPECT_THROW(lanes.select_lane(0), Error) << "in an open scope";
     }
     stream.submit();
     EXPECT_EQ(static_cast<const std::uint32_t*>(second.wait(stream))[99], 2u);
@@ -363,7 +363,7 @@ TEST(LaunchLimit, CutsNoKernelThatCountsItsThreads) {
         const bool counts = text.find("thread_count()") != std::string::npos ||
                             text.find("gl_NumWorkGroups") != std::string::npos;
         const std::string name = fs::relative(entry.path(), shaders).replace_extension().generic_string();
-        EXPECT_EQ(gpu::can_cut(name), !counts) << name;
+        EXPECT_EQ(gpu::can_split_launch(name), !counts) << name;
         n_found += counts;
     }
     EXPECT_GE(n_found, 4u);

@@ -30,7 +30,7 @@ protected:
         options.pipeline_cache = folder;
     }
     void TearDown() override {
-        gpu::set_faults("");
+        gpu::set_injected_faults("");
         set_first_use({});
         std::filesystem::remove_all(folder);
         test::DeviceTest::TearDown();
@@ -67,15 +67,15 @@ TEST_F(TrustTest, SumsAndSubgroupsOfThisDeviceAreRight) {
 /// Simulates additions without atomics, which must lose some of the 256 additions to each
 /// sum. The check must detect this.
 TEST_F(TrustTest, ForcedFaultsAreFound) {
-    gpu::set_faults("float_atomics");
+    gpu::set_injected_faults("float_atomics");
     if (device().info().float_atomics) {
         EXPECT_GT(compute_sum_error(device(), false), 0.1);
     }
     EXPECT_EQ(compute_sum_error(device(), true), 0.0);
-    gpu::set_faults("float_swaps,subgroups:" + std::to_string(device().info().subgroup_size));
+    gpu::set_injected_faults("float_swaps,subgroups:" + std::to_string(device().info().subgroup_size));
     EXPECT_GT(compute_sum_error(device(), true), 0.1);
     EXPECT_THAT(find_wrong_subgroups(device()), HasSubstr("subgroupAdd: found"));
-    gpu::set_faults("subgroups:128");
+    gpu::set_injected_faults("subgroups:128");
     EXPECT_EQ(find_wrong_subgroups(device()), "");
 }
 
@@ -106,10 +106,10 @@ TEST_F(TrustTest, DeviceIsCheckedOncePerProcessWithoutAFolder) {
         check_gives({.ray_query = Trust::right});
         { const Device first(options), second(options); }
         EXPECT_EQ(n_checks, 1) << cache;
-        gpu::set_faults("float_swaps");
+        gpu::set_injected_faults("float_swaps");
         { const Device third(options); }
         EXPECT_EQ(n_checks, 2) << cache;
-        gpu::set_faults("");
+        gpu::set_injected_faults("");
         { const Device fourth(options); }
         EXPECT_EQ(n_checks, 2) << cache;
     }

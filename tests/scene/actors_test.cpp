@@ -101,11 +101,11 @@ TEST(Actors, AreChosenByClassOrTrack) {
     EXPECT_THROW(n_models(street, options), UsageError);
     options = make_options_with_actors();
     options.actor_classes = "";
-    EXPECT_EQ(separate_boxes(street, options).size(), 2u);
+    EXPECT_EQ(list_foreground_boxes(street, options).size(), 2u);
     EXPECT_EQ(n_models(street, options), 1u);
     const std::size_t masked = initialise_background(street, split_frames(street, 10).train, options).size();
     options.mask_others = false;
-    EXPECT_TRUE(separate_boxes(street, options).empty());
+    EXPECT_TRUE(list_foreground_boxes(street, options).empty());
     EXPECT_EQ(n_models(street, options), 1u);
     EXPECT_GT(initialise_background(street, split_frames(street, 10).train, options).size(), masked + 100)
         << "the cars' points are in it";
@@ -135,10 +135,10 @@ TEST(Actors, TrackChosenByNameNeedNotMove) {
     Sequence street = make_synthetic_street(make_street_options());
     BoxTrack& box = street.boxes[0];
     std::fill(box.world_from_box.pose.begin(), box.world_from_box.pose.end(), box.world_from_box.pose[6]);
-    EXPECT_EQ(separate_boxes(street, make_options_with_actors()).size(), 1u) << "it stands";
+    EXPECT_EQ(list_foreground_boxes(street, make_options_with_actors()).size(), 1u) << "it stands";
     InitialiseOptions options = make_options_with_actors();
     options.actor_tracks = "0";
-    EXPECT_EQ(separate_boxes(street, options).size(), 2u);
+    EXPECT_EQ(list_foreground_boxes(street, options).size(), 2u);
     box.world_from_box = {{box.world_from_box.time_s[6]}, {box.world_from_box.pose[6]}};
     const Scene scene = initialise_scene(street, split_frames(street, 10).train, options);
     EXPECT_EQ(scene.instances.size(), 2u) << "one observation is enough";

@@ -22,7 +22,7 @@ Street make_street_without_labels() {
     Street street;
     street.log = make_synthetic_street({.n_frames = 24, .rows = 32, .columns = 512, .range_noise_m = 0.01});
     for (const BoxTrack& box : street.log.boxes)
-        if (box.moves()) street.truth.push_back(box);
+        if (box.is_moving()) street.truth.push_back(box);
     street.log.boxes.clear();
     street.split = split_frames(street.log, 10);
     return street;
@@ -57,7 +57,7 @@ TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
         std::vector<glm::dvec3> place;
         for (std::size_t i = 0; i < track->world_from_box.time_s.size(); ++i) {
             const double t_s = track->world_from_box.time_s[i];
-            if (truth.present(t_s))
+            if (truth.is_present(t_s))
                 place.push_back(inverse(track->world_from_box.pose[i]) *
                                 truth.world_from_box.at(t_s).translation);
         }

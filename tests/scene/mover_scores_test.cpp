@@ -56,7 +56,8 @@ bool is_of(const BoxTrack& track, const BoxTrack& truth) {
     std::size_t inside = 0;
     for (std::size_t i = 0; i < track.world_from_box.time_s.size(); ++i) {
         const double t_s = track.world_from_box.time_s[i];
-        inside += truth.present(t_s) && truth.holds(track.world_from_box.pose[i].translation, t_s, kInside_m);
+        inside +=
+            truth.is_present(t_s) && truth.holds(track.world_from_box.pose[i].translation, t_s, kInside_m);
     }
     return 10 * inside >= 8 * track.world_from_box.time_s.size() &&
            track.size_m.x < truth.size_m.x + kLarger_m && track.size_m.y < truth.size_m.y + kLarger_m;
@@ -67,7 +68,7 @@ bool is_of(const BoxTrack& track, const BoxTrack& truth) {
 double measure_stray_m(const BoxTrack& track, const BoxTrack& thing) {
     std::vector<glm::dvec3> places;
     for (std::size_t i = 0; i < track.world_from_box.time_s.size(); ++i)
-        if (const double t_s = track.world_from_box.time_s[i]; thing.present(t_s))
+        if (const double t_s = track.world_from_box.time_s[i]; thing.is_present(t_s))
             places.push_back(inverse(track.world_from_box.pose[i]) *
                              thing.world_from_box.at(t_s).translation);
     glm::dvec3 mean(0.0);

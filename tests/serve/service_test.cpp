@@ -91,7 +91,7 @@ std::vector<float> read_ply_positions(const std::filesystem::path& path) {
 std::vector<float> list_returned_positions(const std::vector<float>& ends, const RenderedScan& scan) {
     std::vector<float> positions;
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i)
-        if (returned(scan.image.drop_prob[i], scan.median_range_m[i]))
+        if (is_returned(scan.image.drop_prob[i], scan.median_range_m[i]))
             positions.insert(positions.end(), {ends[3 * i], ends[3 * i + 1], ends[3 * i + 2]});
     return positions;
 }

@@ -98,7 +98,7 @@ protected:
         options.listen = "127.0.0.1:0";
         options.waiting = waiting;
         options.memory_mib = memory_mib;
-        options.device = from_environment({.traversal = device().traversal()});
+        options.device = apply_environment_variables({.traversal = device().traversal()});
         server.emplace(options);
     }
     std::string address() const { return "127.0.0.1:" + std::to_string(server->port()); }

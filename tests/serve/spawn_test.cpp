@@ -309,11 +309,11 @@ TEST_F(Spawn, WhatDoesNotFitIntoMemoryIsRefusedAndTheSceneIsAsBefore) {
     };
     EXPECT_THAT(refused({"x", {true, "large"}, {1, 1, 1}, 20000}),
                 HasSubstr("MiB of device memory with them"));
-    EXPECT_TRUE(scenes.spawned().list_taken_places(0).empty());
+    EXPECT_TRUE(scenes.spawned().list_occupied_slots(0).empty());
     EXPECT_EQ(scenes.spawned().count_places(0), 0u);
     EXPECT_EQ(ranges(), truth);
     EXPECT_EQ(refused({"x", {false, "car"}, {1, 1, 1}, 1}), "") << "the name is free, and this one fits";
-    EXPECT_EQ(scenes.spawned().list_taken_places(0).size(), 1u);
+    EXPECT_EQ(scenes.spawned().list_occupied_slots(0).size(), 1u);
 }
 
 TEST(SpawnedPlaces, AreMadeInGrowingNumbersAndUsedAgain) {

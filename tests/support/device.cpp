@@ -38,7 +38,8 @@ public:
 private:
     void open() {
         try {
-            device_ = std::make_unique<Device>(from_environment({.traversal = traversal_from_environment()}));
+            device_ = std::make_unique<Device>(
+                apply_environment_variables({.traversal = traversal_from_environment()}));
         } catch (const Error& error) {
             failure_ = error.what();
         }

@@ -43,7 +43,8 @@ protected:
     /// Renders a scene separately. For each n in `counts`, returns the share of rays with
     /// more than n hits.
     std::vector<double> share_beyond(const Scene& scene, const std::vector<std::uint32_t>& counts) {
-        Renderer renderer(device(), scene, config.image, {.accel = {}, .trace = trace_options(config)});
+        Renderer renderer(device(), scene, config.image,
+                          {.accel = {}, .trace = make_base_trace_options(config)});
         std::vector<double> shares(counts.size(), 0.0);
         std::size_t n_rays = 0;
         for (const int position : split.train) {

@@ -37,7 +37,7 @@ Run move_run(Device& device, const Twist& off) {
     Run run = trained;
     for (const int k : run.split.test) {
         Pose& pose = run.sequence.world_from_vehicle.pose[std::size_t(k)];
-        pose = moved(pose, off);
+        pose = apply_twist(pose, off);
     }
     return run;
 }

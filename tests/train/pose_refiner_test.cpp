@@ -152,7 +152,7 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
                     PoseTrack track = correction.make_corrected_track();
                     Twist twist{};
                     twist[i] = h;
-                    track.pose[g.pose] = moved(track.pose[g.pose], twist);
+                    track.pose[g.pose] = apply_twist(track.pose[g.pose], twist);
                     return loss(track);
                 };
                 const double expected = (at(1e-4) - at(-1e-4)) / 2e-4;
@@ -174,7 +174,7 @@ TEST(TrackCorrectionOf, AQuadraticBowl) {
     std::vector<Twist> wanted;
     for (int k = 0; k < 8; ++k) {
         track.time_s.push_back(0.1 * k);
-        track.pose.push_back(moved({}, draw_random_twist(random, 10.0, 1.0)));
+        track.pose.push_back(apply_twist({}, draw_random_twist(random, 10.0, 1.0)));
         wanted.push_back(draw_random_twist(random, 0.05, 0.005));
     }
     TrackCorrection correction(track);
@@ -301,7 +301,7 @@ TEST_F(Poses, AreKeptWhereNoneIsRefined) {
                        [](const TrainProgress&) { return true; })
                      .poses);
     Config config;
-    EXPECT_THROW(set_key(config, "train.refine_poses", "sensors"), UsageError);
+    EXPECT_THROW(set_config_value(config, "train.refine_poses", "sensors"), UsageError);
     std::vector<std::string> notes;
     TrainSession session;
     session.note = [&](const std::string& note) { notes.push_back(note); };

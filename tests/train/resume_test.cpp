@@ -314,7 +314,7 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
     const Checkpoint start = *newest();
     const auto setting = [&](const char* key, const char* value) {
         Config config = make_resumed_config();
-        set_key(config, key, value);
+        set_config_value(config, key, value);
         return error_message<UsageError>([&] { check_resumable(start, street, split, config); });
     };
     EXPECT_NE(setting("loss.depth", "0.3").find("setting loss.depth: found 0.3, expected 0.1"),
@@ -327,7 +327,7 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
                                      {"train.iterations", "99"},
                                      {"render.range", "median"},
                                      {"dataset.path", "moved"}})
-        set_key(free, key, value);
+        set_config_value(free, key, value);
     EXPECT_NO_THROW(check_resumable(start, street, split, free));
 
     Checkpoint other_version = start;
@@ -402,7 +402,7 @@ TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {
         loop.run_iteration(step);
         if (step == expected - 1) loop.save(checkpoint);
     }
-    const std::string message = get_data_error_message([&] { loop.settle(); });
+    const std::string message = get_data_error_message([&] { loop.wait_for_iterations(); });
     const std::string wanted = "training failed at iteration " + std::to_string(expected) + ", frame " +
                                std::to_string(frame.index) + ": the intensity loss is ";
     ASSERT_GT(expected, 1);

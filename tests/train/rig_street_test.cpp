@@ -33,7 +33,7 @@ struct Score {
 void add(Score& score, const RenderedScan& scan, const Scan& truth) {
     const std::vector<float>& range_m = scan.median_range_m;
     for (std::size_t i = 0; i < range_m.size(); ++i) {
-        const bool returns = returned(scan.image.drop_prob[i], range_m[i]);
+        const bool returns = is_returned(scan.image.drop_prob[i], range_m[i]);
         ++score.rays;
         score.drops_right += returns == (truth.range_m[i] > 0.0f);
         if (returns && truth.range_m[i] > 0.0f)
@@ -124,7 +124,7 @@ double measure_missed_ground(Device& device, const Sequence& street, const Split
             truth.range_m[i] * sensor.rays.direction[i].z > -1.7f)
             continue;
         ground += 1.0;
-        missed += !returned(scan.image.drop_prob[i], scan.median_range_m[i]);
+        missed += !is_returned(scan.image.drop_prob[i], scan.median_range_m[i]);
     }
     EXPECT_GT(ground, 5000.0);
     return missed / ground;

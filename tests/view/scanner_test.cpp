@@ -79,7 +79,7 @@ void expect_same(const Read& live, const RenderedScan& scan, const Run& run) {
     ASSERT_EQ(points, place_points(scan, run.config, world, PointsOf::rays).position_m);
     std::vector<glm::vec3> returned_m;
     for (std::size_t i = 0; i < range_m.size(); ++i)
-        if (returned(scan.image.drop_prob[i], range_m[i])) returned_m.push_back(points[i]);
+        if (is_returned(scan.image.drop_prob[i], range_m[i])) returned_m.push_back(points[i]);
     EXPECT_EQ(returned_m, place_points(scan, run.config, world).position_m) << "as in files";
 }
 

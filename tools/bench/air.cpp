@@ -111,7 +111,7 @@ struct Count {
         const std::vector<float>& range_m = ends.range_m;
         std::vector<std::size_t> doubtful;
         for (std::size_t i = 0; i < range_m.size(); ++i) {
-            if (!returned(scan.image.drop_prob[i], range_m[i])) continue;
+            if (!is_returned(scan.image.drop_prob[i], range_m[i])) continue;
             ++points;
             if (std::abs(range_m[i] - ends.truth.range_m[i]) > kOnSurface_m) doubtful.push_back(i);
         }
@@ -132,8 +132,8 @@ struct Count {
 
 void run(const std::string& folder, int device_index) {
     const Run run = load_run(folder);
-    const SyntheticOptions street = street_of(run);
-    Device device(from_environment({.index = device_index}));
+    const SyntheticOptions street = read_street_options(run);
+    Device device(apply_environment_variables({.index = device_index}));
     ScanRenderer renderer(device, run);
     fmt::print(
         "| sensor | points | other range than the street's by 5 cm | in the air by 5 cm | by 30 cm "

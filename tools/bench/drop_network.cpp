@@ -41,7 +41,7 @@ void print_kernels(const KernelTimes& times, int steps) {
 void measure(const DeviceOptions& chosen, const RefineOptions& options, int rows, int columns, int repeat) {
     // Opens a new device for each image size, so that the peak of the device memory
     // belongs to this size only.
-    Device device(from_environment(chosen));
+    Device device(apply_environment_variables(chosen));
     MeasuredDropNetwork network(device, options, rows, columns);
     // Measured during training.
     const double step = measure_median_ms(repeat, [&] { network.step(); }),
@@ -73,8 +73,8 @@ int main(int argc, char** argv) {
         DeviceOptions chosen;
         chosen.index = index;
         fmt::print("{}; network {}, {} parameters, batch {}, medians of {} runs\n",
-                   Device(from_environment(chosen)).info().name, options.network, count_parameters(options),
-                   options.batch, repeat);
+                   Device(apply_environment_variables(chosen)).info().name, options.network,
+                   count_parameters(options), options.batch, repeat);
         fmt::print("{:<17} {:>10} {:>14} {:>10} {:>14} {:>10}\n", "image", "step ms", "GFLOP/s", "infer ms",
                    "GFLOP/s", "peak MiB");
         std::vector<std::pair<int, int>> sizes{{66, 1030}, {64, 2650}};

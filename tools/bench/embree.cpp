@@ -53,7 +53,7 @@ struct Hit {
     unsigned surfel;
 };
 
-bool before(const Hit& first, const Hit& second) {
+bool is_hit_before(const Hit& first, const Hit& second) {
     return first.t != second.t ? first.t < second.t : first.surfel < second.surfel;
 }
 
@@ -74,7 +74,7 @@ struct Query {
     int n = 0;
     Hit hits[kMaxChunk];
 
-    void offer(unsigned surfel) {
+    void test_surfel_hit(unsigned surfel) {
         const Record& s = world->records[surfel];
         const glm::vec3 to_mean = s.mean - origin;
         const float t = glm::dot(s.normal, to_mean) / glm::dot(s.normal, direction);
@@ -82,9 +82,9 @@ struct Query {
         const glm::vec3 p = t * direction - to_mean;
         const float u = glm::dot(s.axis_u, p), v = glm::dot(s.axis_v, p);
         const Hit hit{t, s.opacity * std::exp(-0.5f * (u * u + v * v)), surfel};
-        if (!(hit.alpha >= world->model.alpha_min) || !before(after, hit)) return;
+        if (!(hit.alpha >= world->model.alpha_min) || !is_hit_before(after, hit)) return;
         int slot = n;
-        while (slot > 0 && before(hit, hits[slot - 1])) --slot;
+        while (slot > 0 && is_hit_before(hit, hits[slot - 1])) --slot;
         // Ignores a second hit of the same surfel. Embree splits a quad into two
         // triangles, so a ray can hit both.
         if (slot == chunk || (slot > 0 && hits[slot - 1].surfel == surfel)) return;
@@ -100,14 +100,14 @@ struct Query {
 
 void on_candidate(const RTCFilterFunctionNArguments* args) {
     Query& query = *reinterpret_cast<Query*>(args->context);
-    query.offer(RTCHitN_primID(args->hit, 1, 0));
+    query.test_surfel_hit(RTCHitN_primID(args->hit, 1, 0));
     // Rejects hits before the end of the query, so that Embree continues the search.
     // Accepts the first hit after the end, because it stops the ray.
     args->valid[0] = RTCRayN_tfar(args->ray, 1, 0) > query.end() ? -1 : 0;
 }
 
 /// Evaluates real spherical harmonics of degree 3 (shaders/scene/gaussian/sh.glsl).
-void sh_basis(const glm::vec3& direction, float* b) {
+void sh_basis(const glm::vec3& direction, float* basis) {
     const float x = direction.x, y = direction.y, z = direction.z, xx = x * x, yy = y * y, zz = z * z;
     const float values[16] = {0.28209479f,
                               -0.48860251f * y,
@@ -125,7 +125,7 @@ void sh_basis(const glm::vec3& direction, float* b) {
                               -0.45704580f * x * (4 * zz - xx - yy),
                               1.44530572f * z * (xx - yy),
                               -0.59004359f * x * (xx - 3 * yy)};
-    std::copy(values, values + 16, b);
+    std::copy(values, values + 16, basis);
 }
 
 struct Pixel {

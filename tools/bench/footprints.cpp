@@ -65,7 +65,7 @@ RayTable make_cone_rays(const RayTable& rays, double divergence_rad) {
 /// Computes the returns of a beam from its cone of rays. After sorting by range,
 /// neighbouring rays belong to the same return if their ranges differ by less than
 /// kSeparation_m.
-Returns returns_of(const Scan& cone, std::size_t ray) {
+Returns list_ray_returns(const Scan& cone, std::size_t ray) {
     std::vector<std::pair<float, float>> hits;
     for (std::size_t i = ray * kCone; i < (ray + 1) * kCone; ++i)
         if (cone.range_m[i] > 0.0f) hits.emplace_back(cone.range_m[i], std::max(cone.intensity[i], 1e-3f));
@@ -90,7 +90,7 @@ struct Truth {
 };
 
 Truth find_true_returns(const Scan& cone, std::size_t ray) {
-    Truth truth{returns_of(cone, ray)};
+    Truth truth{list_ray_returns(cone, ray)};
     std::size_t n = 0;
     for (std::size_t i = ray * kCone; i < (ray + 1) * kCone; ++i) n += cone.range_m[i] > 0.0f;
     if (2 * n <= kCone) return truth;
@@ -119,11 +119,11 @@ float nearest_m(const Returns& returns, float range_m) {
     return best;
 }
 
-void add(Score& score, const RenderedScan& scan, const Scan& cone) {
+void score_returns(Score& score, const RenderedScan& scan, const Scan& cone) {
     const std::vector<float>& range_m = scan.median_range_m;
     for (std::size_t i = 0; i < range_m.size(); ++i) {
         const Truth truth = find_true_returns(cone, i);
-        const bool returns = returned(scan.image.drop_prob[i], range_m[i]);
+        const bool returns = is_returned(scan.image.drop_prob[i], range_m[i]);
         const float second_m = scan.second_returns.empty() ? 0.0f : scan.second_returns[0].range_m[i];
         score.seconds += truth.second_m > 0.0f;
         score.reported += second_m > 0.0f;
@@ -146,8 +146,8 @@ void run(const std::string& folder, const std::string& sensor_name, double diver
     const SensorModel model = find_sensor(sensor_name);
     const RayTable rays = make_rays(model);
     const double divergence_rad = 1e-3 * divergence_mrad;
-    const SyntheticOptions street = street_of(run);
-    Device device(from_environment({.index = device_index}));
+    const SyntheticOptions street = read_street_options(run);
+    Device device(apply_environment_variables({.index = device_index}));
     std::vector<Scan> cones;
     for (const int position : run.split.test) {
         const double time_s = run.sequence.frames[std::size_t(position)].time_s;
@@ -171,8 +171,9 @@ void run(const std::string& folder, const std::string& sensor_name, double diver
         for (std::size_t f = 0; f < cones.size(); ++f) {
             SensorChoice choice = make_sensor_choice(model);
             choice.limits = intersect_limits(model.limits, run.sequence.lidars[0].sensor.range_limits());
-            add(score, renderer.render(choice, run.sequence.frames[std::size_t(run.split.test[f])].time_s),
-                cones[f]);
+            score_returns(score,
+                          renderer.render(choice, run.sequence.frames[std::size_t(run.split.test[f])].time_s),
+                          cones[f]);
         }
         const auto share = [](std::size_t part, std::size_t whole) {
             return whole ? 100.0 * double(part) / double(whole) : 0.0;

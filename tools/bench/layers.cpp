@@ -142,7 +142,7 @@ int main(int argc, char** argv) {
     try {
         DeviceOptions options;
         options.index = index;
-        Device device(from_environment(options));
+        Device device(apply_environment_variables(options));
         const dnnl_version_t* version = dnnl_version();
         fmt::print(
             "{}; oneDNN {}.{}.{}; medians of {} runs in turn; ratio: device / oneDNN, by the wall and by "

@@ -44,15 +44,15 @@ struct Returns {
     std::vector<float> range_m, second_m;
 };
 
-Returns returns_of(const RenderedScan& scan) {
+Returns extract_returns(const RenderedScan& scan) {
     Returns r{scan.median_range_m,
               scan.second_returns.empty() ? std::vector<float>{} : scan.second_returns[0].range_m};
     for (std::size_t i = 0; i < r.range_m.size(); ++i)
-        if (!returned(scan.image.drop_prob[i], r.range_m[i])) r.range_m[i] = 0.0f;
+        if (!is_returned(scan.image.drop_prob[i], r.range_m[i])) r.range_m[i] = 0.0f;
     return r;
 }
 
-Returns returns_of(const Scan& scan) {
+Returns extract_returns(const Scan& scan) {
     const std::vector<float> second_m =
         scan.second_returns.empty() ? std::vector<float>{} : scan.second_returns[0].range_m;
     return {{scan.range_m.begin(), scan.range_m.end()}, second_m};
@@ -60,7 +60,7 @@ Returns returns_of(const Scan& scan) {
 
 /// Compares the second return of ray `index` with the exact scan, and counts the result.
 /// @param truth exact scan; its second returns have at least a tenth of the beam's light
-void add_seconds(Score& score, const Returns& scan, const Returns& truth, std::size_t index) {
+void score_second_return(Score& score, const Returns& scan, const Returns& truth, std::size_t index) {
     const float is_m = truth.second_m[index], reported_m = scan.second_m[index];
     const bool right =
         is_m > 0.0f && reported_m > 0.0f &&
@@ -71,7 +71,7 @@ void add_seconds(Score& score, const Returns& scan, const Returns& truth, std::s
     score.invented += reported_m > 0.0f && !right;
 }
 
-void add(Score& score, const Returns& scan, const Returns& truth) {
+void score_returns(Score& score, const Returns& scan, const Returns& truth) {
     for (std::size_t i = 0; i < truth.range_m.size(); ++i) {
         const bool returns = scan.range_m[i] > 0.0f, is_there = truth.range_m[i] > 0.0f;
         ++score.rays;
@@ -83,11 +83,11 @@ void add(Score& score, const Returns& scan, const Returns& truth) {
             score.errors_m.push_back(std::abs(double(scan.range_m[i]) - double(truth.range_m[i])));
             score.squares += score.errors_m.back() * score.errors_m.back();
         }
-        if (!truth.second_m.empty()) add_seconds(score, scan, truth, i);
+        if (!truth.second_m.empty()) score_second_return(score, scan, truth, i);
     }
 }
 
-std::string row(const std::string& name, Score& s) {
+std::string format_score_row(const std::string& name, Score& s) {
     std::sort(s.errors_m.begin(), s.errors_m.end());
     if (s.errors_m.empty()) return fmt::format("| {} | {} | nothing returned |\n", name, s.rays);
     const std::string seconds = s.seconds == 0 ? std::string("– | – | –")
@@ -101,20 +101,20 @@ std::string row(const std::string& name, Score& s) {
 
 /// Casts rays into the exact synthetic street and returns their ranges. A beam with two
 /// returns is cast as a cone of rays.
-/// @param aside_m shift of the sensor to the left and upwards, metres
-Returns cast(const SyntheticOptions& street, RayTable rays, const PoseTrack& track, double time_s,
-             const SensorChoice& sensor, float aside_m = 0.0f) {
-    for (glm::vec3& origin : rays.origin) origin += aside_m * glm::vec3(0.0f, 1.0f, 1.0f);
+/// @param lateral_offset_m shift of the sensor to the left and upwards, metres
+Returns cast_exact_returns(const SyntheticOptions& street, RayTable rays, const PoseTrack& track,
+                           double time_s, const SensorChoice& sensor, float lateral_offset_m = 0.0f) {
+    for (glm::vec3& origin : rays.origin) origin += lateral_offset_m * glm::vec3(0.0f, 1.0f, 1.0f);
     Scan scan = sensor.returns == 2 ? cast_synthetic_beams(street, rays, track, time_s)
                                     : cast_synthetic_street(street, rays, track, time_s);
     drop_outside_limits(scan, sensor.limits);
-    return returns_of(scan);
+    return extract_returns(scan);
 }
 
 /// Renders the held-out sweeps with another sensor than the one in the log, and scores
 /// them. The sensor replaces the first LiDAR.
-void run_other(ScanRenderer& renderer, const Run& run, const SyntheticOptions& street,
-               const std::string& name) {
+void score_other_sensor(ScanRenderer& renderer, const Run& run, const SyntheticOptions& street,
+                        const std::string& name) {
     const SensorChoice sensor = choose_sensor(name, run.config, run.sequence);
     if (sensor.rays.direction.empty())
         throw UsageError(
@@ -124,8 +124,8 @@ void run_other(ScanRenderer& renderer, const Run& run, const SyntheticOptions& s
     for (const int position : run.split.test) {
         const Frame& frame = run.sequence.frames[std::size_t(position)];
         if (frame.lidar != 0) continue;
-        add(score, returns_of(renderer.render(sensor, frame.time_s)),
-            cast(street, sensor.rays, track, frame.time_s, sensor));
+        score_returns(score, extract_returns(renderer.render(sensor, frame.time_s)),
+                      cast_exact_returns(street, sensor.rays, track, frame.time_s, sensor));
     }
     std::sort(score.errors_m.begin(), score.errors_m.end());
     if (score.errors_m.empty())
@@ -137,14 +137,15 @@ void run_other(ScanRenderer& renderer, const Run& run, const SyntheticOptions& s
                format_percent(score.drops_right, score.rays));
 }
 
-void run(const std::string& folder, int device_index, float aside_m, const std::vector<std::string>& others) {
+void run(const std::string& folder, int device_index, float lateral_offset_m,
+         const std::vector<std::string>& other_sensors) {
     Run run = load_run(folder);
-    const SyntheticOptions street = street_of(run);
+    const SyntheticOptions street = read_street_options(run);
     const auto rig = find_rig(street.rig);
     if (!rig)
         throw UsageError(
             fmt::format("{}: its street was not logged by a rig, expected one with rig = FILE", folder));
-    Device device(from_environment({.index = device_index}));
+    Device device(apply_environment_variables({.index = device_index}));
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
     std::vector<Score> scores(run.sequence.lidars.size()), beside(scores.size());
     for (const int position : run.split.test) {
@@ -155,11 +156,13 @@ void run(const std::string& folder, int device_index, float aside_m, const std::
         sensor.returns = mounted != rig->end() ? mounted->returns : 1;
         const RayTable rays = make_nominal_rays(lidar, frame.time_s);
         const PoseTrack track = run.sequence.world_from_sensor(frame.lidar);
-        const Returns truth = cast(street, rays, track, frame.time_s, sensor);
-        add(scores[std::size_t(frame.lidar)], returns_of(renderer.render(sensor, frame.time_s)), truth);
-        if (aside_m > 0.0f)
-            add(beside[std::size_t(frame.lidar)], cast(street, rays, track, frame.time_s, sensor, aside_m),
-                truth);
+        const Returns truth = cast_exact_returns(street, rays, track, frame.time_s, sensor);
+        score_returns(scores[std::size_t(frame.lidar)],
+                      extract_returns(renderer.render(sensor, frame.time_s)), truth);
+        if (lateral_offset_m > 0.0f)
+            score_returns(beside[std::size_t(frame.lidar)],
+                          cast_exact_returns(street, rays, track, frame.time_s, sensor, lateral_offset_m),
+                          truth);
     }
     fmt::print(
         "| LiDAR | rays | median range error | RMSE | drops right | second returns | found | of those "
@@ -167,18 +170,18 @@ void run(const std::string& folder, int device_index, float aside_m, const std::
         "|---|--:|--:|--:|--:|--:|--:|--:|\n");
     for (std::size_t l = 0; l < scores.size(); ++l) {
         const std::string& name = run.sequence.lidars[l].name;
-        fmt::print("{}", row(name, scores[l]));
+        fmt::print("{}", format_score_row(name, scores[l]));
         const std::string from =
-            fmt::format("{}, the street from {:g} cm to the left and above", name, 100.0f * aside_m);
-        if (aside_m > 0.0f) fmt::print("{}", row(from, beside[l]));
+            fmt::format("{}, the street from {:g} cm to the left and above", name, 100.0f * lateral_offset_m);
+        if (lateral_offset_m > 0.0f) fmt::print("{}", format_score_row(from, beside[l]));
     }
-    if (!others.empty())
+    if (!other_sensors.empty())
         fmt::print(
             "\n| instead of {} | rays | returns | missed | {} m behind and more | median range error | RMSE "
             "| drops right |\n"
             "|---|--:|--:|--:|--:|--:|--:|--:|\n",
             run.sequence.lidars[0].name, kOnSurface_m);
-    for (const std::string& other : others) run_other(renderer, run, street, other);
+    for (const std::string& other : other_sensors) score_other_sensor(renderer, run, street, other);
 }
 
 }  // namespace

@@ -21,7 +21,7 @@ std::string format_shape(const Shape& shape) {
 
 std::string format_dtype(const py::dtype& dtype) { return py::str(py::handle(dtype)); }
 
-bool fits(const py::array& array, const Shape& shape) {
+bool has_shape(const py::array& array, const Shape& shape) {
     if (static_cast<std::size_t>(array.ndim()) != shape.size()) return false;
     for (std::size_t i = 0; i < shape.size(); ++i)
         if (shape[i] != kAny && shape[i] != array.shape(static_cast<py::ssize_t>(i))) return false;
@@ -56,7 +56,7 @@ void check_array(const py::handle& object, const std::string& description, const
                                     expected));
     }
     const auto array = py::reinterpret_borrow<py::array>(object);
-    if (!array.dtype().equal(dtype) || !fits(array, shape)) {
+    if (!array.dtype().equal(dtype) || !has_shape(array, shape)) {
         const Shape found(array.shape(), array.shape() + array.ndim());
         throw DataError(fmt::format("{}: found {} {}, expected {}", description, format_dtype(array.dtype()),
                                     format_shape(found), expected));

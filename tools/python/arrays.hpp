@@ -55,8 +55,8 @@ void check_array(const py::handle& object, const std::string& description, const
 /// @param shape expected shape; kAny means any length
 /// @throws DataError if the dtype, shape or order of the array is wrong
 template <class Number>
-std::span<const Number> values_of(const py::handle& object, const std::string& description,
-                                  const Shape& shape) {
+std::span<const Number> get_array_values(const py::handle& object, const std::string& description,
+                                         const Shape& shape) {
     check_array(object, description, py::dtype::of<Number>(), shape);
     const auto array = py::reinterpret_borrow<py::array>(object);
     return {static_cast<const Number*>(array.data()), static_cast<std::size_t>(array.size())};
@@ -67,7 +67,7 @@ std::span<const Number> values_of(const py::handle& object, const std::string& d
 template <class Number, class Element>
 std::vector<Element> copy_elements(const py::handle& object, const std::string& description,
                                    const Shape& shape) {
-    const std::span<const Number> values = values_of<Number>(object, description, shape);
+    const std::span<const Number> values = get_array_values<Number>(object, description, shape);
     const auto* first = reinterpret_cast<const Element*>(values.data());
     return {first, first + values.size() * sizeof(Number) / sizeof(Element)};
 }

@@ -17,7 +17,7 @@ namespace {
 
 namespace py = pybind11;
 
-std::string text_of(const std::string& key, const py::handle& value) {
+std::string format_setting_value(const std::string& key, const py::handle& value) {
     if (py::isinstance<py::str>(value)) return value.cast<std::string>();
     if (py::isinstance<py::bool_>(value)) return value.cast<bool>() ? "true" : "false";
     if (py::isinstance<py::int_>(value) || py::isinstance<py::float_>(value)) return py::repr(value);
@@ -63,7 +63,7 @@ void warn(const std::string& text) {
 }
 
 void set_value(Config& config, const std::string& key, const py::handle& value) {
-    set_key(config, key, text_of(key, value));
+    set_config_value(config, key, format_setting_value(key, value));
 }
 
 void set_values(Config& config, const py::dict& values) {

@@ -12,7 +12,7 @@
 namespace relidar::python {
 
 /// Sets one setting. The value is a str, bool, int, float or path.
-/// @throws UsageError if the type of the value is wrong, or if set_key() rejects the key
+/// @throws UsageError if the type of the value is wrong, or if set_config_value() rejects the key
 /// or the value
 void set_value(Config& config, const std::string& key, const pybind11::handle& value);
 /// Shows a note of the C++ library as a Python warning.

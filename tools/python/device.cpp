@@ -30,7 +30,7 @@ SharedDevice open_device(int index, const std::string& traversal, std::uint64_t 
     options.memory_limit_bytes = memory_limit_bytes;
     options.validation = validation;
     const py::gil_scoped_release others_run;
-    return std::make_shared<OpenDevice>(from_environment(options));
+    return std::make_shared<OpenDevice>(apply_environment_variables(options));
 }
 
 const char* get_name(Traversal traversal) {

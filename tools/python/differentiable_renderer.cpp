@@ -32,7 +32,7 @@ std::unique_ptr<HeldRenderer> make_renderer(const Scene& scene, const std::optio
     ImageModel image = settings.image;
     image.primitive = scene.surfels.primitive;
     const RendererOptions options{
-        {}, trace_options(settings), 0, static_cast<std::uint32_t>(settings.trace.keep_hits)};
+        {}, make_base_trace_options(settings), 0, static_cast<std::uint32_t>(settings.trace.keep_hits)};
     const GradientOptions gradients{make_backward_options(settings), {.rays = rays, .poses = poses}};
     device = get_device_or_default(device);
     std::unique_ptr<DifferentiableRenderer> made;
@@ -47,7 +47,7 @@ std::unique_ptr<HeldRenderer> make_renderer(const Scene& scene, const std::optio
 }
 
 glm::vec3 convert_to_point(const py::object& array, const char* description) {
-    const std::span<const double> v = values_of<double>(array, description, {3});
+    const std::span<const double> v = get_array_values<double>(array, description, {3});
     return {v[0], v[1], v[2]};
 }
 

@@ -74,7 +74,7 @@ Edits& move(Edits& edits, const std::string& track, const py::object& pose) {
 }
 
 Edits& follow(Edits& edits, const std::string& track, const py::object& trajectory) {
-    const PoseTrack poses = track_of(trajectory, "trajectory", 0.0);
+    const PoseTrack poses = read_pose_track(trajectory, "trajectory", 0.0);
     return edits.apply_times(
         fmt::format("follow {}: {} poses", track, poses.pose.size()), track,
         [&](DrivingScene driving) { return replace_trajectory(std::move(driving), track, poses); });

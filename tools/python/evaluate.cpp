@@ -30,7 +30,7 @@ Evaluation evaluate_loaded_run(LoadedRun& loaded, const Sequence& log,
     }
     OnDevice<ScanRenderer>& renderer = loaded.get_renderer();
     const DeviceUse use(renderer.device());
-    renderer->show_only(std::vector<bool>(run.scene.instances.size(), true));
+    renderer->set_visible_instances(std::vector<bool>(run.scene.instances.size(), true));
     return evaluate_frames(*renderer, run.config, run.sequence, run.split.test, progress);
 }
 

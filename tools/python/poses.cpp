@@ -18,21 +18,22 @@ constexpr double kRigid = 1e-4;
 
 /// Converts a 4x4 matrix to a pose. Throws an error unless the matrix is a rotation and a
 /// translation.
-/// @param m 16 numbers in row-major order
-Pose make_rigid_pose(const double* m, const std::string& description) {
+/// @param matrix 16 numbers in row-major order
+Pose make_rigid_pose(const double* matrix, const std::string& description) {
     const auto fail = [&](const std::string& found) {
         throw DataError(fmt::format(
             "{}: found {}, expected a rigid pose: a rotation and a translation, with the last row 0 "
             "0 0 1",
             description, found));
     };
-    if (!std::all_of(m, m + 16, [](double value) { return std::isfinite(value); }))
+    if (!std::all_of(matrix, matrix + 16, [](double value) { return std::isfinite(value); }))
         fail("a matrix that is not finite");
-    if (m[12] != 0.0 || m[13] != 0.0 || m[14] != 0.0 || m[15] != 1.0)
-        fail(fmt::format("the last row {} {} {} {}", m[12], m[13], m[14], m[15]));
+    if (matrix[12] != 0.0 || matrix[13] != 0.0 || matrix[14] != 0.0 || matrix[15] != 1.0)
+        fail(fmt::format("the last row {} {} {} {}", matrix[12], matrix[13], matrix[14], matrix[15]));
     // The constructor of the GLM matrix expects columns, so the row-major numbers are
     // reordered.
-    const glm::dmat3 rotation(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]);
+    const glm::dmat3 rotation(matrix[0], matrix[4], matrix[8], matrix[1], matrix[5], matrix[9], matrix[2],
+                              matrix[6], matrix[10]);
     const glm::dmat3 square = glm::transpose(rotation) * rotation;
     double worst = 0.0;
     for (int i = 0; i < 3; ++i)
@@ -40,7 +41,7 @@ Pose make_rigid_pose(const double* m, const std::string& description) {
     if (!(worst <= kRigid))
         fail(fmt::format("a matrix whose axes deviate by {:.1e} from orthogonal unit vectors", worst));
     if (glm::determinant(rotation) < 0.0) fail("a mirrored matrix");
-    return {glm::normalize(glm::quat_cast(rotation)), {m[3], m[7], m[11]}};
+    return {glm::normalize(glm::quat_cast(rotation)), {matrix[3], matrix[7], matrix[11]}};
 }
 
 void write_matrix(const Pose& pose, double* out) {
@@ -52,18 +53,18 @@ void write_matrix(const Pose& pose, double* out) {
 }  // namespace
 
 Pose convert_to_pose(const py::handle& matrix, const std::string& description) {
-    return make_rigid_pose(values_of<double>(matrix, description, {4, 4}).data(), description);
+    return make_rigid_pose(get_array_values<double>(matrix, description, {4, 4}).data(), description);
 }
 
 std::vector<Pose> convert_to_poses(const py::handle& matrices, const std::string& description) {
-    const std::span<const double> numbers = values_of<double>(matrices, description, {kAny, 4, 4});
+    const std::span<const double> numbers = get_array_values<double>(matrices, description, {kAny, 4, 4});
     std::vector<Pose> poses;
     for (std::size_t i = 0; i < numbers.size() / 16; ++i)
         poses.push_back(make_rigid_pose(numbers.data() + 16 * i, fmt::format("{}[{}]", description, i)));
     return poses;
 }
 
-PoseTrack track_of(const py::handle& object, const std::string& description, double time_s) {
+PoseTrack read_pose_track(const py::handle& object, const std::string& description, double time_s) {
     if (!py::isinstance<py::tuple>(object)) return {{time_s}, {convert_to_pose(object, description)}};
     const auto pair = py::reinterpret_borrow<py::tuple>(object);
     if (pair.size() != 2)

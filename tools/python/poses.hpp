@@ -20,7 +20,7 @@ Pose convert_to_pose(const py::handle& matrix, const std::string& description);
 /// track.
 /// @param time_s time of a single pose
 /// @throws DataError if the object has another form, or if a pose is not a rigid motion
-PoseTrack track_of(const py::handle& object, const std::string& description, double time_s);
+PoseTrack read_pose_track(const py::handle& object, const std::string& description, double time_s);
 
 /// Converts an array [n,4,4] to n poses.
 /// @throws DataError if a matrix is not a rigid motion

@@ -46,7 +46,7 @@ PointFrame find_frame(const std::string& name) {
 }
 
 /// Returns the path of one LiDAR of the log in the world frame of the dataset.
-PoseTrack log_track(const Sequence& sequence, int lidar) {
+PoseTrack get_log_track(const Sequence& sequence, int lidar) {
     return shift_track(sequence.world_from_sensor(lidar), sequence.world_offset_m);
 }
 
@@ -72,7 +72,7 @@ ActorPoses read_actor_poses(const py::dict& actors, double time_s) {
     for (const auto& [name, pose] : actors) {
         const std::string track = py::str(name);
         const std::string what = fmt::format("actors[\"{}\"]", track);
-        const PoseTrack& added = poses[track] = track_of(pose, what, time_s);
+        const PoseTrack& added = poses[track] = read_pose_track(pose, what, time_s);
         check_covered(added, time_s, kBeside_s, fmt::format("time relative to the poses of {}", what));
     }
     return poses;
@@ -89,8 +89,9 @@ int find_nearest_sweep(const Sequence& sequence, double time_s) {
 ScanRequest request_of(const RenderArguments& arguments, const Run& run, int lidar) {
     ScanRequest request;
     request.time_s = arguments.time.value_or(run.sequence.frames.front().time_s);
-    request.dataset_from_sensor = arguments.pose.is_none() ? log_track(run.sequence, lidar)
-                                                           : track_of(arguments.pose, "pose", request.time_s);
+    request.dataset_from_sensor = arguments.pose.is_none()
+                                      ? get_log_track(run.sequence, lidar)
+                                      : read_pose_track(arguments.pose, "pose", request.time_s);
     check_covered(request.dataset_from_sensor, request.time_s, 0.0,
                   arguments.pose.is_none() ? "time in the log" : "time on the poses");
     if (arguments.actors) request.dataset_from_actor = read_actor_poses(*arguments.actors, request.time_s);
@@ -143,9 +144,9 @@ py::dict render(LoadedRun& loaded, const RenderArguments& arguments) {
     RenderedScan scan;
     {
         const DeviceUse use(renderer.device());
-        renderer->show_only(shown);
+        renderer->set_visible_instances(shown);
         renderer->set_weather(weather);
-        renderer->compute_views(arguments.boxes);
+        renderer->enable_actor_views(arguments.boxes);
         scan = renderer->render(sensor, request, arguments.sample);
     }
     py::dict arrays =

@@ -33,7 +33,7 @@ void for_each_group(Set& surfels, Take&& callback) {
 /// Returns true if surfels of this kind have a parameter array with this name.
 bool has_group(const Surfels& surfels, std::string_view name) {
     if (name == kGait) return surfels.bends;
-    return name != kThirdScale || kind_of(surfels.primitive).third_scale;
+    return name != kThirdScale || get_primitive_kind(surfels.primitive).third_scale;
 }
 
 Shape count_rows_of(py::ssize_t count, const Shape& row) {

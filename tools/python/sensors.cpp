@@ -30,7 +30,7 @@ void check_rays(const RayTable& rays) {
     }
 }
 
-RayTable rays_of(const py::dict& dict) {
+RayTable read_ray_table(const py::dict& dict) {
     if (!dict.contains("directions"))
         throw DataError(
             "sensor: the dict has no entry \"directions\", expected rays with the names of an npz "
@@ -73,7 +73,7 @@ SensorChoice get_sensor(const py::handle& sensor, const Run& run, int lidar) {
             "sensor: found an unsupported type, expected a name from relidar.sensors(), the path of "
             "a sensor file, or a dict with \"directions\"");
     SensorChoice choice;
-    choice.rays = rays_of(py::reinterpret_borrow<py::dict>(sensor));
+    choice.rays = read_ray_table(py::reinterpret_borrow<py::dict>(sensor));
     choice.limits = {run.config.dataset.min_range_m, run.config.dataset.max_range_m};
     choice.name = "rays";
     choice.lidar = lidar;

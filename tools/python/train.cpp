@@ -30,19 +30,19 @@ struct TrainArguments {
 
 /// Returns the user's settings for a training, except settings that were fixed when the
 /// log was loaded.
-Config choose_config(const Log& log, const std::optional<Config>& wanted) {
-    Config config = wanted.value_or(log.config);
+Config choose_config(const Log& log, const std::optional<Config>& requested_config) {
+    Config config = requested_config.value_or(log.config);
     config.dataset = log.config.dataset;
-    if (wanted) {
-        config.dataset.test_every = wanted->dataset.test_every;
-        config.dataset.test_frames = wanted->dataset.test_frames;
+    if (requested_config) {
+        config.dataset.test_every = requested_config->dataset.test_every;
+        config.dataset.test_frames = requested_config->dataset.test_frames;
     }
     config.sensor.rolling_shutter = log.config.sensor.rolling_shutter;
     return config;
 }
 
-std::optional<Checkpoint> find_start(const TrainArguments& arguments,
-                                     const std::function<void(const std::string&)>& note) {
+std::optional<Checkpoint> load_resume_checkpoint(const TrainArguments& arguments,
+                                                 const std::function<void(const std::string&)>& note) {
     if (!arguments.resume) return std::nullopt;
     if (!arguments.checkpoints)
         throw UsageError(
@@ -51,14 +51,14 @@ std::optional<Checkpoint> find_start(const TrainArguments& arguments,
     return load_newest_checkpoint(*arguments.checkpoints, note);
 }
 
-TrainResult trained(OpenDevice& open, Run& run, const TrainArguments& arguments, PythonCalls& python) {
+TrainResult run_training(OpenDevice& open, Run& run, const TrainArguments& arguments, PythonCalls& python) {
     const auto note = [&](const std::string& line) {
         python([&] {
             if (arguments.note) (*arguments.note)(line);
         });
     };
     const auto stop = [&] { return !python.can_continue(); };
-    const std::optional<Checkpoint> start = find_start(arguments, note);
+    const std::optional<Checkpoint> start = load_resume_checkpoint(arguments, note);
     const DeviceUse use(open);
     prepare_log(run.sequence, run.split, run.config,
                 {note, stop, [&](std::string_view, double) { (void)python.can_continue(); }});
@@ -75,14 +75,14 @@ TrainResult trained(OpenDevice& open, Run& run, const TrainArguments& arguments,
 }
 
 /// Aligns the held-out scans with the trained scene.
-void placed(OpenDevice& open, Run& run, PythonCalls& python) {
+void place_held_out_scans(OpenDevice& open, Run& run, PythonCalls& python) {
     const DeviceUse use(open);
     place_held_out(open.device, run, {{}, [&] { return !python.can_continue(); }});
     python.rethrow();
 }
 
 /// Measures the noise of the LiDAR intensities.
-void scatter_learnt(OpenDevice& open, Run& run, PythonCalls& python) {
+void run_scatter_fit(OpenDevice& open, Run& run, PythonCalls& python) {
     const DeviceUse use(open);
     run.intensity_scatter = learn_scatter(open.device, run, {{}, [&] { return !python.can_continue(); }});
     python.rethrow();
@@ -90,7 +90,7 @@ void scatter_learnt(OpenDevice& open, Run& run, PythonCalls& python) {
 
 /// Trains the ray-drop network. Only prints a note if the log has no suitable training
 /// data, or if the checkpoint belongs to another network.
-void refined(OpenDevice& open, Run& run, const TrainArguments& arguments, PythonCalls& python) {
+void run_drop_refinement(OpenDevice& open, Run& run, const TrainArguments& arguments, PythonCalls& python) {
     const auto note = [&](const std::string& line) {
         if (arguments.note) python([&] { (*arguments.note)(line); });
     };
@@ -128,7 +128,7 @@ std::unique_ptr<LoadedRun> train_run(const Log& log, const TrainArguments& argum
     PythonCalls python;
     TrainResult result;
     try {
-        result = trained(*device, run, arguments, python);
+        result = run_training(*device, run, arguments, python);
     } catch (const Error&) {
         // If a Python callback raised an exception, raises this exception instead of the
         // error of the library.
@@ -136,10 +136,10 @@ std::unique_ptr<LoadedRun> train_run(const Log& log, const TrainArguments& argum
         throw;
     }
     python.rethrow();
-    move_result(run, result);
-    if (!result.interrupted) placed(*device, run, python);
-    if (!result.interrupted) scatter_learnt(*device, run, python);
-    if (config.refine.enabled && !result.interrupted) refined(*device, run, arguments, python);
+    move_result_into_run(run, result);
+    if (!result.interrupted) place_held_out_scans(*device, run, python);
+    if (!result.interrupted) run_scatter_fit(*device, run, python);
+    if (config.refine.enabled && !result.interrupted) run_drop_refinement(*device, run, arguments, python);
     for (Frame& frame : run.sequence.frames) frame.scan = {};
     return std::make_unique<LoadedRun>(std::move(run), device);
 }

@@ -24,7 +24,7 @@ bool line_open = false;
 
 /// Returns the number of terminal columns that a text needs. Assumes that each UTF-8
 /// character needs one column.
-std::size_t width(const std::string& text) {
+std::size_t compute_text_width(const std::string& text) {
     return static_cast<std::size_t>(std::count_if(text.begin(), text.end(), [](char character) {
         return (static_cast<unsigned char>(character) & 0xC0) != 0x80;
     }));
@@ -45,14 +45,14 @@ bool is_number(const std::string& text) {
 
 }  // namespace
 
-std::string table(const std::vector<std::vector<std::string>>& rows) {
+std::string format_table(const std::vector<std::vector<std::string>>& rows) {
     std::vector<std::size_t> widths;
     std::vector<bool> right;
     for (std::size_t r = 0; r < rows.size(); ++r) {
         widths.resize(std::max(widths.size(), rows[r].size()), 0);
         right.resize(widths.size(), true);
         for (std::size_t c = 0; c < rows[r].size(); ++c) {
-            widths[c] = std::max(widths[c], width(rows[r][c]));
+            widths[c] = std::max(widths[c], compute_text_width(rows[r][c]));
             if (r > 0 && !is_number(rows[r][c])) right[c] = false;
         }
     }
@@ -60,7 +60,7 @@ std::string table(const std::vector<std::vector<std::string>>& rows) {
     for (const auto& row : rows) {
         std::string line;
         for (std::size_t c = 0; c < row.size(); ++c) {
-            const std::string gap(widths[c] - width(row[c]), ' ');
+            const std::string gap(widths[c] - compute_text_width(row[c]), ' ');
             line += (c > 0 ? "  " : "") + (right[c] ? gap + row[c] : row[c] + gap);
         }
         text += line.substr(0, line.find_last_not_of(' ') + 1) + "\n";
@@ -83,7 +83,7 @@ std::string format_byte_size(std::uint64_t n_bytes) {
     return unit == 0 ? fmt::format("{} B", n_bytes) : fmt::format("{:.1f} {}", value, kUnits[unit]);
 }
 
-std::string number(double value) { return fmt::format("{:.4g}", value); }
+std::string format_short_number(double value) { return fmt::format("{:.4g}", value); }
 
 std::string join_lines(std::string text) {
     std::replace_if(

@@ -16,11 +16,11 @@ namespace relidar::cli {
 
 /// Formats rows of cells as aligned columns that are two spaces apart. The first row is
 /// the header. Columns of numbers are aligned to the right.
-std::string table(const std::vector<std::vector<std::string>>& rows);
+std::string format_table(const std::vector<std::vector<std::string>>& rows);
 
 std::string format_duration(double seconds);          ///< For example "0:42" or "1:54:00".
 std::string format_byte_size(std::uint64_t n_bytes);  ///< For example "512 B" or "1.3 GiB".
-std::string number(double value);                     ///< Formats a number with four significant digits.
+std::string format_short_number(double value);        ///< Formats a number with four significant digits.
 /// Replaces line breaks and other control characters in a text by spaces.
 std::string join_lines(std::string text);
 /// Puts a word into quotes if a shell would split or change it.

@@ -40,9 +40,9 @@ struct DemoOptions {
     bool quiet = false;
 };
 
-Config config_of(const DemoOptions& options, const fs::path& street) {
+Config make_demo_config(const DemoOptions& options, const fs::path& street) {
     Config config = make_preset("quick");
-    set_key(config, "train.seed", options.seed);
+    set_config_value(config, "train.seed", options.seed);
     // The preset is made for 64 beams. This sensor has 32 beams, so the gaps between its
     // points are wider and need another factor.
     config.init.scale_factor = 0.6;
@@ -101,15 +101,15 @@ void write_scans(const fs::path& folder, const Evaluation& evaluation, const Run
 std::string make_short_table(const Evaluation& held_out, const Evaluation& shifted) {
     std::vector<std::vector<std::string>> rows{{"metric", "held out", "shifted sensor"}};
     const auto cell = [](const MetricRow& row, const char* name) {
-        return row.contains(name) ? number(row.at(name)) : std::string("-");
+        return row.contains(name) ? format_short_number(row.at(name)) : std::string("-");
     };
     for (const char* name : kDemoMetrics)
         rows.push_back({name, cell(held_out.mean, name), cell(shifted.mean, name)});
-    return table(rows);
+    return format_table(rows);
 }
 
-void finish(Device& device, const Run& run, const SyntheticOptions& street, Report report,
-            const fs::path& out, bool quiet) {
+void finish_demo_report(Device& device, const Run& run, const SyntheticOptions& street, Report report,
+                        const fs::path& out, bool quiet) {
     const Evaluation held_out = evaluate_held_out(device, run, quiet);
     const Evaluation shifted = evaluate_shifted(device, run, street, quiet);
     write_text(run.folder / "metrics.json",
@@ -135,7 +135,7 @@ void finish(Device& device, const Run& run, const SyntheticOptions& street, Repo
 
 void run_demo(const DemoOptions& options, const std::string& command_line) {
     const fs::path out = options.out;
-    const Config config = config_of(options, out / "street");
+    const Config config = make_demo_config(options, out / "street");
     check_lpips_weights();
     const LockedFolder folder(out);
     const RunFolder run_folder(out / "run", Existing::replace);
@@ -159,7 +159,7 @@ void run_demo(const DemoOptions& options, const std::string& command_line) {
     TrainResult result = train_with_log(device, sequence, split, config, run_folder.path(), options.quiet);
     end_progress_line();
     Run run{run_folder.path(), use_farthest_return(config, sequence), std::move(sequence), split, {}, {}};
-    move_result(run, result);
+    move_result_into_run(run, result);
     save_run(run);
     stop_if_interrupted();
     StageTimes stages;
@@ -168,7 +168,8 @@ void run_demo(const DemoOptions& options, const std::string& command_line) {
     if (config.refine.enabled && refine_with_progress(device, run, options.quiet) == TrainingEnd::finished)
         save_run(run);
     stop_if_interrupted();
-    finish(device, run, street, make_report(run, result, device, command_line), out, options.quiet);
+    finish_demo_report(device, run, street, make_report(run, result, device, command_line), out,
+                       options.quiet);
 }
 
 constexpr const char* kDemoHelp =

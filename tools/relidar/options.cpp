@@ -55,7 +55,7 @@ DeviceOptions make_device_options(const DeviceChoice& choice) {
     options.index = choice.index;
     options.traversal = find_traversal(choice.traversal);
     set_first_use({check_device_at_first_use, note});
-    return from_environment(options);
+    return apply_environment_variables(options);
 }
 
 std::vector<std::string> make_device_arguments(const DeviceChoice& choice) {
@@ -106,7 +106,7 @@ void add_settings_options(CLI::App& command, Settings& settings) {
     add_set_option(command, settings.sets);
 }
 
-Config resolve(const Settings& settings) {
+Config resolve_settings(const Settings& settings) {
     Config config = make_preset(settings.preset);
     if (!settings.file.empty()) load_config(config, settings.file);
     apply_setting_texts(config, settings.sets);
@@ -119,7 +119,7 @@ void apply_setting_texts(Config& config, const std::vector<std::string>& sets) {
         if (equals == std::string::npos || equals == 0)
             throw UsageError(
                 fmt::format("--set: found \"{}\"; expected KEY=VALUE, for example loss.depth=0.2", set));
-        set_key(config, set.substr(0, equals), set.substr(equals + 1));
+        set_config_value(config, set.substr(0, equals), set.substr(equals + 1));
     }
 }
 
@@ -139,8 +139,8 @@ std::vector<std::string> list_rendering_settings() {
             "trace."};
 }
 
-void check_sets(const std::vector<std::string>& sets, const std::vector<std::string>& used,
-                const std::string& command) {
+void check_setting_names(const std::vector<std::string>& sets, const std::vector<std::string>& used,
+                         const std::string& command) {
     Config scratch;
     for (const std::string& set : sets) {
         // Throws an error if the key or the value is invalid. The result is not used.
@@ -199,7 +199,7 @@ void note_frames_beyond(const FrameRange& range, int last, const std::string& lo
 
 std::vector<double> parse_list(const std::string& option, const std::string& text) {
     std::vector<double> numbers;
-    for (const std::string& typed : split(text, ',')) {
+    for (const std::string& typed : split_text(text, ',')) {
         const std::string word = remove_blanks(typed);
         const std::optional<double> value = parse<double>(word);
         if (!value || !std::isfinite(*value))
@@ -210,7 +210,7 @@ std::vector<double> parse_list(const std::string& option, const std::string& tex
     return numbers;
 }
 
-std::vector<std::string> split(const std::string& text, char separator) {
+std::vector<std::string> split_text(const std::string& text, char separator) {
     std::vector<std::string> words{""};
     for (const char c : text) {
         if (c == separator) words.emplace_back();

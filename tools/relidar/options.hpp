@@ -46,7 +46,7 @@ void add_channels_option(CLI::App& command, std::optional<std::string>& channels
 void add_weather_option(CLI::App& command, std::string& weather, const std::string& description);
 /// Adds the option --set, for commands that read all other settings from a trained run.
 void add_set_option(CLI::App& command, std::vector<std::string>& sets);
-Config resolve(const Settings& settings);
+Config resolve_settings(const Settings& settings);
 void apply_setting_texts(Config& config, const std::vector<std::string>& sets);
 /// Returns the names of the settings that affect rendering. A name that ends in a dot
 /// means all settings of that group.
@@ -56,8 +56,8 @@ std::vector<std::string> list_rendering_settings();
 /// list_rendering_settings()
 /// @param command name of the command
 /// @throws UsageError that names the first setting without effect
-void check_sets(const std::vector<std::string>& sets, const std::vector<std::string>& used,
-                const std::string& command);
+void check_setting_names(const std::vector<std::string>& sets, const std::vector<std::string>& used,
+                         const std::string& command);
 
 /// Values of the options --frames and --sequence. They select the part of a log that is
 /// loaded.
@@ -77,7 +77,7 @@ void note_frames_beyond(const FrameRange& range, int last, const std::string& lo
 /// Parses a list of numbers that are separated by commas.
 /// @throws UsageError if a word is not a number; the message names the option
 std::vector<double> parse_list(const std::string& option, const std::string& text);
-std::vector<std::string> split(const std::string& text, char separator);
+std::vector<std::string> split_text(const std::string& text, char separator);
 std::string remove_blanks(const std::string& text);  ///< Removes spaces and tabs at both ends of a text.
 
 /// Returns the absolute path. An empty path stays empty.

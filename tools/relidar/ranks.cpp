@@ -21,14 +21,14 @@ namespace {
 
 /// Waits until an MPI request is finished. Sleeps 20 ms between the tests, because
 /// MPI_Wait would keep a processor core busy.
-void sleep_until(MPI_Request request) {
+void wait_for_mpi_request(MPI_Request request) {
     for (int done = 0; !done; std::this_thread::sleep_for(std::chrono::milliseconds(done ? 0 : 20)))
         MPI_Test(&request, &done, MPI_STATUS_IGNORE);
 }
 
 /// Returns a hash (FNV-1a) of the program file. Two processes with the same hash run the
 /// same build. Returns 0 if the file cannot be read.
-unsigned long long build_number() {
+unsigned long long get_build_number() {
     std::ifstream program("/proc/self/exe", std::ios::binary);
     unsigned long long hash = 14695981039346656037ull;
     std::vector<char> block(1 << 20);
@@ -43,7 +43,7 @@ unsigned long long build_number() {
 /// @throws UsageError if the build of this process differs from the build of the first
 /// process
 void check_build(int rank) {
-    const unsigned long long build = build_number();
+    const unsigned long long build = get_build_number();
     unsigned long long first_build = build;
     MPI_Bcast(&first_build, 1, MPI_UNSIGNED_LONG_LONG, 0, MPI_COMM_WORLD);
     if (build != first_build)
@@ -54,13 +54,13 @@ void check_build(int rank) {
 }
 
 /// Concatenates the texts of all MPI processes. Every process receives the complete text.
-std::string gather_in_all(const std::string& text, int size) {
+std::string gather_on_all_ranks(const std::string& text, int size) {
     const auto n = static_cast<unsigned long long>(text.size());
     std::vector<unsigned long long> sizes(static_cast<std::size_t>(size));
     MPI_Request request;
     MPI_Iallgather(&n, 1, MPI_UNSIGNED_LONG_LONG, sizes.data(), 1, MPI_UNSIGNED_LONG_LONG, MPI_COMM_WORLD,
                    &request);
-    sleep_until(request);
+    wait_for_mpi_request(request);
     const unsigned long long total = std::accumulate(sizes.begin(), sizes.end(), 0ull);
     // MPI stores the number of bytes as int, so texts of more than 2 GiB are rejected.
     if (total > static_cast<unsigned long long>(std::numeric_limits<int>::max()))
@@ -72,7 +72,7 @@ std::string gather_in_all(const std::string& text, int size) {
     std::string all(total, '\0');
     MPI_Iallgatherv(text.data(), static_cast<int>(n), MPI_CHAR, all.data(), counts.data(), places.data(),
                     MPI_CHAR, MPI_COMM_WORLD, &request);
-    sleep_until(request);
+    wait_for_mpi_request(request);
     return all;
 }
 
@@ -83,14 +83,16 @@ Ranks::Ranks() {
     MPI_Init(nullptr, nullptr);
     MPI_Comm_rank(MPI_COMM_WORLD, &group_.rank);
     MPI_Comm_size(MPI_COMM_WORLD, &group_.size);
-    group_.all_gather = [size = group_.size](const std::string& text) { return gather_in_all(text, size); };
+    group_.all_gather = [size = group_.size](const std::string& text) {
+        return gather_on_all_ranks(text, size);
+    };
     MPI_Comm on_this_machine;
     MPI_Comm_split_type(MPI_COMM_WORLD, MPI_COMM_TYPE_SHARED, group_.rank, MPI_INFO_NULL, &on_this_machine);
     MPI_Comm_rank(on_this_machine, &local_rank_);
     int n_here = 1;
     MPI_Comm_size(on_this_machine, &n_here);
     MPI_Comm_free(&on_this_machine);
-    share_scan_memory(n_here);
+    set_scan_process_count(n_here);
     check_build(group_.rank);
 }
 
@@ -104,7 +106,7 @@ void Ranks::wait_for_all() const {
     if (size() == 1) return;
     MPI_Request request;
     MPI_Ibarrier(MPI_COMM_WORLD, &request);
-    sleep_until(request);
+    wait_for_mpi_request(request);
 }
 
 std::vector<std::string> Ranks::gather(const std::string& text) const {

@@ -137,7 +137,7 @@ std::string format_actor_times(const std::vector<ActorTimes>& times) {
              fmt::format("{}", t.n_surfels()), fmt::format("{:.2f}", t.build_ms),
              format_milliseconds(t.move_ms), format_milliseconds(t.scan_ms), format_milliseconds(t.step_ms),
              fmt::format("{:.1f}", double(t.memory) / double(1 << 20)), fmt::format("{}", t.builds)});
-    return table(rows);
+    return format_table(rows);
 }
 
 std::string make_actors_json(const std::vector<ActorTimes>& times, const Device& device,

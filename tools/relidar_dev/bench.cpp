@@ -84,7 +84,7 @@ void bench_steps(const BenchOptions& options, Device& device, const std::string&
 
 void run_bench(const BenchOptions& options, const std::string& command_line) {
     if (!options.service.address.empty()) return bench_service(options.service);
-    check(options.choice);
+    check_bench_choice(options.choice);
     if (!options.choice.run.empty() && options.describes_street)
         throw UsageError(
             "--run: found --scene, --surfels or --rays beside it, expected the run alone: it brings its "

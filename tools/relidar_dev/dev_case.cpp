@@ -44,7 +44,7 @@ bool parse_count(const std::string& text, long long& value) {
 /// sensor.
 std::optional<ImageSize> parse_rays(const std::string& text) {
     if (text == "waymo" || text == "kitti") return std::nullopt;
-    const std::vector<std::string> words = split(text, 'x');
+    const std::vector<std::string> words = split_text(text, 'x');
     ImageSize size;
     if (words.size() != 2 || !parse_count(words[0], size.rows) || !parse_count(words[1], size.columns)) {
         throw UsageError(
@@ -58,17 +58,18 @@ std::optional<ImageSize> parse_rays(const std::string& text) {
 }
 
 /// Applies the options of the command line to the settings.
-void apply(const BenchChoice& choice, Config& config) {
-    if (!choice.chunk.empty()) set_key(config, "trace.chunk", choice.chunk);
-    if (!choice.keep_hits.empty()) set_key(config, "trace.keep_hits", choice.keep_hits);
-    if (!choice.likelihood.empty()) set_key(config, "loss.likelihood", choice.likelihood);
+void apply_choice(const BenchChoice& choice, Config& config) {
+    if (!choice.chunk.empty()) set_config_value(config, "trace.chunk", choice.chunk);
+    if (!choice.keep_hits.empty()) set_config_value(config, "trace.keep_hits", choice.keep_hits);
+    if (!choice.likelihood.empty()) set_config_value(config, "loss.likelihood", choice.likelihood);
     if (choice.deterministic) config.train.deterministic = true;
-    if (!choice.sh.empty()) set_key(config, "image.sh_direction", choice.sh);
+    if (!choice.sh.empty()) set_config_value(config, "image.sh_direction", choice.sh);
 }
 
 /// Returns the position of a word in the list of allowed values of an option.
 /// @throws UsageError if the word is not in the list
-std::size_t place_of(const char* option, const std::string& word, const std::vector<std::string>& words) {
+std::size_t find_word_index(const char* option, const std::string& word,
+                            const std::vector<std::string>& words) {
     const auto match = std::find(words.begin(), words.end(), word);
     if (match == words.end())
         throw UsageError(
@@ -80,16 +81,18 @@ std::size_t place_of(const char* option, const std::string& word, const std::vec
 /// Proxy, Walk and HitOrder.
 /// @throws UsageError if a word is unknown
 Proxy parse_proxy(const BenchChoice& choice) {
-    return choice.proxy.empty() ? Proxy::automatic
-                                : Proxy(place_of("--proxy", choice.proxy, {"auto", "triangles", "boxes"}));
+    return choice.proxy.empty()
+               ? Proxy::automatic
+               : Proxy(find_word_index("--proxy", choice.proxy, {"auto", "triangles", "boxes"}));
 }
-Walk parse_walk(const BenchChoice& choice) {
+Walk parse_traversal_mode(const BenchChoice& choice) {
     return choice.walk.empty() ? Walk::automatic
-                               : Walk(place_of("--walk", choice.walk, {"auto", "lane", "subgroup"}));
+                               : Walk(find_word_index("--walk", choice.walk, {"auto", "lane", "subgroup"}));
 }
 HitOrder parse_order(const BenchChoice& choice) {
-    return choice.order.empty() ? HitOrder::automatic
-                                : HitOrder(place_of("--order", choice.order, {"auto", "chunks", "lists"}));
+    return choice.order.empty()
+               ? HitOrder::automatic
+               : HitOrder(find_word_index("--order", choice.order, {"auto", "chunks", "lists"}));
 }
 
 DevCase make_street_test_case(const BenchChoice& choice) {
@@ -106,23 +109,23 @@ DevCase make_street_test_case(const BenchChoice& choice) {
 
 }  // namespace
 
-void check(const BenchChoice& choice) {
+void check_bench_choice(const BenchChoice& choice) {
     if (choice.street != "A" && choice.street != "B" && choice.street != "C")
         throw UsageError(fmt::format("--scene: found \"{}\", expected A, B or C", choice.street));
     if (choice.n_surfels < 1 || choice.n_surfels > kMaxSurfels)
         throw UsageError(fmt::format("--surfels: found {}, expected 1 to {}", choice.n_surfels, kMaxSurfels));
     parse_rays(choice.rays);
     Config unused;
-    apply(choice, unused);
-    parse_proxy(choice), parse_walk(choice), parse_order(choice);
+    apply_choice(choice, unused);
+    parse_proxy(choice), parse_traversal_mode(choice), parse_order(choice);
 }
 
 DevCase make_case(const BenchChoice& choice) {
     DevCase bench =
         choice.run.empty() ? make_street_test_case(choice) : DevCase{make_run_case(load_run(choice.run))};
-    apply(choice, bench.config);
+    apply_choice(choice, bench.config);
     bench.proxy = parse_proxy(choice);
-    bench.walk = parse_walk(choice);
+    bench.walk = parse_traversal_mode(choice);
     bench.order = parse_order(choice);
     bench.keeps_more_hits = choice.keep_hits.empty();
     return bench;
@@ -130,8 +133,8 @@ DevCase make_case(const BenchChoice& choice) {
 
 AccelOptions make_accel_options(const DevCase& bench) { return {.proxy = bench.proxy}; }
 
-TraceOptions trace_of(const DevCase& bench) {
-    TraceOptions options = trace_options(bench.config);
+TraceOptions make_case_trace_options(const DevCase& bench) {
+    TraceOptions options = make_base_trace_options(bench.config);
     options.walk = bench.walk;
     options.order = bench.order;
     return options;

@@ -42,11 +42,11 @@ struct DevCase : BenchCase {
 /// Return the options for building the acceleration structure, and for tracing rays
 /// through it.
 AccelOptions make_accel_options(const DevCase& bench);
-TraceOptions trace_of(const DevCase& bench);
+TraceOptions make_case_trace_options(const DevCase& bench);
 
 /// Checks all options before a scene is created.
 /// @throws UsageError that names the first invalid option
-void check(const BenchChoice& choice);
+void check_bench_choice(const BenchChoice& choice);
 
 /// Creates the scene and the rays that the user has chosen.
 /// @throws DataError if the run cannot be read

@@ -28,9 +28,11 @@ double count_sh_bytes_per_surfel(const FloorSizes& sizes) {
 }
 
 /// Returns how many 8-bit digits the radix sort needs for n different keys.
-double round_to_digits(double n) { return std::ceil(std::bit_width(static_cast<std::uint64_t>(n)) / 8.0); }
+double round_to_digits(double value) {
+    return std::ceil(std::bit_width(static_cast<std::uint64_t>(value)) / 8.0);
+}
 
-double refit(const FloorSizes& sizes) {
+double count_refit_bytes(const FloorSizes& sizes) {
     return sizes.n_surfels * (kBox + kIndex) + kFewestNodes * sizes.n_surfels * (28 + kNode + kBox);
 }
 
@@ -39,11 +41,11 @@ double refit(const FloorSizes& sizes) {
 /// keys. For each 8-bit digit, the sort reads the keys twice and the values once, and
 /// writes both. Then the build writes the binary tree, reads its topology, and writes the
 /// leaf order and the wide nodes.
-double build(const FloorSizes& sizes) {
+double count_build_bytes(const FloorSizes& sizes) {
     const double bits = 39 + std::bit_width(static_cast<std::uint64_t>(sizes.n_models) - 1);
     const double sort = std::ceil(bits / 8) * (3 * kKey + 2 * kIndex);
     const double tree = kBox + kKey + kIndex + (kKey + kBox + 28 + kIndex) + (kKey + kIndex);
-    return sizes.n_surfels * (kBox + 12 + kKey + kIndex + sort + tree + kIndex) + refit(sizes);
+    return sizes.n_surfels * (kBox + 12 + kKey + kIndex + sort + tree + kIndex) + count_refit_bytes(sizes);
 }
 
 double count_backward_trace_bytes(const FloorSizes& sizes) {
@@ -56,7 +58,7 @@ double count_backward_trace_bytes(const FloorSizes& sizes) {
 /// Returns the number of bytes that the derivative of the activation functions must read
 /// and write. It reads the gradient of every surfel record. Only for surfels with a
 /// gradient, it reads the parameters and writes their gradients.
-double activate_vjp(const FloorSizes& sizes) {
+double count_activation_gradient_bytes(const FloorSizes& sizes) {
     return sizes.n_surfels * (kRecord + kMark) +
            sizes.n_touched * 2 * (kGeometry + count_sh_bytes_per_surfel(sizes));
 }
@@ -83,8 +85,8 @@ constexpr Row kFloorRows[] = {
      [](const FloorSizes& sizes) { return sizes.n_surfels * (kGeometry + count_sh_bytes(sizes) + kRecord); }},
     {"diff/accel/proxies", When::always,
      [](const FloorSizes& sizes) { return sizes.n_surfels * (kRecord + (sizes.boxes ? kBox : kCorners)); }},
-    {"accel/build", When::software, build},
-    {"accel/refit", When::software, refit},
+    {"accel/build", When::software, count_build_bytes},
+    {"accel/refit", When::software, count_refit_bytes},
     {"diff/forward/append", When::lists,
      [](const FloorSizes& sizes) {
          return sizes.n_rays * kRay + sizes.n_touched * kRecord + sizes.n_hits * kHit;
@@ -116,7 +118,7 @@ constexpr Row kFloorRows[] = {
          return sizes.n_hits * (kHitRecord + kRow + kIndex) +
                 sizes.n_touched * 2 * (kRecord + count_sh_bytes_along_ray(sizes));
      }},
-    {"scene/activate_vjp", When::training, activate_vjp},
+    {"scene/activate_vjp", When::training, count_activation_gradient_bytes},
     {"diff/optimizer/adam", When::training, count_adam_bytes},
 };
 

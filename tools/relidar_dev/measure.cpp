@@ -54,7 +54,7 @@ constexpr const char* kOrder[] = {"scene/activate",
 
 /// Returns the row of the result table in which a kernel is counted. Groups the kernels
 /// that build the tree, prefix sums, and sorts.
-std::string row_of(const std::string& kernel, const std::string& phase) {
+std::string get_kernel_row(const std::string& kernel, const std::string& phase) {
     if (kernel == "diff/accel/bvh_top") return "accel/top_level";
     if (kernel.starts_with("diff/accel/bvh_")) return phase == "rebuild" ? "accel/build" : "accel/refit";
     if (kernel.starts_with("gpu/")) return phase == "rebuild" ? "accel/build" : "backward/sort";
@@ -63,7 +63,7 @@ std::string row_of(const std::string& kernel, const std::string& phase) {
 
 RendererOptions make_renderer_options(const DevCase& bench) {
     return {.accel = make_accel_options(bench),
-            .trace = trace_of(bench),
+            .trace = make_case_trace_options(bench),
             .n_rays = static_cast<std::uint32_t>(bench.rays.size())};
 }
 
@@ -216,7 +216,7 @@ private:
         std::map<std::string, double> sums;
         Stream& stream = renderer().stream();
         for (const auto& [kernel, times] : stream.times().milliseconds)
-            sums[row_of(kernel, phase)] += std::accumulate(times.begin(), times.end(), 0.0);
+            sums[get_kernel_row(kernel, phase)] += std::accumulate(times.begin(), times.end(), 0.0);
         for (const auto& [row, ms] : sums) {
             kernels[row].push_back(ms);
             total += ms;
@@ -226,7 +226,7 @@ private:
     }
 };
 
-std::vector<BenchRow> rows_of(const Samples& samples, std::vector<std::string> order) {
+std::vector<BenchRow> make_bench_rows(const Samples& samples, std::vector<std::string> order) {
     for (const auto& [name, unused] : samples) {
         if (std::find(order.begin(), order.end(), name) == order.end()) order.push_back(name);
     }
@@ -250,8 +250,8 @@ BenchResult Bench::result() {
     kernels_.merge(rebuild_kernels_);
     BenchResult result;
     result.proxy = r.accel().proxy() == Proxy::boxes ? "boxes" : "triangles";
-    result.kernels = rows_of(kernels_, {std::begin(kOrder), std::end(kOrder)});
-    result.phases = rows_of(phases_, {"rebuild", "iteration", "iteration_wall", "move"});
+    result.kernels = make_bench_rows(kernels_, {std::begin(kOrder), std::end(kOrder)});
+    result.phases = make_bench_rows(phases_, {"rebuild", "iteration", "iteration_wall", "move"});
     const double krays = static_cast<double>(rays_.size()) / 1000.0;
     double forward_ms = 0.0;
     for (const BenchRow& row : result.kernels) {
@@ -265,8 +265,8 @@ BenchResult Bench::result() {
     result.memory.rays =
         device_.allocated_bytes() - allocated_before_ - memory_.scene - memory_.accel - memory_.training;
     result.memory.peak = device_.peak_bytes();
-    if (const auto visits =
-            count_visits(device_, r.scene(), r.accel(), batch(), case_.config.image, trace_of(case_)))
+    if (const auto visits = count_visits(device_, r.scene(), r.accel(), batch(), case_.config.image,
+                                         make_case_trace_options(case_)))
         result.visits = BenchVisits{visits->nodes, visits->surfels};
     result.sizes = sizes(result);
     return result;

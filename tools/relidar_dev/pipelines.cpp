@@ -33,7 +33,8 @@ std::vector<PipelineStatistics> compile_variant(int index, Traversal traversal) 
 /// Compiles the pipelines for the requested kind of ray traversal. "both" means all kinds
 /// that the device supports. Each pipeline is listed only once.
 std::vector<PipelineStatistics> compile_all_variants(const PipelinesOptions& options) {
-    const DeviceInfo info = Device(from_environment({.index = options.device, .compile_only = true})).info();
+    const DeviceInfo info =
+        Device(apply_environment_variables({.index = options.device, .compile_only = true})).info();
     std::vector<PipelineStatistics> all;
     std::set<std::string> pipeline_names;
     const auto add = [&](const char* name, Traversal traversal, bool has) {
@@ -57,7 +58,7 @@ std::vector<std::string> list_statistic_names(const std::vector<PipelineStatisti
     return {names.begin(), names.end()};
 }
 
-std::vector<std::vector<std::string>> rows_of(const std::vector<PipelineStatistics>& pipelines) {
+std::vector<std::vector<std::string>> make_statistic_rows(const std::vector<PipelineStatistics>& pipelines) {
     const std::vector<std::string> names = list_statistic_names(pipelines);
     std::vector<std::vector<std::string>> rows{{"kernel", "constants", "workgroup", "subgroup", "failure"}};
     rows[0].insert(rows[0].end(), names.begin(), names.end());
@@ -74,10 +75,10 @@ std::vector<std::vector<std::string>> rows_of(const std::vector<PipelineStatisti
 void run(const PipelinesOptions& options) {
     const std::vector<PipelineStatistics> pipelines = compile_all_variants(options);
     if (!options.tsv) {
-        print(table(rows_of(pipelines)));
+        print(format_table(make_statistic_rows(pipelines)));
         return;
     }
-    for (const std::vector<std::string>& row : rows_of(pipelines))
+    for (const std::vector<std::string>& row : make_statistic_rows(pipelines))
         print(fmt::format("{}\n", fmt::join(row, "\t")));
 }
 

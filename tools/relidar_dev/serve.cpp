@@ -29,10 +29,10 @@ void bench_service(const ServeBench& bench) {
     print(
         fmt::format("{} at {}: {} calls by {} clients, {} rays and {:.0f} points a scan\n{}{:.1f} scans/s\n",
                     r.scene, bench.address, bench.calls, bench.clients, r.rays, r.points,
-                    table({{"ms", "p50", "p99"},
-                           row("latency", r.latency_ms),
-                           row("of it queued", r.queued_ms),
-                           row("of it rendering", r.rendered_ms)}),
+                    format_table({{"ms", "p50", "p99"},
+                                  row("latency", r.latency_ms),
+                                  row("of it queued", r.queued_ms),
+                                  row("of it rendering", r.rendered_ms)}),
                     r.scans_per_s));
 }
 

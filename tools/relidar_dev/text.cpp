@@ -28,7 +28,7 @@ std::string format_phase(const std::string& phase, bool training) {
     return "move of one instance";
 }
 
-std::string get_walk_name(const DevCase& bench) {
+std::string get_traversal_mode_name(const DevCase& bench) {
     return bench.walk == Walk::lane ? "lane" : bench.walk == Walk::subgroup ? "subgroup" : "automatic";
 }
 
@@ -37,7 +37,7 @@ std::string get_traversal_text(const Device& device) {
 }
 /// Returns a text that names the selected ray traversal and its variant.
 std::string describe_search(const Device& device, const DevCase& bench, const BenchResult& result) {
-    return device.traversal() == Traversal::software ? "walk " + get_walk_name(bench)
+    return device.traversal() == Traversal::software ? "walk " + get_traversal_mode_name(bench)
                                                      : "proxy " + result.proxy;
 }
 std::string describe_sh(const DevCase& bench) {
@@ -50,7 +50,7 @@ std::uint64_t count_surfel_bytes(const BenchMemory& memory) {
     return memory.scene + memory.accel + memory.training;
 }
 
-double each(std::uint64_t n_bytes, std::size_t count) {
+double compute_bytes_per_item(std::uint64_t n_bytes, std::size_t count) {
     return static_cast<double>(n_bytes) / static_cast<double>(std::max<std::size_t>(count, 1));
 }
 
@@ -59,9 +59,9 @@ std::string format_memory(const BenchMemory& memory, std::size_t n_surfels, std:
         "memory    {} at peak; {:.0f} bytes a surfel (scene {:.0f}, acceleration structure {:.0f}, gradients "
         "and moments {:.0f}), {:.0f} "
         "bytes a ray\n",
-        format_byte_size(memory.peak), each(count_surfel_bytes(memory), n_surfels),
-        each(memory.scene, n_surfels), each(memory.accel, n_surfels), each(memory.training, n_surfels),
-        each(memory.rays, n_rays));
+        format_byte_size(memory.peak), compute_bytes_per_item(count_surfel_bytes(memory), n_surfels),
+        compute_bytes_per_item(memory.scene, n_surfels), compute_bytes_per_item(memory.accel, n_surfels),
+        compute_bytes_per_item(memory.training, n_surfels), compute_bytes_per_item(memory.rays, n_rays));
 }
 
 /// Returns a lower bound for the time of each kernel, in milliseconds. The bound of a
@@ -127,9 +127,9 @@ Json make_memory_json(const BenchMemory& memory, std::size_t n_surfels, std::siz
             {"accel_bytes", memory.accel},
             {"training_bytes", memory.training},
             {"ray_bytes", memory.rays},
-            {"bytes_per_surfel", each(count_surfel_bytes(memory), n_surfels)},
-            {"accel_bytes_per_surfel", each(memory.accel, n_surfels)},
-            {"bytes_per_ray", each(memory.rays, n_rays)}};
+            {"bytes_per_surfel", compute_bytes_per_item(count_surfel_bytes(memory), n_surfels)},
+            {"accel_bytes_per_surfel", compute_bytes_per_item(memory.accel, n_surfels)},
+            {"bytes_per_ray", compute_bytes_per_item(memory.rays, n_rays)}};
 }
 
 }  // namespace
@@ -159,7 +159,7 @@ std::string format_bench(const DevCase& bench, const BenchResult& result, const 
     for (const BenchRow& row : result.kernels) add(row, row.name);
     for (const BenchRow& row : result.phases)
         add(row, format_phase(row.name, result.backward_mrays_per_s.has_value()));
-    text += "\n" + table(rows) +
+    text += "\n" + format_table(rows) +
             fmt::format("\nforward   {:.3f} Mrays/s, {:.2f} blended hits a ray\n", result.forward_mrays_per_s,
                         result.hits_per_ray);
     if (result.visits)
@@ -193,7 +193,7 @@ std::string make_bench_json(const DevCase& bench, const BenchSettings& settings,
                    {"columns", bench.columns},
                    {"chunk", bench.config.trace.chunk},
                    {"proxy", result.proxy},
-                   {"walk", get_walk_name(bench)},
+                   {"walk", get_traversal_mode_name(bench)},
                    {"sh", describe_sh(bench)},
                    {"sh_degree", bench.config.image.sh_degree},
                    {"keep_hits", result.kept_hits},

@@ -55,7 +55,7 @@ std::size_t count_first_returns(const Points& points) {
     return std::size_t(std::ranges::count(points.return_number, 1));
 }
 
-double length_m(const PoseTrack& track) {
+double compute_track_length_m(const PoseTrack& track) {
     double length = 0.0;
     for (std::size_t i = 1; i < track.pose.size(); ++i)
         length += glm::distance(track.pose[i].translation, track.pose[i - 1].translation);
@@ -70,7 +70,7 @@ void write_actor(const Run& run, const std::string& name, v1::Actor& message) {
     message.set_category(box->category);
     write_vector(box->size_m, *message.mutable_size_m());
     message.set_poses(track.pose.size());
-    message.set_length_m(length_m(track));
+    message.set_length_m(compute_track_length_m(track));
     if (track.time_s.empty()) return;
     message.set_begin_s(track.time_s.front());
     message.set_end_s(track.time_s.back());
@@ -159,7 +159,7 @@ void write_tracks(const Run& run, int lidar, const google::protobuf::RepeatedPtr
     const auto in_dataset = [&](const PoseTrack& track) { return shift_track(track, log.world_offset_m); };
     write_track(in_dataset(log.world_from_sensor(lidar)), *message.mutable_dataset_from_sensor());
     if (std::size_t(actors.size()) > run.scene.instances.size())
-        refuse("actors", fmt::format("{} names", actors.size()), "each actor at most once");
+        throw_refusal("actors", fmt::format("{} names", actors.size()), "each actor at most once");
     std::vector<std::string> names(actors.begin(), actors.end());
     if (names.empty()) names = list_actor_names_of_run(run);
     for (const std::string& name : names) {

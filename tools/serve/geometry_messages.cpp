@@ -20,7 +20,7 @@ constexpr int kMostPoses = 100'000;
 
 double read_number(double value, const std::string& field) {
     if (!(std::abs(value) <= kFarthest))
-        refuse(field, fmt::format("{}", value), "a finite number of at most 1e10");
+        throw_refusal(field, fmt::format("{}", value), "a finite number of at most 1e10");
     return value;
 }
 
@@ -39,7 +39,7 @@ Pose read_pose(const v1::Pose& message, const std::string& field) {
     pose.rotation = glm::dquat(q.w(), q.x(), q.y(), q.z());
     const double length = glm::length(pose.rotation);
     if (!(std::abs(length - 1.0) <= kUnitSlack))
-        refuse(field + ".rotation", fmt::format("a quaternion of length {}", length), "1");
+        throw_refusal(field + ".rotation", fmt::format("a quaternion of length {}", length), "1");
     if (std::abs(length - 1.0) > kDoublePrecision) pose.rotation = glm::normalize(pose.rotation);
     return pose;
 }
@@ -47,14 +47,14 @@ Pose read_pose(const v1::Pose& message, const std::string& field) {
 PoseTrack read_track(const google::protobuf::RepeatedPtrField<v1::TimedPose>& messages,
                      const std::string& field) {
     if (messages.empty() || messages.size() > kMostPoses)
-        refuse(field, fmt::format("{} poses", messages.size()), fmt::format("1 to {}", kMostPoses));
+        throw_refusal(field, fmt::format("{} poses", messages.size()), fmt::format("1 to {}", kMostPoses));
     PoseTrack track;
     for (int i = 0; i < messages.size(); ++i) {
         const std::string entry = fmt::format("{}[{}]", field, i);
         const double time_s = read_time(messages[i].time_s(), entry + ".time_s");
         if (i > 0 && !(time_s > track.time_s.back()))
-            refuse(entry + ".time_s", fmt::format("{} after {}", time_s, track.time_s.back()),
-                   "increasing times");
+            throw_refusal(entry + ".time_s", fmt::format("{} after {}", time_s, track.time_s.back()),
+                          "increasing times");
         track.time_s.push_back(time_s);
         track.pose.push_back(read_pose(messages[i].pose(), entry + ".pose"));
     }

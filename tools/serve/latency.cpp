@@ -42,8 +42,8 @@ Percentiles compute_percentiles(const std::vector<Sample>& samples, double Sampl
 
 /// Returns a request for a sweep between two successive poses of the log. After the last
 /// pose, the requests start again at the first pose.
-v1::RenderLidarRequest sweep(const LatencyOptions& options, const std::string& scene,
-                             const v1::GetTracksResponse& tracks, int number) {
+v1::RenderLidarRequest make_sweep_request(const LatencyOptions& options, const std::string& scene,
+                                          const v1::GetTracksResponse& tracks, int number) {
     v1::RenderLidarRequest request;
     request.set_scene(scene);
     if (!options.sensor.empty()) request.mutable_sensor()->set_name(options.sensor);
@@ -53,7 +53,7 @@ v1::RenderLidarRequest sweep(const LatencyOptions& options, const std::string& s
     return request;
 }
 
-Sample call(ScanClient& client, const v1::RenderLidarRequest& request) {
+Sample time_render_call(ScanClient& client, const v1::RenderLidarRequest& request) {
     const Clock::time_point begin = Clock::now();
     const v1::LidarScan scan = client.render(request);
     const double latency_ms = std::chrono::duration<double, std::milli>(Clock::now() - begin).count();
@@ -76,7 +76,7 @@ LatencyResult measure_latency(const LatencyOptions& options) {
     const v1::GetTracksResponse tracks = first.get_tracks(which);
     // The first call is not measured. It takes longer than later calls, because it
     // computes the rays of the sensor and allocates memory.
-    call(first, sweep(options, result.scene, tracks, 0));
+    call(first, make_sweep_request(options, result.scene, tracks, 0));
 
     std::vector<Sample> samples;
     std::exception_ptr failure;
@@ -90,7 +90,8 @@ LatencyResult measure_latency(const LatencyOptions& options) {
                 try {
                     ScanClient client(options.address);
                     for (int number = next++; number < options.calls; number = next++) {
-                        const Sample sample = call(client, sweep(options, result.scene, tracks, number));
+                        const Sample sample = time_render_call(
+                            client, make_sweep_request(options, result.scene, tracks, number));
                         const std::lock_guard lock(mutex);
                         samples.push_back(sample);
                     }

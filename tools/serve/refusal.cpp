@@ -10,13 +10,13 @@
 
 namespace relidar::serve {
 
-void refuse(const std::string& field, const std::string& found_value, const std::string& expected) {
+void throw_refusal(const std::string& field, const std::string& found_value, const std::string& expected) {
     throw Refusal(grpc::StatusCode::INVALID_ARGUMENT,
                   fmt::format("cannot read {}: found {}, expected {}", field, found_value, expected));
 }
 
-void refuse_unknown(const std::string& field, const std::string& name,
-                    const std::vector<std::string>& known_names) {
+void throw_unknown_name(const std::string& field, const std::string& name,
+                        const std::vector<std::string>& known_names) {
     const std::string nearest = find_nearest_name(name.substr(0, 80), known_names);
     const std::string expected = nearest.empty() ? "no name, because none exists"
                                                  : fmt::format("an existing name such as \"{}\"", nearest);
@@ -37,7 +37,7 @@ std::string quoted(const std::string& word) {
                             : fmt::format("\"{}...\" of {} bytes", shown, word.size());
 }
 
-grpc::Status answered(const std::function<void()>& answer) {
+grpc::Status run_with_grpc_status(const std::function<void()>& answer) {
     try {
         answer();
         return grpc::Status::OK;

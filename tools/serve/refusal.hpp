@@ -23,14 +23,14 @@ private:
 
 /// Rejects a request because one of its fields has an invalid value.
 /// @throws Refusal always
-[[noreturn]] void refuse(const std::string& field, const std::string& found_value,
-                         const std::string& expected);
+[[noreturn]] void throw_refusal(const std::string& field, const std::string& found_value,
+                                const std::string& expected);
 
 /// Rejects a request because it contains an unknown name.
 /// @param known_names valid names; the error message may suggest a similar one
 /// @throws Refusal always
-[[noreturn]] void refuse_unknown(const std::string& field, const std::string& name,
-                                 const std::vector<std::string>& known_names);
+[[noreturn]] void throw_unknown_name(const std::string& field, const std::string& name,
+                                     const std::vector<std::string>& known_names);
 
 /// Puts a client's text into quotes for an error message. Removes line breaks and
 /// shortens long texts.
@@ -38,6 +38,6 @@ std::string quoted(const std::string& word);
 
 /// Calls the function that handles a request. If the function throws an exception,
 /// returns an error status with a one-line message.
-grpc::Status answered(const std::function<void()>& answer);
+grpc::Status run_with_grpc_status(const std::function<void()>& answer);
 
 }  // namespace relidar::serve

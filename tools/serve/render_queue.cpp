@@ -103,8 +103,8 @@ Request* RenderQueue::next(const std::optional<std::size_t>& scene) {
 /// Runs submit() or finish() of a request. A request is done after finish(), or when one
 /// of them throws an exception.
 /// @param submits_last argument of submit(); without a value, runs finish() instead
-void RenderQueue::run_part(Request& request, std::optional<bool> submits_last,
-                           std::unique_lock<std::mutex>& lock) {
+void RenderQueue::run_request_part(Request& request, std::optional<bool> submits_last,
+                                   std::unique_lock<std::mutex>& lock) {
     lock.unlock();
     std::exception_ptr failure;
     std::optional<std::string> loss;
@@ -133,7 +133,7 @@ RenderQueue::Batch RenderQueue::submit(Request* request, std::unique_lock<std::m
     Batch batch;
     for (std::size_t n = 1; request; ++n) {
         Request* following = request->scene && n < batch_size_ ? next(request->scene) : nullptr;
-        run_part(*request, !following, lock);
+        run_request_part(*request, !following, lock);
         if (request->state_ == Request::State::in_flight) batch.push_back(request);
         request = following;
     }
@@ -141,7 +141,7 @@ RenderQueue::Batch RenderQueue::submit(Request* request, std::unique_lock<std::m
 }
 
 void RenderQueue::finish(const Batch& batch, std::unique_lock<std::mutex>& lock) {
-    for (Request* request : batch) run_part(*request, {}, lock);
+    for (Request* request : batch) run_request_part(*request, {}, lock);
 }
 
 void RenderQueue::serve() {

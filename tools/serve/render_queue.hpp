@@ -116,7 +116,8 @@ private:
     Request* next(const std::optional<std::size_t>& scene = {});
     Batch submit(Request* request, std::unique_lock<std::mutex>& lock);
     void finish(const Batch& batch, std::unique_lock<std::mutex>& lock);
-    void run_part(Request& request, std::optional<bool> submits_last, std::unique_lock<std::mutex>& lock);
+    void run_request_part(Request& request, std::optional<bool> submits_last,
+                          std::unique_lock<std::mutex>& lock);
     void wait(Request& request, std::unique_lock<std::mutex>& lock);
 };
 

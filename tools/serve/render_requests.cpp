@@ -21,10 +21,10 @@ std::vector<std::string> list_names_of_spawned(const std::vector<SpawnedActors::
 /// Calls a function with the renderer of the requested scene. If the scene cannot be
 /// loaded, the error message names the folder of its run.
 template <class Function>
-SceneSet::Load use(SceneSet& scenes, const RenderRequest& request, const Function& function) {
+SceneSet::Load use_requested_scene(SceneSet& scenes, const RenderRequest& request, const Function& function) {
     try {
         return scenes.use(request.scene, request.weather, [&](ScanRenderer& renderer) {
-            renderer.compute_views(request.boxes);
+            renderer.enable_actor_views(request.boxes);
             function(renderer);
         });
     } catch (const DataError& error) {
@@ -54,10 +54,10 @@ void ClientRequest::run(RenderQueue::Slot& slot) {
     const bool is_done = slot.run(*this) == RenderQueue::Outcome::done;
     if (is_done && !is_cancelled()) return;
     if (is_done) undo();
-    refuse_cancelled(context_);
+    throw_if_cancelled(context_);
 }
 
-void refuse_cancelled(const grpc::ServerContext& context) {
+void throw_if_cancelled(const grpc::ServerContext& context) {
     if (is_late(context))
         throw Refusal(grpc::StatusCode::DEADLINE_EXCEEDED,
                       "cannot answer the request: its deadline has passed; set a later deadline");
@@ -65,7 +65,7 @@ void refuse_cancelled(const grpc::ServerContext& context) {
 }
 
 void ScanImageRequest::submit(bool) {
-    use(scenes_, wanted_, [&](ScanRenderer& renderer) {
+    use_requested_scene(scenes_, wanted_, [&](ScanRenderer& renderer) {
         scan = renderer.render(*wanted_.sensor, wanted_.request, wanted_.sample);
     });
 }
@@ -81,7 +81,7 @@ void PointsRequest::submit(bool is_last) {
     try {
         for (const RenderRequest& scan : wanted_) {
             const Send when = is_last && &scan == &wanted_.back() ? Send::now : Send::with_next;
-            load_ = use(scenes_, scan, [&](ScanRenderer& renderer) {
+            load_ = use_requested_scene(scenes_, scan, [&](ScanRenderer& renderer) {
                 renderer.submit_points(*scan.sensor, scan.request, scan.points_at_s, scan.sample, when);
             });
             ++n_submitted_;

@@ -21,7 +21,7 @@ RenderQueue::Slot reserve(RenderQueue& queue);
 
 /// Ends a call whose client has disconnected or whose deadline has passed.
 /// @throws Refusal always
-[[noreturn]] void refuse_cancelled(const grpc::ServerContext& context);
+[[noreturn]] void throw_if_cancelled(const grpc::ServerContext& context);
 
 /// A request that a gRPC client has sent.
 class ClientRequest : public Request {
@@ -69,9 +69,9 @@ static_assert(2 * kBatchSize * kMostAtOnce <= ScanRenderer::kScansInFlight);
 class PointsRequest final : public ClientRequest {
 public:
     /// Creates the request.
-    /// @param wanted scans to render, at most kMostAtOnce
+    /// @param requests scans to render, at most kMostAtOnce
     PointsRequest(SceneSet& scenes, const grpc::ServerContext& context,
-                  std::span<const RenderRequest> wanted);
+                  std::span<const RenderRequest> requests);
     void submit(bool is_last) override;
     void finish() override;
 

@@ -38,7 +38,7 @@ bool is_far_beyond(double time_s, const PoseTrack& path) {
 double read_moment(double time_s, const PoseTrack& path, const std::string& field) {
     read_time(time_s, field);
     if (is_far_beyond(time_s, path))
-        refuse(
+        throw_refusal(
             field,
             fmt::format("the time {} s for a path from {} to {} s", time_s, path.time_s.front(),
                         path.time_s.back()),
@@ -63,11 +63,12 @@ std::vector<ActorRequest> read_actors(const v1::ActorTracks& message, double tim
                           read_track(message.actors(i).poses(), field + ".poses")});
         const PoseTrack& track = wishes.back().dataset_from_actor;
         if (is_far_beyond(time_s, track))
-            refuse(field + ".poses",
-                   fmt::format("poses from {} to {} s, which do not cover the scan at {} s",
-                               track.time_s.front(), track.time_s.back(), time_s),
-                   fmt::format("poses that cover the time of the scan, or that are at most {} s away from it",
-                               kBeyondPath_s));
+            throw_refusal(
+                field + ".poses",
+                fmt::format("poses from {} to {} s, which do not cover the scan at {} s",
+                            track.time_s.front(), track.time_s.back(), time_s),
+                fmt::format("poses that cover the time of the scan, or that are at most {} s away from it",
+                            kBeyondPath_s));
     }
     return wishes;
 }
@@ -109,7 +110,7 @@ std::size_t RequestReader::find_scene(const std::string& name, const std::string
         if (source.name == name) return names.size();
         names.push_back(source.name);
     }
-    refuse_unknown(field, name, names);
+    throw_unknown_name(field, name, names);
 }
 
 int RequestReader::find_lidar(std::size_t scene, const std::string& name, const std::string& field) const {
@@ -120,7 +121,7 @@ int RequestReader::find_lidar(std::size_t scene, const std::string& name, const 
         if (lidar.name == name) return int(names.size());
         names.push_back(lidar.name);
     }
-    refuse_unknown(field, name, names);
+    throw_unknown_name(field, name, names);
 }
 
 std::pair<std::string, std::shared_ptr<const SensorChoice>> RequestReader::upload(
@@ -146,7 +147,7 @@ std::shared_ptr<const SensorChoice> RequestReader::find_built_in_sensor(const st
 std::shared_ptr<const SensorChoice> RequestReader::find_sensor(const SensorRequest& request,
                                                                std::size_t scene, int lidar) {
     if (request.returns > 2)
-        refuse(request.field + ".returns", fmt::format("{}", request.returns), "0, 1 or 2");
+        throw_refusal(request.field + ".returns", fmt::format("{}", request.returns), "0, 1 or 2");
     std::shared_ptr<const SensorChoice> sensor;
     if (request.sensor.has_spec()) {
         sensor =
@@ -164,8 +165,8 @@ std::shared_ptr<const SensorChoice> RequestReader::find_sensor(const SensorReque
         sensor = find_built_in_sensor(request.sensor.name(), scene, lidar);
     }
     if (count_rays(*sensor) == 0)
-        refuse(request.field, "a LiDAR of the log whose beams are unknown",
-               "another sensor, because this LiDAR has no rays outside the scans of the log");
+        throw_refusal(request.field, "a LiDAR of the log whose beams are unknown",
+                      "another sensor, because this LiDAR has no rays outside the scans of the log");
     const int returns = int(request.returns);
     if (sensor->lidar == lidar && sensor->returns == returns) return sensor;
     SensorChoice placed = *sensor;
@@ -190,7 +191,7 @@ std::vector<PlacedActor> RequestReader::list_known_actors(std::size_t scene) con
         actors.push_back({instance.track, instance.track, box.category, i, box.size_m,
                           run.scene.models[instance.model].count});
     }
-    for (const SpawnedActors::Place& place : spawned_.list_taken_places(scene)) {
+    for (const SpawnedActors::Place& place : spawned_.list_occupied_slots(scene)) {
         const auto& [is_asset, source] = place.actor.source;
         actors.push_back({place.actor.name, make_track_of_slot(place.position),
                           is_asset ? assets_.find(source)->facts.category : find_actor_box(source).category,
@@ -208,16 +209,16 @@ void RequestReader::place_actors(const std::vector<ActorRequest>& requests, Rend
     ActorPoses& poses = request.request.dataset_from_actor.emplace();
     for (const ActorRequest& wish : requests) {
         const auto match = by_name.find(wish.name);
-        if (match == by_name.end()) refuse_unknown(wish.field, wish.name, list_actor_names(known_placed));
+        if (match == by_name.end()) throw_unknown_name(wish.field, wish.name, list_actor_names(known_placed));
         if (!poses.emplace(match->second->track, wish.dataset_from_actor).second)
-            refuse(wish.field, quoted(wish.name) + " again", "each actor once");
+            throw_refusal(wish.field, quoted(wish.name) + " again", "each actor once");
         request.placed.push_back(*match->second);
     }
 }
 
 std::vector<ActorToSpawn> RequestReader::read_spawns(const v1::SpawnActorsRequest& message,
                                                      std::size_t scene) const {
-    if (message.actors().empty()) refuse("actors", "none", "at least one actor");
+    if (message.actors().empty()) throw_refusal("actors", "none", "at least one actor");
     const std::vector<std::string> run_actors = list_actor_names_of_run(outlines_[scene]);
     const std::vector<PlacedActor> known = list_known_actors(scene);
     std::vector<ActorToSpawn> wishes;
@@ -225,8 +226,8 @@ std::vector<ActorToSpawn> RequestReader::read_spawns(const v1::SpawnActorsReques
         const v1::Spawn& spawn = message.actors(i);
         const std::string field = fmt::format("actors[{}]", i);
         if (spawn.name().empty() || spawn.name().size() > kLongestSpawnName)
-            refuse(field + ".name", quoted(spawn.name()),
-                   fmt::format("a name of 1 to {} bytes", kLongestSpawnName));
+            throw_refusal(field + ".name", quoted(spawn.name()),
+                          fmt::format("a name of 1 to {} bytes", kLongestSpawnName));
         if (std::ranges::find(run_actors, spawn.name()) != run_actors.end())
             throw Refusal(
                 grpc::StatusCode::ALREADY_EXISTS,
@@ -235,14 +236,14 @@ std::vector<ActorToSpawn> RequestReader::read_spawns(const v1::SpawnActorsReques
                     field, quoted(spawn.name())));
         if (spawn.has_asset()) {
             const AssetCatalogue::Entry* asset = assets_.find(spawn.asset());
-            if (!asset) refuse_unknown(field + ".asset", spawn.asset(), list_asset_names(assets_));
+            if (!asset) throw_unknown_name(field + ".asset", spawn.asset(), list_asset_names(assets_));
             wishes.push_back(
                 {spawn.name(), {true, spawn.asset()}, asset->facts.size_m, asset->facts.surfels});
             continue;
         }
-        if (!spawn.has_actor()) refuse(field, "neither actor nor asset", "one of them");
+        if (!spawn.has_actor()) throw_refusal(field, "neither actor nor asset", "one of them");
         const auto actor = std::ranges::find(run_actors, spawn.actor());
-        if (actor == run_actors.end()) refuse_unknown(field + ".actor", spawn.actor(), run_actors);
+        if (actor == run_actors.end()) throw_unknown_name(field + ".actor", spawn.actor(), run_actors);
         // The index also fits `known`, because this list begins with the actors of the
         // run.
         const PlacedActor& model = known[std::size_t(actor - run_actors.begin())];
@@ -282,8 +283,8 @@ RenderRequest RequestReader::read(const v1::RenderLidarRequest& message) {
 
 std::vector<RenderRequest> RequestReader::read(const v1::RenderRigRequest& message) {
     if (message.sensors().empty() || message.sensors_size() > kMostSensors)
-        refuse("sensors", fmt::format("a rig with {} sensors", message.sensors_size()),
-               fmt::format("1 to {}", kMostSensors));
+        throw_refusal("sensors", fmt::format("a rig with {} sensors", message.sensors_size()),
+                      fmt::format("1 to {}", kMostSensors));
     std::vector<RenderRequest> scans;
     // names of the sensors, to detect duplicates; a name is optional
     std::set<std::string_view> names;
@@ -291,7 +292,8 @@ std::vector<RenderRequest> RequestReader::read(const v1::RenderRigRequest& messa
         const v1::RigSensor& sensor = message.sensors(i);
         const std::string field = fmt::format("sensors[{}]", i);
         if (!sensor.name().empty() && !names.insert(sensor.name()).second)
-            refuse(field + ".name", quoted(sensor.name()) + " again", "a different name for each sensor");
+            throw_refusal(field + ".name", quoted(sensor.name()) + " again",
+                          "a different name for each sensor");
         const Pose rig_from_sensor = read_pose(sensor.rig_from_sensor(), field + ".rig_from_sensor");
         scans.push_back(read_scan(message.rig(), {sensor.sensor(), field + ".sensor", sensor.returns()},
                                   rig_from_sensor));

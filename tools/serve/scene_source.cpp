@@ -22,7 +22,7 @@ std::string get_folder_name(const std::string& folder) {
 
 Run SceneSource::load() const {
     Run run = load_run(folder);
-    if (channels) set_key(run.config, "render.channels", *channels);
+    if (channels) set_config_value(run.config, "render.channels", *channels);
     return run;
 }
 

@@ -17,7 +17,7 @@ constexpr double kMiB = 1024.0 * 1024.0;
 
 /// Returns the run without its surfels and its ray-drop network, which need most of the
 /// memory.
-Run make_outline(Run run) {
+Run copy_without_model_data(Run run) {
     run.scene = copy_layout(run.scene);
     run.drop_network = {};
     return run;
@@ -49,13 +49,13 @@ SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64
     for (std::size_t i = 0; i < sources_.size(); ++i) {
         Run run = sources_[i].load();
         load(i, run);
-        outlines_.push_back(make_outline(std::move(run)));
+        outlines_.push_back(copy_without_model_data(std::move(run)));
         if (loaded_[i].bytes > memory_bytes_)
             throw DataError(fmt::format(
                 "cannot serve {}: it needs {:.1f} MiB of device memory, expected at most {:.1f} MiB "
                 "(--memory-mib)",
                 sources_[i].folder.string(), double(loaded_[i].bytes) / kMiB, double(memory_bytes_) / kMiB));
-        make_room(i, 0);
+        free_scene_memory(i, 0);
     }
 }
 
@@ -63,8 +63,8 @@ SceneSet::Load SceneSet::use(std::size_t scene, const std::optional<Weather>& we
                              const std::function<void(ScanRenderer&)>& work) {
     loaded_[scene].used = ++clock_;
     if (!loaded_[scene].renderer) {
-        make_room(scene, loaded_[scene].bytes);
-        load_with_places(scene);
+        free_scene_memory(scene, loaded_[scene].bytes);
+        load_with_spawn_slots(scene);
     }
     attempt(scene, [&](ScanRenderer& renderer) {
         renderer.set_weather(weather.value_or(sources_[scene].weather));
@@ -72,7 +72,7 @@ SceneSet::Load SceneSet::use(std::size_t scene, const std::optional<Weather>& we
     });
     // Unloads other scenes if memory is exceeded, because rendering may have allocated
     // larger arrays for a sensor with more rays.
-    make_room(scene, 0);
+    free_scene_memory(scene, 0);
     return loaded_[scene].load;
 }
 
@@ -86,7 +86,7 @@ void SceneSet::call_with_loaded_scene(std::size_t scene, Load load,
 
 void SceneSet::attempt(std::size_t scene, const std::function<void(ScanRenderer&)>& work) {
     try {
-        count_growth(scene, [&] { work(*loaded_[scene].renderer); });
+        measure_memory_growth(scene, [&] { work(*loaded_[scene].renderer); });
     } catch (const DeviceError&) {
         // The state of the renderer is unknown after an error. The next request loads the
         // scene again.
@@ -100,7 +100,7 @@ void SceneSet::load(std::size_t scene, const Run& run) {
     loaded.bytes = 0;
     loaded.used = ++clock_;
     loaded.load = Load(std::uint64_t(loaded.load) + 1);
-    count_growth(scene, [&] {
+    measure_memory_growth(scene, [&] {
         loaded.renderer = std::make_unique<ScanRenderer>(device_, run);
         loaded.renderer->render(make_one_ray(), make_first_pose_request(run));
     });
@@ -113,7 +113,7 @@ void SceneSet::load(std::size_t scene, const Run& run) {
 }
 
 /// Loads the run together with the actors that clients have added.
-void SceneSet::load_with_places(std::size_t scene) {
+void SceneSet::load_with_spawn_slots(std::size_t scene) {
     const std::vector<SpawnedActors::Place> places = spawned_.places(scene);
     Run run = sources_[scene].load();
     add_places(run, places, assets_);
@@ -135,9 +135,9 @@ std::vector<SpawnedActors::Place> SceneSet::spawn(std::size_t scene,
     };
     try {
         loaded.renderer.reset();
-        make_room(scene, loaded.bytes);
-        load_with_places(scene);
-        make_room(scene, 0);
+        free_scene_memory(scene, loaded.bytes);
+        load_with_spawn_slots(scene);
+        free_scene_memory(scene, 0);
     } catch (const DataError& error) {
         undo();
         throw Refusal(grpc::StatusCode::FAILED_PRECONDITION,
@@ -162,7 +162,7 @@ std::vector<SpawnedActors::Place> SceneSet::spawn(std::size_t scene,
 
 /// Unloads other scenes, the least recently used first, until `bytes` more bytes fit into
 /// the memory.
-void SceneSet::make_room(std::size_t scene, std::uint64_t bytes) {
+void SceneSet::free_scene_memory(std::size_t scene, std::uint64_t bytes) {
     while (device_.allocated_bytes() + bytes > memory_bytes_) {
         Loaded* oldest = nullptr;
         for (std::size_t i = 0; i < loaded_.size(); ++i)
@@ -175,7 +175,7 @@ void SceneSet::make_room(std::size_t scene, std::uint64_t bytes) {
 
 /// Calls a function, and adds the device memory that it allocates to the recorded size of
 /// the scene.
-void SceneSet::count_growth(std::size_t scene, const std::function<void()>& work) {
+void SceneSet::measure_memory_growth(std::size_t scene, const std::function<void()>& work) {
     const std::uint64_t before = device_.allocated_bytes();
     work();
     loaded_[scene].bytes += device_.allocated_bytes() - before;

@@ -87,9 +87,9 @@ private:
     std::uint64_t clock_ = 0;
 
     void load(std::size_t scene, const Run& run);
-    void load_with_places(std::size_t scene);
-    void make_room(std::size_t scene, std::uint64_t bytes);
-    void count_growth(std::size_t scene, const std::function<void()>& work);
+    void load_with_spawn_slots(std::size_t scene);
+    void free_scene_memory(std::size_t scene, std::uint64_t bytes);
+    void measure_memory_growth(std::size_t scene, const std::function<void()>& work);
     void attempt(std::size_t scene, const std::function<void(ScanRenderer&)>& work);
 };
 

@@ -25,18 +25,18 @@ constexpr double kFarthestOrigin_m = 1000.0, kLongestScan_s = 60.0, kFarthestRan
 
 void check_count(const std::string& field, std::uint64_t rays) {
     if (rays < 1 || rays > kMostRaysOfScan)
-        refuse(field, fmt::format("{} rays per scan", rays), fmt::format("1 to {}", kMostRaysOfScan));
+        throw_refusal(field, fmt::format("{} rays per scan", rays), fmt::format("1 to {}", kMostRaysOfScan));
 }
 
 void check_rows(const std::string& field, std::uint64_t rows) {
     if (rows > kMostRows)
-        refuse(field, fmt::format("{} rows per scan", rows),
-               fmt::format("at most {}, because ring numbers have 16 bits", kMostRows));
+        throw_refusal(field, fmt::format("{} rows per scan", rows),
+                      fmt::format("at most {}, because ring numbers have 16 bits", kMostRows));
 }
 
 double read_between(const std::string& field, double value, double low, double high) {
     if (!(value >= low && value <= high))
-        refuse(field, fmt::format("{}", value), fmt::format("a number from {} to {}", low, high));
+        throw_refusal(field, fmt::format("{}", value), fmt::format("a number from {} to {}", low, high));
     return value;
 }
 
@@ -45,9 +45,9 @@ double read_between(const std::string& field, double value, double low, double h
 template <class T>
 std::vector<T> read_array(const std::string& bytes, std::size_t count, const std::string& field) {
     if (!bytes.empty() && bytes.size() != count * sizeof(T))
-        refuse(field, fmt::format("{} bytes", bytes.size()),
-               fmt::format("{} bytes: a value of {} bytes for each of {} rays", count * sizeof(T), sizeof(T),
-                           count));
+        throw_refusal(field, fmt::format("{} bytes", bytes.size()),
+                      fmt::format("{} bytes: a value of {} bytes for each of {} rays", count * sizeof(T),
+                                  sizeof(T), count));
     std::vector<T> values(bytes.size() / sizeof(T));
     if (!bytes.empty()) std::memcpy(values.data(), bytes.data(), bytes.size());
     return values;
@@ -56,7 +56,7 @@ std::vector<T> read_array(const std::string& bytes, std::size_t count, const std
 void check_values(const RayTable& rays, const std::string& field) {
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const auto fail = [&](const char* name, float found, const std::string& expected) {
-            refuse(fmt::format("{}.{} of ray {}", field, name, i), fmt::format("{}", found), expected);
+            throw_refusal(fmt::format("{}.{} of ray {}", field, name, i), fmt::format("{}", found), expected);
         };
         const float length = glm::length(rays.direction[i]), time_s = rays.time_offset_s[i];
         if (!(std::abs(double(length) - 1.0) <= kUnitSlack)) fail("direction", length, "a length of 1");
@@ -73,14 +73,15 @@ void check_values(const RayTable& rays, const std::string& field) {
 RayTable read_rays(const v1::RayTable& message, const std::string& field) {
     static_assert(sizeof(glm::vec3) == 12);
     if (message.direction().size() % sizeof(glm::vec3) != 0)
-        refuse(field + ".direction", fmt::format("{} bytes", message.direction().size()), "a multiple of 12");
+        throw_refusal(field + ".direction", fmt::format("{} bytes", message.direction().size()),
+                      "a multiple of 12");
     const std::size_t n = message.direction().size() / sizeof(glm::vec3);
     check_count(field + ".direction", n);
     const bool has_order = message.rows() != 0 || message.columns() != 0;
     if (has_order && std::uint64_t(message.rows()) * message.columns() != n)
-        refuse(field,
-               fmt::format("{} rows, {} columns and {} directions", message.rows(), message.columns(), n),
-               "one direction for each combination of row and column");
+        throw_refusal(
+            field, fmt::format("{} rows, {} columns and {} directions", message.rows(), message.columns(), n),
+            "one direction for each combination of row and column");
     check_rows(field, message.rows());
     RayTable rays;
     rays.rows = has_order ? int(message.rows()) : 1;
@@ -119,10 +120,10 @@ SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::strin
     // of real sensors can be slightly out of order.
     if (const auto& beams = sensor.beams;
         !beams.empty() && beams.back().elevation_rad > beams.front().elevation_rad)
-        refuse(field + ".beams",
-               fmt::format("a first beam at {} rad and a last beam at {} rad", beams.front().elevation_rad,
-                           beams.back().elevation_rad),
-               "beams from the highest to the lowest, because row 0 of an image is the highest");
+        throw_refusal(field + ".beams",
+                      fmt::format("a first beam at {} rad and a last beam at {} rad",
+                                  beams.front().elevation_rad, beams.back().elevation_rad),
+                      "beams from the highest to the lowest, because row 0 of an image is the highest");
     sensor.columns = int(message.columns());
     sensor.period_s = read_between(field + ".period_s", message.period_s(), 1e-4, kLongestScan_s);
     sensor.clockwise = !message.counter_clockwise();
@@ -173,7 +174,7 @@ std::string get_base_name(const std::string& name) {
 SensorChoice read_sensor(const v1::SensorSpec& message, const std::string& field) {
     SensorModel sensor;
     if (message.name().size() > kLongestName)
-        refuse(field + ".name", quoted(message.name()), fmt::format("at most {} bytes", kLongestName));
+        throw_refusal(field + ".name", quoted(message.name()), fmt::format("at most {} bytes", kLongestName));
     sensor.name = message.name().empty() ? "a client's sensor" : message.name();
     sensor.limits.max_m = read_between(field + ".max_range_m",
                                        message.has_max_range_m() ? message.max_range_m() : kDefaultRange_m,
@@ -194,7 +195,7 @@ SensorChoice read_sensor(const v1::SensorSpec& message, const std::string& field
             sensor.pattern = read_rosette(message.rosette(), field + ".rosette");
             break;
         case v1::SensorSpec::PATTERN_NOT_SET:
-            refuse(field, "no pattern", "rays, spinning, window or rosette");
+            throw_refusal(field, "no pattern", "rays, spinning, window or rosette");
     }
     const double divergence_rad =
         read_between(field + ".divergence_rad", message.divergence_rad(), 0.0, kWidestBeam_rad);
@@ -217,9 +218,9 @@ SensorChoice find_named_sensor(const std::string& name, const Run& run, int lida
     std::vector<std::string> known = list_sensor_names();
     if (!find_known_name(get_base_name(name), known)) {
         known.push_back("native");
-        refuse("sensor.name", quoted(name),
-               fmt::format("a name that ListScenes returns, such as {}",
-                           find_nearest_name(name.substr(0, 80), known)));
+        throw_refusal("sensor.name", quoted(name),
+                      fmt::format("a name that ListScenes returns, such as {}",
+                                  find_nearest_name(name.substr(0, 80), known)));
     }
     const SensorModel sensor = find_sensor(name);
     check_count("sensor.name " + quoted(name), describe_pattern(sensor.pattern).n_rays);

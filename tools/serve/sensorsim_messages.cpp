@@ -30,11 +30,12 @@ constexpr WireLidar kLidars[] = {{sensorsim::PANDAR128, "Pandar128", 0.1}, {sens
 const WireLidar& find_wire_lidar(sensorsim::LidarType type) {
     const auto match = std::ranges::find(kLidars, type, &WireLidar::type);
     if (match == std::end(kLidars))
-        refuse("lidar.lidar_type", fmt::format("{}", int(type)), "0 (PANDAR128), 1 (AT128) or 2 (OTHER)");
+        throw_refusal("lidar.lidar_type", fmt::format("{}", int(type)),
+                      "0 (PANDAR128), 1 (AT128) or 2 (OTHER)");
     return *match;
 }
 
-bool same(const Pose& first, const Pose& second) {
+bool are_poses_equal(const Pose& first, const Pose& second) {
     return first.translation == second.translation && first.rotation == second.rotation;
 }
 
@@ -74,8 +75,8 @@ std::shared_ptr<const SensorChoice> SensorsimReader::sensor(const sensorsim::Lid
     const bool is_of_log = type == sensorsim::OTHER;
     const std::vector<Lidar>& lidars = outlines_[scene].sequence.lidars;
     if (is_of_log && id.empty() && lidars.size() > 1)
-        refuse("lidar.logical_id", "none with lidar_type OTHER",
-               fmt::format("the name of one of the log's {} LiDARs", lidars.size()));
+        throw_refusal("lidar.logical_id", "none with lidar_type OTHER",
+                      fmt::format("the name of one of the log's {} LiDARs", lidars.size()));
     const int lidar = reader_.find_lidar(scene, id, "lidar.logical_id");
     const std::string name = is_of_log ? "native" : find_wire_lidar(type).name;
     const std::uint64_t frame_us = message.frame_end_us() - message.frame_start_us();
@@ -83,8 +84,8 @@ std::shared_ptr<const SensorChoice> SensorsimReader::sensor(const sensorsim::Lid
     if (auto sensor = sensors_.find(key)) return sensor;
     SensorChoice sensor = find_named_sensor(name, outlines_[scene], lidar);
     if (count_rays(sensor) == 0)
-        refuse("lidar.logical_id", quoted(id) + ", a LiDAR whose beams are unknown",
-               "another LiDAR, or the lidar_type PANDAR128 or AT128");
+        throw_refusal("lidar.logical_id", quoted(id) + ", a LiDAR whose beams are unknown",
+                      "another LiDAR, or the lidar_type PANDAR128 or AT128");
     const double period_s =
         is_of_log ? lidars[std::size_t(lidar)].period_s() : find_wire_lidar(type).period_s;
     const float stretch = period_s > 0.0 ? float(double(frame_us) * kMicrosecond / period_s) : 1.0f;
@@ -94,7 +95,7 @@ std::shared_ptr<const SensorChoice> SensorsimReader::sensor(const sensorsim::Lid
 
 Pose SensorsimReader::read_pose(const sensorsim::Pose& message, const std::string& field) const {
     if (!message.has_translation() || !message.has_rotation())
-        refuse(field, message.has_translation() ? "no rotation" : "no translation", "both");
+        throw_refusal(field, message.has_translation() ? "no rotation" : "no translation", "both");
     v1::Pose wide;
     wide.mutable_translation()->set_x(double(message.translation().x()));
     wide.mutable_translation()->set_y(double(message.translation().y()));
@@ -111,22 +112,22 @@ Pose SensorsimReader::read_pose(const sensorsim::Pose& message, const std::strin
 PoseTrack SensorsimReader::read_track(const sensorsim::PosePair& message, const Frame& frame,
                                       const std::string& field) const {
     if (!message.has_start() || !message.has_end())
-        refuse(field, message.has_start() ? "no pose at the end" : "no pose at the start", "both");
+        throw_refusal(field, message.has_start() ? "no pose at the end" : "no pose at the start", "both");
     Pose start = read_pose(message.start(), field + ".start"), end = read_pose(message.end(), field + ".end");
     start.translation += frame.world_offset_m;
     end.translation += frame.world_offset_m;
     if (frame.end_s > frame.start_s) return {{frame.start_s, frame.end_s}, {start, end}};
-    if (!same(start, end))
-        refuse(field, "two different poses in a frame without duration",
-               "the same pose at start and end, or a frame_end_us after frame_start_us");
+    if (!are_poses_equal(start, end))
+        throw_refusal(field, "two different poses in a frame without duration",
+                      "the same pose at start and end, or a frame_end_us after frame_start_us");
     return {{frame.start_s}, {start}};
 }
 
 RenderRequest SensorsimReader::read(const sensorsim::LidarRenderRequest& message) {
     const std::uint64_t start_us = message.frame_start_us(), end_us = message.frame_end_us();
     if (end_us < start_us || end_us - start_us > kLongestFrame_us)
-        refuse("frame_end_us", fmt::format("{} with frame_start_us {}", end_us, start_us),
-               fmt::format("a time in microseconds that is at most {} later", kLongestFrame_us));
+        throw_refusal("frame_end_us", fmt::format("{} with frame_start_us {}", end_us, start_us),
+                      fmt::format("a time in microseconds that is at most {} later", kLongestFrame_us));
     RenderRequest wanted;
     wanted.scene = find_scene(message.scene_id());
     const Frame frame{read_time(double(start_us) * kMicrosecond, "frame_start_us"),

@@ -19,7 +19,7 @@ namespace {
 // Maximum number of scans per call. The maximum number of sensors of a rig is the same.
 constexpr int kMostScans = 64;
 
-[[noreturn]] void refuse_images(const std::string& call, const std::string& found_value) {
+[[noreturn]] void throw_unsupported_images(const std::string& call, const std::string& found_value) {
     throw Refusal(
         grpc::StatusCode::UNIMPLEMENTED,
         fmt::format("cannot answer {}: found {}, expected only LiDAR scans (render_lidar), because relidar "
@@ -64,8 +64,9 @@ public:
                 calls.render_lidar(context, request, answer);
             });
         add<sensorsim::RgbRenderRequest, sensorsim::RgbRenderReturn>(
-            "render_rgb",
-            [](Context, const auto&, auto&) { refuse_images("render_rgb", "a request for an image"); });
+            "render_rgb", [](Context, const auto&, auto&) {
+                throw_unsupported_images("render_rgb", "a request for an image");
+            });
         add<sensorsim::AggregatedRenderRequest, sensorsim::AggregatedRenderReturn>(
             "render_aggregated", [&](Context context, const auto& request, auto& answer) {
                 calls.render_aggregated(context, request, answer);
@@ -84,7 +85,7 @@ private:
         using grpc::internal::RpcMethodHandler, grpc::internal::RpcServiceMethod;
         const auto call = [function](NamedService*, grpc::ServerContext* context,
                                      const RequestMessage* request, Answer* answer) {
-            return answered([&] { function(*context, *request, *answer); });
+            return run_with_grpc_status([&] { function(*context, *request, *answer); });
         };
         AddMethod(new RpcServiceMethod(
             methods_.emplace_back(path_ + method).c_str(), grpc::internal::RpcMethod::NORMAL_RPC,
@@ -98,13 +99,13 @@ SensorsimService::SensorsimService(RenderQueue& queue, SceneSet& scenes, PoseOrd
       order_(order),
       scene_reader_(std::make_unique<RequestReader>(scenes)),
       reader_(std::make_unique<SensorsimReader>(scenes.outlines(), *scene_reader_, order)) {
-    for (const std::string& name : full_names())
+    for (const std::string& name : list_full_names())
         named_.push_back(std::make_unique<NamedService>(*this, name));
 }
 
 SensorsimService::~SensorsimService() = default;
 
-std::vector<std::string> SensorsimService::full_names() {
+std::vector<std::string> SensorsimService::list_full_names() {
     std::vector<std::string> names;
     for (const std::string package : kPackages) names.push_back(package + ".sensorsim.SensorsimService");
     return names;
@@ -148,9 +149,9 @@ void SensorsimService::get_available_trajectories(const sensorsim::SceneRequest&
     write_trajectories(scenes_.outlines()[reader_->find_scene(request.scene_id())], order_, answer);
 }
 
-void SensorsimService::render(RenderQueue::Slot& slot, const RenderRequest& wanted,
+void SensorsimService::render(RenderQueue::Slot& slot, const RenderRequest& render_request,
                               const grpc::ServerContext& context, sensorsim::LidarRenderReturn& answer) {
-    PointsRequest request(scenes_, context, {&wanted, 1});
+    PointsRequest request(scenes_, context, {&render_request, 1});
     request.run(slot);
     write_points(request.points.front().points, answer);
 }
@@ -166,10 +167,11 @@ void SensorsimService::render_aggregated(const grpc::ServerContext& context,
                                          const sensorsim::AggregatedRenderRequest& request,
                                          sensorsim::AggregatedRenderReturn& answer) {
     if (request.rgb_size() > 0)
-        refuse_images("render_aggregated", fmt::format("a request for {} images", request.rgb_size()));
+        throw_unsupported_images("render_aggregated",
+                                 fmt::format("a request for {} images", request.rgb_size()));
     if (request.lidar_size() > kMostScans)
-        refuse("lidar", fmt::format("{} scans", request.lidar_size()),
-               fmt::format("at most {} per call", kMostScans));
+        throw_refusal("lidar", fmt::format("{} scans", request.lidar_size()),
+                      fmt::format("at most {} per call", kMostScans));
     // One slot for all scans of the call, so that the call is not rejected in the middle.
     RenderQueue::Slot slot = reserve(queue_);
     std::vector<RenderRequest> wanted;

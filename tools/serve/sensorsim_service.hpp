@@ -33,7 +33,7 @@ public:
     void register_at(grpc::ServerBuilder& builder);
     /// Returns the full names of the service, such as
     /// "nre.grpc.protos.sensorsim.SensorsimService".
-    static std::vector<std::string> full_names();
+    static std::vector<std::string> list_full_names();
 
 private:
     class NamedService;

@@ -97,7 +97,7 @@ struct ScanServer::Impl {
 
     void run_on_render_thread(const std::function<void()>& work) { queue.reserve()->run(work); }
     void listen(const ServerOptions& options);
-    void set_serving(bool serving);
+    void set_health_status(bool serving);
 };
 
 void ScanServer::Impl::listen(const ServerOptions& options) {
@@ -123,7 +123,7 @@ void ScanServer::Impl::listen(const ServerOptions& options) {
         throw UsageError(
             fmt::format("cannot listen at {}: gRPC does not start{}", options.listen,
                         options.tls_cert.empty() ? "" : ", expected a certificate that matches its key"));
-    set_serving(true);
+    set_health_status(true);
     acceptor->start([this](int listener, int connection) {
         grpc::experimental::ExternalConnectionAcceptor::NewConnectionParameters accepted;
         accepted.listener_fd = listener;
@@ -132,11 +132,12 @@ void ScanServer::Impl::listen(const ServerOptions& options) {
     });
 }
 
-void ScanServer::Impl::set_serving(bool serving) {
+void ScanServer::Impl::set_health_status(bool serving) {
     grpc::HealthCheckServiceInterface& health = *server->GetHealthCheckService();
     health.SetServingStatus(v1::RenderService::service_full_name(), serving);
     if (sensorsim)
-        for (const std::string& name : SensorsimService::full_names()) health.SetServingStatus(name, serving);
+        for (const std::string& name : SensorsimService::list_full_names())
+            health.SetServingStatus(name, serving);
     // The empty name means the complete server in the gRPC health protocol.
     if (!serving) health.SetServingStatus("", false);
 }
@@ -168,7 +169,7 @@ std::vector<std::string> ScanServer::scenes() const {
 
 std::optional<std::string> ScanServer::get_device_loss_message() {
     const std::optional<std::string> loss = impl_->queue.get_device_loss_message();
-    if (loss) impl_->set_serving(false);
+    if (loss) impl_->set_health_status(false);
     return loss;
 }
 

@@ -23,14 +23,14 @@ void write_times(const Request& request, v1::LidarScan& answer) {
 
 }  // namespace
 
-RenderedScan RenderService::render_image(RenderQueue::Slot& slot, const RenderRequest& wanted,
+RenderedScan RenderService::render_image(RenderQueue::Slot& slot, const RenderRequest& render_request,
                                          const grpc::ServerContext& context, v1::LidarScan& answer) {
-    ScanImageRequest request(scenes_, context, wanted);
+    ScanImageRequest request(scenes_, context, render_request);
     request.run(slot);
-    const Run& run = scenes_.outlines()[wanted.scene];
-    write_scan(request.scan, wanted, run.config, answer);
-    if (wanted.boxes) write_boxes(request.scan, wanted, run, answer);
-    write_sparse_actors(wanted, answer);
+    const Run& run = scenes_.outlines()[render_request.scene];
+    write_scan(request.scan, render_request, run.config, answer);
+    if (render_request.boxes) write_boxes(request.scan, render_request, run, answer);
+    write_sparse_actors(render_request, answer);
     write_times(request, answer);
     return std::move(request.scan);
 }
@@ -49,11 +49,11 @@ void RenderService::render_points(RenderQueue::Slot& slot, std::span<const Rende
 
 grpc::Status RenderService::ListScenes(grpc::ServerContext*, const v1::ListScenesRequest*,
                                        v1::ListScenesResponse* answer) {
-    return answered([&] {
+    return run_with_grpc_status([&] {
         for (std::size_t i = 0; i < scenes_.outlines().size(); ++i)
             write_scene(scenes_.sources()[i].name, scenes_.outlines()[i], *answer->add_scenes());
         for (std::size_t i = 0; i < scenes_.outlines().size(); ++i)
-            for (const SpawnedActors::Place& place : scenes_.spawned().list_taken_places(i))
+            for (const SpawnedActors::Place& place : scenes_.spawned().list_occupied_slots(i))
                 write_spawned(place, scenes_.outlines()[i], *answer->mutable_scenes(int(i))->add_spawned());
         for (const AssetCatalogue::Entry& entry : scenes_.assets().entries())
             write_asset(entry.facts, *answer->add_assets());
@@ -63,7 +63,7 @@ grpc::Status RenderService::ListScenes(grpc::ServerContext*, const v1::ListScene
 
 grpc::Status RenderService::GetTracks(grpc::ServerContext*, const v1::GetTracksRequest* request,
                                       v1::GetTracksResponse* answer) {
-    return answered([&] {
+    return run_with_grpc_status([&] {
         const std::size_t scene = reader_.find_scene(request->scene());
         const int lidar = reader_.find_lidar(scene, request->lidar());
         write_tracks(scenes_.outlines()[scene], lidar, request->actors(), *answer);
@@ -72,7 +72,7 @@ grpc::Status RenderService::GetTracks(grpc::ServerContext*, const v1::GetTracksR
 
 grpc::Status RenderService::SpawnActors(grpc::ServerContext* context, const v1::SpawnActorsRequest* request,
                                         v1::SpawnActorsResponse* answer) {
-    return answered([&] {
+    return run_with_grpc_status([&] {
         RenderQueue::Slot slot = reserve(queue_);
         const std::size_t scene = reader_.find_scene(request->scene());
         const std::vector<ActorToSpawn> wishes = reader_.read_spawns(*request, scene);
@@ -85,16 +85,16 @@ grpc::Status RenderService::SpawnActors(grpc::ServerContext* context, const v1::
 
 grpc::Status RenderService::DespawnActors(grpc::ServerContext*, const v1::DespawnActorsRequest* request,
                                           v1::DespawnActorsResponse* answer) {
-    return answered([&] {
+    return run_with_grpc_status([&] {
         const std::size_t scene = reader_.find_scene(request->scene());
         scenes_.spawned().release(scene, {request->names().begin(), request->names().end()});
-        answer->set_left(std::uint32_t(scenes_.spawned().list_taken_places(scene).size()));
+        answer->set_left(std::uint32_t(scenes_.spawned().list_occupied_slots(scene).size()));
     });
 }
 
 grpc::Status RenderService::UploadSensor(grpc::ServerContext*, const v1::UploadSensorRequest* request,
                                          v1::UploadSensorResponse* answer) {
-    return answered([&] {
+    return run_with_grpc_status([&] {
         const auto [handle, sensor] = reader_.upload(request->sensor());
         const FiringSpan span = compute_firing_span(*sensor);
         answer->set_handle(handle);
@@ -107,7 +107,7 @@ grpc::Status RenderService::UploadSensor(grpc::ServerContext*, const v1::UploadS
 
 grpc::Status RenderService::RenderLidar(grpc::ServerContext* context, const v1::RenderLidarRequest* request,
                                         v1::LidarScan* answer) {
-    return answered([&] {
+    return run_with_grpc_status([&] {
         RenderQueue::Slot slot = reserve(queue_);
         const RenderRequest wanted = reader_.read(*request);
         if (!on_scan_ && !needs_image(wanted))
@@ -120,7 +120,7 @@ grpc::Status RenderService::RenderLidar(grpc::ServerContext* context, const v1::
 
 grpc::Status RenderService::RenderRig(grpc::ServerContext* context, const v1::RenderRigRequest* request,
                                       grpc::ServerWriter<v1::RigScan>* writer) {
-    return answered([&] {
+    return run_with_grpc_status([&] {
         if (on_scan_)
             throw Refusal(grpc::StatusCode::FAILED_PRECONDITION,
                           "RenderRig: the server sends packets (--udp), expected RenderLidar calls, because "
@@ -140,7 +140,7 @@ grpc::Status RenderService::RenderRig(grpc::ServerContext* context, const v1::Re
             else render_image(slot, wanted[first], *context, *answers.front());
             for (std::size_t i = 0; i < n; ++i) {
                 scans[i].set_name(request->sensors(int(first + i)).name());
-                if (!writer->Write(scans[i])) refuse_cancelled(*context);
+                if (!writer->Write(scans[i])) throw_if_cancelled(*context);
             }
         }
     });

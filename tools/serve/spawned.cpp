@@ -67,7 +67,7 @@ std::vector<SpawnedActors::Place> SpawnedActors::places(std::size_t scene) const
     return all;
 }
 
-std::vector<SpawnedActors::Place> SpawnedActors::list_taken_places(std::size_t scene) const {
+std::vector<SpawnedActors::Place> SpawnedActors::list_occupied_slots(std::size_t scene) const {
     std::vector<Place> all = places(scene);
     std::erase_if(all, [](const Place& place) { return place.actor.name.empty(); });
     return all;

@@ -50,7 +50,7 @@ public:
     };
     std::vector<Place> places(std::size_t scene) const;
     /// Returns the slots that contain an actor.
-    std::vector<Place> list_taken_places(std::size_t scene) const;
+    std::vector<Place> list_occupied_slots(std::size_t scene) const;
 
     /// Assigns a slot to each actor. If a model has no free slot, its number of slots is
     /// doubled, but at most 8 slots are added.

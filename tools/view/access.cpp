@@ -77,7 +77,7 @@ bool is_same_secret(std::string_view first, std::string_view second) {
     return differs == 0u;
 }
 
-std::string_view value_of(std::string_view list, std::string_view name, char separator) {
+std::string_view find_list_value(std::string_view list, std::string_view name, char separator) {
     while (!list.empty()) {
         const std::size_t end = std::min(list.find(separator), list.size());
         std::string_view entry = list.substr(0, end);
@@ -90,8 +90,8 @@ std::string_view value_of(std::string_view list, std::string_view name, char sep
 }
 
 bool has_valid_token(const Credentials& request, std::string_view token, std::string_view cookie_name) {
-    return is_same_secret(value_of(request.query, "token", '&'), token) ||
-           is_same_secret(value_of(request.cookie, cookie_name, ';'), token);
+    return is_same_secret(find_list_value(request.query, "token", '&'), token) ||
+           is_same_secret(find_list_value(request.cookie, cookie_name, ';'), token);
 }
 
 }  // namespace relidar::view

@@ -35,7 +35,7 @@ bool is_foxglove_origin(std::string_view origin);
 bool is_same_secret(std::string_view first, std::string_view second);
 /// Returns the value of a name in a list such as "a=1&b=2" (separator '&') or "a=1; b=2"
 /// (separator ';'). Returns an empty text if the list does not contain the name.
-std::string_view value_of(std::string_view list, std::string_view name, char separator);
+std::string_view find_list_value(std::string_view list, std::string_view name, char separator);
 /// Returns true if a request contains the right access token. The token may be the value
 /// of "token" in the URL, or the value of the cookie `cookie_name`.
 bool has_valid_token(const Credentials& request, std::string_view token, std::string_view cookie_name);

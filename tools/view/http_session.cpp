@@ -26,7 +26,7 @@ constexpr std::chrono::milliseconds kDrainTime{500};
 std::string_view view(boost::beast::string_view text) { return {text.data(), text.size()}; }
 
 std::string_view path_of(std::string_view target) { return target.substr(0, target.find('?')); }
-std::string_view query_of(std::string_view target) {
+std::string_view get_url_query(std::string_view target) {
     const std::size_t mark = target.find('?');
     return mark == std::string_view::npos ? std::string_view{} : target.substr(mark + 1);
 }
@@ -90,16 +90,17 @@ std::string_view HttpSession::find_foxglove_protocol(const Request& request) con
 /// Returns the HTTP status if a request is rejected. Returns no value if the request is
 /// allowed. The order of the checks reveals as little as possible to a client without
 /// access.
-std::optional<HttpSession::Status> HttpSession::find_objection(const Request& request,
-                                                               bool is_foxglove) const {
+std::optional<HttpSession::Status> HttpSession::find_rejection_status(const Request& request,
+                                                                      bool is_foxglove) const {
     if (request.count(http::field::host) != 1) return Status::bad_request;
     const Credentials credentials{view(request[http::field::host]), view(request[http::field::origin]),
-                                  view(request[http::field::cookie]), query_of(view(request.target()))};
+                                  view(request[http::field::cookie]), get_url_query(view(request.target()))};
     if (!is_local_host(credentials.host, hub_.host_name)) return Status::forbidden;
     const std::string& token = hub_.options.token;
     const bool may_be_foreign =
-        is_foxglove && (is_foxglove_origin(credentials.origin) ||
-                        (!token.empty() && is_same_secret(value_of(credentials.query, "token", '&'), token)));
+        is_foxglove &&
+        (is_foxglove_origin(credentials.origin) ||
+         (!token.empty() && is_same_secret(find_list_value(credentials.query, "token", '&'), token)));
     if (request.count(http::field::origin) > 1 ||
         (!may_be_foreign && !is_same_origin(credentials.origin, credentials.host)))
         return Status::forbidden;
@@ -111,7 +112,7 @@ std::optional<HttpSession::Status> HttpSession::find_objection(const Request& re
 
 void HttpSession::answer(const Request& request) {
     const std::string_view foxglove = find_foxglove_protocol(request);
-    if (const std::optional<Status> status = find_objection(request, !foxglove.empty()))
+    if (const std::optional<Status> status = find_rejection_status(request, !foxglove.empty()))
         return refuse(*status);
     const std::string_view target = view(request.target()), path = path_of(target);
     if (path == kSocketPath || (path == "/" && !foxglove.empty())) {
@@ -128,7 +129,7 @@ void HttpSession::answer(const Request& request) {
     response_ = make_response(Status::ok, std::string(view(request[http::field::host])));
     response_->set(http::field::content_type,
                    boost::beast::string_view(asset->type.data(), asset->type.size()));
-    if (!value_of(query_of(target), "token", '&').empty() && !hub_.options.token.empty())
+    if (!find_list_value(get_url_query(target), "token", '&').empty() && !hub_.options.token.empty())
         response_->set(http::field::set_cookie,
                        hub_.cookie_name + "=" + hub_.options.token + "; Path=/; HttpOnly; SameSite=Strict");
     response_->body() = std::string(asset->body);
@@ -186,17 +187,17 @@ void HttpSession::write() {
         Error ignored;
         self->stream_.socket().shutdown(boost::asio::ip::tcp::socket::shutdown_send, ignored);
         self->limit(kDrainTime);
-        self->drain();
+        self->close_after_reading();
     });
 }
 
 /// Reads the remaining data of a rejected client for a short time and discards it. If a
 /// connection is closed with unread data, the client does not receive the response.
-void HttpSession::drain() {
+void HttpSession::close_after_reading() {
     buffer_.consume(buffer_.size());
     stream_.async_read_some(buffer_.prepare(kDrainedAtOnce),
                             [self = shared_from_this()](Error failed, std::size_t) {
-                                if (!failed && ++self->n_drains_ < kMaxDrains) self->drain();
+                                if (!failed && ++self->n_drains_ < kMaxDrains) self->close_after_reading();
                             });
 }
 

@@ -39,11 +39,11 @@ private:
     void on_read(Error failed);
     void answer(const Request& request);
     std::string_view find_foxglove_protocol(const Request& request) const;
-    std::optional<Status> find_objection(const Request& request, bool is_foxglove) const;
+    std::optional<Status> find_rejection_status(const Request& request, bool is_foxglove) const;
     Response make_response(Status status, const std::string& host) const;
     void refuse(Status status);
     void write();
-    void drain();
+    void close_after_reading();
 
     Hub& hub_;
     Counted counted_;

@@ -15,7 +15,7 @@ using Json = nlohmann::json;
 // click so fast that this limit is exceeded.
 constexpr std::size_t kMaxWaiting = 4;
 
-const char* about(const Request& request) {
+const char* get_request_name(const Request& request) {
     static constexpr const char* kNames[] = {"scan", "sensor", "save", "ground"};
     return kNames[request.index()];
 }
@@ -48,8 +48,8 @@ void Session::close(TabId tab) {
     tabs_.erase(tab);
 }
 
-void Session::refuse(TabId id, const char* about, const std::string& why) const {
-    answers_.text(id, dump({{"kind", "error"}, {"about", about}, {"text", why}}));
+void Session::refuse(TabId id, const char* request_name, const std::string& why) const {
+    answers_.text(id, dump({{"kind", "error"}, {"about", request_name}, {"text", why}}));
 }
 
 void Session::receive(TabId id, const std::string& message) {
@@ -98,15 +98,16 @@ std::optional<Session::Job> Session::take_job(TabId id, const std::shared_ptr<Ta
     if (!tab->others.empty()) {
         const Request request = std::move(tab->others.front());
         tab->others.pop_front();
-        return Job{id, about(request), [this, id, tab, request] {
+        return Job{id, get_request_name(request), [this, id, tab, request] {
                        Json told = answer(tab->cache, request);
-                       told["kind"] = std::holds_alternative<SaveRequest>(request) ? "saved" : about(request);
+                       told["kind"] =
+                           std::holds_alternative<SaveRequest>(request) ? "saved" : get_request_name(request);
                        answers_.text(id, dump(told));
                    }};
     }
     if (tab->scan) {
         const LiveScanRequest wish = *std::exchange(tab->scan, std::nullopt);
-        return Job{id, about(wish),
+        return Job{id, get_request_name(wish),
                    [this, id, tab, wish] { answers_.frame(id, scanner_.scan(tab->cache, wish)); }};
     }
     return {};

@@ -75,7 +75,7 @@ private:
     std::optional<Job> wait_for_next_job(std::chrono::milliseconds patience);
     std::optional<Job> take_job(TabId id, const std::shared_ptr<Tab>& tab);
     nlohmann::json answer(TabCache& cache, const Request& request) const;
-    void refuse(TabId id, const char* about, const std::string& why) const;
+    void refuse(TabId id, const char* request_name, const std::string& why) const;
     nlohmann::json save(const SaveRequest& request) const;
 
     Scanner scanner_;

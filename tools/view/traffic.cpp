@@ -31,7 +31,7 @@ Pose make_upright_pose(const double* xyz, double yaw_deg) {
     return {make_rotation(yaw_deg * kRadians, 0.0, 0.0), {xyz[0], xyz[1], xyz[2]}};
 }
 
-Start start_of(const ActorEdits::Copy& copy, const glm::dvec3& world_offset_m) {
+Start make_copy_start(const ActorEdits::Copy& copy, const glm::dvec3& world_offset_m) {
     const auto& at = copy.at;
     Start start{{make_rotation(at[3] * kRadians, at[4] * kRadians, at[5] * kRadians), {at[0], at[1], at[2]}},
                 at[6]};
@@ -46,13 +46,13 @@ DrivingScene apply_moves(DrivingScene driving, const ActorEdits& edits) {
 }
 
 /// Returns only the tracks and object instances of a run, without scans and surfels.
-DrivingScene layout(const Run& run) {
+DrivingScene copy_tracks_and_instances(const Run& run) {
     DrivingScene driving{copy_layout(run.scene), run.sequence};
     for (Model& model : driving.scene.models) model.first = model.count = 0;
     return driving;
 }
 
-const Run& run_called(const std::string& name, const OtherRuns& other_runs) {
+const Run& find_run_by_name(const std::string& name, const OtherRuns& other_runs) {
     const auto match = other_runs.find(name);
     if (match == other_runs.end())
         throw UsageError(fmt::format(
@@ -65,14 +65,15 @@ const Run& run_called(const std::string& name, const OtherRuns& other_runs) {
 /// Adds the copied actors to a scene.
 /// @param scene_of returns the tracks and instances of another run, with or without
 /// surfels
-DrivingScene copied(DrivingScene driving, const OtherRuns& other_runs,
-                    const std::vector<ActorEdits::Copy>& copies, DrivingScene (*scene_of)(const Run&)) {
+DrivingScene add_copied_actors(DrivingScene driving, const OtherRuns& other_runs,
+                               const std::vector<ActorEdits::Copy>& copies,
+                               DrivingScene (*scene_of)(const Run&)) {
     for (const ActorEdits::Copy& copy : copies) {
-        const Start start = start_of(copy, driving.sequence.world_offset_m);
+        const Start start = make_copy_start(copy, driving.sequence.world_offset_m);
         if (copy.from.empty()) driving = copy_track(std::move(driving), copy.of, start);
         else
-            driving =
-                insert_track(std::move(driving), scene_of(run_called(copy.from, other_runs)), copy.of, start);
+            driving = insert_track(std::move(driving), scene_of(find_run_by_name(copy.from, other_runs)),
+                                   copy.of, start);
     }
     return driving;
 }
@@ -92,11 +93,12 @@ std::vector<RunEdit> make_history(const Run& run, const OtherRuns& other_runs, c
     const std::string origin = folder_of(run);
     std::vector<RunEdit> result;
     for (const ActorEdits::Copy& copy : edits.copies) {
-        const Start start = start_of(copy, run.sequence.world_offset_m);
+        const Start start = make_copy_start(copy, run.sequence.world_offset_m);
         const glm::dvec3& p = start.dataset_from_box.translation;
         const std::string what =
-            copy.from.empty() ? "--copy "
-                              : fmt::format("--insert {}#", folder_of(run_called(copy.from, other_runs)));
+            copy.from.empty()
+                ? "--copy "
+                : fmt::format("--insert {}#", folder_of(find_run_by_name(copy.from, other_runs)));
         result.push_back({origin, fmt::format("{}{}@{},{},{},{},{},{}:{}", what, copy.of, p.x, p.y, p.z,
                                               copy.at[3], copy.at[4], copy.at[5], copy.at[6])});
     }
@@ -110,16 +112,17 @@ std::vector<RunEdit> make_history(const Run& run, const OtherRuns& other_runs, c
 
 DrivingScene apply_copies(DrivingScene driving, const OtherRuns& other_runs,
                           const std::vector<ActorEdits::Copy>& copies) {
-    return copied(std::move(driving), other_runs, copies, [](const Run& run) { return run.driving(); });
+    return add_copied_actors(std::move(driving), other_runs, copies,
+                             [](const Run& run) { return run.driving(); });
 }
 
 ActorEdits::Copy copy_on_ground(const Run& run, const OtherRuns& other_runs, const GroundRequest& request) {
-    const Run& owner = request.from.empty() ? run : run_called(request.from, other_runs);
+    const Run& owner = request.from.empty() ? run : find_run_by_name(request.from, other_runs);
     const glm::dvec3& offset_m = run.sequence.world_offset_m;
     GroundPlace place{{request.at[0] + offset_m.x, request.at[1] + offset_m.y}};
     place.clearance_m = measure_asset_clearance(owner);
     const Pose pose =
-        start_on_ground({run.scene, run.sequence}, place, {owner.scene, owner.sequence}, request.of)
+        compute_start_on_ground({run.scene, run.sequence}, place, {owner.scene, owner.sequence}, request.of)
             .dataset_from_box;
     const glm::dvec3 p = pose.translation - offset_m,
                      angles_deg = to_yaw_pitch_roll(pose.rotation) / kRadians;
@@ -127,7 +130,10 @@ ActorEdits::Copy copy_on_ground(const Run& run, const OtherRuns& other_runs, con
 }
 
 Traffic::Traffic(const Run& run, const OtherRuns& other_runs, const ActorEdits& edits)
-    : driving_(apply_moves(copied(layout(run), other_runs, edits.copies, layout), edits)), edits_(edits) {
+    : driving_(apply_moves(add_copied_actors(copy_tracks_and_instances(run), other_runs, edits.copies,
+                                             copy_tracks_and_instances),
+                           edits)),
+      edits_(edits) {
     check_known(driving_, edits.removed);
     check_known(driving_, edits.hidden);
 }
@@ -136,7 +142,7 @@ ActorPoses Traffic::placed(double time_s) const {
     ActorPoses poses;
     for (const BoxTrack& box : driving_.sequence.boxes) {
         const auto has_surfels = [&](const Instance& i) { return !i.track.empty() && i.track == box.id; };
-        if (!is_shown(box) || !box.present(time_s) ||
+        if (!is_shown(box) || !box.is_present(time_s) ||
             std::none_of(instances().begin(), instances().end(), has_surfels))
             continue;
         poses[box.id] = shift_track(box.world_from_box, driving_.sequence.world_offset_m);
@@ -152,7 +158,7 @@ nlohmann::json Traffic::describe(double time_s) const {
         actors.push_back({{"track", box->id},
                           {"category", box->category},
                           {"size", {box->size_m.x, box->size_m.y, box->size_m.z}},
-                          {"present", box->present(time_s)},
+                          {"present", box->is_present(time_s)},
                           {"pose", make_matrix_json(box->world_from_box.at(time_s))}});
     }
     return actors;

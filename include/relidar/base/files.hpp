@@ -40,7 +40,7 @@ class StagedFolder {
 public:
     /// Creates the temporary folder.
     /// @throws DataError if the folder cannot be created
-    explicit StagedFolder(const std::filesystem::path& wanted);
+    explicit StagedFolder(const std::filesystem::path& final_path);
     ~StagedFolder();
     StagedFolder(const StagedFolder&) = delete;
     StagedFolder& operator=(const StagedFolder&) = delete;
@@ -56,7 +56,7 @@ public:
     /// Renames the temporary folder to its final name. If a folder with this name exists,
     /// it is replaced only if it is empty.
     /// @throws DataError if the name is in use, or the folder cannot be renamed
-    void finish_new() const;
+    void finish_without_replacing() const;
 
 private:
     std::filesystem::path wanted_, path_;

@@ -56,19 +56,19 @@ using Twist = std::array<double, 6>;
 
 /// Returns the pose after a small motion (v, w): rotation exp([w]x) R and translation T +
 /// v.
-inline Pose moved(const Pose& pose, const Twist& twist) {
+inline Pose apply_twist(const Pose& pose, const Twist& twist) {
     const glm::dvec3 v(twist[0], twist[1], twist[2]), w(twist[3], twist[4], twist[5]);
     const double angle = glm::length(w);
     if (angle == 0.0) return {pose.rotation, pose.translation + v};
     return {glm::normalize(glm::angleAxis(angle, w / angle) * pose.rotation), pose.translation + v};
 }
 
-/// Returns the small motion that moves the pose `from` to the pose `to`. The rotation
+/// Returns the small motion that moves the pose `start` to the pose `end`. The rotation
 /// angle is at most pi.
-inline Twist compute_twist(const Pose& from, const Pose& to) {
-    glm::dquat q = to.rotation * glm::conjugate(from.rotation);
+inline Twist compute_twist(const Pose& start, const Pose& end) {
+    glm::dquat q = end.rotation * glm::conjugate(start.rotation);
     if (q.w < 0.0) q = -q;
-    const glm::dvec3 sine(q.x, q.y, q.z), v = to.translation - from.translation;
+    const glm::dvec3 sine(q.x, q.y, q.z), v = end.translation - start.translation;
     const double length = glm::length(sine);
     const glm::dvec3 w = length > 0.0 ? 2.0 * glm::atan(length, q.w) / length * sine : glm::dvec3(0.0);
     return {v.x, v.y, v.z, w.x, w.y, w.z};
@@ -95,7 +95,7 @@ struct PoseMotion {
     Pose at(const Pose& pose, double after_s) const {
         const double since_s = glm::clamp(after_s - middle_s, -half_span_s, half_span_s);
         const glm::dvec3 v = since_s * velocity_mps, w = since_s * turn_radps;
-        return moved(pose, {v.x, v.y, v.z, w.x, w.y, w.z});
+        return apply_twist(pose, {v.x, v.y, v.z, w.x, w.y, w.z});
     }
 };
 

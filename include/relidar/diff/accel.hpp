@@ -59,7 +59,7 @@ struct AccelAddresses {
 
 /// Returns the shape that encloses surfels on a device. Replaces `automatic` by the shape
 /// that is faster on this device.
-Proxy resolve(Proxy proxy, const Device& device);
+Proxy choose_proxy(Proxy proxy, const Device& device);
 
 class Accel {
 public:
@@ -74,7 +74,7 @@ public:
     /// Records GPU commands that refit the trees of actors with changing shape, for
     /// example walking persons, and update the top-level tree. Use this function if the
     /// surfels of all other models are unchanged.
-    void bend(Stream& stream, const DeviceScene& scene);
+    void refit_animated_actors(Stream& stream, const DeviceScene& scene);
     /// Records GPU commands that update only the top-level tree. Use this function if
     /// instances have moved but no surfel has changed.
     void move(Stream& stream, const DeviceScene& scene);
@@ -84,7 +84,7 @@ public:
     /// next update() rebuilds the tree. The function waits until the GPU has finished the
     /// previous measurement. Therefore call it only every few iterations. The commands of
     /// the previous measurement must have been submitted.
-    void check_growth(Stream& stream);
+    void measure_tree_cost(Stream& stream);
 
     AccelAddresses addresses() const;
     Proxy proxy() const;

@@ -76,7 +76,7 @@ struct Gradients {
 
     /// Allocates the gradient arrays on the device.
     /// @param n_rays number of rays of the largest batch
-    Gradients(Device& device, const DeviceScene& scene, const GradientSelection& wanted = {},
+    Gradients(Device& device, const DeviceScene& scene, const GradientSelection& selection = {},
               std::uint32_t n_rays = 0);
     ~Gradients();
     Gradients(Gradients&&) noexcept;

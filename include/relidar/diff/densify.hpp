@@ -72,7 +72,7 @@ public:
     /// surfels.
     void observe(Stream& stream, const DeviceScene& scene, const ObservedBatch& batch);
     /// Returns true if run() should add and remove surfels after this step.
-    bool due(int step) const;
+    bool should_densify(int step) const;
     /// Adds and removes surfels. Each model stays a contiguous range in which surfels
     /// keep their order. A copied surfel is stored next to its original. Surviving
     /// surfels keep their Adam moments. New surfels, and surfels with a changed opacity
@@ -83,9 +83,10 @@ public:
     ///
     /// Insufficient memory is not an error. In that case, no more surfels are added, and
     /// the report contains one note about it.
-    /// @param others_bytes bytes per surfel that other objects will allocate again for
+    /// @param other_allocation_bytes bytes per surfel that other objects will allocate again for
     /// the new number of surfels. Densification leaves this memory free.
-    DensifyReport run(Stream& stream, DeviceScene& scene, Adam& adam, int step, double others_bytes = 0.0);
+    DensifyReport run(Stream& stream, DeviceScene& scene, Adam& adam, int step,
+                      double other_allocation_bytes = 0.0);
     /// Records GPU commands that reset the opacities of all surfels, if a reset is
     /// scheduled after this step.
     void after_step(Stream& stream, DeviceScene& scene, Adam& adam, int step);

@@ -71,7 +71,7 @@ struct DensifyReport {
     std::uint32_t removed() const { return invalid + faint + large + outside; }
     /// Adds the counts of a later report to this report. `after` and a non-empty `note`
     /// are copied from the later report.
-    void add(const DensifyReport& later);
+    void add(const DensifyReport& report);
 };
 
 /// Names of all counts of a report.

@@ -94,7 +94,7 @@ public:
     /// Waits until the stream is idle. The caller must call Renderer::place() next.
     /// @param change its argument is the number of bytes per surfel that will be
     /// allocated again
-    void change_surfels(const std::function<void(double others_bytes)>& change);
+    void change_surfels(const std::function<void(double other_allocation_bytes)>& change);
 
 private:
     struct Impl;

@@ -146,7 +146,7 @@ public:
     /// Waits for the GPU and checks that all rays since the last call were traced
     /// completely.
     /// @throws DeviceError if a ray had too many hits and therefore ended too early
-    void check_passes();
+    void check_pass_cap();
 
     /// Returns the number of hits per ray that are kept for the backward pass.
     std::uint32_t kept_hits() const;

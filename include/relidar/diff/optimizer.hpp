@@ -30,7 +30,8 @@ double interpolate_exponentially(double start, double end, int step, int n_steps
 
 class Adam {
 public:
-    Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, ParameterSet of = {});
+    Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options,
+         ParameterSet parameter_set = {});
     ~Adam();
     /// Records GPU commands for one optimiser step.
     /// @param touched [n] 1 for each surfel with a gradient. The gradients of other

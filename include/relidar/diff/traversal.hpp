@@ -89,7 +89,7 @@ struct TraceOptions {
 /// Returns the number of threads that trace a batch. An image is traced in tiles of 16 x
 /// 2 pixels, so threads at its border may have no ray. Without an image, every ray has
 /// one thread.
-std::size_t trace_threads(const RayBatch& batch);
+std::size_t count_trace_threads(const RayBatch& batch);
 
 /// First hits of each ray, stored by the forward pass. The backward pass reads these
 /// hits, so that it need not search for them again.
@@ -112,7 +112,7 @@ struct KeptHits {
     }
     /// Returns true if the buffer is large enough for the hits of a batch.
     bool hold(const RayBatch& batch) const {
-        return side_by_side(trace_threads(batch)) * per_ray <= hits.size();
+        return side_by_side(count_trace_threads(batch)) * per_ray <= hits.size();
     }
 };
 

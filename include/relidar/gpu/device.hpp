@@ -103,7 +103,7 @@ struct DeviceOptions {
 /// - RELIDAR_PIPELINE_CACHE=FOLDER applies if the options have no folder. 0 = no cache.
 ///   Default: $XDG_CACHE_HOME/relidar or $HOME/.cache/relidar.
 /// @throws UsageError if the limit is not a number
-DeviceOptions from_environment(DeviceOptions options = {});
+DeviceOptions apply_environment_variables(DeviceOptions options = {});
 
 /// Open Vulkan device. All objects created with a device must be destroyed before the
 /// device.

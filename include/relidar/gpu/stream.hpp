@@ -20,10 +20,10 @@ class Buffer {
 public:
     Buffer();
     /// Allocates n_bytes of device memory.
-    /// @param what name of the buffer in messages
+    /// @param description name of the buffer in messages
     /// @throws OutOfDeviceMemory if device memory is exhausted. The message names the
     /// buffer, its size and the free memory.
-    Buffer(Device& device, std::size_t n_bytes, const std::string& what);
+    Buffer(Device& device, std::size_t n_bytes, const std::string& description);
     ~Buffer();
     Buffer(Buffer&&) noexcept;
     Buffer& operator=(Buffer&&) noexcept;
@@ -192,7 +192,7 @@ public:
     StreamLanes& operator=(const StreamLanes&) = delete;
     /// Selects the lane (sequence of launches) in which the next launches are recorded.
     /// The scope starts with lane 0.
-    void choose(std::size_t lane);
+    void select_lane(std::size_t lane);
 
 private:
     Stream& stream_;
@@ -204,9 +204,9 @@ class Readback {
 public:
     /// Allocates host memory for the copied values.
     /// @param n_bytes maximum size of a copy
-    /// @param what name of the copy in messages
+    /// @param description name of the copy in messages
     /// @throws DeviceError if memory is exhausted
-    Readback(Device& device, std::size_t n_bytes, const std::string& what);
+    Readback(Device& device, std::size_t n_bytes, const std::string& description);
     ~Readback();
     Readback(Readback&&) noexcept;
     Readback& operator=(Readback&&) noexcept;

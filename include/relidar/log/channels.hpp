@@ -102,7 +102,7 @@ const std::vector<T>* find_values(const std::vector<ScanChannel>& channels, cons
 std::size_t size(const ChannelValues& values);
 
 /// Returns a copy of the channels with the same names and types, but without values.
-std::vector<ScanChannel> remove_values(const std::vector<ScanChannel>& channels);
+std::vector<ScanChannel> copy_without_values(const std::vector<ScanChannel>& channels);
 
 /// A column of numbers in a file, float32 or int32. A channel of scalars is written as
 /// one column, for example "instance". A channel of vectors is written as three columns,
@@ -111,7 +111,7 @@ struct ChannelNumber {
     std::string name;
     bool is_integer;
 };
-/// Returns the columns that the channels occupy in a file. append_row() writes the
+/// Returns the columns that the channels occupy in a file. append_channel_values() writes the
 /// numbers in the same order.
 /// @param joint  text between the name of a vector channel and its axis, for example "_"
 /// in "normal_x"
@@ -119,8 +119,8 @@ std::vector<ChannelNumber> list_channel_numbers(const std::vector<ScanChannel>& 
                                                 const std::string& joint = "_");
 /// Appends the values of all channels for one ray or point to `bytes`. Each number takes
 /// 4 bytes in the byte order of the machine.
-/// @param point  index of the ray or point in the arrays of the channels
-void append_row(std::string& bytes, const std::vector<ScanChannel>& channels, std::size_t point);
+/// @param index  index of the ray or point in the arrays of the channels
+void append_channel_values(std::string& bytes, const std::vector<ScanChannel>& channels, std::size_t index);
 
 /// Returns the value of a channel for rays that hit nothing, or whose true value is
 /// unknown.
@@ -134,7 +134,8 @@ T get_missing_value(const ChannelInfo& channel) {
 /// If that array is empty, it is the value of the first return (with
 /// `ChannelInfo::of_ray`) or the default value `ChannelInfo::none`.
 /// @param number  number of the return, starting at 1
-void append_return(ScanChannel& of_points, const ScanChannel& of_rays, std::size_t ray, int number);
+void append_return_value(ScanChannel& point_channel, const ScanChannel& ray_channel, std::size_t ray,
+                         int number);
 
 /// Checks names and sizes of channels before the channels are written to a file.
 /// @param count  expected number of values

@@ -37,7 +37,7 @@ struct Sweep {
 /// Returns a sweep with `sensor.columns` equal azimuth steps. The azimuth of the first
 /// step is fitted to the azimuths of the head at which the points were measured.
 /// @param points  points with beam numbers (`Points::ring`)
-Sweep make_even_sweep(const Points& points, const SpinningSensor& sensor);
+Sweep make_uniform_sweep(const Points& points, const SpinningSensor& sensor);
 
 /// Builds the scan of a spinning LiDAR, with one ray for each beam and firing. The rays
 /// are in the order of a range image. Each point is assigned to the ray that measured it.
@@ -104,7 +104,7 @@ FittedSensor fit_sensor(const std::vector<Points>& scans, double period_s);
 /// point.
 /// @param points  points with firing times
 /// @param world_from_sensor  poses of the LiDAR that measured the points
-void undo_compensation(Points& points, const PoseTrack& world_from_sensor, double time_s);
+void undo_motion_compensation(Points& points, const PoseTrack& world_from_sensor, double time_s);
 
 /// Returns the pose with this rotation and translation.
 /// @param location  file and field, for the error message

@@ -76,7 +76,7 @@ struct DatasetOptions {
 
 /// Reads a log from a dataset.
 /// @param dataset  a path, whose format is detected, or "kind:path" with a kind that
-/// recognise_dataset() returns
+/// detect_dataset_kind() returns
 /// @throws DataError naming the file and the error in it
 /// @throws UsageError for an unknown kind or an empty frame range
 Sequence load_sequence(const std::string& dataset, const DatasetOptions& options);
@@ -88,7 +88,7 @@ std::string make_dataset_absolute(const std::string& dataset);
 /// Returns the kind of a dataset, for example "kitti_raw" or "waymo". docs/datasets.md
 /// lists all kinds.
 /// @throws DataError if the path is not a dataset of a known kind
-std::string recognise_dataset(const std::filesystem::path& path);
+std::string detect_dataset_kind(const std::filesystem::path& path);
 
 /// Options of save_folder().
 struct FolderOptions {

@@ -28,7 +28,9 @@ struct RangeImage {
 inline constexpr float kDropThreshold = 0.5f;
 /// Returns true if a ray counts as a return. The ray must have hit something, and its
 /// drop probability must be below kDropThreshold.
-inline bool returned(float drop_prob, float range_m) { return drop_prob < kDropThreshold && range_m > 0.0f; }
+inline bool is_returned(float drop_prob, float range_m) {
+    return drop_prob < kDropThreshold && range_m > 0.0f;
+}
 
 /// Returns false if every pixel has intensity 0. This is the case if the log has no
 /// intensities.

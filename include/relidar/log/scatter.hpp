@@ -62,7 +62,7 @@ struct IntensityScatter {
 
     bool empty() const { return nodes.empty(); }
     /// Returns the multiple of `step` that is nearest to an intensity.
-    float quantised(float intensity) const;
+    float round_to_step(float intensity) const;
 };
 
 /// Returns the number of features that a node of the tree can compare.
@@ -73,7 +73,7 @@ std::size_t count_scatter_features();
 /// would be below 1e-5 of the largest value. Also returns 0 if there are fewer than eight
 /// distinct values.
 /// @param values  >= 0, in any order
-double find_step(std::vector<float> values);
+double find_quantisation_step(std::vector<float> values);
 
 /// Fits the decision tree to scans of a LiDAR. Splits nodes so that the entropy of the
 /// measured intensities decreases. The result does not depend on the number of threads.

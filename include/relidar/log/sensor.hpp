@@ -26,13 +26,13 @@ namespace relidar {
 /// Arrays beyond the limit are stored in an unnamed file, which disappears when the
 /// process ends. The memory is unlimited until this function is called.
 /// @param bytes  0: half of the memory of the machine or of the control group, divided by
-/// the number of processes (share_scan_memory())
+/// the number of processes (set_scan_process_count())
 /// @param folder  folder of the file; the file is created when the first array needs it
 void limit_scan_memory(std::uint64_t bytes, const std::filesystem::path& folder);
 
 /// Sets the number of processes on this machine that load scans. These processes share
 /// the memory limit. The default is one process.
-void share_scan_memory(int n_processes);
+void set_scan_process_count(int n_processes);
 
 /// Memory used by the arrays of all scans, in bytes. Arrays below 16 KiB are not counted.
 struct ScanMemoryUse {
@@ -102,7 +102,7 @@ struct RayTable {
     double find_largest_divergence() const;
     /// Appends a ray of another table. If this function is called repeatedly, all rays
     /// must come from the same table. Does not change `rows` and `columns`.
-    void append(const RayTable& from, std::size_t ray);
+    void append(const RayTable& source, std::size_t ray);
 };
 /// Returns the offsets of the sub-rays that sample the footprint of a beam: [count], in
 /// units of half the beam divergence. The first sub-ray is the beam axis. All sub-rays
@@ -138,8 +138,8 @@ struct Beam {
     /// @param fall  factor of the log's IntensityResponse at the range of the surface
     double to_measured_range(double surface_m) const;
     double to_surface_range(double measured_m) const;  ///< at least 1 mm
-    double to_measured_intensity(double of_surface, double fall) const;
-    double to_surface_intensity(double measured, double fall) const;
+    double to_measured_intensity(double surface_intensity, double fall) const;
+    double to_surface_intensity(double measured_intensity, double fall) const;
 };
 
 /// Returns the calibration of the beam with this number. If no such beam exists, returns

@@ -35,6 +35,6 @@ struct BeamFiring {
 /// Returns the channel number and firing time of each beam of a built-in sensor, highest
 /// beam first. The values are in src/log/sensor/tables.
 /// @param name  a name of list_sensor_names() that has a table
-std::vector<BeamFiring> find_beam_firings(const std::string& name);
+std::vector<BeamFiring> get_beam_firings(const std::string& name);
 
 }  // namespace relidar

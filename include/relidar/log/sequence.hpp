@@ -81,7 +81,7 @@ struct SweepStart {
 /// - The start is the default: facing backward, half a period before time 0.
 /// - The LiDAR does not spin.
 /// - The times and azimuths of the rays are inconsistent.
-std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor& sensor);
+std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningSensor& sensor);
 
 /// A sweep of one LiDAR of the log.
 struct Frame {
@@ -116,7 +116,7 @@ struct Lidar;
 /// Computes azimuth and time of a sweep's start for any LiDAR. Returns nothing for a
 /// non-spinning LiDAR with an unknown pattern, or if the frame's time is the middle of
 /// the scan.
-std::optional<SweepStart> find_start(const RayTable& rays, const Lidar& lidar);
+std::optional<SweepStart> find_sweep_start(const RayTable& rays, const Lidar& lidar);
 
 /// Standard deviation of a sensor's measured ranges, as a table over the range and the
 /// angle of incidence.
@@ -205,10 +205,10 @@ struct BoxTrack {
     ///   longer side of the box but at least 0.2 m.
     /// - Between two successive averages the object moves faster than 0.5 m/s and by more
     ///   than 0.2 m.
-    bool moves() const;
+    bool is_moving() const;
     /// Returns true if the box was observed at a time, with a tolerance of half the mean
     /// time step between observations.
-    bool present(double t_s) const;
+    bool is_present(double t_s) const;
     /// Returns the track without the poses that were added before its first and after its
     /// last label.
     BoxTrack get_labelled_part() const;

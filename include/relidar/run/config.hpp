@@ -84,7 +84,7 @@ struct SensorConfig {
 
     /// Returns true if `calibrate` includes the given quantity.
     /// @param description "range" or "intensity"
-    bool calibrates(const char* description) const {
+    bool should_calibrate(const char* description) const {
         return calibrate.find(description) != std::string::npos;
     }
     bool operator==(const SensorConfig&) const = default;
@@ -233,7 +233,7 @@ std::vector<ConfigKey> list_config_keys(const Config& config);
 /// Sets a setting from text.
 /// @throws UsageError for an unknown key (the message suggests the most similar key), or
 /// for a value of the wrong type or out of range
-void set_key(Config& config, const std::string& key, const std::string& value);
+void set_config_value(Config& config, const std::string& key, const std::string& value);
 
 /// Reads a TOML file and overwrites the settings that the file contains. A table name is
 /// the first part of a key.
@@ -248,6 +248,6 @@ Config load_saved_config(const std::filesystem::path& path);
 /// reads the same values from this text.
 std::string to_toml(const Config& config);
 /// Returns the settings as TOML text. Leaves out expert settings that equal the preset.
-std::string to_short_toml(const Config& config);
+std::string to_toml_without_defaults(const Config& config);
 
 }  // namespace relidar

@@ -68,8 +68,8 @@ std::optional<double> measure_ground_clearance(const DrivingView& owner, const s
 /// @param owner scene that contains the actor
 /// @throws UsageError naming the position if the background has no level surface below
 /// the start
-Start start_on_ground(const DrivingView& driving, const GroundPlace& place, const DrivingView& owner,
-                      const std::string& track);
+Start compute_start_on_ground(const DrivingView& driving, const GroundPlace& place, const DrivingView& owner,
+                              const std::string& track);
 
 /// Removes an actor and its track. Rays then hit the surfaces behind the actor.
 /// @throws UsageError if no instance has this track. The message suggests the most
@@ -89,7 +89,7 @@ DrivingScene retime_track(DrivingScene driving, const std::string& track, double
 /// Returns a message if an edit has made an actor absent in some frames. The message
 /// contains the number of these frames. Returns an empty string if there are no such
 /// frames, or if the edited log has no such track.
-std::string describe_lost_frames(const BoxTrack& before, const Sequence& edited);
+std::string describe_lost_frames(const BoxTrack& box_before, const Sequence& edited);
 
 /// Replaces the trajectory of an actor. Between the given poses, positions are
 /// interpolated linearly and rotations by slerp. The actor is absent before the first and

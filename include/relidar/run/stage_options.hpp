@@ -14,7 +14,7 @@ namespace relidar {
 /// becomes the largest range limit of the log's LiDARs.
 Config use_farthest_return(Config config, const Sequence& sequence);
 /// Returns the options for ray tracing that training and simulation have in common.
-TraceOptions trace_options(const Config& config);
+TraceOptions make_base_trace_options(const Config& config);
 /// Returns the options for ray tracing during training, which enable values that only
 /// losses need.
 TraceOptions make_training_trace_options(const Config& config);

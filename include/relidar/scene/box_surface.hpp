@@ -42,7 +42,7 @@ std::string list_unseen_sides(const SideShares& shares);
 /// side more do not count as observations, because their returns form separate streaks.
 /// The limit of the top is lower, because a LiDAR on a car hits other roofs only at
 /// grazing angles.
-double least_cosine(BoxSide side);
+double get_min_side_cosine(BoxSide side);
 
 /// Surface of a box, divided into patches of about 0.3 m. The class stores which patches
 /// were observed by rays. A point belongs to the patch onto which it projects from the
@@ -85,13 +85,13 @@ public:
     SideShares known() const;
     /// Returns the side of a point whose patch was completed with its mirror image.
     /// Returns nothing for points on other patches.
-    std::optional<BoxSide> completed_side(const glm::dvec3& point_m) const;
+    std::optional<BoxSide> find_completed_side(const glm::dvec3& point_m) const;
     /// Measures how much the left and right half of an object differ, from patches that
     /// were observed on both halves.
     /// @param points_m points of the surface, box frame
     /// @return median difference of the mean distances from the plane of symmetry,
     /// metres. 0 with fewer than three pairs of patches
-    double asymmetry_m(const std::vector<glm::vec3>& points_m) const;
+    double compute_asymmetry_m(const std::vector<glm::vec3>& points_m) const;
 
     const glm::dvec3& half_size_m() const { return half_m_; }
     /// Returns the observed patches of a side as text, row by row. 1 means observed, 0
@@ -99,7 +99,7 @@ public:
     std::string patches(BoxSide side) const;
     /// Sets the observed patches of a side from the text that patches() returns.
     /// @return false if the text has a wrong length or wrong characters
-    bool set_patches(BoxSide side, const std::string& text);
+    bool parse_patches(BoxSide side, const std::string& text);
 
 private:
     struct Patch {
@@ -119,7 +119,7 @@ private:
     bool at(const Patch& patch) const;  ///< returns true if the patch was observed
     /// Returns two areas of a side in m2: the area of its observed patches (or of its
     /// mirrored ones), and the area of all patches.
-    std::array<double, 2> areas(BoxSide side, bool mirrored) const;
+    std::array<double, 2> compute_patch_areas(BoxSide side, bool mirrored) const;
     /// Returns the fraction of the complete box surface, by area, that is observed (or
     /// mirrored).
     double share(bool mirrored) const;

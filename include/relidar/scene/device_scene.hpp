@@ -57,7 +57,8 @@ struct SurfelArrays {
     bool bends = false;
 
     SurfelArrays() = default;
-    SurfelArrays(Device& device, std::uint32_t n, const std::string& what, ParameterSet of = {});
+    SurfelArrays(Device& device, std::uint32_t n, const std::string& description,
+                 ParameterSet parameter_set = {});
     ParameterSet parameters() const { return {primitive, bends}; }
     /// Uploads all parameters to the device.
     /// @throws DataError if the number of surfels, the primitive, or the presence of
@@ -130,10 +131,10 @@ struct ParameterGroup {
 /// @param kHost member of Surfels with the parameters
 /// @param kDevice member of SurfelArrays with the parameters
 template <auto kHost, auto kDevice>
-constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32_t, 2> row,
-                                        double LearningRates::*rate, bool harmonics = false,
-                                        bool scales = false,
-                                        ParameterGroup::Of parameter_set = ParameterGroup::Of::all) {
+constexpr ParameterGroup make_parameter_group(const char* name, std::array<std::uint32_t, 2> row,
+                                              double LearningRates::*rate, bool harmonics = false,
+                                              bool scales = false,
+                                              ParameterGroup::Of parameter_set = ParameterGroup::Of::all) {
     using Element = typename std::remove_reference_t<decltype(std::declval<Surfels&>().*kHost)>::value_type;
     constexpr std::size_t kFloats = sizeof(Element) / sizeof(float);
     return {name,
@@ -160,24 +161,26 @@ constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32
 /// needs an entry here, a member of Surfels and of SurfelArrays, and a pointer for the
 /// kernels.
 inline constexpr std::array<ParameterGroup, 7> kParameterGroups{{
-    describe_group<&Surfels::gait, &SurfelArrays::gait>("gait", {5, 1}, &LearningRates::gait, false, false,
-                                                        ParameterGroup::Of::bends),
-    describe_group<&Surfels::mean, &SurfelArrays::mean>("mean", {3, 1}, &LearningRates::mean),
-    describe_group<&Surfels::rotation, &SurfelArrays::rotation>("rotation", {4, 1}, &LearningRates::rotation),
-    describe_group<&Surfels::log_scale, &SurfelArrays::log_scale>("log_scale", {2, 1},
-                                                                  &LearningRates::log_scale, false, true),
-    describe_group<&Surfels::opacity_logit, &SurfelArrays::opacity_logit>("opacity_logit", {1, 1},
-                                                                          &LearningRates::opacity_logit),
-    describe_group<&Surfels::sh, &SurfelArrays::sh>("sh", {kShChannels, kShCoefficients}, &LearningRates::sh,
-                                                    true),
-    describe_group<&Surfels::log_scale_w, &SurfelArrays::log_scale_w>(
+    make_parameter_group<&Surfels::gait, &SurfelArrays::gait>("gait", {5, 1}, &LearningRates::gait, false,
+                                                              false, ParameterGroup::Of::bends),
+    make_parameter_group<&Surfels::mean, &SurfelArrays::mean>("mean", {3, 1}, &LearningRates::mean),
+    make_parameter_group<&Surfels::rotation, &SurfelArrays::rotation>("rotation", {4, 1},
+                                                                      &LearningRates::rotation),
+    make_parameter_group<&Surfels::log_scale, &SurfelArrays::log_scale>(
+        "log_scale", {2, 1}, &LearningRates::log_scale, false, true),
+    make_parameter_group<&Surfels::opacity_logit, &SurfelArrays::opacity_logit>(
+        "opacity_logit", {1, 1}, &LearningRates::opacity_logit),
+    make_parameter_group<&Surfels::sh, &SurfelArrays::sh>("sh", {kShChannels, kShCoefficients},
+                                                          &LearningRates::sh, true),
+    make_parameter_group<&Surfels::log_scale_w, &SurfelArrays::log_scale_w>(
         "log_scale_w", {1, 1}, &LearningRates::log_scale, false, true, ParameterGroup::Of::third_scale),
 }};
 
 /// Returns the parameter groups that the surfels of a scene have.
 constexpr std::span<const ParameterGroup> list_parameter_groups(ParameterSet parameter_set) {
     const std::size_t first = parameter_set.bends ? 0 : 1,
-                      last = kParameterGroups.size() - (kind_of(parameter_set.primitive).third_scale ? 0 : 1);
+                      last = kParameterGroups.size() -
+                             (get_primitive_kind(parameter_set.primitive).third_scale ? 0 : 1);
     return std::span(kParameterGroups).subspan(first, last - first);
 }
 
@@ -250,7 +253,7 @@ struct ActivationGradients {
     Array<float, shared::ViewGradients>* d_view = nullptr;
     bool zero_untouched = true;  ///< If true, activate_vjp() writes zeros for surfels without a gradient.
     /// If true, `touched` is also an input: 0 marks surfels that cannot have a gradient.
-    /// They are skipped if lists_touched() is true and zero_untouched is false. The
+    /// They are skipped if can_skip_untouched_surfels() is true and zero_untouched is false. The
     /// entries of d_view for skipped surfels are not written.
     bool touched_is_marked = false;
 };
@@ -292,7 +295,7 @@ public:
     /// Returns true if activate_vjp() can skip surfels without a gradient. This works
     /// only on CPU devices. On a GPU, all threads copy SH coefficients through shared
     /// memory together.
-    bool lists_touched() const;
+    bool can_skip_untouched_surfels() const;
     /// Records the kernel that applies the chain rule: it converts gradients of the
     /// surfel records to gradients of the parameters. Gradients of SH coefficients are
     /// written only with ShDirection::surfel. With ShDirection::ray, the backward pass

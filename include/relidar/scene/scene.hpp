@@ -59,7 +59,7 @@ inline constexpr std::array kPrimitives{
 #undef RELIDAR_PRIMITIVE
 };
 /// Returns the properties of a primitive.
-constexpr const PrimitiveKind& kind_of(Primitive primitive) {
+constexpr const PrimitiveKind& get_primitive_kind(Primitive primitive) {
     return kPrimitives[static_cast<std::size_t>(primitive)];
 }
 
@@ -346,7 +346,7 @@ std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vecto
 /// (BoxTrack::moves) and the tracks listed in actor_tracks.
 /// @throws DataError for a box without a size or with a pose that is not finite
 /// @throws UsageError for an unknown track
-std::vector<BoxTrack> separate_boxes(const Sequence& sequence, const InitialiseOptions& options);
+std::vector<BoxTrack> list_foreground_boxes(const Sequence& sequence, const InitialiseOptions& options);
 
 /// Creates the background surfels from the training frames of a log, in the recentred
 /// world frame. The surfels are sorted by recursive median splits along the longest axis
@@ -395,7 +395,7 @@ std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& se
 /// their poses and walking motions of that time. Absent actors are left out.
 /// @param placed [instances] pose of each instance
 /// @throws DataError if the number of poses is wrong
-Surfels freeze(const Scene& scene, const std::vector<InstancePose>& placed);
+Surfels bake_instances(const Scene& scene, const std::vector<InstancePose>& placed);
 
 /// Sorts points in kd-tree order, by recursive median splits along the longest axis. The
 /// median of a range is at (first + last) / 2.

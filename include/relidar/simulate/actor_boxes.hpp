@@ -28,7 +28,7 @@ struct ActorBox {
 };
 
 /// Returns the boxes of the actors of `format` that at least one ray of a scan would hit.
-/// @param scan with RenderedScan::actor_views, see ScanRenderer::compute_views()
+/// @param scan with RenderedScan::actor_views, see ScanRenderer::enable_actor_views()
 std::vector<ActorBox> find_actor_boxes(const RenderedScan& scan, const ScanFormat& format);
 
 /// Replaces the poses of the boxes of a format by the poses of a ScanRequest. Removes the

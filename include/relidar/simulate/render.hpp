@@ -85,7 +85,7 @@ struct RenderedScan {
     /// Set by the command `relidar render`, not by ScanRenderer.
     std::vector<UnseenSide> unseen_sides = {};
     /// Visibility of each actor that at least one ray would hit without occlusion. Empty
-    /// unless ScanRenderer::compute_views() was called.
+    /// unless ScanRenderer::enable_actor_views() was called.
     std::vector<ActorView> actor_views = {};
     Pose world_from_sensor;  ///< pose of the sensor at the reference time, in the dataset's world frame
     /// Poses of the sensor during the scan, in the dataset's world frame. The track has a
@@ -284,7 +284,7 @@ public:
     ~ScanRenderer();
     /// Hides instances of the scene in all following scans.
     /// @param shown [instances] false for an instance that is not rendered
-    void show_only(const std::vector<bool>& shown);
+    void set_visible_instances(const std::vector<bool>& shown);
     /// Sets the network that corrects the drop probabilities of all following scans. An
     /// empty network switches the correction off. A network for the sensor's rays needs
     /// scans in image order with enough rows and columns. It runs before a scan is binned
@@ -299,11 +299,11 @@ public:
     void enable_channels(const std::string& names);
     /// Switches RenderedScan::actor_views of all following scans on or off. To compute
     /// them, traces the rays near each actor a second time, without all other surfaces.
-    void compute_views(bool enabled = true);
+    void enable_actor_views(bool enabled = true);
     /// Sets the space that the log observed. All following scans are compared with this
     /// space to set RenderedScan::unseen_share. An empty coverage switches the
     /// comparison off.
-    void compare_with(const Coverage& coverage);
+    void set_observed_space(const Coverage& coverage);
     /// Sets the classes of the background for the channel `class` of all following scans.
     /// With an empty map, the class of the background is `unknown`.
     void classify_background(const ClassMap& map);
@@ -313,7 +313,7 @@ public:
     /// they are rounded to the quantisation steps of the log.
     /// @param scatter [lidars] if an entry is missing or empty, intensities are as
     /// rendered
-    void scatter_intensities(const std::vector<IntensityScatter>& scatter);
+    void set_intensity_scatter(const std::vector<IntensityScatter>& scatter);
     /// Sets the weather of all following scans. For a sampled scan, the seed of the
     /// sample also seeds the weather. Other scans use seed 0. Scans with weather have the
     /// channel `source`.

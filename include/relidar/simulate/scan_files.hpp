@@ -210,7 +210,7 @@ public:
     /// both processes write scans to it. Removes no files.
     /// @throws UsageError for a recording, because only one process can write it
     /// @throws errors of the constructor
-    static ScanFolder joining(std::filesystem::path folder, ScanFormat format);
+    static ScanFolder open_shared(std::filesystem::path folder, ScanFormat format);
     /// Writes the files of a scan.
     /// @param frame  number of the frame
     /// @throws DataError if a file cannot be written
@@ -238,7 +238,7 @@ private:
     std::shared_ptr<ScanRecordings> recordings_;
 
     /// returns true if `format` is one of ScanFormat::formats
-    bool wants(const std::string& format) const;
+    bool has_scan_format(const std::string& format) const;
     void summarise() const;
 };
 

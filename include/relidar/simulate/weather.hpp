@@ -75,15 +75,15 @@ struct WeatherSensor {
     double darkest = 0.5 / 255.0;
     /// Surfaces with a lower reflectivity are not detected at any range, because
     /// receivers are less sensitive to near targets (sensitivity-time control). 0 =
-    /// weakest() is the only threshold.
+    /// compute_min_power() is the only threshold.
     double weakest_reflectivity = 0.0;
 
     /// Returns the minimum power that is detected: the power of the darkest surface at
     /// the maximum range.
-    double weakest() const { return darkest / (max_range_m * max_range_m); }
+    double compute_min_power() const { return darkest / (max_range_m * max_range_m); }
     /// Returns the minimum power that the sensor detects at a range. Applies to surfaces,
     /// fog, particles and noise. For mirrored and stray light, the minimum power is
-    /// weakest().
+    /// compute_min_power().
     double threshold(double range_m) const;
 };
 

@@ -261,7 +261,7 @@ TrainingEnd train_actors(Device& device, Run& run, const ActorSession& session =
 
 /// Moves the scene, the coverage and the corrected poses (if any) from a training result
 /// into a run.
-void move_result(Run& run, TrainResult& result);
+void move_result_into_run(Run& run, TrainResult& result);
 
 /// Checks that a training can resume with this log and these settings. train.iterations
 /// may be increased. The learning rates then follow the longer schedule from the current

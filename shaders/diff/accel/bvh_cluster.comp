@@ -117,14 +117,14 @@ Cluster merge_clusters(Cluster first, Cluster second) {
     store_shared_box(params.tree.boxes, node, box);
     SharedUints(uvec2(params.tree.spares)).at[node] = first.spare;
     params.tree.children.at[node] = uvec2(first.root, second.root);
-    write_costs(params.tree, node, Subtree(first.root, compute_half_area(first.box)),
-                Subtree(second.root, compute_half_area(second.box)), compute_half_area(box));
+    write_node_costs(params.tree, node, Subtree(first.root, compute_half_area(first.box)),
+                     Subtree(second.root, compute_half_area(second.box)), compute_half_area(box));
     return Cluster(box, node, first.spare);
 }
 
 /// Merges each pair of clusters that are mutual nearest neighbours.
 /// @return number of remaining clusters
-uint merge_mutual(uint count) {
+uint merge_mutual_nearest_clusters(uint count) {
     for (uint i = gl_SubgroupInvocationID; i < count; i += gl_SubgroupSize)
         nearest[i] = find_nearest_cluster(i, count);
     synchronise_subgroup();
@@ -149,12 +149,12 @@ uint merge_mutual(uint count) {
 }
 
 /// Joins the two ranges in `task`. All lanes of the subgroup must call this function.
-void join_ranges() {
+void join_task_ranges() {
     uint n = load_clusters(task.x, task.y, 0u);
     n = load_clusters(task.y + 1, task.z, n);
     synchronise_subgroup();
     bool covers_model = task.w >= 0;
-    while (n > (covers_model ? 1u : KEPT)) n = merge_mutual(n);
+    while (n > (covers_model ? 1u : KEPT)) n = merge_mutual_nearest_clusters(n);
     if (covers_model) {
         if (gl_SubgroupInvocationID == 0u) params.roots.at[task.w] = root_of[0];
         return;
@@ -167,7 +167,7 @@ void join_ranges() {
 /// Joins a range with its neighbour. Both ranges are processed by different threads, and
 /// only the second one to arrive here continues with the joined range.
 /// @return true for this second thread. `from` and `to` then include the neighbour
-bool join_neighbour_range(inout int from, inout int to, out int split, int first, int last) {
+bool join_with_neighbour_range(inout int from, inout int to, out int split, int first, int last) {
     bool leftward = count_common_bits(from - 1, first, last) > count_common_bits(to, first, last);
     split = leftward ? from - 1 : to;
     uint other = atomicExchange(SharedUints(uvec2(params.other_ends)).at[split], uint(leftward ? to : from));
@@ -191,7 +191,7 @@ void main() {
     }
     while (subgroupAny(climbing)) {
         memoryBarrierBuffer();
-        if (climbing) climbing = join_neighbour_range(from, to, split, first, last);
+        if (climbing) climbing = join_with_neighbour_range(from, to, split, first, last);
         memoryBarrierBuffer();
         bool covers_model = from == first && to == last,
              waiting = climbing && (covers_model || to - from >= int(KEPT));
@@ -200,7 +200,7 @@ void main() {
             bool next = gl_SubgroupInvocationID == first_lane;
             if (next) task = ivec4(from, split, to, covers_model ? model : -1);
             synchronise_subgroup();
-            join_ranges();
+            join_task_ranges();
             synchronise_subgroup();
             if (next) waiting = false;
         }

@@ -21,7 +21,7 @@ void load_costs(BvhBinary tree, Subtree subtree, out float costs[RELIDAR_BVH_WID
 
 /// Computes the costs of a node from the costs of its children. For each number of child
 /// slots, also decides how many of them the left child gets.
-void write_costs(BvhBinary tree, uint node, Subtree left, Subtree right, float area) {
+void write_node_costs(BvhBinary tree, uint node, Subtree left, Subtree right, float area) {
     float in_left[RELIDAR_BVH_WIDTH], in_right[RELIDAR_BVH_WIDTH];
     load_costs(tree, left, in_left);
     load_costs(tree, right, in_right);

@@ -22,8 +22,8 @@ uint compute_exponent(float low, float high) {
 
 /// Quantises the lower and the upper bound of a child box along one axis. Returns the
 /// lower bound in bits 0-7 and the upper bound in bits 8-15.
-uint quantised(float origin, uint e, float low, float high) {
-    float scale = uintBitsToFloat(e << 23), steps = uintBitsToFloat((254u - e) << 23);
+uint quantise_interval(float origin, uint exponent, float low, float high) {
+    float scale = uintBitsToFloat(exponent << 23), steps = uintBitsToFloat((254u - exponent) << 23);
     uint q_low = uint(clamp(floor((low - origin) * steps), 0.0, 255.0));
     uint q_high = uint(clamp(ceil((high - origin) * steps), 0.0, 255.0));
     while (q_low > 0u && decode_bound(origin, q_low, scale) > low) --q_low;
@@ -51,9 +51,9 @@ NodeGrid make_node_grid(Box bounds) {
 /// above high), which no ray hits.
 uvec3 quantise_box(NodeGrid grid, Box child) {
     if (is_empty(child)) return uvec3(255u);
-    return uvec3(quantised(grid.origin.x, grid.exponents.x, child.low.x, child.high.x),
-                 quantised(grid.origin.y, grid.exponents.y, child.low.y, child.high.y),
-                 quantised(grid.origin.z, grid.exponents.z, child.low.z, child.high.z));
+    return uvec3(quantise_interval(grid.origin.x, grid.exponents.x, child.low.x, child.high.x),
+                 quantise_interval(grid.origin.y, grid.exponents.y, child.low.y, child.high.y),
+                 quantise_interval(grid.origin.z, grid.exponents.z, child.low.z, child.high.z));
 }
 
 void store_grid(BvhNodes nodes, uint node, NodeGrid grid, uint inner_mask) {
@@ -63,7 +63,7 @@ void store_grid(BvhNodes nodes, uint node, NodeGrid grid, uint inner_mask) {
 }
 
 /// Writes the bounds of four child boxes to a node. Each bound is one byte.
-void store_word(BvhNodes nodes, uint node, uint word, uvec3 low, uvec3 high) {
+void write_child_bounds(BvhNodes nodes, uint node, uint word, uvec3 low, uvec3 high) {
     nodes.at[node].low_x[word] = low.x;
     nodes.at[node].low_y[word] = low.y;
     nodes.at[node].low_z[word] = low.z;
@@ -75,7 +75,7 @@ void store_word(BvhNodes nodes, uint node, uint word, uvec3 low, uvec3 high) {
 /// Writes the quantisation grid, the mask of inner children and the child boxes of a
 /// node.
 /// @return bounding box of all children
-Box write_boxes(BvhNodes nodes, uint node, uint inner_mask, Box children[RELIDAR_BVH_WIDTH]) {
+Box write_child_boxes(BvhNodes nodes, uint node, uint inner_mask, Box children[RELIDAR_BVH_WIDTH]) {
     Box bounds = make_empty_box();
     for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) bounds = join_boxes(bounds, children[s]);
     NodeGrid grid = make_node_grid(bounds);
@@ -86,7 +86,7 @@ Box write_boxes(BvhNodes nodes, uint node, uint inner_mask, Box children[RELIDAR
         high[s / 4u] |= (steps >> 8) << (8u * (s % 4u));
     }
     store_grid(nodes, node, grid, inner_mask);
-    for (uint word = 0u; word < 2u; ++word) store_word(nodes, node, word, low[word], high[word]);
+    for (uint word = 0u; word < 2u; ++word) write_child_bounds(nodes, node, word, low[word], high[word]);
     return bounds;
 }
 #endif

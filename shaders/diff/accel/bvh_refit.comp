@@ -25,8 +25,8 @@ RELIDAR_PARAMS(BvhRefitParams);
 
 const uint OF_NODE = LANES < RELIDAR_BVH_WIDTH ? LANES : RELIDAR_BVH_WIDTH;  // lanes per node
 const uint OF_LANE = RELIDAR_BVH_WIDTH / OF_NODE;                            // children per lane: 1 or 2
-uint lane() { return gl_SubgroupInvocationID % OF_NODE; }
-uint get_slot(uint index) { return index * OF_NODE + lane(); }
+uint get_lane_in_group() { return gl_SubgroupInvocationID % OF_NODE; }
+uint get_slot(uint index) { return index * OF_NODE + get_lane_in_group(); }
 
 /// Returns the union of the boxes of all lanes that process the same node. All lanes of
 /// the subgroup must call this function, because it uses shuffles.
@@ -40,7 +40,7 @@ uvec3 join_bytes_over_word(uvec3 bytes) {
     return bytes;
 }
 bool broadcast_from_first_lane(bool value) {
-    return subgroupShuffle(value, gl_SubgroupInvocationID - lane());
+    return subgroupShuffle(value, gl_SubgroupInvocationID - get_lane_in_group());
 }
 
 Box make_child_box(uint node, uint slot, uint first_surfel, uint inner_mask) {
@@ -71,9 +71,9 @@ void refit_node(bool has_node, uint node, uint first_surfel, uint inner_mask) {
         uvec3 steps = quantise_box(grid, children[k]);
         uvec3 low = join_bytes_over_word((steps & 255u) << (8u * (slot % 4u))),
               high = join_bytes_over_word((steps >> 8) << (8u * (slot % 4u)));
-        if (has_node && slot % 4u == 0u) store_word(params.wide.nodes, node, slot / 4u, low, high);
+        if (has_node && slot % 4u == 0u) write_child_bounds(params.wide.nodes, node, slot / 4u, low, high);
     }
-    if (!has_node || lane() != 0u) return;
+    if (!has_node || get_lane_in_group() != 0u) return;
     store_grid(params.wide.nodes, node, grid, inner_mask);
     store_shared_box(params.wide.boxes, node, bounds);
 }
@@ -86,7 +86,7 @@ void refit_node(bool has_node, uint node, uint first_surfel, uint inner_mask) {
 bool count_finished_child(bool arrives, uint node, uint expected) {
     bool last = false;
     memoryBarrierBuffer();
-    if (arrives && lane() == 0u)
+    if (arrives && get_lane_in_group() == 0u)
         last = atomicAdd(SharedUints(uvec2(params.wide.arrivals)).at[node], 1u) + 1u == expected;
     memoryBarrierBuffer();
     return broadcast_from_first_lane(last);
@@ -108,7 +108,7 @@ void refit_ancestors(bool has_node, uint node) {
         }
         has_node = count_finished_child(has_node, node, bitCount(inner_mask));
         if (has_node) {
-            if (lane() == 0u) params.wide.arrivals.at[node] = 0u;  // reset for the next launch
+            if (get_lane_in_group() == 0u) params.wide.arrivals.at[node] = 0u;  // reset for the next launch
             link = params.wide.links.at[node];
         }
     }

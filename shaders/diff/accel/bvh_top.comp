@@ -139,7 +139,7 @@ void write_node(uint node, uint first, uint count, uint first_below, bool lowest
     params.bvh.top_nodes.at[node].first_leaf = first;
     params.bvh.top_nodes.at[node].leaves = leaves;
     store_shared_box(params.boxes, params.n_instances + node,
-                     write_boxes(params.bvh.top_nodes, node, inner_mask, children));
+                     write_child_boxes(params.bvh.top_nodes, node, inner_mask, children));
 }
 
 void main() {

@@ -24,7 +24,7 @@ layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer Sha
 /// Replaces one child that is a wide node by its children, if they all fit into the
 /// parent.
 /// @return false if no child was replaced
-bool open_child(inout uint slots[RELIDAR_BVH_WIDTH], inout uint n_slots) {
+bool replace_child_by_grandchildren(inout uint slots[RELIDAR_BVH_WIDTH], inout uint n_slots) {
     for (uint s = 0u; s < n_slots; ++s) {
         if (!is_inner_slot(params.tree, slots[s])) continue;
         uint below[RELIDAR_BVH_WIDTH];
@@ -39,12 +39,12 @@ bool open_child(inout uint slots[RELIDAR_BVH_WIDTH], inout uint n_slots) {
 
 uint level_end;  // Queue index at which the next level starts.
 
-void mark(uint entry) {
+void mark_wide_node(uint entry) {
     uint node = SharedUints(uvec2(params.queue)).at[entry];
     if (node == RELIDAR_BVH_NO_NODE) return;  // the model has no surfels
     uint slots[RELIDAR_BVH_WIDTH];
     uint n_slots = collect_slots(params.tree, node, slots);
-    while (n_slots < RELIDAR_BVH_WIDTH && open_child(slots, n_slots)) {}
+    while (n_slots < RELIDAR_BVH_WIDTH && replace_child_by_grandchildren(slots, n_slots)) {}
     uint n_inner = 0u, n_surfels = 0u;
     for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) {
         params.slots.at[8u * entry + s] = s < n_slots ? slots[s] : RELIDAR_BVH_NO_NODE;
@@ -63,10 +63,10 @@ void mark(uint entry) {
 
 /// Processes the remaining levels of the tree with a single workgroup, from this level
 /// downwards.
-void mark_rest(uint begin) {
+void mark_lower_levels(uint begin) {
     for (uint end = level_end; begin < end;) {
         for (uint entry = begin + gl_LocalInvocationIndex; entry < end; entry += gl_WorkGroupSize.x)
-            mark(entry);
+            mark_wide_node(entry);
         memoryBarrierBuffer();
         barrier();
         begin = end;
@@ -82,6 +82,6 @@ void main() {
         begin = level_end;
         level_end += params.level_sizes.at[k];
     }
-    if (UNTIL_DONE != 0u) mark_rest(begin);
-    else if (begin + get_thread_index() < level_end) mark(begin + get_thread_index());
+    if (UNTIL_DONE != 0u) mark_lower_levels(begin);
+    else if (begin + get_thread_index() < level_end) mark_wide_node(begin + get_thread_index());
 }

@@ -13,7 +13,7 @@ RELIDAR_PARAMS(ModelRadiiParams);
 
 /// Returns the standard deviation s of a surfel along an axis, which the record stores as
 /// axis / s. Returns 0 if s is not finite, because such a surfel is never hit.
-float scale_of(vec3 axis) {
+float compute_axis_scale(vec3 axis) {
     float s = 1.0 / length(axis);
     return isnan(s) || isinf(s) ? 0.0 : s;
 }
@@ -23,13 +23,13 @@ float scale_of(vec3 axis) {
 float compute_radius(SurfelRecord record) {
     if (!(record.opacity > params.alpha_min)) return 0.0;
     float k = sqrt(2.0 * log(record.opacity / params.alpha_min));
-    float u = scale_of(record.axis_u), v = scale_of(record.axis_v),
-          w = has_third_scale() ? scale_of(record.normal) : 0.0;
+    float u = compute_axis_scale(record.axis_u), v = compute_axis_scale(record.axis_v),
+          w = has_third_scale() ? compute_axis_scale(record.normal) : 0.0;
     float radius = (length(record.mean) + k * max(max(u, v), w)) * params.margin_scale + params.margin_m;
     return isnan(radius) || isinf(radius) ? 3.4e38 : radius;
 }
 
-void add_to_model(uint model, float radius) {
+void extend_model_radius(uint model, float radius) {
     if (radius > 0.0) atomicMax(params.radii.at[model], floatBitsToUint(radius));
 }
 
@@ -41,11 +41,11 @@ void main() {
     for (uint k = first; k < min(first + RELIDAR_RADIUS_STRETCH, params.n_surfels); ++k) {
         uint surfel = params.first_surfel + k;
         if (surfel - params.models.at[model].first_surfel >= params.models.at[model].n_surfels) {
-            add_to_model(model, radius);
+            extend_model_radius(model, radius);
             radius = 0.0;
             model = find_model(params.models, params.n_models, surfel);
         }
         radius = max(radius, compute_radius(params.records.at[surfel]));
     }
-    add_to_model(model, radius);
+    extend_model_radius(model, radius);
 }

@@ -42,14 +42,15 @@ vec3 compute_half_axis(vec3 axis, float factor) {
 
 /// Writes the twelve corners of an icosahedron. Their order must match the triangles in
 /// src/diff/accel/hardware.cpp.
-void write_icosahedron(uint index, vec3 mean, vec3 u, vec3 vector, vec3 w) {
+void write_icosahedron(uint index, vec3 mean, vec3 axis_u, vec3 axis_v, vec3 axis_w) {
     for (uint k = 0u; k < 12u; ++k) {
         float one = (k & 1u) != 0u ? -1.0 : 1.0, phi = (k & 2u) != 0u ? -kPhi : kPhi;
         vec3 at = k < 4u ? vec3(0.0, one, phi) : k < 8u ? vec3(one, phi, 0.0) : vec3(phi, 0.0, one);
-        vec3 corner = mean + kCircumscribed * (at.x * u + at.y * vector + at.z * w);
+        vec3 corner = mean + kCircumscribed * (at.x * axis_u + at.y * axis_v + at.z * axis_w);
         for (uint c = 0u; c < 3u; ++c) params.vertices.at[36u * index + 3u * k + c] = corner[c];
     }
-    float reach = (1.0 + kOuterRadius) * sqrt(max(max(dot(u, u), dot(vector, vector)), dot(w, w)));
+    float reach =
+        (1.0 + kOuterRadius) * sqrt(max(max(dot(axis_u, axis_u), dot(axis_v, axis_v)), dot(axis_w, axis_w)));
     if (reach > 0.0) atomicMax(params.reach.at[0], floatBitsToUint(reach));
 }
 

@@ -23,16 +23,16 @@ shared uint shared_targets[COALESCED_ATOMICS != 0u ? gl_WorkGroupSize.x : 1u];
 /// Returns true if the lanes of a subgroup exchange rows through shared memory. All lanes
 /// must then call add_row() together. In subgroups that are not full, rows are not
 /// exchanged, because nobody would add the floats of the missing lanes.
-bool rows_are_exchanged() {
+bool are_rows_exchanged() {
     return COALESCED_ATOMICS != 0u && gl_NumSubgroups * gl_SubgroupSize == gl_WorkGroupSize.x;
 }
 
-uint shared_row_index() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
+uint get_shared_row_index() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
 
 /// Adds `amount` to array[16 row + index]. If lanes exchange rows, only stores the
 /// amount, and the next add_row() of this row adds it.
-void add_float(Floats array, uint row, uint index, float amount) {
-    if (rows_are_exchanged()) shared_rows[shared_row_index() * kRowPitch + index] = amount;
+void add_to_row_component(Floats array, uint row, uint index, float amount) {
+    if (are_rows_exchanged()) shared_rows[get_shared_row_index() * kRowPitch + index] = amount;
     else atomic_add(array, 16u * row + index, amount);
 }
 
@@ -42,13 +42,13 @@ void add_float(Floats array, uint row, uint index, float amount) {
 /// @param is_needed bit mask with bit k set if float k has a value. Must be equal in all
 /// lanes
 void add_row(Floats array, uint row, uint is_needed) {
-    if (!rows_are_exchanged()) return;
-    shared_targets[shared_row_index()] = row;
+    if (!are_rows_exchanged()) return;
+    shared_targets[get_shared_row_index()] = row;
     subgroupBarrier();
     // A group of n lanes adds n rows, one after another. For each row, lane number k % n
     // adds float k, so that neighbouring lanes write neighbouring addresses.
     uint n = min(16u, gl_SubgroupSize), lane = gl_SubgroupInvocationID % n;
-    uint first = shared_row_index() - lane;
+    uint first = get_shared_row_index() - lane;
     for (uint from = first; from < first + n; ++from) {
         uint to = shared_targets[from];
         if (to == kNoRow) continue;

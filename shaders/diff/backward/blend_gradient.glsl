@@ -30,7 +30,7 @@ bool has_gradient(RayGradient gradient) {
 
 /// Returns the derivative of the loss with respect to the blending weight of a hit. It is
 /// the sum over all blended values of gradient times the hit's value.
-float compute_shade(TraceScene scene, Ray ray, RayGradient gradient, Hit hit) {
+float compute_weight_gradient(TraceScene scene, Ray ray, RayGradient gradient, Hit hit) {
     vec3 channels = evaluate_hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
     float shade = 0.0;
 #define RELIDAR_SHADE(name, built, value, input, slope, meaning) \
@@ -48,7 +48,7 @@ void blend_chunk(TraceScene scene, Ray ray, RayGradient gradient, uint count, in
         float alpha = min(hit.alpha, scene.alpha_max);
         chunk_transmittance[i] = state.transmittance;
         chunk_w[i] = alpha * state.transmittance;
-        chunk_shade[i] = compute_shade(scene, ray, gradient, hit) - state.shift;
+        chunk_shade[i] = compute_weight_gradient(scene, ray, gradient, hit) - state.shift;
         add_with_compensation(state.remaining, state.lost, -chunk_w[i] * chunk_shade[i]);
         state.transmittance *= 1.0 - alpha;
     }

@@ -45,14 +45,14 @@ uint add_hit_gradients(TraceScene scene, uint index, uint row) {
 /// additions give a repeatable result, but four do not.
 /// @param begins_here true if the row has no hits in earlier blocks
 /// @param goes_on true if the row continues in the next block
-void finish_row(uint block, uint row, uint instance, bool begins_here, bool goes_on) {
+void store_row_sum(uint block, uint row, uint instance, bool begins_here, bool goes_on) {
     if (begins_here && !goes_on) {
         add_to_row(row, instance);
         return;
     }
     uint part = begins_here ? get_tail_index(block) : get_head_index(block);
     for (uint k = 0u; k < 16u; ++k) params.parts.at[part + k] = sums[k];
-    for (uint k = 16u; k < get_part_width(); ++k) params.parts.at[part + k] = sh_sums[k - 16u];
+    for (uint k = 16u; k < get_partial_sum_width(); ++k) params.parts.at[part + k] = sh_sums[k - 16u];
 }
 
 void main() {
@@ -67,7 +67,7 @@ void main() {
         uint next = params.rows.at[i];
         if (next >= params.n_rows) break;  // slots without a hit are sorted to the end
         if (next != row) {
-            finish_row(block, row, instance, begins_here, false);
+            store_row_sum(block, row, instance, begins_here, false);
             clear_sums();
             row = next;
             begins_here = true;
@@ -75,5 +75,5 @@ void main() {
         instance = add_hit_gradients(params.scene, i, row);
     }
     if (row < params.n_rows)
-        finish_row(block, row, instance, begins_here, end < n_sorted() && params.rows.at[end] == row);
+        store_row_sum(block, row, instance, begins_here, end < n_sorted() && params.rows.at[end] == row);
 }

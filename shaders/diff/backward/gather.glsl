@@ -7,11 +7,11 @@
 float sums[16];
 float sh_sums[RELIDAR_SH_FLOATS];
 
-uint get_part_width() { return SH_PER_SURFEL != 0u ? 16u : 16u + RELIDAR_SH_FLOATS; }
+uint get_partial_sum_width() { return SH_PER_SURFEL != 0u ? 16u : 16u + RELIDAR_SH_FLOATS; }
 // Returns where a block stores its partial sum of a row that began in an earlier block.
-uint get_head_index(uint block) { return 2u * block * get_part_width(); }
+uint get_head_index(uint block) { return 2u * block * get_partial_sum_width(); }
 // Returns where a block stores its partial sum of a row that continues in the next block.
-uint get_tail_index(uint block) { return get_head_index(block) + get_part_width(); }
+uint get_tail_index(uint block) { return get_head_index(block) + get_partial_sum_width(); }
 uint n_sorted() { return min(params.n_hits.at[0], params.capacity); }
 uint get_block_end(uint block) { return min((block + 1u) * RELIDAR_GATHER_BLOCK, n_sorted()); }
 

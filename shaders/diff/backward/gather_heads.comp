@@ -17,9 +17,9 @@ bool is_row_start(uint block, uint row) {
     return params.rows.at[first] != row || first == 0u || params.rows.at[first - 1u] != row;
 }
 
-void add_part(uint part) {
+void add_partial_sum(uint part) {
     for (uint k = 0u; k < 16u; ++k) sums[k] += params.parts.at[part + k];
-    for (uint k = 16u; k < get_part_width(); ++k) sh_sums[k - 16u] += params.parts.at[part + k];
+    for (uint k = 16u; k < get_partial_sum_width(); ++k) sh_sums[k - 16u] += params.parts.at[part + k];
 }
 
 void main() {
@@ -30,9 +30,9 @@ void main() {
     uint row = params.rows.at[end - 1u];
     if (row >= params.n_rows || params.rows.at[end] != row || !is_row_start(block, row)) return;
     clear_sums();
-    add_part(get_tail_index(block));
+    add_partial_sum(get_tail_index(block));
     for (uint later = block + 1u; end < n && params.rows.at[end] == row; ++later) {
-        add_part(get_head_index(later));
+        add_partial_sum(get_head_index(later));
         end = get_block_end(later);
     }
     add_to_row(row, params.hits.at[params.slots.at[get_block_end(block) - 1u]].instance);

@@ -32,11 +32,11 @@ vec3 compute_sh_direction_gradient(TraceScene scene, vec3 direction, uint surfel
 
 /// Computes the gradient of a hit.
 /// @param gradient gradients of the ray's blended values
-/// @param w blending weight of the hit
+/// @param weight blending weight of the hit
 /// @param d_alpha dL/d(sigma G), the derivative with respect to the unclamped alpha. Must
 /// be 0 if alpha was clamped
 HitGradient compute_hit_gradient(TraceScene scene, Ray ray, RayGradient gradient, uint instance, uint surfel,
-                                 float w, float d_alpha) {
+                                 float weight, float d_alpha) {
     SurfelRecord record = scene.records.at[surfel];
     enter_instance(scene, ray, instance);
     vec3 origin = entered_origin, direction = entered_direction;
@@ -45,7 +45,7 @@ HitGradient compute_hit_gradient(TraceScene scene, Ray ray, RayGradient gradient
     float d_t = 0.0, nowhere = 0.0;
     vec3 d_channel = vec3(0.0);
 #define RELIDAR_SEND(name, built, value, input, slope, meaning) \
-    if (built) input += gradient.name * w * (slope);
+    if (built) input += gradient.name * weight * (slope);
     RELIDAR_BLENDED_VALUES(RELIDAR_SEND)
 #undef RELIDAR_SEND
     if (SINGLE_DROP_LOGIT != 0u) d_channel.y = 0.0;
@@ -55,7 +55,7 @@ HitGradient compute_hit_gradient(TraceScene scene, Ray ray, RayGradient gradient
     // gradient of a rotation of the viewing direction.
     vec3 others = d_channel;
     if (SH_PER_SURFEL == 0u) {
-        use_basis(scene, ray, instance);
+        compute_ray_sh_basis(scene, ray, instance);
         // The forward pass clamps negative intensities to 0, so their gradient is 0.
         if (!(evaluate_channel(scene, surfel, 0u) > 0.0)) d_channel.x = 0.0;
         vec3 d_sh_direction = compute_sh_direction_gradient(scene, direction, surfel, d_channel);

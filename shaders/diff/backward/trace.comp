@@ -36,13 +36,15 @@ vec3 d_ray_direction;
 void add_gradient(TraceScene scene, uint row, uint surfel, HitGradient gradient) {
     bool others = SH_PER_SURFEL != 0u || params.with_turn != 0u;  // lanes 7, 11, 15
     for (uint k = 0u; k < 16u; ++k)
-        if (others || k % 4u != 3u || k == 3u) add_float(params.d_records, row, k, gradient.lanes[k]);
+        if (others || k % 4u != 3u || k == 3u)
+            add_to_row_component(params.d_records, row, k, gradient.lanes[k]);
     add_row(params.d_records, row, others ? 0xffffu : 0x777fu);
     if (SH_PER_SURFEL != 0u) return;
     uint n = count_sh_coefficients(scene.sh_degree);
     for (uint c = 0u; c < 3u; ++c) {
         uint sh_row = row == kNoRow ? kNoRow : 3u * surfel + c;
-        for (uint k = 0u; k < n; ++k) add_float(params.d_sh, sh_row, k, gradient.d_channel[c] * ray_basis[k]);
+        for (uint k = 0u; k < n; ++k)
+            add_to_row_component(params.d_sh, sh_row, k, gradient.d_channel[c] * ray_basis[k]);
         add_row(params.d_sh, sh_row, (1u << n) - 1u);
     }
 }
@@ -64,10 +66,10 @@ struct BlendedHit {
 /// Computes the gradient of one hit and adds it to the gradient of the ray. Then writes a
 /// record of the hit, or adds the gradient to its surfel. If lanes exchange gradients,
 /// the caller must call add_gradient() instead.
-/// @param d output: gradient for add_gradient()
+/// @param hit_gradient output: gradient for add_gradient()
 /// @return `row` for add_gradient(), or kNoRow
-uint add_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient gradient, BlendedHit blended_hit,
-             out HitGradient d) {
+uint add_hit_gradient(TraceScene scene, Ray ray, uint ray_index, RayGradient gradient, BlendedHit blended_hit,
+                      out HitGradient hit_gradient) {
     uint first_surfel = scene.instances.at[blended_hit.instance].first_surfel;
     uint row = blended_hit.surfel - first_surfel + scene.instances.at[blended_hit.instance].first_row;
     if (!is_null(params.touched)) params.touched.at[blended_hit.surfel] = 1u;
@@ -81,11 +83,11 @@ uint add_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient gradient, Bl
         params.rows.at[blended_hit.slot] = row;
         if (is_null(params.d_rays)) return kNoRow;
     }
-    d = compute_hit_gradient(scene, ray, gradient, blended_hit.instance, blended_hit.surfel, blended_hit.w,
-                             d_alpha);
-    if (!recorded && !rows_are_exchanged()) add_gradient(scene, row, blended_hit.surfel, d);
-    d_ray_origin += to_world_vector(scene, d.d_origin);
-    d_ray_direction += to_world_vector(scene, d.d_direction);
+    hit_gradient = compute_hit_gradient(scene, ray, gradient, blended_hit.instance, blended_hit.surfel,
+                                        blended_hit.w, d_alpha);
+    if (!recorded && !are_rows_exchanged()) add_gradient(scene, row, blended_hit.surfel, hit_gradient);
+    d_ray_origin += to_world_vector(scene, hit_gradient.d_origin);
+    d_ray_direction += to_world_vector(scene, hit_gradient.d_direction);
     return recorded ? kNoRow : row;
 }
 
@@ -103,21 +105,21 @@ void load_kept_hits(uint first, uint count) {
 /// @param slot index of the first hit in the list of hit records
 /// @param behind sum of weight times shade over the hits behind the chunk and the
 /// background
-void add_chunk(TraceScene scene, Ray ray, uint ray_index, RayGradient gradient, uint slot, uint count,
-               float behind) {
-    for (uint k = rows_are_exchanged() ? subgroupMax(count) : count; k > 0u; --k) {
+void add_buffered_hit_gradients(TraceScene scene, Ray ray, uint ray_index, RayGradient gradient, uint slot,
+                                uint count, float behind) {
+    for (uint k = are_rows_exchanged() ? subgroupMax(count) : count; k > 0u; --k) {
         uint i = k - 1u, row = kNoRow, surfel = 0u;
         HitGradient d;
         if (k <= count) {
             Hit hit = load_hit(i);
             surfel = hit.surfel;
-            row = add_hit(scene, ray, ray_index, gradient,
-                          BlendedHit(slot + i, hit.instance, hit.surfel, hit.alpha, chunk_transmittance[i],
-                                     chunk_w[i], chunk_shade[i], behind),
-                          d);
+            row = add_hit_gradient(scene, ray, ray_index, gradient,
+                                   BlendedHit(slot + i, hit.instance, hit.surfel, hit.alpha,
+                                              chunk_transmittance[i], chunk_w[i], chunk_shade[i], behind),
+                                   d);
             behind += chunk_w[i] * chunk_shade[i];
         }
-        if (rows_are_exchanged()) add_gradient(scene, row, surfel, d);
+        if (are_rows_exchanged()) add_gradient(scene, row, surfel, d);
     }
 }
 
@@ -138,8 +140,9 @@ BlendState start_blending(RenderedRay final, RayGradient gradient) {
 /// Subtracts the value of the ray's nearest hit from the values of all hits and of the
 /// background. All weights sum to 1, so the gradients (Eq. 9) stay the same. The
 /// subtraction avoids differences of large numbers.
-void start_shift(TraceScene scene, Ray ray, RenderedRay final, RayGradient gradient, inout BlendState state) {
-    state.shift = compute_shade(scene, ray, gradient, load_hit(0u));
+void shift_blend_origin(TraceScene scene, Ray ray, RenderedRay final, RayGradient gradient,
+                        inout BlendState state) {
+    state.shift = compute_weight_gradient(scene, ray, gradient, load_hit(0u));
     add_with_compensation(state.remaining, state.lost, -state.shift * final.weight);
     add_with_compensation(state.remaining, state.lost, -state.shift * final.transmittance);
 }
@@ -149,13 +152,13 @@ void start_shift(TraceScene scene, Ray ray, RenderedRay final, RayGradient gradi
 /// lanes without one must call this function too
 /// @return number of blended hits. It is below final.n_hits if the search missed some
 /// hits of the forward pass
-uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayGradient gradient,
-              bool going) {
+uint backpropagate_ray(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayGradient gradient,
+                       bool going) {
     BlendState state = start_blending(final, gradient);
     uint blended = 0u, start = GATHER != 0u ? params.first_hit.at[ray_index] : 0u;
     Key after = get_first_key(scene);
     going = going && final.n_hits > 0u;
-    for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && (rows_are_exchanged() ? subgroupAny(going) : going);
+    for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && (are_rows_exchanged() ? subgroupAny(going) : going);
          ++pass) {
         uint n = 0u, slot = start + blended;
         float behind = 0.0;
@@ -166,7 +169,7 @@ uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayG
             if (kept) load_kept_hits(blended, final.n_hits - blended);
             else find_next_hits(scene, ray, after, compute_min_transmittance(scene, state.transmittance));
             n = min(n_hits, final.n_hits - blended);
-            if (pass == 0u) start_shift(scene, ray, final, gradient, state);
+            if (pass == 0u) shift_blend_origin(scene, ray, final, gradient, state);
             blended += n;
             blend_chunk(scene, ray, gradient, n, state);
             going = blended < final.n_hits && hits_closed;
@@ -174,13 +177,13 @@ uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayG
             behind = going ? state.remaining : state.transmittance * (gradient.drop_logit - state.shift);
             if (going) after = load_hit_key(n_hits - 1u);
         }
-        add_chunk(scene, ray, ray_index, gradient, slot, n, behind);
+        add_buffered_hit_gradients(scene, ray, ray_index, gradient, slot, n, behind);
     }
     return blended;
 }
 
 /// Marks the hit records of a ray as unused, starting with record `first`.
-void clear_slots(uint ray_index, uint first, uint count) {
+void clear_hit_records(uint ray_index, uint first, uint count) {
     uint start = params.first_hit.at[ray_index];
     for (uint k = start + first; k < min(start + count, params.capacity); ++k)
         params.rows.at[k] = RELIDAR_NO_ROW(params.n_rows);
@@ -190,7 +193,7 @@ void main() {
     uint i = get_traced_ray(params.scene);
     bool inside = i < params.scene.n_rays;
     if (!inside) {
-        if (!rows_are_exchanged()) return;
+        if (!are_rows_exchanged()) return;
         // All lanes must take part in the exchange of gradients, so a lane without a ray
         // uses ray 0 as a placeholder.
         i = 0u;
@@ -202,9 +205,9 @@ void main() {
     RayGradient g = params.upstream.at[i];
     RenderedRay final = params.rendered.at[i];
     if (LIKELIHOOD != 0u) load_measurement(params.scene, i);
-    uint blended = backward(params.scene, make_ray(entry), i, final, g, inside && has_gradient(g));
+    uint blended = backpropagate_ray(params.scene, make_ray(entry), i, final, g, inside && has_gradient(g));
     if (!inside) return;
-    if (GATHER != 0u) clear_slots(i, blended, final.n_hits);
+    if (GATHER != 0u) clear_hit_records(i, blended, final.n_hits);
     if (is_null(params.d_rays)) return;
     for (uint c = 0u; c < 3u; ++c) {
         params.d_rays.at[6u * i + c] = d_ray_origin[c];

@@ -13,13 +13,13 @@ RELIDAR_PARAMS(AllotParams);
 
 /// Returns the 64-bit number (high, low) divided by d, rounded down, with binary long
 /// division. high must be less than d, so that the result fits into 32 bits.
-uint divide_wide(uint high, uint low, uint d) {
+uint divide_64_by_32(uint high, uint low, uint divisor) {
     uint quotient = 0u, rest = high;
     for (int bit = 31; bit >= 0; --bit) {
         bool carry = rest >= 0x80000000u;
         rest = rest << 1 | (low >> bit & 1u);
-        if (!carry && rest < d) continue;
-        rest -= d;
+        if (!carry && rest < divisor) continue;
+        rest -= divisor;
         quotient |= 1u << bit;
     }
     return quotient;
@@ -32,7 +32,7 @@ uint sum_earlier_weights(uint weight) {
     uint high, low, carry;
     umulExtended(weight, params.n_new, high, low);
     low = uaddCarry(low, params.phase, carry);
-    return divide_wide(high + carry, low, params.total_weight);
+    return divide_64_by_32(high + carry, low, params.total_weight);
 }
 
 void main() {

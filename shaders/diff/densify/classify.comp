@@ -13,7 +13,7 @@
 #include "../../scene/gaussian/quaternion.glsl"
 RELIDAR_PARAMS(ClassifyParams);
 
-void count(uint model, uint counter, uint amount) {
+void add_to_counter(uint model, uint counter, uint amount) {
     atomicAdd(params.counters.at[RELIDAR_DENSIFY_COUNTERS * model + counter], amount);
 }
 
@@ -58,7 +58,7 @@ bool is_outside(uint index, vec4 quaternion, vec3 scale, vec3 half_size) {
 
 /// Returns how a surfel grows: clone or split if its mean gradient norm exceeds the
 /// threshold, otherwise keep.
-uint grow_by_gradient(uint index, float max_scale, float extent_m) {
+uint choose_growth_action(uint index, float max_scale, float extent_m) {
     uint n_seen = params.n_seen.at[index];
     if (n_seen == 0u || !(params.gradient_sum.at[index] > params.gradient_threshold * float(n_seen)))
         return RELIDAR_DENSIFY_KEEP;
@@ -87,7 +87,7 @@ void main() {
     float opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[i]));
     float max_scale = max(scale.x, scale.y);
     if (has_third_scale()) max_scale = max(max_scale, scale.z);
-    uint action = grow_by_gradient(i, max_scale, params.extents.at[model]);
+    uint action = choose_growth_action(i, max_scale, params.extents.at[model]);
     // A split divides the scale by 1.6, so the following test uses the smaller scale.
     if (action == RELIDAR_DENSIFY_SPLIT) max_scale /= 1.6;
     uint why = classify_surfel(i, model, q, scale, opacity, max_scale);
@@ -96,10 +96,11 @@ void main() {
         action = RELIDAR_DENSIFY_DROP;
     } else if (action != RELIDAR_DENSIFY_KEEP) {
         weight = 1u;
-        count(model, action == RELIDAR_DENSIFY_CLONE ? RELIDAR_DENSIFY_CLONES : RELIDAR_DENSIFY_SPLITS, 1u);
+        add_to_counter(model,
+                       action == RELIDAR_DENSIFY_CLONE ? RELIDAR_DENSIFY_CLONES : RELIDAR_DENSIFY_SPLITS, 1u);
     }
     params.action.at[i] = action;
     params.weight.at[i] = weight;
-    count(model, why, 1u);
-    if (weight != 0u) count(model, RELIDAR_DENSIFY_WEIGHT, weight);
+    add_to_counter(model, why, 1u);
+    if (weight != 0u) add_to_counter(model, RELIDAR_DENSIFY_WEIGHT, weight);
 }

@@ -13,12 +13,12 @@ RELIDAR_PARAMS(SpawnParams);
 
 bool has_third_scale() { return !is_null(params.surfels.log_scale_w); }
 
-void add_to_scales(uint row, float amount) {
+void add_to_log_scales(uint row, float amount) {
     for (uint k = 0u; k < 2u; ++k) params.surfels.log_scale.at[2 * row + k] += amount;
     if (has_third_scale()) params.surfels.log_scale_w.at[row] += amount;
 }
 
-void split(uint row) {
+void split_surfel(uint row) {
     vec4 q;
     for (uint k = 0u; k < 4u; ++k) q[k] = params.surfels.rotation.at[4 * row + k];
     mat3 r = make_rotation_matrix(q);
@@ -29,12 +29,12 @@ void split(uint row) {
     if (has_third_scale())
         offset += draw_normal_pair(params.key, row, 3u).x * exp(params.surfels.log_scale_w.at[row]) * r[2];
     for (uint k = 0u; k < 3u; ++k) params.surfels.mean.at[3 * row + k] += offset[k];
-    add_to_scales(row, -log(1.6));
+    add_to_log_scales(row, -log(1.6));
 }
 
 void main() {
     uint i = get_thread_index();
     if (i >= params.n_surfels) return;
     if (params.action.at[i] != RELIDAR_DENSIFY_SPLIT) return;
-    for (uint k = 0u; k < params.n_rows.at[i]; ++k) split(params.starts.at[i] + k);
+    for (uint k = 0u; k < params.n_rows.at[i]; ++k) split_surfel(params.starts.at[i] + k);
 }

@@ -46,20 +46,20 @@ bool is_blocked_before(TraceScene scene, Hit hit, float transmittance) {
 }
 
 /// Adds the next hit of the ray to the blended values.
-void blend_hit(TraceScene scene, Ray ray, Hit hit, vec3 channels, inout Blended b) {
-    float next = compute_transmittance_behind(scene, hit, b.ray.transmittance),
-          w = min(hit.alpha, scene.alpha_max) * b.ray.transmittance;
-    if (NORMAL != 0u) b.normal += w * compute_facing_normal(scene, ray, hit.instance, hit.surfel);
-    if (MODE != 0u) add_to_surface(hit.t, w, params.surface_gap_m, b.surfaces);  // docs/method.md, M13
+void blend_hit(TraceScene scene, Ray ray, Hit hit, vec3 channels, inout Blended blended) {
+    float next = compute_transmittance_behind(scene, hit, blended.ray.transmittance),
+          w = min(hit.alpha, scene.alpha_max) * blended.ray.transmittance;
+    if (NORMAL != 0u) blended.normal += w * compute_facing_normal(scene, ray, hit.instance, hit.surfel);
+    if (MODE != 0u) add_to_surface(hit.t, w, params.surface_gap_m, blended.surfaces);  // docs/method.md, M13
 #define RELIDAR_BLEND(name, built, value, input, slope, meaning) \
-    if (built) add_with_compensation(b.ray.name, b.lost.name, w*(value));
+    if (built) add_with_compensation(blended.ray.name, blended.lost.name, w*(value));
     RELIDAR_BLENDED_VALUES(RELIDAR_BLEND)
 #undef RELIDAR_BLEND
-    bool crosses = b.ray.transmittance > 0.5 && next <= 0.5;
-    if (crosses) b.ray.median_depth = hit.t;
-    if (crosses || b.ray.n_hits == 0u) b.ray.instance = hit.instance;
-    b.ray.transmittance = next;
-    ++b.ray.n_hits;
+    bool crosses = blended.ray.transmittance > 0.5 && next <= 0.5;
+    if (crosses) blended.ray.median_depth = hit.t;
+    if (crosses || blended.ray.n_hits == 0u) blended.ray.instance = hit.instance;
+    blended.ray.transmittance = next;
+    ++blended.ray.n_hits;
 }
 
 /// Stores a hit for the backward pass.
@@ -69,13 +69,13 @@ void keep_hit(uint index, Hit hit) {
 }
 
 /// Adds the background to the blended values and writes the result of the ray.
-void finish_blending(uint ray_index, inout Blended b) {
-    if (params.n_kept > 0u && b.ray.n_hits > params.n_kept) atomicAdd(params.n_overfull.at[0], 1u);
+void finish_blending(uint ray_index, inout Blended blended) {
+    if (params.n_kept > 0u && blended.ray.n_hits > params.n_kept) atomicAdd(params.n_overfull.at[0], 1u);
     // the background has intensity 0, hit logit 0 and drop logit 1
-    add_with_compensation(b.ray.drop_logit, b.lost.drop_logit, b.ray.transmittance);
-    keep_heavier_surface(b.surfaces);
+    add_with_compensation(blended.ray.drop_logit, blended.lost.drop_logit, blended.ray.transmittance);
+    keep_heavier_surface(blended.surfaces);
     if (NORMAL != 0u || MODE != 0u)
-        params.surfaces.at[ray_index] = RenderedSurface(b.normal, b.surfaces.heaviest_t);
-    params.rendered.at[ray_index] = b.ray;
+        params.surfaces.at[ray_index] = RenderedSurface(blended.normal, blended.surfaces.heaviest_t);
+    params.rendered.at[ray_index] = blended.ray;
 }
 #endif

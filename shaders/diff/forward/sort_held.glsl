@@ -2,11 +2,11 @@
 // Sorts a hit list with at most HELD hits per lane. sort_hits.comp defines HELD, EACH and
 // SORT and then includes this file, once per list size.
 
-#define LOAD(h)                                                      \
-    {                                                                \
-        place[h] = h * LANES + lane;                                 \
-        t[h] = 1e38;                                                 \
-        if (place[h] < n) t[h] = load_hit_of_list(list, place[h]).t; \
+#define LOAD(h)                                                   \
+    {                                                             \
+        place[h] = h * LANES + lane;                              \
+        t[h] = 1e38;                                              \
+        if (place[h] < n) t[h] = load_list_hit(list, place[h]).t; \
     }
 
 // One step of a bitonic sorting network. Two hits whose positions differ in one bit are
@@ -43,7 +43,7 @@
 #define EXCHANGE_BY_8(h) EXCHANGE_WITHIN_LANE(h, 8u)
 
 #define READ(h) \
-    if (lane * HELD + h < n) hits[h] = load_hit_of_list(list, place[h]);
+    if (lane * HELD + h < n) hits[h] = load_list_hit(list, place[h]);
 #define STORE(h)             \
     if (lane * HELD + h < n) \
         params.lists.hits.at[get_list_entry(params.lists.room, list, lane * HELD + h)] = hits[h];

@@ -13,7 +13,7 @@ RELIDAR_PARAMS(SortHitsParams);
 
 RELIDAR_CONSTANT(uint, LANES, 32u);
 
-Hit load_hit_of_list(uint list, uint place) {
+Hit load_list_hit(uint list, uint place) {
     return params.lists.hits.at[get_list_entry(params.lists.room, list, place)];
 }
 
@@ -22,7 +22,7 @@ Hit load_hit_of_list(uint list, uint place) {
 /// end of the list come last.
 bool is_tie_before(uint list, uint count, uint first, uint second) {
     if (first >= count || second >= count) return first < second;
-    Hit hit_a = load_hit_of_list(list, first), hit_b = load_hit_of_list(list, second);
+    Hit hit_a = load_list_hit(list, first), hit_b = load_list_hit(list, second);
     Key key_a = Key(hit_a.t, hit_a.instance, hit_a.surfel),
         key_b = Key(hit_b.t, hit_b.instance, hit_b.surfel);
     return is_key_before(key_a, key_b) || (key_a == key_b && first < second);

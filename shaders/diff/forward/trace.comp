@@ -13,7 +13,7 @@
 RELIDAR_PARAMS(ForwardParams);
 #include "blend.glsl"
 
-void render(TraceScene scene, Ray ray, uint ray_index) {
+void render_ray(TraceScene scene, Ray ray, uint ray_index) {
     Blended b = start_blending(scene, ray_index);
     Key after = get_first_key(scene);
     bool ended = false;
@@ -39,5 +39,5 @@ void main() {
     if (!is_null(params.lists.lengths) && params.lists.lengths.at[get_thread_index()] != RELIDAR_LIST_UNFIT)
         return;
     DeviceRay entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
-    render(params.scene, make_ray(entry), i);
+    render_ray(params.scene, make_ray(entry), i);
 }

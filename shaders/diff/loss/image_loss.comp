@@ -17,52 +17,53 @@ RELIDAR_PARAMS(ImageLossParams);
 /// Computes the L1 loss of the depth and adds its derivative to the gradient. The depth
 /// is the blended range D, or D / W with normalised_depth.
 /// @return value of this loss term
-float compute_depth_term(RenderedRay ray, float range_m, inout RayGradient g) {
+float compute_depth_term(RenderedRay ray, float range_m, inout RayGradient gradient) {
     float weight = max(ray.weight, 1e-3);
     float scale = params.normalised_depth != 0u ? 1.0 / weight : 1.0;
     float error = ray.depth * scale - range_m;
     float d_error = params.depth_weight * sign(error);
-    g.depth += d_error * scale;
-    if (params.normalised_depth != 0u && ray.weight > 1e-3) g.weight -= d_error * ray.depth * scale * scale;
+    gradient.depth += d_error * scale;
+    if (params.normalised_depth != 0u && ray.weight > 1e-3)
+        gradient.weight -= d_error * ray.depth * scale * scale;
     return params.depth_weight * abs(error);
 }
 
 /// Computes the Huber loss of an intensity error e. The loss is e^2 / (2 delta) for |e| <
 /// delta, otherwise |e| - delta / 2. If delta is 0, this is the L1 loss.
 /// @return value of this loss term
-float compute_intensity_term(float error, inout RayGradient g) {
+float compute_intensity_term(float error, inout RayGradient gradient) {
     float delta = params.intensity_delta, size = abs(error);
     bool squared = size < delta;
-    g.intensity += params.intensity_weight * (squared ? error / delta : sign(error));
+    gradient.intensity += params.intensity_weight * (squared ? error / delta : sign(error));
     return params.intensity_weight * (squared ? 0.5 * error * error / delta : size - 0.5 * delta);
 }
 
 /// Computes the negative log probability of the measured outcome (return or no return).
 /// Evaluates log(1 + exp(x)) without overflow.
 /// @return value of this loss term
-float compute_drop_term(RenderedRay ray, bool dropped, inout RayGradient g) {
+float compute_drop_term(RenderedRay ray, bool dropped, inout RayGradient gradient) {
     float x = ray.drop_logit - ray.hit_logit;
     float probability = 1.0 / (1.0 + exp(-x));
     float d_x = params.drop_weight * (probability - (dropped ? 1.0 : 0.0));
-    g.drop_logit += d_x;
-    g.hit_logit -= d_x;
+    gradient.drop_logit += d_x;
+    gradient.hit_logit -= d_x;
     float z = dropped ? -x : x;
     return params.drop_weight * (max(z, 0.0) + log(1.0 + exp(-abs(z))));
 }
 
 /// Computes the loss terms of one ray with a known measurement: depth, intensity, ray
 /// drop and opacity.
-vec4 compute_ray_terms(RenderedRay ray, DeviceTarget target, inout RayGradient g) {
+vec4 compute_ray_terms(RenderedRay ray, DeviceTarget target, inout RayGradient gradient) {
     vec4 terms = vec4(0.0);
     bool dropped = !(target.range_m > 0.0);
     if (!dropped) {
-        terms.x = compute_depth_term(ray, target.range_m, g);
-        terms.y = compute_intensity_term(ray.intensity - target.intensity, g);
+        terms.x = compute_depth_term(ray, target.range_m, gradient);
+        terms.y = compute_intensity_term(ray.intensity - target.intensity, gradient);
         float missing = 1.0 - ray.weight;
-        g.weight -= 2.0 * params.opacity_weight * missing;
+        gradient.weight -= 2.0 * params.opacity_weight * missing;
         terms.w = params.opacity_weight * missing * missing;
     }
-    terms.z = compute_drop_term(ray, dropped, g);
+    terms.z = compute_drop_term(ray, dropped, gradient);
     return terms;
 }
 

@@ -14,8 +14,8 @@ RELIDAR_CONSTANT(uint, LANES, 8u);
 RELIDAR_PARAMS(ChannelSumsParams);
 
 /// Returns the first pixel of a part, if an image is split into `of_image` parts. The
-/// part ends before begin_of(part + 1).
-uint begin_of(uint part, uint of_image) {
+/// part ends before get_part_begin(part + 1).
+uint get_part_begin(uint part, uint of_image) {
     return params.n_pixels / of_image * part + min(part, params.n_pixels % of_image);
 }
 
@@ -34,7 +34,8 @@ void main() {
          lane = gl_SubgroupInvocationID;
     uint channel = job % params.n_channels, part = min(job / params.n_channels, params.n_parts - 1u);
     uint of_image = params.n_parts / params.n_images, image = part / of_image;
-    uint begin = begin_of(part % of_image, of_image), end = begin_of(part % of_image + 1u, of_image);
+    uint begin = get_part_begin(part % of_image, of_image),
+         end = get_part_begin(part % of_image + 1u, of_image);
     uint plane = (image * params.from.channels + params.from.first + channel) * params.n_pixels;
     vec2 sum = vec2(0.0);
     if (params.kind == kSums_norm_vjp) {

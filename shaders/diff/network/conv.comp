@@ -36,7 +36,7 @@ shared float tile[kIn * 9 * kOut];  // weights of a tile, indexed [in, tap, out]
 /// Copies the weights between kIn input channels and the output channels of this
 /// workgroup to shared memory. Channel indices are clamped to the last channel. The
 /// copies beyond it are not used.
-void load_tile(uint first_out, uint first_in) {
+void load_weight_tile(uint first_out, uint first_in) {
     for (uint k = gl_LocalInvocationIndex; k < kIn * TAPS * kOut; k += gl_WorkGroupSize.x) {
         uint o = min(first_out + k % kOut, params.n_out - 1u),
              i = min(first_in + k / (kOut * TAPS), params.n_in - 1u);
@@ -46,9 +46,9 @@ void load_tile(uint first_out, uint first_in) {
 
 /// Replaces the weights in shared memory by those of the next kIn input channels,
 /// starting at `first_in`.
-void stage_tile(uint first_out, uint first_in) {
+void replace_weight_tile(uint first_out, uint first_in) {
     barrier();
-    load_tile(first_out, first_in);
+    load_weight_tile(first_out, first_in);
     barrier();
 }
 
@@ -89,7 +89,7 @@ void main() {
     [[unroll]] for (uint k = 0u; k < PIXELS * kOut; ++k) sum[k] = 0.0;
 
     for (uint i = 0u; i < params.n_in; ++i) {
-        if (STAGED && i % kIn == 0u) stage_tile(first_out, i);
+        if (STAGED && i % kIn == 0u) replace_weight_tile(first_out, i);
         [[unroll]] for (uint ky = 0u; ky < kLines; ++ky) {
             float v[kLoads];
             [[unroll]] for (uint k = 0u; k < kLoads; ++k) {
@@ -117,6 +117,6 @@ void main() {
     [[unroll]] for (uint p = 0u; p < PIXELS; ++p) {
         if (!there || first_column + p * LANES + lane >= params.columns) continue;
         [[unroll]] for (uint o = 0u; o < kOut; ++o) if (first_out + o < params.n_out)
-            put(to + o * n_pixels + p * LANES, first_out + o, sum[p * kOut + o]);
+            store_output_value(to + o * n_pixels + p * LANES, first_out + o, sum[p * kOut + o]);
     }
 }

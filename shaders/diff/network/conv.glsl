@@ -15,7 +15,7 @@ uint get_weight_index(uint o, uint index, uint tap) {
 
 /// Adds the bias of the channel to an output value. Then stores the result, or adds it to
 /// the stored value if `accumulate` is set.
-void put(uint index, uint channel, float value) {
+void store_output_value(uint index, uint channel, float value) {
     if (!is_null(params.bias)) value += params.bias.at[channel];
     if (params.accumulate != 0u) value += params.to.values.at[index];
     params.to.values.at[index] = value;

@@ -30,7 +30,7 @@ float d_out[kOut];  // d_to of the lane's column
 
 /// Adds the products of input and gradient in LANES columns of a row to the sums of this
 /// lane.
-void add_columns() {
+void add_row_columns() {
     [[unroll]] for (uint k = 0u; k < kIn * kLines; ++k) [[unroll]] for (uint kx = 0u; kx < kLines; ++kx) {
         float seen = kx == 0u ? before[k] : read_from_lane(before[k], next[k], kx);
         [[unroll]] for (uint o = 0u; o < kOut; ++o) sum[o * kIn * TAPS + k * kLines + kx] += d_out[o] * seen;
@@ -76,7 +76,7 @@ void main() {
                 float d = params.d_to.values.at[plane + y * params.columns + (there ? x + lane : 0u)];
                 d_out[o] = there ? d : 0.0;
             }
-            add_columns();
+            add_row_columns();
         }
     }
 

@@ -15,7 +15,7 @@ RELIDAR_PARAMS(DropLossParams);
 
 /// Returns the cross-entropy of a pixel, and 1 if the prediction (dropped or returned) is
 /// correct, otherwise 0.
-vec2 compare(uint index, float value, float probability) {
+vec2 compute_cross_entropy(uint index, float value, float probability) {
     float target = is_null(params.target) ? -1.0 : params.target.at[index];
     bool known = target >= 0.0;
     if (!is_null(params.d_logit))
@@ -35,7 +35,7 @@ void main() {
         if (!is_null(params.start)) x += params.start.at[i];
         float probability = 1.0 / (1.0 + exp(-x));
         if (!is_null(params.probability)) params.probability.at[i] = probability;
-        sum += compare(i, x, probability);
+        sum += compute_cross_entropy(i, x, probability);
     }
     sum = subgroupAdd(sum);
     if (gl_SubgroupInvocationID == 0u) {

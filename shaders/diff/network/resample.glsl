@@ -24,6 +24,6 @@ void find_neighbour_pixels(int position, uint n_large, uint n_small, out int lef
 }
 
 /// Rows outside the image become the first or last row. Columns wrap around.
-uint get_row(int y) { return uint(clamp(y, 0, int(params.small_rows) - 1)); }
-uint get_column(int value) { return uint(value + int(params.small_columns)) % params.small_columns; }
+uint clamp_row(int row) { return uint(clamp(row, 0, int(params.small_rows) - 1)); }
+uint wrap_column(int column) { return uint(column + int(params.small_columns)) % params.small_columns; }
 #endif

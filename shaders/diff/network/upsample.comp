@@ -10,8 +10,8 @@ RELIDAR_PARAMS(ResampleParams);
 #include "resample.glsl"
 
 float interpolate_line(uint base, int y, int x, float share) {
-    uint row = base + get_row(y) * params.small_columns;
-    return mix(params.from.values.at[row + get_column(x)], params.from.values.at[row + get_column(x + 1)],
+    uint row = base + clamp_row(y) * params.small_columns;
+    return mix(params.from.values.at[row + wrap_column(x)], params.from.values.at[row + wrap_column(x + 1)],
                share);
 }
 

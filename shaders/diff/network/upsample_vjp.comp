@@ -24,14 +24,15 @@ float compute_row_weight(int y, uint row) {
     int above;
     float share;
     find_neighbour_pixels(y, params.rows, params.small_rows, above, share);
-    return (get_row(above) == row ? 1.0 - share : 0.0) + (get_row(above + 1) == row ? share : 0.0);
+    return (clamp_row(above) == row ? 1.0 - share : 0.0) + (clamp_row(above + 1) == row ? share : 0.0);
 }
 
 float compute_column_weight(int value, uint column) {
     int left;
     float share;
     find_neighbour_pixels(value, params.columns, params.small_columns, left, share);
-    return (get_column(left) == column ? 1.0 - share : 0.0) + (get_column(left + 1) == column ? share : 0.0);
+    return (wrap_column(left) == column ? 1.0 - share : 0.0) +
+           (wrap_column(left + 1) == column ? share : 0.0);
 }
 
 void main() {

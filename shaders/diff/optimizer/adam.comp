@@ -19,7 +19,7 @@ RELIDAR_PARAMS(AdamParams);
 /// Updates one value with an Adam step.
 /// @param block index of the value's block in the row, in values
 /// @param within index of the value in its block
-void update(uint row, uint block, uint within, bool has_gradient, float learning_rate) {
+void update_element(uint row, uint block, uint within, bool has_gradient, float learning_rate) {
     uint i = row * params.stride + block + within;
     // Loads the gradient even if it is not needed, because on a CPU a load in a branch is
     // slower.
@@ -51,13 +51,14 @@ void step_row(uint index) {
             params.model_scale.at[find_model(params.models, params.n_models, params.first_row + row)];
     if (PER_FLOAT) {
         uint k = index % n_updated;
-        update(row, k / params.n_active * params.block, k % params.n_active, has_gradient, learning_rate);
+        update_element(row, k / params.n_active * params.block, k % params.n_active, has_gradient,
+                       learning_rate);
         return;
     }
     // Uses nested loops instead of integer divisions, which are slow on a CPU.
     for (uint block = 0u; block < params.stride; block += params.block)
         for (uint within = 0u; within < params.n_active; ++within)
-            update(row, block, within, has_gradient, learning_rate);
+            update_element(row, block, within, has_gradient, learning_rate);
 }
 
 void main() {

@@ -4,10 +4,10 @@
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_BRUTE_FORCE_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_BRUTE_FORCE_GLSL
 
-void find_hits(TraceScene scene, Ray ray, Key after) {
+void find_hits(TraceScene scene, Ray ray, Key after_key) {
     for (uint instance = 0u; instance < scene.n_instances; ++instance) {
         uint count = scene.instances.at[instance].n_surfels;
-        for (uint i = 0u; i < count; ++i) test_found_surfel(scene, ray, after, instance, i);
+        for (uint i = 0u; i < count; ++i) test_instance_surfel(scene, ray, after_key, instance, i);
     }
 }
 #endif

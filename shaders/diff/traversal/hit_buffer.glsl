@@ -47,7 +47,7 @@ Hit load_hit(uint index) { return load_sorted_hit(hit_place[index]); }
 Key load_hit_key(uint index) { return load_sorted_key(hit_place[index]); }
 
 /// Writes a hit to an entry of the buffer.
-void place_hit(uint place, Hit hit) {
+void write_hit(uint place, Hit hit) {
     placed_t[place] = hit.t;
     placed_alpha[place] = hit.alpha;
     placed_instance[place] = hit.instance;
@@ -56,7 +56,7 @@ void place_hit(uint place, Hit hit) {
 
 /// Appends a hit that is farther than all hits in the buffer.
 void append_hit(Hit hit) {
-    place_hit(n_hits, hit);
+    write_hit(n_hits, hit);
     hit_place[n_hits] = n_hits;
     ++n_hits;
 }
@@ -71,12 +71,12 @@ void sort_hit_indices() {
 }
 
 /// Removes the farthest hit from the buffer.
-/// @param left product of 1 - alpha over the remaining hits
+/// @param remaining_transmittance product of 1 - alpha over the remaining hits
 /// @return index of the entry that is free now
-uint drop_farthest(float left) {
+uint remove_farthest_hit(float remaining_transmittance) {
     uint place = next_nearer[CHUNK];
     next_nearer[CHUNK] = next_nearer[place];
-    hits_transmittance = left;
+    hits_transmittance = remaining_transmittance;
     if (place == latest) latest_t = -kFar;
     --n_hits;
     return place;
@@ -96,7 +96,7 @@ void drop_invisible_hits(float alpha_max) {
     while (n_hits > 1u) {
         float left = compute_transmittance_before_farthest(alpha_max);
         if (!(left < least_transmittance)) return;
-        uint place = drop_farthest(left);
+        uint place = remove_farthest_hit(left);
         next_nearer[place] = free_place;
         free_place = place;
         hits_closed = true;
@@ -106,7 +106,7 @@ void drop_invisible_hits(float alpha_max) {
 /// Returns the buffer entry for a new hit: a free entry, or the entry of the farthest hit
 /// if the buffer is full.
 uint find_insertion_index(float alpha_max) {
-    if (n_hits == CHUNK) return drop_farthest(compute_transmittance_before_farthest(alpha_max));
+    if (n_hits == CHUNK) return remove_farthest_hit(compute_transmittance_before_farthest(alpha_max));
     uint place = free_place;
     if (place == CHUNK) return n_places++;
     free_place = next_nearer[place];
@@ -135,7 +135,7 @@ void insert(Key key, float alpha, float alpha_max) {
     // In a full buffer, the new hit gets the entry of the farthest hit. If this hit was
     // the farther neighbour, the sentinel becomes the farther neighbour.
     if (slot == farther) farther = CHUNK;
-    place_hit(slot, Hit(key.t, alpha, key.instance, key.surfel));
+    write_hit(slot, Hit(key.t, alpha, key.instance, key.surfel));
     latest = slot;
     latest_t = key.t;
     next_nearer[slot] = nearer;

@@ -51,8 +51,8 @@ bool search_moving_instance(TraceScene scene, Ray ray, MovingInstance moving, ou
     return is_near_model(scene.model_radii.at[moving.model]);
 }
 
-void find_hits(TraceScene scene, Ray ray, Key after) {
-    float start = compute_search_start(after);
+void find_hits(TraceScene scene, Ray ray, Key after_key) {
+    float start = compute_search_start(after_key);
     float reach =
         BOXES == 0u && count_proxy_triangles() == kProxy_icosahedron ? scene.proxy_reach.at[0] : 0.0;
     rayQueryEXT query;
@@ -71,8 +71,8 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
             uint primitive = uint(rayQueryGetIntersectionPrimitiveIndexEXT(query, false));
             // Skips other instances that have the same cull mask.
             if (search.instance != RELIDAR_NO_INSTANCE && instance != search.instance) continue;
-            test_found_surfel(scene, ray, after, instance,
-                              BOXES != 0u ? primitive : primitive / count_proxy_triangles());
+            test_instance_surfel(scene, ray, after_key, instance,
+                                 BOXES != 0u ? primitive : primitive / count_proxy_triangles());
             if (!hits_closed) continue;
             float bound = max(get_last_hit_t() - start, 0.0);
             bound += 1e-4 + 1e-5 * get_last_hit_t();

@@ -16,7 +16,7 @@ uint ray_basis_instance;
 
 /// Computes the spherical-harmonic (SH) basis for the ray in the frame of an instance,
 /// unless SH are evaluated once per surfel.
-void use_basis(TraceScene scene, Ray ray, uint instance) {
+void compute_ray_sh_basis(TraceScene scene, Ray ray, uint instance) {
     if (SH_PER_SURFEL != 0u || ray_basis_instance == instance) return;
     enter_instance(scene, ray, instance);
     evaluate_sh_basis(entered_direction, scene.sh_degree, ray_basis);
@@ -47,7 +47,7 @@ vec3 evaluate_channels(TraceScene scene, uint surfel) {
 vec3 evaluate_hit_channels(TraceScene scene, Ray ray, uint instance, uint surfel, SurfelRecord record) {
     if (SH_PER_SURFEL != 0u)
         return vec3(record.intensity, SINGLE_DROP_LOGIT != 0u ? 0.0 : record.hit_logit, record.drop_logit);
-    use_basis(scene, ray, instance);
+    compute_ray_sh_basis(scene, ray, instance);
     vec3 value = evaluate_channels(scene, surfel);
     return vec3(max(value.x, 0.0), SINGLE_DROP_LOGIT != 0u ? 0.0 : value.y, value.z);
 }

@@ -20,13 +20,13 @@ struct SharedWords {
 };
 
 /// Loads `count` words of a struct. Each lane of the subgroup loads different words.
-/// @param from,first,count must be equal in all lanes
-SharedWords load_words(Uints from, uint first, uint count) {
+/// @param source,first,count must be equal in all lanes
+SharedWords load_words(Uints source, uint first, uint count) {
     SharedWords words;
     [[unroll]] for (uint p = 0u; p < kMostParts; ++p) {
         words.part[p] = 0u;
         if (p * gl_SubgroupSize < count)
-            words.part[p] = from.at[first + min(p * gl_SubgroupSize + gl_SubgroupInvocationID, count - 1u)];
+            words.part[p] = source.at[first + min(p * gl_SubgroupSize + gl_SubgroupInvocationID, count - 1u)];
     }
     return words;
 }

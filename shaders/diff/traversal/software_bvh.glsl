@@ -210,8 +210,8 @@ bool can_share_loads() {
 
 /// Tests surfels in the leaves of a node against all rays of a full subgroup.
 /// @param entries bit mask of leaf entries, equal in all lanes
-void test_entries_in_subgroup(TraceScene scene, Key after, uint instance, uint first_surfel, uint first_leaf,
-                              uint entries) {
+void test_entries_in_subgroup(TraceScene scene, Key after_key, uint instance, uint first_surfel,
+                              uint first_leaf, uint entries) {
     if (entries == 0u) return;
     do {  // one iteration per block of gl_SubgroupSize entries
         uint first = uint(findLSB(entries)) / gl_SubgroupSize * gl_SubgroupSize,
@@ -228,30 +228,30 @@ void test_entries_in_subgroup(TraceScene scene, Key after, uint instance, uint f
             uint lane = pop_nearest(entries) - first, surfel = subgroupShuffle(lane_surfel, lane);
             SurfelRecord record = load_record(scene.records, surfel);
             record.mean.x = subgroupShuffle(lane_x, lane);
-            test_record(scene, after, instance, surfel, record);
+            test_record(scene, after_key, instance, surfel, record);
         } while (entries != 0u && uint(findLSB(entries)) < end);
     } while (entries != 0u);
 }
 
 /// Tests surfels in the leaves of a node against one ray. Loads the next record before it
 /// tests the current one, to hide the latency of the load.
-void test_entries_of_ray(TraceScene scene, Key after, uint instance, uint first_leaf, uint entries) {
+void test_entries_of_ray(TraceScene scene, Key after_key, uint instance, uint first_leaf, uint entries) {
     while (entries != 0u) {
         uint entry = first_leaf + pop_nearest(entries),
              next_entry = entries != 0u ? first_leaf + uint(findLSB(entries)) : entry;
         uint surfel = entered_first_surfel + scene.bvh.order.at[entry],
              next_surfel = entered_first_surfel + scene.bvh.order.at[next_entry];
         SurfelRecord record = scene.records.at[surfel], next_record = scene.records.at[next_surfel];
-        test_record(scene, after, instance, surfel, record);
+        test_record(scene, after_key, instance, surfel, record);
         if (entries == 0u) return;
         entries &= entries - 1u;
-        test_record(scene, after, instance, next_surfel, next_record);
+        test_record(scene, after_key, instance, next_surfel, next_record);
     }
 }
 
 /// Transforms the ray that is used for box tests into the frame of a tree. This is the
 /// world frame for the top-level tree, otherwise the frame of an instance's model.
-void enter_tree(TraceScene scene, Ray ray, uint instance, inout BoxRay walked) {
+void transform_ray_into_tree(TraceScene scene, Ray ray, uint instance, inout BoxRay walked) {
     if (instance != RELIDAR_BVH_NO_NODE) enter_instance(scene, ray, instance);
     bool in_model = instance != RELIDAR_BVH_NO_NODE;
     set_box_ray(walked, in_model ? entered_origin : ray.origin, in_model ? entered_direction : ray.direction);
@@ -262,7 +262,7 @@ void enter_tree(TraceScene scene, Ray ray, uint instance, inout BoxRay walked) {
 /// top-level tree
 /// @param full_subgroup true if all lanes are active, so that they load the node together
 /// @return number of tested surfels
-uint visit_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, bool full_subgroup,
+uint visit_node(TraceScene scene, Ray ray, Key after_key, uint tree, uint index, bool full_subgroup,
                 inout BoxRay walked) {
     bool in_model = tree != RELIDAR_BVH_NO_NODE;
     BvhNodes nodes = in_model ? scene.bvh.nodes : scene.bvh.top_nodes;
@@ -285,28 +285,28 @@ uint visit_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, boo
     uint n_tested = uint(bitCount(entries)),
          first_surfel = TOGETHER != 0u ? subgroupBroadcastFirst(entered_first_surfel) : entered_first_surfel;
     if (full_subgroup) {
-        test_entries_in_subgroup(scene, after, tree, first_surfel, node.first_leaf, entries);
+        test_entries_in_subgroup(scene, after_key, tree, first_surfel, node.first_leaf, entries);
     } else if (TOGETHER != 0u) {
         while (entries != 0u)
-            test_surfel(scene, after, tree,
+            test_surfel(scene, after_key, tree,
                         first_surfel + scene.bvh.order.at[node.first_leaf + pop_nearest(entries)]);
     } else {
-        test_entries_of_ray(scene, after, tree, node.first_leaf, entries);
+        test_entries_of_ray(scene, after_key, tree, node.first_leaf, entries);
     }
     if (hits_closed) walked.end = get_last_hit_t() + (1e-4 + 1e-5 * get_last_hit_t());
     return n_tested;
 }
 
-void find_hits(TraceScene scene, Ray ray, Key after) {
+void find_hits(TraceScene scene, Ray ray, Key after_key) {
     BoxRay walked;
-    walked.start = compute_search_start(after);
+    walked.start = compute_search_start(after_key);
     walked.end = kNever;
     // Instance whose model the ray currently traverses, or RELIDAR_BVH_NO_NODE for the
     // top-level tree.
     uint instance = RELIDAR_BVH_NO_NODE;
     uint n_nodes = 0u, n_tested = 0u;
     bool full_subgroup = can_share_loads();
-    enter_tree(scene, ray, instance, walked);
+    transform_ray_into_tree(scene, ray, instance, walked);
     stack_size = 0u;
     stack_full = false;
     push_entry(kTopEntry, walked.start);
@@ -329,10 +329,10 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
         } else if ((entry & kTopEntry) != 0u) {
             tree = RELIDAR_BVH_NO_NODE;
         }
-        if (tree != instance) enter_tree(scene, ray, tree, walked);
+        if (tree != instance) transform_ray_into_tree(scene, ray, tree, walked);
         instance = tree;
         ++n_nodes;
-        n_tested += visit_node(scene, ray, after, tree, entry & ~kTopEntry, full_subgroup, walked);
+        n_tested += visit_node(scene, ray, after_key, tree, entry & ~kTopEntry, full_subgroup, walked);
     }
     if (stack_full) atomicAdd(scene.pass_cap_count.at[0], 1u);
     if (COUNT_VISITS != 0u) {

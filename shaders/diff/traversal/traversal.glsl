@@ -5,7 +5,7 @@
 // surfel), each surfel at most once. In kernels with RELIDAR_APPENDS_HITS,
 // find_next_hits() writes all hits that can contribute to the ray's hit list, unordered.
 //
-// A traversal method only calls test_found_surfel() with the surfels that a ray may hit.
+// A traversal method only calls test_instance_surfel() with the surfels that a ray may hit.
 // This file and hit_buffer.glsl or hit_list.glsl intersect the surfels, sort the hits and
 // remove duplicates. Therefore all methods give the same hits. See README.md in this
 // folder.
@@ -29,25 +29,25 @@ const uint SLOTS = 65u;
 /// Intersects the ray with a surfel that the traversal has found. Stores the hit, if
 /// there is one.
 /// @param surfel index in the scene. The surfel must belong to the current instance
-void test_record(TraceScene scene, Key after, uint instance, uint surfel, SurfelRecord record) {
+void test_record(TraceScene scene, Key after_key, uint instance, uint surfel, SurfelRecord record) {
     SurfelHit hit;
     if (!intersect(record, entered_origin, entered_direction, hit)) return;
     if (!(hit.alpha >= scene.alpha_min)) return;
     Key key = Key(hit.t, instance, surfel);
-    if (!is_key_before(after, key)) return;
+    if (!is_key_before(after_key, key)) return;
     if (is_behind(key)) return;
     insert(key, hit.alpha, scene.alpha_max);
 }
 
-void test_surfel(TraceScene scene, Key after, uint instance, uint surfel) {
-    test_record(scene, after, instance, surfel, scene.records.at[surfel]);
+void test_surfel(TraceScene scene, Key after_key, uint instance, uint surfel) {
+    test_record(scene, after_key, instance, surfel, scene.records.at[surfel]);
 }
 
 /// Loads a surfel that the traversal has found, and tests it against the ray.
 /// @param local_surfel index relative to the first surfel of the instance
-void test_found_surfel(TraceScene scene, Ray ray, Key after, uint instance, uint local_surfel) {
+void test_instance_surfel(TraceScene scene, Ray ray, Key after_key, uint instance, uint local_surfel) {
     enter_instance(scene, ray, instance);
-    test_surfel(scene, after, instance, entered_first_surfel + local_surfel);
+    test_surfel(scene, after_key, instance, entered_first_surfel + local_surfel);
 }
 
 /// Returns the sort key at which the search for hits starts. Hits at t <= near_m are too
@@ -57,7 +57,7 @@ Key get_first_key(TraceScene scene) { return Key(scene.near_m, 0xffffffffu, 0xff
 /// Returns the distance at which the search continues. All hits before the key `after`
 /// are already known. The margin is much larger than the rounding error of t in any
 /// traversal method.
-float compute_search_start(Key after) { return max(after.t - (1e-4 + 1e-5 * after.t), 0.0); }
+float compute_search_start(Key after_key) { return max(after_key.t - (1e-4 + 1e-5 * after_key.t), 0.0); }
 
 /// Returns the product of 1 - alpha over the following hits at which the ray ends. The
 /// factor 0.99 allows for rounding.
@@ -74,9 +74,9 @@ float compute_min_transmittance(TraceScene scene, float transmittance) {
 #include "brute_force.glsl"
 #endif
 
-void find_next_hits(TraceScene scene, Ray ray, Key after, float min_transmittance) {
+void find_next_hits(TraceScene scene, Ray ray, Key after_key, float min_transmittance) {
     reset_hits(min_transmittance);
-    find_hits(scene, ray, after);
+    find_hits(scene, ray, after_key);
     sort_hit_indices();
 }
 #endif

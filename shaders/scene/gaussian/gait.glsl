@@ -23,7 +23,7 @@ const float kTurn = 6.283185307;
 /// Returns how a walking motion changes a surfel: its displacement and its visibility.
 /// @param phase phase of the actor's motion, 0 to 1. Negative: the model is rigid, so
 /// nothing changes
-Gait load_gait(Floats gaits, uint surfel, float phase) {
+Gait evaluate_gait(Floats gaits, uint surfel, float phase) {
     if (is_null(gaits) || phase < 0.0) return Gait(0.0, vec3(0.0), 0.0, 1.0, 0.0, 1.0);
     uint i = 5u * surfel;
     float off = phase - gaits.at[i];

@@ -30,7 +30,7 @@ float interpolate_falloff(float range_m) {
 /// Returns the range of a ray for the range image, without the range offset of its beam.
 /// @param mode_m range of the surface with the largest weight
 /// @param normalised blended depth divided by blended weight, D / W
-float choose_range(RenderedRay ray, float mode_m, float normalised) {
+float select_ray_range(RenderedRay ray, float mode_m, float normalised) {
     if (params.range_kind == RELIDAR_RANGE_EXPECTED) return ray.depth;
     if (ray.weight < params.min_weight) return 0.0;
     if (params.range_kind == RELIDAR_RANGE_MODE) return mode_m;
@@ -63,7 +63,7 @@ void main() {
     SensorBeam beam = SensorBeam(0.0, 1.0, 0.0);
     if (channel < params.n_beams) beam = params.beams.at[channel];
     bool dominated = r.median_depth > 0.0, is_met = r.weight >= params.min_weight;
-    float normalised = r.depth / r.weight, chosen_m = choose_range(r, surface.mode, normalised);
+    float normalised = r.depth / r.weight, chosen_m = select_ray_range(r, surface.mode, normalised);
     float surface_m = dominated ? r.median_depth : chosen_m;
     MeasuredRay m;
     m.range_m = to_measured_range(chosen_m, beam);

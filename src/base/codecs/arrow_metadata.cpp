@@ -22,7 +22,7 @@ constexpr std::uint8_t kTypeInt = 2, kTypeFloat = 3, kTypeUtf8 = 5;
 constexpr std::uint8_t kHeaderDictionary = 2, kHeaderRecords = 3;
 constexpr std::int8_t kCodecLz4 = 0, kCodecZstd = 1;
 
-[[noreturn]] void throw_malformed(const char* description) {
+[[noreturn]] void throw_malformed_arrow_error(const char* description) {
     throw DataError(fmt::format("the metadata are malformed ({}), expected an Arrow IPC file", description));
 }
 
@@ -33,7 +33,7 @@ struct Bytes {
 
     explicit Bytes(std::string_view bytes)
         : words(bytes.size() / 8 + 1), verifier(data(), bytes.size(), options()) {
-        if (bytes.size() >= FLATBUFFERS_MAX_BUFFER_SIZE) throw_malformed("too long");
+        if (bytes.size() >= FLATBUFFERS_MAX_BUFFER_SIZE) throw_malformed_arrow_error("too long");
         std::memcpy(words.data(), bytes.data(), bytes.size());
     }
     const std::uint8_t* data() const { return reinterpret_cast<const std::uint8_t*>(words.data()); }
@@ -51,13 +51,14 @@ class Table {
 public:
     static Table root(Bytes& bytes) {
         const auto offset = bytes.verifier.VerifyOffset(std::size_t(0));
-        if (offset == 0) throw_malformed("root");
+        if (offset == 0) throw_malformed_arrow_error("root");
         return {bytes, bytes.data() + offset};
     }
 
     template <class T>
     T scalar(int field, T default_value) const {
-        if (!table_->VerifyField<T>(bytes_->verifier, entry(field), sizeof(T))) throw_malformed("number");
+        if (!table_->VerifyField<T>(bytes_->verifier, entry(field), sizeof(T)))
+            throw_malformed_arrow_error("number");
         return table_->GetField<T>(entry(field), default_value);
     }
     std::optional<Table> table(int field) const {
@@ -66,13 +67,13 @@ public:
     }
     Table read_required_table(int field, const char* description) const {
         const std::optional<Table> found = table(field);
-        if (!found) throw_malformed(description);
+        if (!found) throw_malformed_arrow_error(description);
         return *found;
     }
     std::string name(int field) const {
         const auto* text = reinterpret_cast<const flatbuffers::String*>(pointer(field));
         if (!text || !bytes_->verifier.VerifyString(text) || text->size() > kLongestName)
-            throw_malformed("name");
+            throw_malformed_arrow_error("name");
         return text->str();
     }
     /// Returns the structs of a vector field. A vector consists of its length (4 bytes)
@@ -93,7 +94,7 @@ public:
         for (std::size_t i = 0; i < n; ++i) {
             const std::uint8_t* element = vector + (i + 1) * sizeof(flatbuffers::uoffset_t);
             const auto offset = bytes_->verifier.VerifyOffset(std::size_t(element - bytes_->data()));
-            if (offset == 0) throw_malformed("table");
+            if (offset == 0) throw_malformed_arrow_error("table");
             all.push_back(Table(*bytes_, element + offset));
         }
         return all;
@@ -102,7 +103,7 @@ public:
 private:
     Table(Bytes& bytes, const std::uint8_t* at)
         : bytes_(&bytes), table_(reinterpret_cast<const flatbuffers::Table*>(at)) {
-        if (!table_->VerifyTableStart(bytes.verifier)) throw_malformed("table");
+        if (!table_->VerifyTableStart(bytes.verifier)) throw_malformed_arrow_error("table");
         // Ends the verifier's count of nested tables here, because this parser limits the
         // nesting depth itself.
         bytes.verifier.EndTable();
@@ -111,13 +112,13 @@ private:
     static flatbuffers::voffset_t entry(int field) { return flatbuffers::voffset_t(4 + 2 * field); }
 
     const std::uint8_t* pointer(int field) const {
-        if (!table_->VerifyOffset(bytes_->verifier, entry(field))) throw_malformed("offset");
+        if (!table_->VerifyOffset(bytes_->verifier, entry(field))) throw_malformed_arrow_error("offset");
         return table_->GetPointer<const std::uint8_t*>(entry(field));
     }
     const std::uint8_t* verify_vector(int field, std::size_t element_bytes) const {
         const std::uint8_t* vector = pointer(field);
         if (vector && !bytes_->verifier.VerifyVectorOrString(vector, element_bytes))
-            throw_malformed("vector");
+            throw_malformed_arrow_error("vector");
         return vector;
     }
 
@@ -127,13 +128,13 @@ private:
 
 Field::Type parse_integer_type(const Table& table) {
     const auto bits = table.scalar<std::int32_t>(0, 0);
-    if (bits != 8 && bits != 16 && bits != 32 && bits != 64) throw_malformed("width of integers");
+    if (bits != 8 && bits != 16 && bits != 32 && bits != 64) throw_malformed_arrow_error("width of integers");
     return {Kind::integer, bits, table.scalar<std::uint8_t>(1, 0) != 0};
 }
 
 Field::Type parse_float_type(const Table& table) {
     const auto precision = table.scalar<std::int16_t>(0, 0);
-    if (precision < 0 || precision > 2) throw_malformed("precision");
+    if (precision < 0 || precision > 2) throw_malformed_arrow_error("precision");
     return {Kind::floating, 16 << precision, true};
 }
 
@@ -185,7 +186,7 @@ RecordBatch parse_batch(std::string_view bytes) {
     Bytes copy(bytes);
     const Table message = Table::root(copy);
     const auto type = message.scalar<std::uint8_t>(1, 0);
-    if (type != kHeaderDictionary && type != kHeaderRecords) throw_malformed("kind of message");
+    if (type != kHeaderDictionary && type != kHeaderRecords) throw_malformed_arrow_error("kind of message");
     const Table header = message.read_required_table(2, "header");
     RecordBatch batch;
     if (type == kHeaderDictionary) batch.dictionary = header.scalar<std::int64_t>(0, 0);

@@ -24,7 +24,7 @@ namespace {
 namespace fs = std::filesystem;
 using report_detail::get_system_message;
 
-[[noreturn]] void fail(const fs::path& path, std::string why) {
+[[noreturn]] void throw_write_error(const fs::path& path, std::string why) {
     // Replaces line breaks in the messages of libraries, because our error messages have
     // only one line.
     std::replace(why.begin(), why.end(), '\n', ' ');
@@ -45,20 +45,21 @@ struct TemporaryFile {
 /// Returns the path of the file to write. Follows a symbolic link, so that writing does
 /// not replace the link. Rejects devices and other targets that are not regular files.
 fs::path resolve_final_path(const fs::path& path) {
-    if (!path.has_filename()) fail(path, "the path has no file name");
+    if (!path.has_filename()) throw_write_error(path, "the path has no file name");
     std::error_code error;
     const fs::file_status status = fs::status(path, error);
     if (fs::exists(status)) {
         if (!fs::is_regular_file(status))
-            fail(path, "something that is not a regular file already has this name");
+            throw_write_error(path, "something that is not a regular file already has this name");
         return fs::canonical(path);
     }
     const fs::path folder = path.has_parent_path() ? path.parent_path() : fs::path(".");
     const fs::file_status parent = fs::status(folder, error);
     if (!fs::exists(parent))
-        fail(path, fmt::format("folder '{}': {}", folder.string(),
-                               get_system_message(error ? error.value() : ENOENT)));
-    if (!fs::is_directory(parent)) fail(path, fmt::format("'{}' is not a folder", folder.string()));
+        throw_write_error(path, fmt::format("folder '{}': {}", folder.string(),
+                                            get_system_message(error ? error.value() : ENOENT)));
+    if (!fs::is_directory(parent))
+        throw_write_error(path, fmt::format("'{}' is not a folder", folder.string()));
     return folder / path.filename();
 }
 
@@ -70,20 +71,20 @@ void call_writer(const fs::path& path, const fs::path& temporary,
         // Rethrows all errors except data errors. For example, a GPU failure during a
         // download is not a file error.
         if (error.code() != ExitCode::data) throw;
-        fail(path, error.what());
+        throw_write_error(path, error.what());
     } catch (const std::bad_alloc&) {
         throw;
     } catch (const std::exception& error) {
-        fail(path, error.what());
+        throw_write_error(path, error.what());
     }
 }
 
 void flush_file(const fs::path& path, const fs::path& temporary) {
     const int file = ::open(temporary.c_str(), O_RDONLY | O_CLOEXEC);
-    if (file < 0) fail(path, "cannot reopen the written file: " + get_system_message(errno));
+    if (file < 0) throw_write_error(path, "cannot reopen the written file: " + get_system_message(errno));
     const int result = ::fsync(file), error = errno;
     ::close(file);
-    if (result != 0) fail(path, "cannot flush the file to disk: " + get_system_message(error));
+    if (result != 0) throw_write_error(path, "cannot flush the file to disk: " + get_system_message(error));
 }
 
 /// Flushes the folder, so that the new file name survives a power failure. Ignores
@@ -95,7 +96,7 @@ void flush_folder(const fs::path& path) {
     const int result = ::fsync(folder), error = errno;
     ::close(folder);
     if (result != 0 && error != EINVAL && error != ENOTSUP && error != EROFS)
-        fail(path, "cannot flush its folder to disk: " + get_system_message(error));
+        throw_write_error(path, "cannot flush its folder to disk: " + get_system_message(error));
 }
 
 }  // namespace
@@ -112,7 +113,7 @@ void write_atomically(const fs::path& path, const std::function<void(const fs::p
     call_writer(path, temporary.path, write);
     flush_file(path, temporary.path);
     if (::rename(temporary.path.c_str(), target.c_str()) != 0)
-        fail(path, "cannot rename the temporary file: " + get_system_message(errno));
+        throw_write_error(path, "cannot rename the temporary file: " + get_system_message(errno));
     temporary.renamed = true;
     flush_folder(target);
 }

@@ -52,9 +52,9 @@ std::span<const Colour> get_colour_stops(const std::string& map) {
 
 /// Returns the interpolated colour at a position of a colour map.
 /// @param stops colours of the map, evenly spaced
-/// @param t position in the map, [0, 1]
-Colour interpolate(std::span<const Colour> stops, double t) {
-    const double position = t * double(stops.size() - 1);
+/// @param fraction position in the map, [0, 1]
+Colour interpolate(std::span<const Colour> stops, double fraction) {
+    const double position = fraction * double(stops.size() - 1);
     const std::size_t low = std::min(std::size_t(position), stops.size() - 2);
     const double share = position - double(low);
     Colour colour;

@@ -30,7 +30,7 @@ constexpr std::size_t kMostRows = 64, kMostText = 1024;
 constexpr std::size_t kPadding = 64;  // Maximum number of padding bytes at the end of a buffer.
 
 template <class T>
-T load(std::string_view bytes, std::size_t offset) {
+T read_little_endian(std::string_view bytes, std::size_t offset) {
     T value;
     std::memcpy(&value, bytes.data() + offset, sizeof value);
     return value;
@@ -38,8 +38,8 @@ T load(std::string_view bytes, std::size_t offset) {
 
 /// Returns `count` bytes that start at an offset. Throws an error if they are not inside
 /// `bytes`.
-std::string_view part(std::string_view bytes, std::int64_t offset, std::int64_t count,
-                      const char* description) {
+std::string_view slice_bytes(std::string_view bytes, std::int64_t offset, std::int64_t count,
+                             const char* description) {
     if (offset < 0 || count < 0 || std::uint64_t(offset) > bytes.size() ||
         std::uint64_t(count) > bytes.size() - std::uint64_t(offset))
         throw DataError(fmt::format("{} should be at byte {} with {} bytes, but the file has only {} bytes",
@@ -55,35 +55,36 @@ std::string_view find_footer(std::string_view bytes) {
     if (!bytes.ends_with(kMagic))
         throw DataError("the file is truncated, because it does not end with ARROW1");
     const std::int64_t end = std::int64_t(bytes.size() - kTail),
-                       n = load<std::int32_t>(bytes, bytes.size() - kTail);
-    return part(bytes, end - n, n, "a footer");
+                       n = read_little_endian<std::int32_t>(bytes, bytes.size() - kTail);
+    return slice_bytes(bytes, end - n, n, "a footer");
 }
 
 /// Reads the record batch at a position of the file. Its message begins with 0xFFFFFFFF
 /// and the length of its flatbuffer.
 Batch read_batch_at(std::string_view bytes, const arrow::Block& block) {
     constexpr std::int64_t kPrefix = 8;
-    const std::string_view message = part(bytes, block.offset, block.metadata_bytes, "a message");
-    if (std::int64_t(message.size()) < kPrefix || load<std::uint32_t>(message, 0) != 0xFFFFFFFFu)
+    const std::string_view message = slice_bytes(bytes, block.offset, block.metadata_bytes, "a message");
+    if (std::int64_t(message.size()) < kPrefix ||
+        read_little_endian<std::uint32_t>(message, 0) != 0xFFFFFFFFu)
         throw DataError(fmt::format(
             "found no message at byte {}, expected a record batch of Arrow 0.15 or later", block.offset));
-    const auto n = load<std::int32_t>(message, 4);
-    return {arrow::parse_batch(part(message, kPrefix, n, "a message")),
-            part(bytes, block.offset + block.metadata_bytes, block.body_bytes, "a record batch")};
+    const auto n = read_little_endian<std::int32_t>(message, 4);
+    return {arrow::parse_batch(slice_bytes(message, kPrefix, n, "a message")),
+            slice_bytes(bytes, block.offset + block.metadata_bytes, block.body_bytes, "a record batch")};
 }
 
 /// Decompresses a buffer of a record batch. Throws an error if its size is less than
 /// n_bytes, or larger by more than padding.
 std::string read_buffer(const Batch& batch, std::size_t index, std::size_t n_bytes) {
     const arrow::Buffer& place = batch.layout.buffers.at(index);
-    std::string_view stored = part(batch.body, place.offset, place.length, "a buffer");
+    std::string_view stored = slice_bytes(batch.body, place.offset, place.length, "a buffer");
     bool compressed = batch.layout.codec != Codec::none && !stored.empty();
     std::int64_t n = std::int64_t(stored.size());
     if (compressed) {
         if (stored.size() < 8)
             throw DataError(
                 fmt::format("found a compressed buffer of {} bytes, expected at least 8", stored.size()));
-        n = load<std::int64_t>(stored, 0);
+        n = read_little_endian<std::int64_t>(stored, 0);
         stored.remove_prefix(8);
         compressed = n != -1;
         if (!compressed) n = std::int64_t(stored.size());
@@ -114,11 +115,12 @@ std::size_t count_rows_of_batch(const Batch& batch, std::size_t node, std::size_
 }
 
 template <class Stored, class T, class Convert>
-void push_as(std::vector<T>& values, const Batch& batch, const Feather::Column& column,
-             const Convert& convert) {
+void append_converted(std::vector<T>& values, const Batch& batch, const Feather::Column& column,
+                      const Convert& convert) {
     const std::size_t n = count_rows_of_batch(batch, column.node, column.buffer + 1);
     const std::string bytes = read_buffer(batch, column.buffer + 1, n * sizeof(Stored));
-    for (std::size_t i = 0; i < n; ++i) values.push_back(convert(load<Stored>(bytes, i * sizeof(Stored))));
+    for (std::size_t i = 0; i < n; ++i)
+        values.push_back(convert(read_little_endian<Stored>(bytes, i * sizeof(Stored))));
 }
 
 /// Appends the integers of a column to `values`. The integers may have any width.
@@ -128,19 +130,19 @@ void append_integers(std::vector<T>& values, const Batch& batch, const Feather::
     const auto as = [](auto value) { return T(value); };
     switch (type.bits) {
         case 8:
-            return type.is_signed ? push_as<std::int8_t>(values, batch, column, as)
-                                  : push_as<std::uint8_t>(values, batch, column, as);
+            return type.is_signed ? append_converted<std::int8_t>(values, batch, column, as)
+                                  : append_converted<std::uint8_t>(values, batch, column, as);
         case 16:
-            return type.is_signed ? push_as<std::int16_t>(values, batch, column, as)
-                                  : push_as<std::uint16_t>(values, batch, column, as);
+            return type.is_signed ? append_converted<std::int16_t>(values, batch, column, as)
+                                  : append_converted<std::uint16_t>(values, batch, column, as);
         case 32:
-            return type.is_signed ? push_as<std::int32_t>(values, batch, column, as)
-                                  : push_as<std::uint32_t>(values, batch, column, as);
+            return type.is_signed ? append_converted<std::int32_t>(values, batch, column, as)
+                                  : append_converted<std::uint32_t>(values, batch, column, as);
         default:
             break;
     }
-    if (type.is_signed) return push_as<std::int64_t>(values, batch, column, as);
-    push_as<std::uint64_t>(values, batch, column, [](std::uint64_t value) {
+    if (type.is_signed) return append_converted<std::int64_t>(values, batch, column, as);
+    append_converted<std::uint64_t>(values, batch, column, [](std::uint64_t value) {
         if (value > std::uint64_t(std::numeric_limits<std::int64_t>::max()))
             throw DataError(fmt::format("the integer {} is too large, expected at most 63 bits", value));
         return T(value);
@@ -149,11 +151,11 @@ void append_integers(std::vector<T>& values, const Batch& batch, const Feather::
 
 void append_floats(std::vector<double>& values, const Batch& batch, const Feather::Column& column, int bits) {
     const auto as = [](auto value) { return double(value); };
-    if (bits == 64) push_as<double>(values, batch, column, as);
-    else if (bits == 32) push_as<float>(values, batch, column, as);
+    if (bits == 64) append_converted<double>(values, batch, column, as);
+    else if (bits == 32) append_converted<float>(values, batch, column, as);
     else
-        push_as<std::uint16_t>(values, batch, column,
-                               [](std::uint16_t half) { return double(glm::unpackHalf1x16(half)); });
+        append_converted<std::uint16_t>(values, batch, column,
+                                        [](std::uint16_t half) { return double(glm::unpackHalf1x16(half)); });
 }
 
 /// Appends the texts of a column to `values`. Text i is stored between the offsets i and
@@ -165,7 +167,7 @@ void append_texts(std::vector<std::string>& values, const Batch& batch, std::siz
     if (n == 0) return;  // Without rows, writers may omit the offsets.
     const std::string offsets = read_buffer(batch, first_buffer + 1, (n + 1) * sizeof(std::int32_t));
     const auto offset = [&](std::size_t index) {
-        return load<std::int32_t>(offsets, index * sizeof(std::int32_t));
+        return read_little_endian<std::int32_t>(offsets, index * sizeof(std::int32_t));
     };
     for (std::size_t i = 0; i < n; ++i)
         if (offset(i) < 0 || offset(i + 1) < offset(i))

@@ -47,7 +47,7 @@ std::string format_pairs(const McapWriter::Values& values) {
     return pairs;
 }
 
-std::string record(Code code, std::string_view body) {
+std::string encode_record(Code code, std::string_view body) {
     std::string bytes;
     append(bytes, std::uint8_t(code));
     append(bytes, std::uint64_t(body.size()));
@@ -63,7 +63,7 @@ McapWriter::McapWriter(std::filesystem::path path, std::string_view profile)
     std::string header;
     append_text(header, profile);
     append_text(header, "relidar " RELIDAR_VERSION);
-    put(record(kHeader, header));
+    put(encode_record(kHeader, header));
 }
 
 void McapWriter::put(std::string_view bytes) {
@@ -80,8 +80,8 @@ std::uint16_t McapWriter::add_schema(std::string_view name, std::string_view enc
     std::string body;
     append(body, ++n_schemas_);
     append_text(body, name), append_text(body, encoding), append_text(body, definition);
-    schemas_ += record(kSchema, body);
-    put(record(kSchema, body));
+    schemas_ += encode_record(kSchema, body);
+    put(encode_record(kSchema, body));
     return n_schemas_;
 }
 
@@ -92,17 +92,17 @@ std::uint16_t McapWriter::add_channel(std::uint16_t schema, std::string_view top
     std::string body;
     append(body, id), append(body, schema);
     append_text(body, topic), append_text(body, encoding), append_text(body, format_pairs(metadata));
-    channels_ += record(kChannel, body);
-    put(record(kChannel, body));
+    channels_ += encode_record(kChannel, body);
+    put(encode_record(kChannel, body));
     return id;
 }
 
 void McapWriter::add_metadata(std::string_view name, const Values& values) {
     std::string body, index;
     append_text(body, name), append_text(body, format_pairs(values));
-    const std::string metadata = record(kMetadata, body);
+    const std::string metadata = encode_record(kMetadata, body);
     append(index, written_), append(index, std::uint64_t(metadata.size())), append_text(index, name);
-    metadata_indices_ += record(kMetadataIndex, index);
+    metadata_indices_ += encode_record(kMetadataIndex, index);
     ++n_metadata_;
     put(metadata);
 }
@@ -115,7 +115,7 @@ void McapWriter::add_message(std::uint16_t channel, std::uint64_t time_ns, std::
     // A message has a log time and a publish time. Both get the same value.
     append(body, time_ns), append(body, time_ns);
     body += message;
-    chunk_ += record(kMessageRecord, body);
+    chunk_ += encode_record(kMessageRecord, body);
 }
 
 void McapWriter::end_chunk() {
@@ -128,7 +128,7 @@ void McapWriter::end_chunk() {
     // because the floats of a scan compress poorly.
     append_text(body, "");
     append(body, std::uint64_t(chunk_.size()));
-    put(record(kChunk, body + chunk_));
+    put(encode_record(kChunk, body + chunk_));
     const std::uint64_t end = written_;
 
     // For each channel, its id and the file position of its message index. The chunk
@@ -140,7 +140,7 @@ void McapWriter::end_chunk() {
         for (const Indexed& message : messages)
             append(entries, message.time_ns), append(entries, message.offset);
         append(index, channel), append_text(index, entries);
-        put(record(kMessageIndex, index));
+        put(encode_record(kMessageIndex, index));
     }
     std::string index;
     append(index, chunk_first_ns_), append(index, chunk_last_ns_), append(index, begin),
@@ -148,7 +148,7 @@ void McapWriter::end_chunk() {
     append_text(index, index_positions);
     append(index, written_ - end), append_text(index, ""), append(index, std::uint64_t(chunk_.size()));
     append(index, std::uint64_t(chunk_.size()));
-    chunk_indices_ += record(kChunkIndex, index);
+    chunk_indices_ += encode_record(kChunkIndex, index);
     ++n_chunks_;
     first_ns_ = std::min(first_ns_, chunk_first_ns_), last_ns_ = std::max(last_ns_, chunk_last_ns_);
     chunk_.clear(), chunk_index_.clear();
@@ -164,7 +164,7 @@ std::string McapWriter::statistics() const {
     append(body, std::uint32_t(0)), append(body, n_metadata_), append(body, n_chunks_);
     append(body, n_messages ? first_ns_ : std::uint64_t(0)), append(body, last_ns_);
     append_text(body, counts);
-    return record(kStatistics, body);
+    return encode_record(kStatistics, body);
 }
 
 /// Returns the bytes of the summary section at the end of the file. Records with the same
@@ -186,7 +186,7 @@ void McapWriter::close() {
     std::string end, footer;
     // Checksum 0 means that the file has no checksum. Each chunk has one instead.
     append(end, std::uint32_t(0));
-    put(record(kDataEnd, end));
+    put(encode_record(kDataEnd, end));
     const std::uint64_t begin = written_;
     std::vector<Group> groups;
     put(summary(groups));
@@ -194,10 +194,10 @@ void McapWriter::close() {
     for (const Group& group : groups) {
         std::string body;
         append(body, group.code), append(body, group.begin), append(body, group.n_bytes);
-        put(record(kSummaryOffset, body));
+        put(encode_record(kSummaryOffset, body));
     }
     append(footer, begin), append(footer, offsets), append(footer, std::uint32_t(0));
-    put(record(kFooter, footer));
+    put(encode_record(kFooter, footer));
     put(kMagic);
     file_.close();
     if (!file_) throw DataError(fmt::format("cannot write '{}': the disk is probably full", path_.string()));

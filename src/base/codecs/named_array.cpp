@@ -18,8 +18,8 @@ namespace relidar {
 namespace {
 
 template <class T>
-NamedArray make(std::string name, std::vector<std::size_t> shape, const char* dtype, const T* values,
-                std::size_t count) {
+NamedArray make_typed_array(std::string name, std::vector<std::size_t> shape, const char* dtype,
+                            const T* values, std::size_t count) {
     NamedArray array{std::move(name), dtype, std::move(shape), {}};
     if (array.count() != count)
         throw DataError(fmt::format("array '{}' has {} values, expected {} for the shape [{}]", array.name,
@@ -179,20 +179,20 @@ std::vector<double> NamedArray::as_double() const { return convert_values<double
 
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const float* values,
                       std::size_t count) {
-    return make(std::move(name), std::move(shape), "f4", values, count);
+    return make_typed_array(std::move(name), std::move(shape), "f4", values, count);
 }
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const double* values,
                       std::size_t count) {
-    return make(std::move(name), std::move(shape), "f8", values, count);
+    return make_typed_array(std::move(name), std::move(shape), "f8", values, count);
 }
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::int32_t* values,
                       std::size_t count) {
-    return make(std::move(name), std::move(shape), "i4", values, count);
+    return make_typed_array(std::move(name), std::move(shape), "i4", values, count);
 }
 
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::uint16_t* values,
                       std::size_t count) {
-    return make(std::move(name), std::move(shape), "u2", values, count);
+    return make_typed_array(std::move(name), std::move(shape), "u2", values, count);
 }
 
 NamedArray make_text(std::string name, const std::string& text) {

@@ -46,7 +46,7 @@ struct Archive {
 };
 
 template <class T>
-T get(std::span<const std::byte> bytes, std::size_t offset) {
+T read_zip_field(std::span<const std::byte> bytes, std::size_t offset) {
     if (offset > bytes.size() || sizeof(T) > bytes.size() - offset)
         throw DataError("a zip record is truncated");
     T value;
@@ -60,34 +60,34 @@ struct Directory {
 
 /// Returns the position of the zip end record. This is the last record whose comment ends
 /// exactly at the end of the file.
-std::size_t find_end(const Archive& archive) {
+std::size_t find_zip_end_record(const Archive& archive) {
     const std::size_t n = archive.bytes.size();
     if (n < kEndSize)
         throw DataError(fmt::format("the file has {} bytes, which is too short for a zip archive", n));
     for (std::size_t back = kEndSize; back <= std::min<std::size_t>(n, kEndSize + 0xFFFF); ++back) {
         const auto record = archive.part(n - back, kEndSize);
-        if (get<std::uint32_t>(record, 0) == kEndSignature &&
-            get<std::uint16_t>(record, 20) == back - kEndSize)
+        if (read_zip_field<std::uint32_t>(record, 0) == kEndSignature &&
+            read_zip_field<std::uint16_t>(record, 20) == back - kEndSize)
             return n - back;
     }
     throw DataError("the file is not a zip archive, or it is truncated");
 }
 
 Directory find_directory(const Archive& archive) {
-    const std::size_t end = find_end(archive);
+    const std::size_t end = find_zip_end_record(archive);
     const auto record = archive.part(end, kEndSize);
-    Directory directory{get<std::uint16_t>(record, 10), get<std::uint32_t>(record, 12),
-                        get<std::uint32_t>(record, 16)};
+    Directory directory{read_zip_field<std::uint16_t>(record, 10), read_zip_field<std::uint32_t>(record, 12),
+                        read_zip_field<std::uint32_t>(record, 16)};
     const bool see64 =
         directory.n_entries == 0xFFFF || directory.size == kSee64 || directory.offset == kSee64;
     if (see64 && end >= kLocator64Size) {
         const auto locator = archive.part(end - kLocator64Size, kLocator64Size);
-        if (get<std::uint32_t>(locator, 0) == kLocator64Signature) {
-            const auto end64 = archive.part(get<std::uint64_t>(locator, 8), kEnd64Size);
-            if (get<std::uint32_t>(end64, 0) != kEnd64Signature)
+        if (read_zip_field<std::uint32_t>(locator, 0) == kLocator64Signature) {
+            const auto end64 = archive.part(read_zip_field<std::uint64_t>(locator, 8), kEnd64Size);
+            if (read_zip_field<std::uint32_t>(end64, 0) != kEnd64Signature)
                 throw DataError("the zip64 end record is damaged");
-            directory = {get<std::uint64_t>(end64, 32), get<std::uint64_t>(end64, 40),
-                         get<std::uint64_t>(end64, 48)};
+            directory = {read_zip_field<std::uint64_t>(end64, 32), read_zip_field<std::uint64_t>(end64, 40),
+                         read_zip_field<std::uint64_t>(end64, 48)};
         }
     }
     if (directory.size > end || directory.offset > end - directory.size)
@@ -109,12 +109,13 @@ struct NpzEntry {
 /// whose 32-bit value is 0xFFFFFFFF, which means "see zip64".
 void apply_zip64(NpzEntry& entry, std::span<const std::byte> extra) {
     for (std::size_t at = 0; at + 4 <= extra.size();) {
-        const std::size_t size = get<std::uint16_t>(extra, at + 2);
-        if (get<std::uint16_t>(extra, at) == kZip64Extra) {
+        const std::size_t size = read_zip_field<std::uint16_t>(extra, at + 2);
+        if (read_zip_field<std::uint16_t>(extra, at) == kZip64Extra) {
             std::size_t field = at + 4;
             for (std::uint64_t* value : {&entry.size, &entry.packed_size, &entry.offset}) {
                 if (*value != kSee64) continue;
-                *value = get<std::uint64_t>(extra.first(std::min(extra.size(), at + 4 + size)), field);
+                *value =
+                    read_zip_field<std::uint64_t>(extra.first(std::min(extra.size(), at + 4 + size)), field);
                 field += 8;
             }
             return;
@@ -127,17 +128,18 @@ void apply_zip64(NpzEntry& entry, std::span<const std::byte> extra) {
 /// next entry.
 NpzEntry parse_entry(std::span<const std::byte> directory, std::size_t& offset) {
     const auto record = directory.subspan(offset);
-    if (get<std::uint32_t>(record, 0) != kCentralSignature || record.size() < kCentralSize)
+    if (read_zip_field<std::uint32_t>(record, 0) != kCentralSignature || record.size() < kCentralSize)
         throw DataError("the zip directory is damaged");
     NpzEntry entry;
-    entry.flags = get<std::uint16_t>(record, 8);
-    entry.method = get<std::uint16_t>(record, 10);
-    entry.crc = get<std::uint32_t>(record, 16);
-    entry.packed_size = get<std::uint32_t>(record, 20);
-    entry.size = get<std::uint32_t>(record, 24);
-    entry.offset = get<std::uint32_t>(record, 42);
-    const std::size_t n_name = get<std::uint16_t>(record, 28), n_extra = get<std::uint16_t>(record, 30);
-    const std::size_t n_comment = get<std::uint16_t>(record, 32);
+    entry.flags = read_zip_field<std::uint16_t>(record, 8);
+    entry.method = read_zip_field<std::uint16_t>(record, 10);
+    entry.crc = read_zip_field<std::uint32_t>(record, 16);
+    entry.packed_size = read_zip_field<std::uint32_t>(record, 20);
+    entry.size = read_zip_field<std::uint32_t>(record, 24);
+    entry.offset = read_zip_field<std::uint32_t>(record, 42);
+    const std::size_t n_name = read_zip_field<std::uint16_t>(record, 28),
+                      n_extra = read_zip_field<std::uint16_t>(record, 30);
+    const std::size_t n_comment = read_zip_field<std::uint16_t>(record, 32);
     if (n_name + n_extra + n_comment > record.size() - kCentralSize)
         throw DataError("the zip directory is truncated");
     entry.name.assign(reinterpret_cast<const char*>(record.data()) + kCentralSize, n_name);
@@ -170,12 +172,13 @@ std::vector<std::byte> inflate_bytes(std::span<const std::byte> packed, std::siz
     return result;
 }
 
-std::vector<std::byte> unpack(const Archive& archive, const NpzEntry& entry) {
+std::vector<std::byte> decompress_entry(const Archive& archive, const NpzEntry& entry) {
     if (entry.flags & 1) throw DataError("it is encrypted");
     const auto local = archive.part(entry.offset, kLocalSize);
-    if (get<std::uint32_t>(local, 0) != kLocalSignature) throw DataError("the zip header is damaged");
-    const std::uint64_t start =
-        entry.offset + kLocalSize + get<std::uint16_t>(local, 26) + get<std::uint16_t>(local, 28);
+    if (read_zip_field<std::uint32_t>(local, 0) != kLocalSignature)
+        throw DataError("the zip header is damaged");
+    const std::uint64_t start = entry.offset + kLocalSize + read_zip_field<std::uint16_t>(local, 26) +
+                                read_zip_field<std::uint16_t>(local, 28);
     const auto packed = archive.part(start, entry.packed_size);
     std::vector<std::byte> bytes;
     if (entry.method == 0) {
@@ -204,13 +207,13 @@ NamedArray read_array(const Archive& archive, const NpzEntry& entry) {
         if (entry.name.size() <= kSuffix.size() || !entry.name.ends_with(kSuffix))
             throw DataError("the entry is not a .npy array");
         return report_detail::parse_npy(entry.name.substr(0, entry.name.size() - kSuffix.size()),
-                                        unpack(archive, entry));
+                                        decompress_entry(archive, entry));
     } catch (const DataError& error) {
         throw DataError(fmt::format("entry '{}': {}", entry.name, error.what()));
     }
 }
 
-std::vector<NamedArray> parse(const Archive& archive) {
+std::vector<NamedArray> parse_archive(const Archive& archive) {
     const Directory directory = find_directory(archive);
     const auto records = archive.part(directory.offset, directory.size);
     std::vector<NamedArray> arrays;
@@ -234,7 +237,7 @@ std::vector<NamedArray> parse(const Archive& archive) {
 std::vector<NamedArray> read_npz(const std::filesystem::path& path) {
     const Archive archive{report_detail::read_file(path)};
     try {
-        return parse(archive);
+        return parse_archive(archive);
     } catch (const DataError& error) {
         throw DataError(fmt::format("cannot read npz '{}': {}", path.string(), error.what()));
     }

@@ -111,7 +111,8 @@ std::string make_central_header(const Entry& entry) {
     return bytes + entry.name;
 }
 
-std::string end_record(std::size_t n_entries, std::size_t directory_size, std::size_t directory_offset) {
+std::string make_zip_end_record(std::size_t n_entries, std::size_t directory_size,
+                                std::size_t directory_offset) {
     std::string bytes;
     append(bytes, kEndRecord);
     append(bytes, std::uint32_t(0));  // Zip fields: disk numbers.
@@ -145,7 +146,7 @@ Entry write_entry(report_detail::OutputFile& file, const NamedArray& array, std:
     return entry;
 }
 
-void check(const std::vector<NamedArray>& arrays) {
+void check_archive_arrays(const std::vector<NamedArray>& arrays) {
     std::set<std::string> names;
     for (const NamedArray& array : arrays) {
         report_detail::check_array(array);
@@ -161,7 +162,7 @@ void check(const std::vector<NamedArray>& arrays) {
 
 void write_npz(const std::filesystem::path& path, const std::vector<NamedArray>& arrays) {
     write_atomically(path, [&](const std::filesystem::path& temporary) {
-        check(arrays);
+        check_archive_arrays(arrays);
         report_detail::OutputFile file(temporary);
         std::size_t offset = 0;
         std::string directory;
@@ -172,7 +173,7 @@ void write_npz(const std::filesystem::path& path, const std::vector<NamedArray>&
         }
         check_size("the archive", offset + directory.size());
         file.write(directory);
-        file.write(end_record(arrays.size(), directory.size(), offset));
+        file.write(make_zip_end_record(arrays.size(), directory.size(), offset));
         file.close();
     });
 }

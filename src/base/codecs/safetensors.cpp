@@ -131,7 +131,7 @@ Header parse_header(const std::vector<std::byte>& file) {
 }
 
 /// Returns a list of non-negative integers from a field of the header.
-std::vector<std::size_t> integers(const std::string& name, const Json& entry, const char* key) {
+std::vector<std::size_t> read_integer_array(const std::string& name, const Json& entry, const char* key) {
     if (!entry.is_object() || !entry.contains(key) || !entry[key].is_array())
         throw DataError(fmt::format("array '{}' has no list '{}'", name, key));
     if (entry[key].size() > kMaxDimensions)
@@ -157,9 +157,11 @@ struct Range {
 std::pair<NamedArray, Range> parse_tensor(const std::string& name, const Json& entry, std::size_t n_data) {
     if (!entry.is_object() || !entry.contains("dtype") || !entry["dtype"].is_string())
         throw DataError(fmt::format("array '{}' has no string 'dtype'", name));
-    NamedArray array{
-        name, get_numpy_type(name, entry["dtype"].get<std::string>()), integers(name, entry, "shape"), {}};
-    const std::vector<std::size_t> offsets = integers(name, entry, "data_offsets");
+    NamedArray array{name,
+                     get_numpy_type(name, entry["dtype"].get<std::string>()),
+                     read_integer_array(name, entry, "shape"),
+                     {}};
+    const std::vector<std::size_t> offsets = read_integer_array(name, entry, "data_offsets");
     if (offsets.size() != 2 || offsets[0] > offsets[1] || offsets[1] > n_data)
         throw DataError(fmt::format("array '{}': data_offsets [{}] are outside the {} bytes of data", name,
                                     fmt::join(offsets, ", "), n_data));

@@ -40,8 +40,8 @@ void remove_abandoned(const fs::path& parent, const std::string& prefix) {
 
 }  // namespace
 
-StagedFolder::StagedFolder(const fs::path& wanted)
-    : wanted_((fs::absolute(wanted) / "").lexically_normal().parent_path()) {
+StagedFolder::StagedFolder(const fs::path& final_path)
+    : wanted_((fs::absolute(final_path) / "").lexically_normal().parent_path()) {
     const std::string prefix = fmt::format(".{}.tmp-", wanted_.filename().string());
     remove_abandoned(wanted_.parent_path(), prefix);
     path_ = wanted_.parent_path() / fmt::format("{}{}", prefix, ::getpid());
@@ -57,7 +57,7 @@ StagedFolder::~StagedFolder() {
     fs::remove_all(path_, failed);
 }
 
-void StagedFolder::finish_new() const {
+void StagedFolder::finish_without_replacing() const {
     // rename() replaces an empty folder. It fails if anything else exists at the
     // destination.
     if (::rename(path_.c_str(), wanted_.c_str()) == 0) return;

@@ -19,7 +19,7 @@ namespace {
 // Sizes in bytes of a record's header (before the data) and footer (after the data).
 constexpr std::uint64_t kHeader = 12, kFooter = 4;
 
-constexpr std::array<std::uint32_t, 256> make_table() {
+constexpr std::array<std::uint32_t, 256> make_crc_table() {
     std::array<std::uint32_t, 256> table{};
     for (std::uint32_t byte = 0; byte < 256; ++byte) {
         std::uint32_t c = byte;
@@ -30,7 +30,7 @@ constexpr std::array<std::uint32_t, 256> make_table() {
 }
 
 template <class T>
-T number_at(const char* bytes) {
+T read_unaligned(const char* bytes) {
     T value;
     std::memcpy(&value, bytes, sizeof value);
     return value;
@@ -39,7 +39,7 @@ T number_at(const char* bytes) {
 }  // namespace
 
 std::uint32_t compute_masked_crc32c(std::string_view bytes) {
-    static constexpr std::array<std::uint32_t, 256> kTable = make_table();
+    static constexpr std::array<std::uint32_t, 256> kTable = make_crc_table();
     std::uint32_t c = ~0u;
     for (const char byte : bytes) c = kTable[(c ^ static_cast<unsigned char>(byte)) & 0xFF] ^ (c >> 8);
     c = ~c;
@@ -58,10 +58,10 @@ TfRecords::TfRecords(std::filesystem::path file) : file_(std::move(file)) {
         if (left < kHeader || !in.read(header.data(), kHeader))
             throw DataError(
                 fmt::format("{} is truncated: its header has {} bytes, expected {}", where, left, kHeader));
-        if (number_at<std::uint32_t>(&header[8]) != compute_masked_crc32c({header.data(), 8}))
+        if (read_unaligned<std::uint32_t>(&header[8]) != compute_masked_crc32c({header.data(), 8}))
             throw DataError(fmt::format(
                 "{}: the checksum (CRC) of its length is wrong, expected a TFRecord file", where));
-        const auto size = number_at<std::uint64_t>(header.data());
+        const auto size = read_unaligned<std::uint64_t>(header.data());
         left -= kHeader;
         if (left < kFooter || size > left - kFooter)
             throw DataError(fmt::format(
@@ -85,7 +85,7 @@ std::string TfRecords::read(std::size_t record) const {
     if (!in.read(data.data(), std::streamsize(data.size())))
         throw DataError(
             fmt::format("{}: record {}: cannot read its {} bytes", file_.string(), record, data.size()));
-    const auto crc = number_at<std::uint32_t>(&data[place.size]);
+    const auto crc = read_unaligned<std::uint32_t>(&data[place.size]);
     data.resize(place.size);
     if (crc != compute_masked_crc32c(data))
         throw DataError(

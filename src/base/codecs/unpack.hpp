@@ -10,10 +10,10 @@ namespace relidar {
 /// Decompresses one lz4 frame into `target`. `target` must have exactly the uncompressed
 /// size.
 /// @throws DataError if the frame is damaged or has a different uncompressed size
-void unpack_lz4(std::string_view from, std::span<char> target);
+void unpack_lz4(std::string_view packed, std::span<char> target);
 /// Decompresses one zstd frame into `target`. `target` must have exactly the uncompressed
 /// size.
 /// @throws DataError if the frame is damaged or has a different uncompressed size
-void unpack_zstd(std::string_view from, std::span<char> target);
+void unpack_zstd(std::string_view packed, std::span<char> target);
 
 }  // namespace relidar

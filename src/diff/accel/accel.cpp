@@ -8,7 +8,7 @@
 
 namespace relidar {
 
-Proxy resolve(Proxy proxy, const Device& device) {
+Proxy choose_proxy(Proxy proxy, const Device& device) {
     if (device.traversal() == Traversal::software) return Proxy::boxes;
     if (proxy != Proxy::automatic) return proxy;
     // Uses triangles on a GPU, which intersects triangles in hardware faster than boxes
@@ -31,12 +31,12 @@ struct Accel::Impl {
     std::uint64_t n_updates = 0;
 
     Impl(Device& device, const DeviceScene& scene, const AccelOptions& o)
-        : options(o), proxy(resolve(o.proxy, device)) {
+        : options(o), proxy(choose_proxy(o.proxy, device)) {
         if (device.traversal() == Traversal::software) software = std::make_unique<Bvh>(device, scene);
         else hardware = std::make_unique<HardwareAccel>(device, scene, proxy);
     }
 
-    bool due() const {
+    bool should_rebuild() const {
         return !built || outgrown || (options.rebuild_every > 0 && refits >= options.rebuild_every);
     }
     void build(Stream& stream, const DeviceScene& scene) {
@@ -51,7 +51,7 @@ struct Accel::Impl {
 
 namespace {
 
-std::vector<SurfelRange> find_bending_ranges(const std::vector<Model>& models) {
+std::vector<SurfelRange> list_animated_surfel_ranges(const std::vector<Model>& models) {
     std::vector<SurfelRange> ranges;
     for (const Model& model : models) {
         if (model.count == 0 || model.stride_m <= 0.0f) continue;
@@ -70,7 +70,7 @@ Accel::~Accel() = default;
 
 void Accel::update(Stream& stream, const DeviceScene& scene, bool rebuild) {
     Impl& a = *impl_;
-    const bool refit = !rebuild && !a.due();
+    const bool refit = !rebuild && !a.should_rebuild();
     ++a.n_updates;
     if (refit) {
         a.refit(stream, scene, {{0, scene.size()}});
@@ -85,12 +85,12 @@ void Accel::update(Stream& stream, const DeviceScene& scene, bool rebuild) {
     a.cost_when_built = 0.0;
 }
 
-void Accel::bend(Stream& stream, const DeviceScene& scene) {
+void Accel::refit_animated_actors(Stream& stream, const DeviceScene& scene) {
     Impl& a = *impl_;
     if (!a.built) return update(stream, scene);
     // Refits the trees of walking actors. Such refits do not count towards a rebuild,
     // because walking repeats the same shapes, so the trees do not degrade.
-    a.refit(stream, scene, find_bending_ranges(scene.layout().models));
+    a.refit(stream, scene, list_animated_surfel_ranges(scene.layout().models));
     ++a.n_updates;
 }
 
@@ -99,14 +99,14 @@ void Accel::move(Stream& stream, const DeviceScene& scene) {
     else impl_->software->move(stream, scene);
 }
 
-void Accel::check_growth(Stream& stream) {
+void Accel::measure_tree_cost(Stream& stream) {
     Impl& a = *impl_;
     if (!a.software || !a.built) return;
     if (const std::optional<double> cost = a.software->read_cost(stream); cost && a.measured) {
         if (a.cost_when_built <= 0.0) a.cost_when_built = *cost;
         a.outgrown = *cost > double(a.options.rebuild_growth) * a.cost_when_built;
     }
-    a.software->record_cost(stream);
+    a.software->record_cost_measurement(stream);
     a.measured = true;
 }
 

@@ -49,7 +49,7 @@ std::uint32_t get_subgroup_size(const Device& device) {
     return static_cast<std::uint32_t>(info.subgroup_size);
 }
 
-std::vector<std::uint32_t> list_models_of_instances(const DeviceScene& scene) {
+std::vector<std::uint32_t> list_instance_models(const DeviceScene& scene) {
     std::vector<std::uint32_t> models;
     for (const Instance& instance : scene.layout().instances) models.push_back(instance.model);
     return models;
@@ -68,7 +68,7 @@ std::uint32_t count_top_nodes(std::uint32_t count) {
 
 }  // namespace
 
-/// Selects the models of all surfels in fit_nodes(), and also models without surfels.
+/// Selects the models of all surfels in compute_node_boxes(), and also models without surfels.
 constexpr std::uint32_t kAllModels = std::numeric_limits<std::uint32_t>::max();
 
 /// Positions of the arrays in scratch memory, in words per surfel. The last build step
@@ -126,9 +126,9 @@ struct Bvh::Impl {
     /// between two sets of keys and ends in set 0. Set 1 is overwritten by the costs of
     /// the binary nodes.
     std::uint32_t get_keys_offset(int set) const { return set == 0 ? kKeysAt : kCostsAt; }
-    SortSet get_sort_set(int set) const;
+    SortSet get_sort_buffers(int set) const;
     std::uint32_t levels() const;
-    void collapse(Stream& stream, const DeviceScene& scene);
+    void collapse_to_wide_tree(Stream& stream, const DeviceScene& scene);
     std::uint32_t get_key_bits() const {
         return 3 * RELIDAR_BVH_MORTON_BITS +
                static_cast<std::uint32_t>(std::bit_width(std::max(n_models, 1u) - 1));
@@ -138,7 +138,7 @@ struct Bvh::Impl {
     SortSet sort_surfels(Stream& stream, const DeviceScene& scene);
     /// Submits kernels that compute the node boxes of some models: those whose first
     /// surfel has an index in [first, last].
-    void fit_nodes(Stream& stream, std::uint32_t first, std::uint32_t last);
+    void compute_node_boxes(Stream& stream, std::uint32_t first, std::uint32_t last);
 };
 
 Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
@@ -165,7 +165,7 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       refit_kernel(d, "diff/accel/bvh_refit", {{ConstantId::LANES, get_subgroup_size(d)}}, Subgroups::full),
       top(d, "diff/accel/bvh_top", {kShares}, Subgroups::full),
       cost_kernel(d, "diff/accel/bvh_cost", {kShares}, Subgroups::full),
-      model_of(d, std::span<const std::uint32_t>(list_models_of_instances(scene)), "models of the instances"),
+      model_of(d, std::span<const std::uint32_t>(list_instance_models(scene)), "models of the instances"),
       boxes(d, 6 * std::size_t(n), "surfel boxes"),
       bounds(d, 6 * std::size_t(n_models), "model bounds"),
       scratch(d,
@@ -215,7 +215,7 @@ shared::BvhWide Bvh::Impl::wide() const {
             .count = count.address()};
 }
 
-SortSet Bvh::Impl::get_sort_set(int set) const {
+SortSet Bvh::Impl::get_sort_buffers(int set) const {
     return {.keys = at<std::uint32_t, shared::SortKeys>(get_keys_offset(set)),
             .order = at<std::uint32_t, shared::SortOrder>(set == 0 ? kValuesAt : kCostsAt + 2)};
 }
@@ -254,10 +254,10 @@ SortSet Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
          .demands = at<std::uint32_t, shared::SlotDemands>(kDemandsAt),
          .n_surfels = n,
          .n_models = n_models});
-    return sort.run(stream, get_sort_set(first_set), get_sort_set(1 - first_set), get_key_bits());
+    return sort.run(stream, get_sort_buffers(first_set), get_sort_buffers(1 - first_set), get_key_bits());
 }
 
-void Bvh::Impl::collapse(Stream& stream, const DeviceScene& scene) {
+void Bvh::Impl::collapse_to_wide_tree(Stream& stream, const DeviceScene& scene) {
     stream.fill(level_sizes);
     shared::BvhWideParams params{.tree = binary(),
                                  .wide = wide(),
@@ -285,7 +285,7 @@ void Bvh::Impl::collapse(Stream& stream, const DeviceScene& scene) {
     run(stream, wide_emit, bound, params);
 }
 
-void Bvh::Impl::fit_nodes(Stream& stream, std::uint32_t first, std::uint32_t last) {
+void Bvh::Impl::compute_node_boxes(Stream& stream, std::uint32_t first, std::uint32_t last) {
     run(stream, refit_kernel, n_refitting,
         {.wide = wide(),
          .boxes = boxes.address(),
@@ -322,8 +322,8 @@ void Bvh::build(Stream& stream, const DeviceScene& scene, const AccelOptions& op
          .roots = b.queue.address(),
          .n_surfels = b.n,
          .n_models = b.n_models});
-    b.collapse(stream, scene);
-    b.fit_nodes(stream, 0, kAllModels);
+    b.collapse_to_wide_tree(stream, scene);
+    b.compute_node_boxes(stream, 0, kAllModels);
     move(stream, scene);
 }
 
@@ -332,7 +332,7 @@ void Bvh::refit(Stream& stream, const DeviceScene& scene, const AccelOptions& op
     for (const auto& [first, count] : ranges) {
         if (count == 0) continue;
         impl_->make_boxes(stream, scene, options, {first, count});
-        impl_->fit_nodes(stream, first, first + count - 1);
+        impl_->compute_node_boxes(stream, first, first + count - 1);
     }
     move(stream, scene);
 }
@@ -381,7 +381,7 @@ BvhOnHost Bvh::download() const {
     return host;
 }
 
-void Bvh::record_cost(Stream& stream) {
+void Bvh::record_cost_measurement(Stream& stream) {
     Impl& b = *impl_;
     run(stream, b.cost_kernel, b.bound,
         {.wide = b.wide(), .boxes = b.boxes.address(), .partial = b.cost_sums.address(), .bound = b.bound});

@@ -81,7 +81,7 @@ struct BuildInput {
 
 /// Records a single command for all builds, so that the device can run them concurrently.
 /// The command gets a copy of the inputs.
-void record_builds(Stream::Impl& stream, const std::string& name, std::vector<BuildInput> inputs) {
+void record_accel_builds(Stream::Impl& stream, const std::string& name, std::vector<BuildInput> inputs) {
     stream.record(name, [inputs = std::move(inputs)](VkCommandBuffer commands) {
         std::vector<VkAccelerationStructureBuildGeometryInfoKHR> infos;
         std::vector<const VkAccelerationStructureBuildRangeInfoKHR*> ranges;
@@ -148,7 +148,7 @@ struct HardwareAccel::Impl {
 
     Impl(Device& device, const Scene& layout, Proxy p, Primitive primitive)
         : proxy(p),
-          mesh(kind_of(primitive).mesh == ProxyMesh::icosahedron ? kIcosahedron : kRectangle),
+          mesh(get_primitive_kind(primitive).mesh == ProxyMesh::icosahedron ? kIcosahedron : kRectangle),
           proxies(device, "diff/accel/proxies",
                   {{ConstantId::BOXES, proxy == Proxy::boxes ? 1u : 0u},
                    {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(primitive)}}),
@@ -160,18 +160,18 @@ struct HardwareAccel::Impl {
             reach = Array<std::uint32_t>(device, 1, "reach of proxies");
     }
 
-    void describe_model(const Model& model);
+    void fill_model_geometry(const Model& model);
     void make_proxies(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                       const SurfelRange& range);
     void measure_radii(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                        const SurfelRange& range);
-    void write_moving(Stream::Impl& stream, const std::vector<shared::MovingInstance>& all);
+    void upload_moving_instances(Stream::Impl& stream, const std::vector<shared::MovingInstance>& all);
     std::uint64_t write_instances(Stream::Impl& stream, const DeviceScene& scene);
 };
 
 /// Describes the geometry of one model, which is a part of the array `geometry`. It is
 /// not opaque, so that the shader can test every candidate hit.
-void HardwareAccel::Impl::describe_model(const Model& model) {
+void HardwareAccel::Impl::fill_model_geometry(const Model& model) {
     BuildInput& input = blas_input.emplace_back();
     if (proxy == Proxy::boxes) {
         input.geometry.geometryType = VK_GEOMETRY_TYPE_AABBS_KHR;
@@ -196,7 +196,8 @@ void HardwareAccel::Impl::describe_model(const Model& model) {
                        VK_BUILD_ACCELERATION_STRUCTURE_ALLOW_UPDATE_BIT_KHR;
 }
 
-void HardwareAccel::Impl::write_moving(Stream::Impl& stream, const std::vector<shared::MovingInstance>& all) {
+void HardwareAccel::Impl::upload_moving_instances(Stream::Impl& stream,
+                                                  const std::vector<shared::MovingInstance>& all) {
     n_moving = static_cast<std::uint32_t>(all.size());
     if (n_moving > 0) stream.write(moving.buffer(), all.data(), all.size() * sizeof(all[0]));
 }
@@ -225,7 +226,7 @@ std::uint64_t HardwareAccel::Impl::write_instances(Stream::Impl& stream, const D
         row.accelerationStructureReference = model->address;
     }
     tlas_input.range.primitiveCount = static_cast<std::uint32_t>(rows.size());
-    write_moving(stream, of_motion);
+    upload_moving_instances(stream, of_motion);
     return rows.empty() ? 0 : stream.store(rows.data(), rows.size() * sizeof(rows[0])).address;
 }
 
@@ -245,7 +246,7 @@ HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy pro
     VkDeviceSize scratch_bytes = 0;
     a.blas_input.reserve(layout.models.size());
     for (const Model& model : layout.models) {
-        a.describe_model(model);
+        a.fill_model_geometry(model);
         const std::uint32_t n = model.count * (a.proxy == Proxy::boxes ? 1u : a.mesh.n_triangles());
         a.blas_scratch.push_back(scratch_bytes);
         if (n == 0) {
@@ -326,7 +327,7 @@ void HardwareAccel::record(Stream& stream, const DeviceScene& scene, const Accel
         inputs.push_back(a.blas_input[i]);
     }
     if (!inputs.empty())
-        record_builds(stream.impl(), refit ? "accel/refit" : "accel/build", std::move(inputs));
+        record_accel_builds(stream.impl(), refit ? "accel/refit" : "accel/build", std::move(inputs));
     move(stream, scene);
 }
 
@@ -335,7 +336,7 @@ void HardwareAccel::move(Stream& stream, const DeviceScene& scene) {
     Stream::Impl& s = stream.impl();
     a.tlas_input.geometry.geometry.instances.data.deviceAddress = a.write_instances(s, scene);
     a.tlas_input.prepare(*a.tlas, false, a.scratch_address);
-    record_builds(s, "accel/top_level", {a.tlas_input});
+    record_accel_builds(s, "accel/top_level", {a.tlas_input});
 }
 
 void HardwareAccel::fill(AccelAddresses& addresses) const {

@@ -25,7 +25,7 @@ constexpr std::uint32_t kMostHitsPerRay = 4096;
 /// atomics. Then both methods take about the same time, but atomics need no memory.
 /// Devices without float atomics use records, because their compare-and-swap loops
 /// conflict if many rays hit one surfel.
-bool uses_gathering(const Device& device, Reduction reduction, ShDirection direction) {
+bool should_gather_hits(const Device& device, Reduction reduction, ShDirection direction) {
     if (reduction != Reduction::automatic) return reduction == Reduction::gather;
     return direction == ShDirection::ray || !device.info().float_atomics;
 }
@@ -35,8 +35,8 @@ bool uses_gathering(const Device& device, Reduction reduction, ShDirection direc
 /// atomic instruction. It requires maximal reconvergence, because lanes leave the loops
 /// over hits at different times.
 bool uses_row_exchange(const Device& device, const BackwardOptions& backward, bool gathered) {
-    return !gathered &&
-           backward.coalesced_atomics.value_or(prefers_coalesced_access(device) && does_reconverge(device));
+    return !gathered && backward.coalesced_atomics.value_or(prefers_coalesced_access(device) &&
+                                                            has_maximal_reconvergence(device));
 }
 
 }  // namespace
@@ -51,10 +51,11 @@ struct BackwardPass::Impl {
     /// the forward pass has already reported the same rays.
     Array<std::uint32_t, shared::PassCapCount> pass_cap;
 
-    static std::vector<Constant> constants(const Device& device, const ImageModel& model, Proxy proxy,
-                                           const TraceOptions& options, const BackwardOptions& backward) {
-        std::vector<Constant> all = trace_constants(device, proxy, options, model);
-        const bool gathered = uses_gathering(device, backward.reduction, model.sh_direction);
+    static std::vector<Constant> make_kernel_constants(const Device& device, const ImageModel& model,
+                                                       Proxy proxy, const TraceOptions& options,
+                                                       const BackwardOptions& backward) {
+        std::vector<Constant> all = make_trace_constants(device, proxy, options, model);
+        const bool gathered = should_gather_hits(device, backward.reduction, model.sh_direction);
         all.push_back({ConstantId::GATHER, gathered ? 1u : 0u});
         const bool exchanged = uses_row_exchange(device, backward, gathered);
         all.push_back({ConstantId::COALESCED_ATOMICS, exchanged ? 1u : 0u});
@@ -72,9 +73,9 @@ struct BackwardPass::Impl {
           options(o),
           trace(device, "diff/backward/trace",
                 choose_accumulating_variant(device, get_traversal_variant(device)),
-                constants(device, m, proxy, o, backward)),
+                make_kernel_constants(device, m, proxy, o, backward)),
           poses(device),
-          gather(uses_gathering(device, backward.reduction, m.sh_direction)
+          gather(should_gather_hits(device, backward.reduction, m.sh_direction)
                      ? std::make_unique<HitGather>(device, m, backward.hits_per_ray, o)
                      : nullptr),
           pass_cap(device, 1, "pass cap count") {}
@@ -108,9 +109,10 @@ void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, c
     RELIDAR_ASSERT_LE(16 * std::size_t(scene.gradient_rows()), gradients.records.size());
     const ImageModel& model = impl_->model;
     const bool has_pose_gradients = gradients.poses.size() > 0,
-               lists = scene.lists_touched() && !gradients.zero_untouched;
+               lists = scene.can_skip_untouched_surfels() && !gradients.zero_untouched;
     shared::BackwardParams params{};
-    params.scene = trace_scene(scene, accel, batch.rays, model, impl_->options, impl_->pass_cap.address());
+    params.scene =
+        make_trace_scene(scene, accel, batch.rays, model, impl_->options, impl_->pass_cap.address());
     params.rendered = batch.rendered->address();
     params.upstream = batch.upstream->address();
     params.d_records = gradients.records.address();
@@ -125,7 +127,7 @@ void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, c
     params.n_rows = scene.gradient_rows();
     params.with_turn = has_pose_gradients ? 1u : 0u;
     if (impl_->gather) {
-        impl_->gather->assign_slots(stream, batch);
+        impl_->gather->assign_hit_records(stream, batch);
         impl_->gather->fill(params);
     }
     {
@@ -135,7 +137,7 @@ void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, c
         if (lists) stream.fill(gradients.touched);
         if (lists && has_pose_gradients) stream.fill(gradients.pose_sums->d_view);
     }
-    relidar::run(stream, impl_->trace, trace_threads(batch.rays), params);
+    relidar::run(stream, impl_->trace, count_trace_threads(batch.rays), params);
     if (impl_->gather) impl_->gather->run(stream, params);
     scene.activate_vjp(stream, model, view_origin_m,
                        {.d_records = &gradients.records,

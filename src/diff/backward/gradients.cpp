@@ -4,13 +4,13 @@
 
 namespace relidar {
 
-Gradients::Gradients(Device& device, const DeviceScene& scene, const GradientSelection& wanted,
+Gradients::Gradients(Device& device, const DeviceScene& scene, const GradientSelection& selection,
                      std::uint32_t n_rays)
     : surfels(device, scene.size(), "gradient", scene.parameters().parameters()),
       records(device, 16 * std::size_t(scene.gradient_rows()), "record gradient"),
       touched(device, scene.size(), "touched surfels") {
-    if (wanted.rays) rays = {device, 6 * std::size_t(n_rays), "ray gradient"};
-    if (!wanted.poses) return;
+    if (selection.rays) rays = {device, 6 * std::size_t(n_rays), "ray gradient"};
+    if (!selection.poses) return;
     poses = {device, 6 * scene.layout().instances.size(), "pose gradient"};
     sensor = {device, 6, "sensor pose gradient"};
     pose_sums = std::make_unique<PoseSums>(device, scene);

@@ -12,7 +12,7 @@
 namespace relidar {
 namespace {
 
-std::vector<Constant> constants(const ImageModel& model, const TraceOptions& options) {
+std::vector<Constant> make_kernel_constants(const ImageModel& model, const TraceOptions& options) {
     return {{ConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
             {ConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
             {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(model.primitive)},
@@ -26,9 +26,10 @@ HitGather::HitGather(Device& device, const ImageModel& model, std::uint32_t hits
     : device_(device),
       hits_per_ray_(hits_per_ray),
       part_floats_(model.sh_direction == ShDirection::surfel ? 16u : 16u + RELIDAR_SH_FLOATS),
-      gather_(device, "diff/backward/gather", choose_accumulating_variant(device), constants(model, options)),
+      gather_(device, "diff/backward/gather", choose_accumulating_variant(device),
+              make_kernel_constants(model, options)),
       heads_kernel_(device, "diff/backward/gather_heads", choose_accumulating_variant(device),
-                    constants(model, options)),
+                    make_kernel_constants(model, options)),
       most_hits_(device, std::vector<std::uint32_t>{0u}, "most hits of a batch"),
       n_hits_(device, 1, "hits of a batch"),
       prefix_sum_(device) {}
@@ -48,7 +49,7 @@ void HitGather::reserve(std::uint64_t n_hits) {
               "sums of hit records"};
 }
 
-void HitGather::assign_slots(Stream& stream, const RenderedBatch& batch) {
+void HitGather::assign_hit_records(Stream& stream, const RenderedBatch& batch) {
     n_rays_ = batch.rays.n_rays;
     if (n_rays_ > first_hit_.size()) {
         stream.finish();

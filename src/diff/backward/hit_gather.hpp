@@ -23,7 +23,7 @@ public:
     /// Assigns a position in the list of hits to each rendered hit, in the order of the
     /// rays. If the batch is the largest so far, waits for the device and allocates
     /// memory.
-    void assign_slots(Stream& stream, const RenderedBatch& batch);
+    void assign_hit_records(Stream& stream, const RenderedBatch& batch);
     /// Sets the addresses in `params` to which the backward kernel writes its hits.
     void fill(shared::BackwardParams& params) const;
     /// Sums the gradients of all hits by surfel and adds the sums to the arrays of

@@ -79,15 +79,15 @@ struct Densifier::Impl {
     std::uint64_t random(Draw draw, int step) const {
         return combine_hashes(combine_hashes(seed, std::uint64_t(draw)), std::uint64_t(step));
     }
-    Rules get_rules_at(int step) const;
+    Rules get_densify_rules(int step) const;
     std::vector<ModelCounts> counts(Stream& stream, const DeviceScene& scene, const Rules& rules, int step);
-    std::uint32_t make_room(DeviceScene& scene, Adam& adam, std::uint32_t requested, double others_bytes,
-                            std::string& why);
+    std::uint32_t reserve_surfels(DeviceScene& scene, Adam& adam, std::uint32_t requested,
+                                  double other_allocation_bytes, std::string& why);
     DensifyReport apply(Stream& stream, DeviceScene& scene, Adam& adam, const Rules& rules, int step,
-                        double others_bytes);
+                        double other_allocation_bytes);
 };
 
-Rules Densifier::Impl::get_rules_at(int step) const {
+Rules Densifier::Impl::get_densify_rules(int step) const {
     Rules rules{min_opacity, kUnbounded};
     if (step > options.large_from) rules.max_extent_share = static_cast<float>(options.max_extent_share);
     return rules;
@@ -127,8 +127,8 @@ std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceSce
 /// @param requested desired number of surfels
 /// @param why receives the reason if memory is short
 /// @return number of surfels for which memory is available, at most `requested`
-std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::uint32_t requested,
-                                         double others_bytes, std::string& why) {
+std::uint32_t Densifier::Impl::reserve_surfels(DeviceScene& scene, Adam& adam, std::uint32_t requested,
+                                               double other_allocation_bytes, std::string& why) {
     const std::uint32_t before = scene.size();
     // bytes per surfel of parameters, Adam moments and records
     const double others = 4.0 * (3.0 * count_floats_per_surfel(scene.parameters().parameters()) + 16.0);
@@ -137,8 +137,9 @@ std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::ui
         const std::uint32_t now = arrays.capacity();
         const bool grows = capacity > now;
         const double while_copied = grows ? 4.0 * kShFloats * now : 0.0;
-        why = describe_missing_memory(
-            device, others_bytes * target + (grows ? bytes * (capacity - now) + while_copied : 0.0));
+        why =
+            describe_allocation_failure(device, other_allocation_bytes * target +
+                                                    (grows ? bytes * (capacity - now) + while_copied : 0.0));
         if (!why.empty() || !grows) return why.empty();
         try {
             const std::uint32_t n = static_cast<std::uint32_t>(capacity);
@@ -166,27 +167,27 @@ std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::ui
 }
 
 DensifyReport Densifier::Impl::apply(Stream& stream, DeviceScene& scene, Adam& adam, const Rules& rules,
-                                     int step, double others_bytes) {
+                                     int step, double other_allocation_bytes) {
     const std::uint32_t before = scene.size();
     const std::vector<ModelCounts> counted = counts(stream, scene, rules, step);
     GrowthPlan plan =
         limit_growth_plan(plan_growth(counted, options, random(Draw::phase, step)), memory_limit);
     std::string why;
-    const std::uint32_t room = make_room(scene, adam, plan.size(), others_bytes, why);
+    const std::uint32_t room = reserve_surfels(scene, adam, plan.size(), other_allocation_bytes, why);
     std::string note;
     if (room < plan.size()) {
         memory_limit = room;
         plan = limit_growth_plan(plan, room);
         note = fmt::format("densification stops at {} surfels: {}", room, why);
     }
-    DensifyReport report = report_of(counted, plan);
+    DensifyReport report = make_densify_report(counted, plan);
     report.note = note;
     if (report.removed() == 0 && report.added == 0) {
-        arrays.start_over(stream);
+        arrays.reset_gradient_sums(stream);
         stream.finish();
         return report;
     }
-    arrays.allot(stream, plan, before);
+    arrays.assign_new_positions(stream, plan, before);
     arrays.move(stream, scene.parameters(), false, plan.size());
     arrays.move(stream, adam.moment1(), true, plan.size());
     arrays.move(stream, adam.moment2(), true, plan.size());
@@ -231,14 +232,15 @@ void Densifier::observe(Stream& stream, const DeviceScene& scene, const Observed
                   .is_full_frame = batch.is_full_frame ? 1u : 0u});
 }
 
-bool Densifier::due(int step) const {
+bool Densifier::should_densify(int step) const {
     if (!impl_) return false;
     const DensifyOptions& o = impl_->options;
     return step >= o.from && step < o.until && step % std::max(1, o.every) == 0;
 }
 
-DensifyReport Densifier::run(Stream& stream, DeviceScene& scene, Adam& adam, int step, double others_bytes) {
-    return impl_->apply(stream, scene, adam, impl_->get_rules_at(step), step, others_bytes);
+DensifyReport Densifier::run(Stream& stream, DeviceScene& scene, Adam& adam, int step,
+                             double other_allocation_bytes) {
+    return impl_->apply(stream, scene, adam, impl_->get_densify_rules(step), step, other_allocation_bytes);
 }
 
 void Densifier::after_step(Stream& stream, DeviceScene& scene, Adam& adam, int step) {

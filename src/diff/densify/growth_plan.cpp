@@ -44,7 +44,7 @@ GrowthPlan limit_growth_plan(GrowthPlan plan, std::uint32_t size) {
     return plan;
 }
 
-DensifyReport report_of(const std::vector<ModelCounts>& counts, const GrowthPlan& plan) {
+DensifyReport make_densify_report(const std::vector<ModelCounts>& counts, const GrowthPlan& plan) {
     DensifyReport r;
     for (const ModelCounts& c : counts) {
         r.invalid += c[RELIDAR_DENSIFY_INVALID];
@@ -60,17 +60,17 @@ DensifyReport report_of(const std::vector<ModelCounts>& counts, const GrowthPlan
     return r;
 }
 
-void DensifyReport::add(const DensifyReport& later) {
-    before = later.before;
-    after = later.after;
-    added += later.added;
-    clones += later.clones;
-    splits += later.splits;
-    invalid += later.invalid;
-    faint += later.faint;
-    large += later.large;
-    outside += later.outside;
-    if (!later.note.empty()) note = later.note;
+void DensifyReport::add(const DensifyReport& report) {
+    before = report.before;
+    after = report.after;
+    added += report.added;
+    clones += report.clones;
+    splits += report.splits;
+    invalid += report.invalid;
+    faint += report.faint;
+    large += report.large;
+    outside += report.outside;
+    if (!report.note.empty()) note = report.note;
 }
 
 }  // namespace relidar

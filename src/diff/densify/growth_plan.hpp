@@ -44,6 +44,6 @@ GrowthPlan plan_growth(const std::vector<ModelCounts>& counts, const DensifyOpti
 GrowthPlan limit_growth_plan(GrowthPlan plan, std::uint32_t size);
 
 /// Sums the densification counters of all models and returns them as a report.
-DensifyReport report_of(const std::vector<ModelCounts>& counts, const GrowthPlan& plan);
+DensifyReport make_densify_report(const std::vector<ModelCounts>& counts, const GrowthPlan& plan);
 
 }  // namespace relidar

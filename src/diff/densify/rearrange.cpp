@@ -22,7 +22,7 @@ Rearrangement::Rearrangement(Device& device, std::uint32_t n_surfels, std::uint3
     reserve(n_surfels);
     Stream stream(device);
     stream.fill(statistics.frames);
-    start_over(stream);
+    reset_gradient_sums(stream);
     stream.finish();
 }
 
@@ -51,22 +51,23 @@ std::size_t Rearrangement::bytes_per_surfel() const {
     return 4 * (count_floats_per_surfel(spare_.parameters()) + 6 + 2 * statistics.n_words);
 }
 
-void Rearrangement::allot(Stream& stream, const GrowthPlan& plan, std::uint32_t before) {
-    RELIDAR_ASSERT_LE(std::max(before, plan.size()), capacity());
-    before_ = before;
+void Rearrangement::assign_new_positions(Stream& stream, const GrowthPlan& plan,
+                                         std::uint32_t n_surfels_before) {
+    RELIDAR_ASSERT_LE(std::max(n_surfels_before, plan.size()), capacity());
+    before_ = n_surfels_before;
     prefix_sum_.run(stream, {.address = weight.address().as<shared::ScanCounts>()},
-                    starts.address().as<shared::ScanPrefix>(), before);
-    run(stream, allot_, before,
+                    starts.address().as<shared::ScanPrefix>(), n_surfels_before);
+    run(stream, allot_, n_surfels_before,
         {.weight = weight.address(),
          .cumulative = starts.address().as<shared::WeightsBefore>(),
          .action = action.address(),
          .n_rows = n_rows.address(),
-         .n_surfels = before,
+         .n_surfels = n_surfels_before,
          .n_new = plan.n_new,
          .total_weight = plan.total_weight,
          .phase = plan.phase});
     prefix_sum_.run(stream, {.address = n_rows.address().as<shared::ScanCounts>()},
-                    starts.address().as<shared::ScanPrefix>(), before);
+                    starts.address().as<shared::ScanPrefix>(), n_surfels_before);
 }
 
 template <class T>
@@ -84,18 +85,18 @@ void Rearrangement::move_rows(Stream& stream, Array<T>& rows, Array<T>& spare, s
     std::swap(rows, spare);
 }
 
-void Rearrangement::move(Stream& stream, SurfelArrays& set, bool fresh, std::uint32_t after) {
+void Rearrangement::move(Stream& stream, SurfelArrays& set, bool fresh, std::uint32_t n_surfels_after) {
     for (const ParameterGroup& group : list_parameter_groups(set.parameters()))
         move_rows(stream, group.mutable_device(set), group.mutable_device(spare_), group.floats(), fresh);
-    set.n = after;
+    set.n = n_surfels_after;
 }
 
 void Rearrangement::move_statistics(Stream& stream) {
     move_rows<std::uint32_t>(stream, statistics.frames, spare_frames_, statistics.n_words, false);
-    start_over(stream);
+    reset_gradient_sums(stream);
 }
 
-void Rearrangement::start_over(Stream& stream) {
+void Rearrangement::reset_gradient_sums(Stream& stream) {
     stream.fill(statistics.gradient_sum);
     stream.fill(statistics.n_seen);
 }

@@ -14,7 +14,8 @@ namespace relidar {
 
 class Rearrangement {
 public:
-    Rearrangement(Device& device, std::uint32_t n_surfels, std::uint32_t n_frames, ParameterSet of);
+    Rearrangement(Device& device, std::uint32_t n_surfels, std::uint32_t n_frames,
+                  ParameterSet parameter_set);
     /// Allocates memory for a number of surfels. The device must be idle.
     /// @throws DeviceError if memory is exhausted. The existing data stays valid
     void reserve(std::uint32_t capacity);
@@ -23,20 +24,20 @@ public:
     std::size_t bytes_per_surfel() const;
     /// Submits the kernels that distribute the new copies among growing surfels and
     /// compute the new position of each surfel. Reads `action` and `weight`.
-    /// @param before number of surfels before the densification
-    void allot(Stream& stream, const GrowthPlan& plan, std::uint32_t before);
+    /// @param n_surfels_before number of surfels before the densification
+    void assign_new_positions(Stream& stream, const GrowthPlan& plan, std::uint32_t n_surfels_before);
     /// Submits the kernels that move all arrays of a set to the new positions of the
     /// surfels.
     /// @param fresh true: values of new and changed surfels are set to zero
-    /// @param after number of surfels after the densification
-    void move(Stream& stream, SurfelArrays& set, bool fresh, std::uint32_t after);
+    /// @param n_surfels_after number of surfels after the densification
+    void move(Stream& stream, SurfelArrays& set, bool fresh, std::uint32_t n_surfels_after);
     /// Submits the kernels that move the densification statistics to the new positions of
     /// the surfels. All statistics start again, except the frames in which a surfel was
     /// visible.
     void move_statistics(Stream& stream);
     /// Submits commands that reset the sums of gradient norms and the numbers of batches
     /// to zero.
-    void start_over(Stream& stream);
+    void reset_gradient_sums(Stream& stream);
 
     SurfelStatistics statistics;
     // [n] action of each surfel, in the old order

@@ -13,7 +13,7 @@ std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene
                                         const RayBatch& batch, const ImageModel& model,
                                         const TraceOptions& options) {
     if (device.traversal() != Traversal::software || must_test_every_surfel(device)) return std::nullopt;
-    std::vector<Constant> constants = trace_constants(device, accel.proxy(), options, model);
+    std::vector<Constant> constants = make_trace_constants(device, accel.proxy(), options, model);
     constants.push_back({ConstantId::COUNT_VISITS, 1u});
     const Kernel<shared::ForwardParams> trace(device, "diff/forward/trace", KernelVariant("@software_bvh"),
                                               constants);
@@ -22,7 +22,7 @@ std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene
                                                               "pass cap count");
     const Array<std::uint32_t, shared::VisitCounters> visits(device, std::vector<std::uint32_t>{0u, 0u},
                                                              "visits");
-    shared::TraceScene traced = trace_scene(scene, accel, batch, model, options, pass_cap.address());
+    shared::TraceScene traced = make_trace_scene(scene, accel, batch, model, options, pass_cap.address());
     traced.visits = visits.address();
     Stream stream(device);
     shared::ForwardParams params = {.scene = traced,
@@ -40,7 +40,7 @@ std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene
         lists.emplace(device, KernelVariant("@software_bvh"), constants, RELIDAR_MOST_ROOM);
         lists->run(stream, batch, params);
     }
-    run(stream, trace, trace_threads(batch), params);
+    run(stream, trace, count_trace_threads(batch), params);
     stream.finish();
     const std::vector<std::uint32_t> sums = visits.download();
     return VisitCounts{double(sums[0]) / batch.n_rays, double(sums[1]) / batch.n_rays};

@@ -26,11 +26,11 @@ struct ForwardPass::Impl {
         : model(m),
           options(o),
           trace(device, "diff/forward/trace", get_traversal_variant(device),
-                trace_constants(device, proxy, o, m)),
+                make_trace_constants(device, proxy, o, m)),
           pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count"),
           n_overfull(device, std::vector<std::uint32_t>{0u}, "rays with more hits than are kept") {
         if (uses_hit_lists(device, o))
-            lists.emplace(device, get_traversal_variant(device), trace_constants(device, proxy, o, m),
+            lists.emplace(device, get_traversal_variant(device), make_trace_constants(device, proxy, o, m),
                           o.list_room);
     }
 };
@@ -59,18 +59,18 @@ void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& acc
     RELIDAR_ASSERT_LE(batch.columns ? batch.n_rays % batch.columns : 0u, 0u);
     RELIDAR_ASSERT_LE(impl_->options.has_surfaces() ? std::size_t(batch.n_rays) : 0,
                       surfaces ? surfaces->size() : 0);
-    shared::ForwardParams params = {
-        .scene = trace_scene(scene, accel, batch, impl_->model, impl_->options, impl_->pass_cap.address()),
-        .lists = {},
-        .rendered = rendered.address(),
-        .kept = get_address(kept ? &kept->hits : nullptr),
-        .n_overfull = impl_->n_overfull.address(),
-        .surfaces = get_address(surfaces),
-        .n_kept = kept ? kept->per_ray : 0,
-        .kept_in_lists = 0,
-        .surface_gap_m = impl_->options.mode_gap_m.value_or(0.0f)};
+    shared::ForwardParams params = {.scene = make_trace_scene(scene, accel, batch, impl_->model,
+                                                              impl_->options, impl_->pass_cap.address()),
+                                    .lists = {},
+                                    .rendered = rendered.address(),
+                                    .kept = get_address(kept ? &kept->hits : nullptr),
+                                    .n_overfull = impl_->n_overfull.address(),
+                                    .surfaces = get_address(surfaces),
+                                    .n_kept = kept ? kept->per_ray : 0,
+                                    .kept_in_lists = 0,
+                                    .surface_gap_m = impl_->options.mode_gap_m.value_or(0.0f)};
     if (impl_->lists) impl_->lists->run(stream, batch, params, kept);
-    relidar::run(stream, impl_->trace, trace_threads(batch), params);
+    relidar::run(stream, impl_->trace, count_trace_threads(batch), params);
 }
 
 const Array<std::uint32_t>& ForwardPass::pass_cap_count() const { return impl_->pass_cap; }

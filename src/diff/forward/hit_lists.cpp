@@ -24,7 +24,7 @@ std::size_t compute_max_bytes(const Device& device) {
     return (memory ? memory : std::size_t(8) << 30) / 8;
 }
 
-Kernel<shared::SortHitsParams> sort_kernel(Device& device) {
+Kernel<shared::SortHitsParams> make_sort_kernel(Device& device) {
     const auto lanes = static_cast<std::uint32_t>(device.info().subgroup_size);
     return {device,
             KernelName<shared::SortHitsParams>("diff/forward/sort_hits"),
@@ -48,7 +48,7 @@ HitLists::HitLists(Device& device, const KernelVariant& variant, const std::vect
     : device_(device),
       append_(device, "diff/forward/append", variant, constants),
       blend_(device, "diff/forward/blend", constants),
-      sort_(sort_kernel(device)),
+      sort_(make_sort_kernel(device)),
       most_room_(compute_max_list_capacity(device)),
       room_(std::min(static_cast<std::uint32_t>(room), most_room_)),
       n_overflows_(device, std::vector<std::uint32_t>{0u}, "rays with more hits than fit into their lists"),
@@ -56,7 +56,7 @@ HitLists::HitLists(Device& device, const KernelVariant& variant, const std::vect
 
 /// Allocates hit lists. Halves the capacity of a list until all lists fit into the device
 /// memory. Allocates none if no memory is free.
-void HitLists::make_hits(std::size_t n_lists) {
+void HitLists::allocate_hit_lists(std::size_t n_lists) {
     const std::uint32_t wanted = room_;
     hits_ = {};
     for (; room_ > 0; room_ /= 2) {
@@ -74,7 +74,7 @@ void HitLists::make_hits(std::size_t n_lists) {
 /// Returns true if rays had more hits than their lists can contain. Such rays are slow,
 /// because kernel diff/forward/trace must render them again. Reads the count of an
 /// earlier submission that is already finished, so that the host never waits here.
-bool HitLists::needs_more_room(Stream& stream) {
+bool HitLists::has_overflowed(Stream& stream) {
     if (!overflows_.pending() || stream.impl().last_ticket + 1 < counted_until_ + Stream::Impl::kSlots)
         return false;
     std::uint32_t count = 0;
@@ -85,10 +85,10 @@ bool HitLists::needs_more_room(Stream& stream) {
 
 /// Returns memory for hit lists. Lists share the memory of the hits that are stored for
 /// the backward pass if it is large enough.
-shared::HitLists HitLists::make_room(Stream& stream, std::size_t n_threads, const KeptHits* kept) {
+shared::HitLists HitLists::reserve_hit_lists(Stream& stream, std::size_t n_threads, const KeptHits* kept) {
     const std::size_t n = KeptHits::side_by_side(n_threads);
     if (n > kMostLists) return {};
-    if (needs_more_room(stream)) {
+    if (has_overflowed(stream)) {
         room_ = std::min(2 * room_, most_room_);
         // Starts the overflow count again, because it was measured with a smaller
         // capacity.
@@ -101,7 +101,7 @@ shared::HitLists HitLists::make_room(Stream& stream, std::size_t n_threads, cons
     if ((in_kept ? hits_.size() > 0 : !room_fits) || lengths_.size() < n) stream.finish();
     if (in_kept) hits_ = {};
     // allocates at least as many lists as before
-    else if (!room_fits) make_hits(std::max(n, hits_room_ > 0 ? hits_.size() / hits_room_ : 0));
+    else if (!room_fits) allocate_hit_lists(std::max(n, hits_room_ > 0 ? hits_.size() / hits_room_ : 0));
     try {
         if (lengths_.size() < n)
             lengths_ = Array<std::uint32_t, shared::ListLengths>(device_, n, "lengths of lists of hits");
@@ -123,8 +123,8 @@ void HitLists::count_overflows(Stream& stream) {
 
 void HitLists::run(Stream& stream, const RayBatch& batch, shared::ForwardParams& params,
                    const KeptHits* kept) {
-    const std::size_t n = trace_threads(batch);
-    const shared::HitLists lists = make_room(stream, n, kept);
+    const std::size_t n = count_trace_threads(batch);
+    const shared::HitLists lists = reserve_hit_lists(stream, n, kept);
     if (lists.room == 0) return;
     params.lists = lists;
     params.kept_in_lists = kept && hits_.size() == 0 ? 1 : 0;  // lists without separate memory

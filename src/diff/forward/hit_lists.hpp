@@ -39,7 +39,7 @@ public:
     /// memory if it is large enough, which avoids a copy
     void run(Stream& stream, const RayBatch& batch, shared::ForwardParams& params,
              const KeptHits* kept = nullptr);
-    std::uint32_t room() const { return room_; }  ///< capacity of a list in hits
+    std::uint32_t get_list_capacity() const { return room_; }  ///< capacity of a list in hits
 
 private:
     Device& device_;
@@ -56,9 +56,9 @@ private:
     std::uint64_t counted_until_ = 0;     ///< number of the submission that reads the count
     std::uint32_t overflows_before_ = 0;  ///< overflow count at the previous check
 
-    void make_hits(std::size_t n_lists);
-    shared::HitLists make_room(Stream& stream, std::size_t n_threads, const KeptHits* kept);
-    bool needs_more_room(Stream& stream);
+    void allocate_hit_lists(std::size_t n_lists);
+    shared::HitLists reserve_hit_lists(Stream& stream, std::size_t n_threads, const KeptHits* kept);
+    bool has_overflowed(Stream& stream);
     void count_overflows(Stream& stream);
 };
 

@@ -43,24 +43,24 @@ struct Renderer::Impl {
           scene(d, s),
           accel(std::in_place, d, scene, o.accel),
           forward(d, m, accel->proxy(), o.trace) {
-        make_room(o.n_rays);
+        reserve_rays(o.n_rays);
     }
 
-    void make_room(std::size_t n_rays) {
+    void reserve_rays(std::size_t n_rays) {
         // The memory for kept hits is allocated last, because it may shrink. If another
         // allocation fails, `rendered` is empty, so that the next call tries again.
         batch.surfaces = nullptr;
         rendered = {};
         if (options.trace.has_surfaces()) surfaces.emplace(device, n_rays, "surfaces of rays");
         rendered = Array<shared::RenderedRay>(device, n_rays, "rendered rays");
-        keep_fewer_hits_if_needed(n_rays);
+        reduce_kept_hits_to_memory(n_rays);
         batch = {{}, &rendered, nullptr, kept ? &*kept : nullptr, surfaces ? &*surfaces : nullptr};
     }
 
     /// Allocates memory for the hits that the backward pass reads. Halves their number
     /// until they fit. If hits of a ray are missing, the backward pass traces the ray
     /// again.
-    void keep_fewer_hits_if_needed(std::size_t n_threads) {
+    void reduce_kept_hits_to_memory(std::size_t n_threads) {
         for (;; options.keep_hits /= 2) {
             try {
                 return allocate_kept_hits(n_threads);
@@ -111,7 +111,7 @@ void Renderer::move(const std::vector<InstancePose>& placed, const glm::vec3& vi
     r.scene.place(r.stream, placed);
     if (bends || r.model.sh_direction == ShDirection::surfel)
         r.scene.activate(r.stream, r.model, view_origin_m);
-    if (bends) r.accel->bend(r.stream, r.scene);
+    if (bends) r.accel->refit_animated_actors(r.stream, r.scene);
     else r.accel->move(r.stream, r.scene);
 }
 
@@ -120,12 +120,12 @@ void Renderer::record_forward(const RayBatch& rays) {
     if (!r.placed) throw UsageError("cannot render: the scene has no poses; call place() first");
     if (rays.n_rays > r.rendered.size()) {
         r.stream.finish();
-        r.make_room(rays.n_rays);
+        r.reserve_rays(rays.n_rays);
     }
     // An image can need more threads than rays, because its tiles may extend beyond it.
     if (r.kept && !r.kept->hold(rays)) {
         r.stream.finish();
-        r.keep_fewer_hits_if_needed(trace_threads(rays));
+        r.reduce_kept_hits_to_memory(count_trace_threads(rays));
     }
     r.batch.rays = rays;
     // Eq. 2-4 of the paper
@@ -142,7 +142,7 @@ Rendering Renderer::forward(const WorldRays& rays) {
     return download_rendering();
 }
 
-void Renderer::check_passes() {
+void Renderer::check_pass_cap() {
     Impl& r = *impl_;
     r.stream.finish();
     if (const std::uint32_t capped = r.forward.reset_pass_cap_count())
@@ -154,7 +154,7 @@ void Renderer::check_passes() {
 
 Rendering Renderer::download_rendering() {
     Impl& r = *impl_;
-    check_passes();
+    check_pass_cap();
     const std::size_t n = r.batch.rays.n_rays;
     if (!r.surfaces) return to_rendering(r.rendered.download(n));
     Rendering rendering = to_rendering(r.rendered.download(n), r.surfaces->download(n));
@@ -175,7 +175,7 @@ void Renderer::keep_hits(std::uint32_t per_ray) {
         r.allocate_kept_hits(n_threads);
     } catch (const OutOfDeviceMemory&) {
         r.options.keep_hits = before;
-        r.keep_fewer_hits_if_needed(n_threads);
+        r.reduce_kept_hits_to_memory(n_threads);
         throw;
     }
 }

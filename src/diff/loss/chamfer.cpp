@@ -83,7 +83,7 @@ struct ChamferLoss::Impl {
           chamfer(device, "diff/loss/chamfer", choose_accumulating_variant(device)),
           vjp(device, "diff/loss/chamfer_vjp") {}
 
-    void bound_tiles(Stream& stream, const Cloud& cloud, const Levels& levels) const {
+    void compute_tile_bounds(Stream& stream, const Cloud& cloud, const Levels& levels) const {
         RELIDAR_ASSERT_LE(std::size_t(levels.tiles.x) * levels.tiles.y, cloud.tile_low.size());
         relidar::run(stream, boxes, std::size_t(levels.tiles.x) * levels.tiles.y,
                      {.low = cloud.points.address().as<shared::LowCorners>(),
@@ -95,7 +95,7 @@ struct ChamferLoss::Impl {
                       .tile_rows = levels.tile.x,
                       .tile_columns = levels.tile.y});
     }
-    void bound_groups(Stream& stream, const Cloud& cloud, const Levels& levels) const {
+    void compute_group_bounds(Stream& stream, const Cloud& cloud, const Levels& levels) const {
         RELIDAR_ASSERT_LE(std::size_t(levels.groups.x) * levels.groups.y, cloud.group_low.size());
         relidar::run(stream, boxes, std::size_t(levels.groups.x) * levels.groups.y,
                      {.low = cloud.tile_low.address().as<shared::LowCorners>(),
@@ -107,12 +107,12 @@ struct ChamferLoss::Impl {
                       .tile_rows = levels.tile.x,
                       .tile_columns = levels.tile.y});
     }
-    void search(Stream& stream, const Cloud& from, const Cloud& to, const Array<std::uint32_t>& found,
-                const Levels& levels) const {
+    void search(Stream& stream, const Cloud& source_cloud, const Cloud& target_cloud,
+                const Array<std::uint32_t>& nearest_index, const Levels& levels) const {
         relidar::run(stream, nearest, n_rays,
-                     {.queries = from.points.address().as<shared::QueryPoints>(),
-                      .cloud = to.pointers(),
-                      .nearest = found.address(),
+                     {.queries = source_cloud.points.address().as<shared::QueryPoints>(),
+                      .cloud = target_cloud.pointers(),
+                      .nearest = nearest_index.address(),
                       .rows = levels.points.x,
                       .columns = levels.points.y,
                       .tile_rows = levels.tile.x,
@@ -123,13 +123,13 @@ struct ChamferLoss::Impl {
     void search(Stream& stream, const Levels& levels) const {
         {
             const Concurrent both(stream);
-            bound_tiles(stream, simulated, levels);
-            bound_tiles(stream, measured, levels);
+            compute_tile_bounds(stream, simulated, levels);
+            compute_tile_bounds(stream, measured, levels);
         }
         {
             const Concurrent both(stream);
-            bound_groups(stream, simulated, levels);
-            bound_groups(stream, measured, levels);
+            compute_group_bounds(stream, simulated, levels);
+            compute_group_bounds(stream, measured, levels);
         }
         const Concurrent both(stream);
         search(stream, simulated, measured, nearest_measured, levels);

@@ -18,7 +18,7 @@ std::vector<Constant> make_attention_constants(std::uint32_t lanes) {
 
 /// Describes an image slice as matrices, one per attention head, [channels, pixels] or,
 /// if `transposed` is true, [pixels, channels].
-shared::MatrixView view_heads(const Slice& slice, std::uint32_t heads, bool transposed) {
+shared::MatrixView view_as_head_matrices(const Slice& slice, std::uint32_t heads, bool transposed) {
     const auto pixels = std::uint32_t(slice.grid.pixels());
     return {.values = slice.view.values,
             .first = slice.view.first * pixels,
@@ -29,7 +29,8 @@ shared::MatrixView view_heads(const Slice& slice, std::uint32_t heads, bool tran
             .unused = 0};
 }
 
-shared::MatrixView view_shares(const Tensor& shares, const Grid& grid, std::uint32_t heads, bool transposed) {
+shared::MatrixView view_as_attention_matrices(const Tensor& shares, const Grid& grid, std::uint32_t heads,
+                                              bool transposed) {
     const auto pixels = std::uint32_t(grid.pixels());
     return {.values = shares.values.address(),
             .first = 0,
@@ -58,14 +59,15 @@ AttentionState Attention::make_state(Device& device, const Grid& grid, bool with
 void Attention::multiply(Stream& stream, shared::MatmulParams params, const Grid& grid) const {
     params.n_batch = grid.n;
     params.n_heads = heads_;
-    const std::uint32_t jobs = params.n_batch * params.n_heads * tiles(params.columns, lanes_) *
-                               tiles(params.rows, RELIDAR_MATMUL_ROWS);
-    run(stream, matmul_, std::size_t(tiles(jobs, kAttentionThreads / lanes_)) * kAttentionThreads, params);
+    const std::uint32_t jobs = params.n_batch * params.n_heads * count_groups_of(params.columns, lanes_) *
+                               count_groups_of(params.rows, RELIDAR_MATMUL_ROWS);
+    run(stream, matmul_, std::size_t(count_groups_of(jobs, kAttentionThreads / lanes_)) * kAttentionThreads,
+        params);
 }
 
 void Attention::run_softmax(Stream& stream, AttentionState& state, const Grid& grid, bool derive) const {
     const auto pixels = std::uint32_t(grid.pixels()), rows = grid.n * heads_ * pixels;
-    run(stream, softmax_, std::size_t(tiles(rows, kAttentionThreads / lanes_)) * kAttentionThreads,
+    run(stream, softmax_, std::size_t(count_groups_of(rows, kAttentionThreads / lanes_)) * kAttentionThreads,
         {.values = state.share.values.address().as<shared::SoftmaxValues>(),
          .d_values =
              (derive ? state.d_share.values.address() : Address<float>()).as<shared::SoftmaxGradients>(),
@@ -81,9 +83,9 @@ void Attention::forward(Stream& stream, const Slice& qkv, AttentionState& state,
                 value = qkv.part(2 * channels, channels);
     const Grid& grid = output.grid;
     multiply(stream,
-             {.a = view_heads(query, heads_, true),
-              .b = view_heads(key, heads_, false),
-              .c = view_shares(state.share, grid, heads_, false),
+             {.a = view_as_head_matrices(query, heads_, true),
+              .b = view_as_head_matrices(key, heads_, false),
+              .c = view_as_attention_matrices(state.share, grid, heads_, false),
               .n_batch = 0,
               .n_heads = 0,
               .rows = pixels,
@@ -93,9 +95,9 @@ void Attention::forward(Stream& stream, const Slice& qkv, AttentionState& state,
              grid);
     run_softmax(stream, state, grid, false);
     multiply(stream,
-             {.a = view_heads(value, heads_, false),
-              .b = view_shares(state.share, grid, heads_, true),
-              .c = view_heads(output, heads_, false),
+             {.a = view_as_head_matrices(value, heads_, false),
+              .b = view_as_attention_matrices(state.share, grid, heads_, true),
+              .c = view_as_head_matrices(output, heads_, false),
               .n_batch = 0,
               .n_heads = 0,
               .rows = size,
@@ -131,17 +133,20 @@ void Attention::vjp(Stream& stream, const Slice& qkv, AttentionState& state, con
                  grid);
     };
     // computes d_value = d_to share
-    product(view_heads(d_to, heads_, false), view_shares(state.share, grid, heads_, false),
-            view_heads(d_value, heads_, false), size, pixels, 1.0f);
+    product(view_as_head_matrices(d_to, heads_, false),
+            view_as_attention_matrices(state.share, grid, heads_, false),
+            view_as_head_matrices(d_value, heads_, false), size, pixels, 1.0f);
     // computes d_share = d_to^T value, which is then replaced by the gradient of the
     // scores
-    product(view_heads(d_to, heads_, true), view_heads(value, heads_, false),
-            view_shares(state.d_share, grid, heads_, false), pixels, size, 1.0f);
+    product(view_as_head_matrices(d_to, heads_, true), view_as_head_matrices(value, heads_, false),
+            view_as_attention_matrices(state.d_share, grid, heads_, false), pixels, size, 1.0f);
     run_softmax(stream, state, grid, true);
-    product(view_heads(key, heads_, false), view_shares(state.d_share, grid, heads_, true),
-            view_heads(d_query, heads_, false), size, pixels, scale);
-    product(view_heads(query, heads_, false), view_shares(state.d_share, grid, heads_, false),
-            view_heads(d_key, heads_, false), size, pixels, scale);
+    product(view_as_head_matrices(key, heads_, false),
+            view_as_attention_matrices(state.d_share, grid, heads_, true),
+            view_as_head_matrices(d_query, heads_, false), size, pixels, scale);
+    product(view_as_head_matrices(query, heads_, false),
+            view_as_attention_matrices(state.d_share, grid, heads_, false),
+            view_as_head_matrices(d_key, heads_, false), size, pixels, scale);
 }
 
 }  // namespace relidar::refine

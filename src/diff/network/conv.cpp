@@ -26,7 +26,7 @@ std::uint32_t count_inputs_of_subgroup(std::uint32_t taps) { return taps == 1 ? 
 std::uint32_t count_parts(const Grid& grid, std::size_t n_weights) {
     const std::uint32_t lines = grid.n * grid.rows;
     const std::size_t most = std::max<std::size_t>(1, kMostPartial / n_weights);
-    return std::uint32_t(std::clamp<std::size_t>(tiles(lines, kLinesOfPart), 1, most));
+    return std::uint32_t(std::clamp<std::size_t>(count_groups_of(lines, kLinesOfPart), 1, most));
 }
 
 std::uint32_t check_taps(const Device& device, std::uint32_t taps) {
@@ -76,15 +76,16 @@ Conv::Conv(Device& device, std::uint32_t taps)
 
 std::size_t Conv::count_conv_threads(const shared::ConvParams& params) const {
     const std::size_t lines = std::size_t(params.n_images) * params.rows;
-    const std::uint32_t segments = std::uint32_t(lines) * tiles(params.columns, lanes_ * pixels_);
-    return std::size_t(tiles(segments, kConvThreads / lanes_)) * tiles(params.n_out, RELIDAR_CONV_OUT) *
-           kConvThreads;
+    const std::uint32_t segments = std::uint32_t(lines) * count_groups_of(params.columns, lanes_ * pixels_);
+    return std::size_t(count_groups_of(segments, kConvThreads / lanes_)) *
+           count_groups_of(params.n_out, RELIDAR_CONV_OUT) * kConvThreads;
 }
 
 std::size_t Conv::count_weights_threads(const shared::ConvWeightsParams& params) const {
-    const std::uint32_t subgroups = params.n_parts * tiles(params.n_in, count_inputs_of_subgroup(taps_)) *
-                                    tiles(params.n_out, RELIDAR_CONV_OUT);
-    return std::size_t(tiles(subgroups, kConvThreads / lanes_)) * kConvThreads;
+    const std::uint32_t subgroups = params.n_parts *
+                                    count_groups_of(params.n_in, count_inputs_of_subgroup(taps_)) *
+                                    count_groups_of(params.n_out, RELIDAR_CONV_OUT);
+    return std::size_t(count_groups_of(subgroups, kConvThreads / lanes_)) * kConvThreads;
 }
 
 void Conv::run_conv(Stream& stream, const shared::ConvParams& params) const {

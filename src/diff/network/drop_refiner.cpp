@@ -62,8 +62,8 @@ struct ShapedNetwork {
     ShapedNetwork(Device& device, const DropNetwork& network)
         : inputs(device, network), unet(device, network) {}
 
-    void reserve(Device& device, const refine::Grid& of_image) {
-        grid = of_image;
+    void reserve(Device& device, const refine::Grid& image_grid) {
+        grid = image_grid;
         unet.reserve(device, grid, false);
         probability = {device, grid.pixels(), "drop probabilities"};
         loss.emplace(device, grid.pixels());

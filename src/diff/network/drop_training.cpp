@@ -39,7 +39,8 @@ void check_images(const DropNetwork& network, const std::vector<DropImage>& imag
             "probably contains only points and no rays without return; use --set refine.enabled=false");
 }
 
-DropNetwork start(const std::vector<DropImage>& images, const RefineOptions& options, std::uint64_t seed) {
+DropNetwork make_initial_network(const std::vector<DropImage>& images, const RefineOptions& options,
+                                 std::uint64_t seed) {
     DropNetwork network = make_network_shape(options);
     check_images(network, images);
     network.normalisation = compute_normalisation(images, network.inputs.size());
@@ -62,7 +63,7 @@ struct DropTraining::Impl {
 
     Impl(Device& device, const std::vector<DropImage>& images, const RefineOptions& o, std::uint64_t seed,
          bool timing)
-        : network(start(images, o, seed)),
+        : network(make_initial_network(images, o, seed)),
           options(o),
           n_images(images.size()),
           batch(std::min<std::size_t>(std::size_t(get_batch_size(o)), images.size())),

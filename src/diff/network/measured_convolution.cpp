@@ -10,7 +10,7 @@ namespace {
 
 constexpr std::uint32_t kTaps = 9;
 
-std::vector<float> numbers(std::size_t count) {
+std::vector<float> make_test_values(std::size_t count) {
     std::vector<float> values(count);
     for (std::size_t i = 0; i < count; ++i) values[i] = float(i % 257) / 128.0f - 1.0f;
     return values;
@@ -18,12 +18,12 @@ std::vector<float> numbers(std::size_t count) {
 
 Array<float, shared::ConvWeights> make_filled_array(Device& device, std::size_t count,
                                                     const char* description) {
-    return {device, std::span<const float>(numbers(count)), description};
+    return {device, std::span<const float>(make_test_values(count)), description};
 }
 
 refine::Tensor make_image_tensor(Device& device, const ConvolutionSize& size, std::uint32_t channels) {
     refine::Tensor result(device, channels, {1, size.rows, size.columns}, "images");
-    result.values.upload(numbers(result.values.size()));
+    result.values.upload(make_test_values(result.values.size()));
     return result;
 }
 

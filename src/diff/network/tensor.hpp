@@ -24,7 +24,9 @@ struct Grid {
 };
 
 /// Returns how many groups of `size` elements are needed for `count` elements.
-inline std::uint32_t tiles(std::uint32_t count, std::uint32_t size) { return (count + size - 1) / size; }
+inline std::uint32_t count_groups_of(std::uint32_t count, std::uint32_t size) {
+    return (count + size - 1) / size;
+}
 
 /// View of consecutive channels of a tensor.
 struct Slice {

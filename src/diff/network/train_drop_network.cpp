@@ -19,8 +19,8 @@ namespace {
 
 /// Draws the order of the images and their rotations for one epoch. The random generator
 /// starts anew in each epoch, so that a resumed training gets the same values.
-std::vector<refine::DropInputs::Chosen> draw_epoch(std::size_t count, int columns, bool turn,
-                                                   std::uint64_t seed, int epoch) {
+std::vector<refine::DropInputs::Chosen> draw_epoch_order(std::size_t count, int columns, bool turn,
+                                                         std::uint64_t seed, int epoch) {
     std::mt19937_64 random(seed * 1000003u + std::uint64_t(epoch));
     std::vector<refine::DropInputs::Chosen> chosen(count);
     for (std::size_t i = 0; i < count; ++i) {
@@ -59,7 +59,7 @@ struct Course {
     /// Increments the step number. After the last step of an epoch, starts the next
     /// epoch.
     /// @return index of the step in its epoch
-    std::size_t advance() {
+    std::size_t advance_step() {
         const std::size_t k = std::size_t(report.step++) % n_steps;
         if (k == 0) entropy = accuracy = 0.0;
         return k;
@@ -100,10 +100,10 @@ DropNetwork train_drop_network(Device& device, const std::vector<DropImage>& ima
     const auto state = [&] { return course.copy_state_into(training.state()); };
     std::vector<refine::DropInputs::Chosen> order;
     while (course.report.step < course.report.n_steps) {
-        const std::size_t k = course.advance();
+        const std::size_t k = course.advance_step();
         if (k == 0 || order.empty())
-            order = draw_epoch(images.size(), images[0].columns, refine::make_regularisation(options).turns,
-                               seed, course.epoch());
+            order = draw_epoch_order(images.size(), images[0].columns,
+                                     refine::make_regularisation(options).turns, seed, course.epoch());
         const auto chosen = std::span(order).subspan(k * course.batch, course.batch);
         course.add(training.step(chosen, course.report.step, course.report.n_steps), k);
         if (progress && !progress(course.report, state)) break;

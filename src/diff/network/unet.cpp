@@ -54,9 +54,9 @@ void Unet::reserve_level(Device& device, std::size_t level, const Grid& grid) {
         tensors(l.up, l.d_up, widths_[level], grid);
         return;
     }
-    tensors(l.joined, l.d_joined, count_joined_channels(widths_, level), grid);
-    tensors(l.up_between, l.d_up_between, count_joined_channels(widths_, level), grid);
-    tensors(l.up, l.d_up, count_up_channels(widths_, level), grid);
+    tensors(l.joined, l.d_joined, count_concatenated_channels(widths_, level), grid);
+    tensors(l.up_between, l.d_up_between, count_concatenated_channels(widths_, level), grid);
+    tensors(l.up, l.d_up, count_decoder_channels(widths_, level), grid);
     for (std::size_t k = 0; k < 2; ++k)
         reserve_block(device, plan_.up[2 * level + k], grid, up_states_[2 * level + k]);
 }

@@ -46,12 +46,12 @@ struct UnetPlan {
     explicit UnetPlan(const DropNetwork& network);
 };
 
-/// Channels at a level of the decoder. count_up_channels(): output.
-/// count_channels_below(): input from the smaller images. count_joined_channels(): this
+/// Channels at a level of the decoder. count_decoder_channels(): output.
+/// count_channels_below(): input from the smaller images. count_concatenated_channels(): this
 /// input and the skip connection together.
-std::uint32_t count_up_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
+std::uint32_t count_decoder_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 std::uint32_t count_channels_below(const std::vector<std::uint32_t>& widths, std::size_t level);
-std::uint32_t count_joined_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
+std::uint32_t count_concatenated_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 
 /// Initialises the parameters with Kaiming's uniform distribution. Normalisations start
 /// with gamma 1 and beta 0. If the network predicts a correction, its last convolution

@@ -10,7 +10,7 @@
 namespace relidar::refine {
 namespace {
 
-std::size_t take(std::size_t& count, std::size_t floats) {
+std::size_t reserve_floats(std::size_t& count, std::size_t floats) {
     const std::size_t first = count;
     count += (floats + 3) / 4 * 4;
     return first;
@@ -18,18 +18,20 @@ std::size_t take(std::size_t& count, std::size_t floats) {
 
 /// Returns a random number between -1 and 1. Unlike std::uniform_real_distribution, every
 /// compiler gives the same number.
-float draw(std::mt19937_64& random) { return float(random() >> 40) * 0x1p-23f - 1.0f; }
+float draw_symmetric_uniform(std::mt19937_64& random) { return float(random() >> 40) * 0x1p-23f - 1.0f; }
 
 }  // namespace
 
 UnetPlan::UnetPlan(const DropNetwork& network) {
     const auto conv = [&](std::uint32_t n_in, std::uint32_t n_out, std::uint32_t taps, bool biased) {
-        ConvLayer layer{n_in, n_out, taps, take(n_parameters, std::size_t(n_in) * n_out * taps), {}};
-        if (biased) layer.bias = take(n_parameters, n_out);
+        ConvLayer layer{
+            n_in, n_out, taps, reserve_floats(n_parameters, std::size_t(n_in) * n_out * taps), {}};
+        if (biased) layer.bias = reserve_floats(n_parameters, n_out);
         return layer;
     };
     const auto block = [&](std::uint32_t n_in, std::uint32_t n_out, std::uint32_t taps) {
-        return Block{take(n_parameters, 2 * n_in), take(n_running, 2 * n_in), conv(n_in, n_out, taps, false)};
+        return Block{reserve_floats(n_parameters, 2 * n_in), reserve_floats(n_running, 2 * n_in),
+                     conv(n_in, n_out, taps, false)};
     };
     const std::vector<std::uint32_t>& w = network.widths;
     const std::size_t n_levels = w.size() - 1;
@@ -43,14 +45,14 @@ UnetPlan::UnetPlan(const DropNetwork& network) {
         project = conv(w[n_levels], w[n_levels], 1, true);
     }
     for (std::size_t l = 0; l < std::max<std::size_t>(n_levels, 1); ++l) {
-        const std::uint32_t joined = count_joined_channels(w, l);
+        const std::uint32_t joined = count_concatenated_channels(w, l);
         up.push_back(block(joined, joined, network.taps));
-        up.push_back(block(joined, count_up_channels(w, l), network.taps));
+        up.push_back(block(joined, count_decoder_channels(w, l), network.taps));
     }
     tail = conv(w[0], 1, 1, true);
 }
 
-std::uint32_t count_up_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
+std::uint32_t count_decoder_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
     return level == 0 ? widths[0] : widths[level] / 2;
 }
 
@@ -58,10 +60,10 @@ std::uint32_t count_channels_below(const std::vector<std::uint32_t>& widths, std
     const std::size_t n_levels = widths.size() - 1;
     return level >= n_levels       ? 0
            : level + 1 == n_levels ? widths[n_levels]
-                                   : count_up_channels(widths, level + 1);
+                                   : count_decoder_channels(widths, level + 1);
 }
 
-std::uint32_t count_joined_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
+std::uint32_t count_concatenated_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
     return count_channels_below(widths, level) + widths[level];
 }
 
@@ -72,7 +74,7 @@ void initialise(DropNetwork& network, const UnetPlan& plan, std::uint64_t seed) 
     const auto draw_conv = [&](const ConvLayer& layer) {
         const float bound = std::sqrt(6.0f / float(layer.n_in * layer.taps));
         for (std::size_t i = 0; i < std::size_t(layer.n_in) * layer.n_out * layer.taps; ++i)
-            network.parameters[layer.weights + i] = bound * draw(random);
+            network.parameters[layer.weights + i] = bound * draw_symmetric_uniform(random);
     };
     const auto draw_block = [&](const Block& block) {
         for (std::size_t c = 0; c < block.conv.n_in; ++c) {

@@ -69,21 +69,21 @@ void Adam::bound_scales(Device& device, const std::vector<float>& max_log_scale)
     impl_->max_log_scale = {device, std::span<const float>(max_log_scale), "bounds of scales"};
 }
 
-void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g,
+void Adam::step(Stream& stream, SurfelArrays& parameters, const SurfelArrays& gradients,
                 const Array<std::uint32_t, shared::TouchedSurfels>* touched, const LearningRates& rates,
                 int step, int sh_degree) {
     Impl& a = *impl_;
-    const std::uint32_t first = std::min(a.options.n_fixed, p.n), n_rows = p.n - first;
+    const std::uint32_t first = std::min(a.options.n_fixed, parameters.n), n_rows = parameters.n - first;
     RELIDAR_ASSERT_LE(n_rows, a.moment1.n);
-    RELIDAR_ASSERT_LE(p.n, g.n);
-    RELIDAR_ASSERT_EQ(a.max_log_scale.size() == 0 || a.max_log_scale.size() == p.n, true);
+    RELIDAR_ASSERT_LE(parameters.n, gradients.n);
+    RELIDAR_ASSERT_EQ(a.max_log_scale.size() == 0 || a.max_log_scale.size() == parameters.n, true);
     const float correction1 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta1, step)));
     const float correction2 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta2, step)));
     const bool listed = a.list && touched;
     if (listed) a.list->find(stream, touched->address(first), n_rows);
     const std::uint32_t active_harmonics = static_cast<std::uint32_t>((sh_degree + 1) * (sh_degree + 1));
     const Concurrent groups(stream);  // launches may overlap, because the groups are independent
-    for (const ParameterGroup& group : list_parameter_groups(p.parameters())) {
+    for (const ParameterGroup& group : list_parameter_groups(parameters.parameters())) {
         const std::uint32_t stride = group.floats(), block = group.harmonics ? group.row[1] : stride;
         const std::uint32_t n_active = group.harmonics ? active_harmonics : block, n_blocks = stride / block;
         // In spherical harmonics, all coefficients except the constant one have a lower
@@ -93,8 +93,8 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g,
         const bool by_model = group.rate == &LearningRates::mean && !rates.mean_factors.empty();
         const std::size_t n_threads = std::size_t(n_rows) * (a.per_float ? n_blocks * n_active : 1u);
         run(stream, a.kernel, listed ? a.list->threads(n_threads) : n_threads,
-            {.values = group.device(p).address_as<float, shared::AdamValues>(from),
-             .gradients = group.device(g).address_as<float, shared::AdamGradients>(from),
+            {.values = group.device(parameters).address_as<float, shared::AdamValues>(from),
+             .gradients = group.device(gradients).address_as<float, shared::AdamGradients>(from),
              .moment1 = group.device(a.moment1).address_as<float, shared::FirstMoments>(),
              .moment2 = group.device(a.moment2).address_as<float, shared::SecondMoments>(),
              .touched = touched && !listed ? touched->address(first)

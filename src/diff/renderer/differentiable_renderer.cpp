@@ -14,7 +14,7 @@ namespace relidar {
 namespace {
 
 /// Returns the maximum number of rays per batch.
-std::uint32_t room(const Renderer& renderer) {
+std::uint32_t get_max_rays(const Renderer& renderer) {
     return static_cast<std::uint32_t>(renderer.rendered().rendered->size());
 }
 
@@ -46,7 +46,7 @@ std::vector<shared::RayGradient> make_ray_gradients(const RenderedGradients& gra
 
 /// Downloads an array of gradients. If the gradients were not requested, the array is
 /// empty, and so is the result.
-std::vector<float> values_of(const Array<float>& array, std::size_t count) {
+std::vector<float> download_values(const Array<float>& array, std::size_t count) {
     return array.size() ? array.download(count) : std::vector<float>{};
 }
 
@@ -68,7 +68,8 @@ struct DifferentiableRenderer::Impl {
         make_gradients();
     }
     void make_gradients() {
-        gradients.emplace(renderer.stream().device(), renderer.scene(), options.wanted, room(renderer));
+        gradients.emplace(renderer.stream().device(), renderer.scene(), options.wanted,
+                          get_max_rays(renderer));
         gradients->zero_untouched = options.zero_untouched;
     }
 };
@@ -83,7 +84,7 @@ DifferentiableRenderer::~DifferentiableRenderer() { impl_->renderer.wait_for_dev
 RenderedBatch DifferentiableRenderer::batch() {
     Renderer& renderer = impl_->renderer;
     Device& device = renderer.stream().device();
-    const std::size_t n_rays = room(renderer);
+    const std::size_t n_rays = get_max_rays(renderer);
     if (impl_->upstream.size() < n_rays) {  // the maximum number of rays per batch has grown
         renderer.stream().finish();
         impl_->upstream = Array<shared::RayGradient>(device, n_rays, "loss gradients");
@@ -114,11 +115,12 @@ HostGradients DifferentiableRenderer::backward(const RenderedGradients& d_render
     stream.finish();
     const Gradients& g = *impl_->gradients;
     return {g.surfels.download(), g.touched.download(impl_->renderer.scene().size()),
-            values_of(g.poses, g.poses.size()), values_of(g.sensor, g.sensor.size()),
-            values_of(g.rays, 6 * n_rays)};
+            download_values(g.poses, g.poses.size()), download_values(g.sensor, g.sensor.size()),
+            download_values(g.rays, 6 * n_rays)};
 }
 
-void DifferentiableRenderer::change_surfels(const std::function<void(double others_bytes)>& change) {
+void DifferentiableRenderer::change_surfels(
+    const std::function<void(double other_allocation_bytes)>& change) {
     Renderer& renderer = impl_->renderer;
     const Device& device = renderer.stream().device();
     renderer.stream().finish();

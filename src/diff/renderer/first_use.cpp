@@ -51,7 +51,7 @@ WorldRays make_full_sphere_rays() {
 
 /// Renders the ring of surfels. If the state is `refitted`, moves the surfels by 0.2 m
 /// after the tree was built, so that it is refitted.
-Rendering render_ring(Device& device, const AccelOptions& accel, TreeState state) {
+Rendering render_surfel_ring(Device& device, const AccelOptions& accel, TreeState state) {
     Surfels surfels = make_surfel_ring();
     Renderer renderer(device, make_background_scene(surfels), {}, {.accel = accel});
     renderer.place(glm::vec3(0.0f));
@@ -86,9 +86,9 @@ int count_wrong_rays(Device& device, TreeState state) {
     AccelOptions accel;
     // A test can force wrong hits here: the boxes are then smaller than their surfels.
     if (gpu::has_fault("ray_query") && device.traversal() == Traversal::ray_query) accel.margin_scale = 0.3f;
-    const Rendering found = render_ring(device, accel, state);
+    const Rendering found = render_surfel_ring(device, accel, state);
     const Forced forced(device, {.brute_force = true});
-    const Rendering expected = render_ring(device, {}, state);
+    const Rendering expected = render_surfel_ring(device, {}, state);
     int n_wrong = 0;
     for (std::size_t i = 0; i < kRays; ++i)
         n_wrong += found.hits[i] != expected.hits[i] ||

@@ -20,7 +20,7 @@ CollectedHits collect_hits(Device& device, const PlacedScene& placed, const Worl
     Accel accel(device, on_device, placed.accel);
     const Kernel<shared::CollectHitsParams> kernel(
         device, "diff/traversal/collect_hits", get_traversal_variant(device),
-        trace_constants(device, accel.proxy(), placed.trace, placed.model));
+        make_trace_constants(device, accel.proxy(), placed.trace, placed.model));
     const std::size_t n = rays.size();
     const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(to_device_rays(rays)), "rays");
     const Array<std::uint32_t, shared::PassCapCount> pass_cap(device, std::vector<std::uint32_t>{0u},
@@ -32,8 +32,8 @@ CollectedHits collect_hits(Device& device, const PlacedScene& placed, const Worl
     on_device.activate(stream, placed.model, glm::vec3(0.0f));
     accel.update(stream, on_device);
     run(stream, kernel, n,
-        {.scene = trace_scene(on_device, accel, {&device_rays, 0, 1, static_cast<std::uint32_t>(n)},
-                              placed.model, placed.trace, pass_cap.address()),
+        {.scene = make_trace_scene(on_device, accel, {&device_rays, 0, 1, static_cast<std::uint32_t>(n)},
+                                   placed.model, placed.trace, pass_cap.address()),
          .counts = counts.address(),
          .t = t.address(),
          .instance = instance.address(),

@@ -15,7 +15,7 @@ std::vector<DeviceRay> to_device_rays(const WorldRays& rays) {
     return result;
 }
 
-std::size_t trace_threads(const RayBatch& batch) {
+std::size_t count_trace_threads(const RayBatch& batch) {
     if (batch.columns == 0) return batch.n_rays;
     const std::size_t rows = batch.n_rays / batch.columns;
     return (rows + 1) / 2 * ((std::size_t(batch.columns) + 15) / 16) * 32;

@@ -14,8 +14,8 @@ namespace relidar {
 
 /// Returns the parameters that tracing kernels need for a scene. The caller must add the
 /// rays.
-inline shared::TraceScene trace_scene(const DeviceScene& scene, const AccelAddresses& accel,
-                                      const ImageModel& model) {
+inline shared::TraceScene make_trace_scene(const DeviceScene& scene, const AccelAddresses& accel,
+                                           const ImageModel& model) {
     return {.tlas = accel.tlas,
             .proxy_reach = accel.proxy_reach,
             .moving = accel.moving,
@@ -42,10 +42,11 @@ inline shared::TraceScene trace_scene(const DeviceScene& scene, const AccelAddre
             .columns = 0};
 }
 
-inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& accel, const RayBatch& batch,
-                                      const ImageModel& model, const TraceOptions& options,
-                                      Address<std::uint32_t, shared::PassCapCount> pass_cap_count) {
-    shared::TraceScene traced = trace_scene(scene, accel.addresses(), model);
+inline shared::TraceScene make_trace_scene(const DeviceScene& scene, const Accel& accel,
+                                           const RayBatch& batch, const ImageModel& model,
+                                           const TraceOptions& options,
+                                           Address<std::uint32_t, shared::PassCapCount> pass_cap_count) {
+    shared::TraceScene traced = make_trace_scene(scene, accel.addresses(), model);
     traced.rays = batch.rays->address();
     traced.pass_cap_count = pass_cap_count;
     traced.n_rays = batch.n_rays;
@@ -77,8 +78,8 @@ inline std::uint32_t get_walk_constant(const Device& device, const TraceOptions&
 }
 
 /// Returns the specialisation constants of the tracing kernels (shaders/diff/traversal).
-inline std::vector<Constant> trace_constants(const Device& device, Proxy proxy, const TraceOptions& options,
-                                             const ImageModel& model) {
+inline std::vector<Constant> make_trace_constants(const Device& device, Proxy proxy,
+                                                  const TraceOptions& options, const ImageModel& model) {
     return {{ConstantId::CHUNK, static_cast<std::uint32_t>(options.chunk)},
             {ConstantId::BOXES, proxy == Proxy::boxes ? 1u : 0u},
             {ConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},

@@ -51,7 +51,7 @@ ClassMap find_classes(const Sequence& sequence, const PoseTrack& world_from_vehi
     for (const Lidar& lidar : sequence.lidars)
         world_from_sensor.push_back(mount_on_track(world_from_vehicle, lidar.vehicle_from_sensor));
     std::vector<BoxTrack> moving = sequence.boxes;
-    std::erase_if(moving, [](const BoxTrack& box) { return !box.moves(); });
+    std::erase_if(moving, [](const BoxTrack& box) { return !box.is_moving(); });
     std::vector<std::vector<ClassCell>> votes_of_frame(positions.size());
     parallel_for(static_cast<int>(positions.size()), [&](int index) {
         const Frame& frame = sequence.frames[std::size_t(positions[std::size_t(index)])];
@@ -63,7 +63,7 @@ ClassMap find_classes(const Sequence& sequence, const PoseTrack& world_from_vehi
         votes.insert(votes.end(), some.begin(), some.end());
         some = {};
     }
-    const CellNumbers cells = number_cells(
+    const CellNumbers cells = assign_cell_numbers(
         votes.size(), [&](std::size_t vote) { return make_cell_key(glm::dvec3(votes[vote].place), 1.0); });
     ClassMap map(cells.n_cells);
     std::vector<std::array<std::uint32_t, kSurfaceClasses>> counts(cells.n_cells);

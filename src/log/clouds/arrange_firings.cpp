@@ -44,7 +44,7 @@ std::map<int, double> compute_head_azimuths(const Points& points, const std::vec
 /// Adds firings without returns at the end of a revolution. The head is assumed to rotate
 /// at a constant rate until the circle or the image is full.
 /// @param columns  number of columns of the image; 0 if unknown
-void add_end_of_turn(std::map<int, double>& heads, int columns, double step_rad) {
+void add_firings_to_turn_end(std::map<int, double>& heads, int columns, double step_rad) {
     const int full = int(2.0 * kPi / std::abs(step_rad));
     const int n_missing = (columns > 0 ? std::min(columns, full) : full) - int(heads.size());
     const auto [last, head] = *heads.rbegin();
@@ -57,7 +57,7 @@ void add_end_of_turn(std::map<int, double>& heads, int columns, double step_rad)
 Sweep arrange_firings(Points& points, const std::vector<int>& numbers, const SpinningSensor& sensor,
                       double step_rad) {
     std::map<int, double> heads = compute_head_azimuths(points, numbers, sensor, step_rad);
-    add_end_of_turn(heads, sensor.columns, step_rad);
+    add_firings_to_turn_end(heads, sensor.columns, step_rad);
     return sort_firings(points, numbers, heads);
 }
 

@@ -19,7 +19,7 @@ void BrokenScans::add(std::size_t index, const std::string& reason) {
     reasons_.try_emplace(index, reason);
 }
 
-void BrokenScans::tell(Sequence& sequence, std::size_t count) const {
+void BrokenScans::add_broken_scan_notes(Sequence& sequence, std::size_t count) const {
     if (!reasons_.empty() && reasons_.size() == count)
         throw DataError(fmt::format("{}: all {} scans are broken; the first error is: {}", sequence.source,
                                     count, reasons_.begin()->second));
@@ -28,7 +28,7 @@ void BrokenScans::tell(Sequence& sequence, std::size_t count) const {
 }
 
 void BrokenScans::leave_out(Sequence& sequence) const {
-    tell(sequence, sequence.frames.size());
+    add_broken_scan_notes(sequence, sequence.frames.size());
     if (reasons_.empty()) return;
     std::vector<Frame> kept;
     std::set<double> times_s;

@@ -45,7 +45,7 @@ public:
     /// Adds a note for the user about each broken scan.
     /// @param count  total number of scans
     /// @throws DataError if all scans are broken
-    void tell(Sequence& sequence, std::size_t count) const;
+    void add_broken_scan_notes(Sequence& sequence, std::size_t count) const;
     /// Removes the frames of broken scans, and poses that no other frame uses. Adds a
     /// note for the user about each broken scan. Scan numbers must be indices of frames.
     /// @throws DataError if all scans are broken

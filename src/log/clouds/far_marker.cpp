@@ -30,7 +30,7 @@ struct FarReturns {
     std::set<std::uint16_t> rows;
 };
 
-FarReturns find_far(const Sequence& sequence, int lidar) {
+FarReturns find_max_range_returns(const Sequence& sequence, int lidar) {
     FarReturns far;
     for (const Frame& frame : sequence.frames)
         if (frame.lidar == lidar)
@@ -47,7 +47,7 @@ FarReturns find_far(const Sequence& sequence, int lidar) {
     return far;
 }
 
-bool is_marker(const FarReturns& far) {
+bool is_dropped_ray_marker(const FarReturns& far) {
     const double share = double(far.n) / double(std::max<std::size_t>(far.n_all, 1));
     return far.n >= kFewest && far.rows.size() >= kFewestRows && share >= kLeastShare &&
            share <= kMostShare && is_same_range(far.range_m, round_range(far.range_m));
@@ -55,10 +55,10 @@ bool is_marker(const FarReturns& far) {
 
 }  // namespace
 
-void drop_far_marker(Sequence& sequence) {
+void drop_max_range_markers(Sequence& sequence) {
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
-        const FarReturns far = find_far(sequence, int(l));
-        if (!is_marker(far)) continue;
+        const FarReturns far = find_max_range_returns(sequence, int(l));
+        if (!is_dropped_ray_marker(far)) continue;
         for (Frame& frame : sequence.frames)
             if (frame.lidar == int(l))
                 drop_outside_limits(frame.scan, {0.0, double(far.range_m) * (1.0 - double(kSameRange))});

@@ -68,7 +68,7 @@ std::vector<double> unwrap_azimuths_of_points(const Points& points, double turni
 
 /// Returns the ring of each point. A ring is one full turn of the azimuth, and ring 0
 /// starts at the azimuth `first_rad`.
-std::vector<std::uint16_t> number_turns(const std::vector<double>& turned, double first_rad) {
+std::vector<std::uint16_t> compute_turn_numbers(const std::vector<double>& turned, double first_rad) {
     std::vector<std::uint16_t> turns;
     turns.reserve(turned.size());
     double first_turn = INFINITY;
@@ -139,7 +139,7 @@ double find_first_azimuth(const Points& points, const std::vector<double>& turne
         some_turned.push_back(turned[i]);
     }
     const auto spread = [&](double first_rad) {
-        const std::vector<std::uint16_t> ring = number_turns(some_turned, first_rad);
+        const std::vector<std::uint16_t> ring = compute_turn_numbers(some_turned, first_rad);
         return compute_mean_ring_deviation(some, ring, compute_ring_elevations(some, ring));
     };
     double least = INFINITY, best_rad = 0.0;
@@ -155,8 +155,8 @@ double find_first_azimuth(const Points& points, const std::vector<double>& turne
 }
 
 /// Returns true if the rings are sorted by elevation and clearly separated.
-bool are_rings(const Points& points, const std::vector<std::uint16_t>& ring,
-               const std::vector<double>& elevations) {
+bool are_rings_separated(const Points& points, const std::vector<std::uint16_t>& ring,
+                         const std::vector<double>& elevations) {
     if (elevations.size() < kFewestRings || elevations.size() > kMostOrderedRings) return false;
     std::vector<double> steps;
     std::size_t n_up = 0, n_down = 0;
@@ -184,18 +184,18 @@ FileOrder::FileOrder(const std::vector<Points>& scans) {
     for (const Points& scan : scans) {
         if (estimate_direction(scan) != turning) continue;
         const std::vector<std::uint16_t> ring =
-            number_turns(unwrap_azimuths_of_points(scan, turning_), first_azimuth_rad_);
+            compute_turn_numbers(unwrap_azimuths_of_points(scan, turning_), first_azimuth_rad_);
         std::vector<double> elevations = compute_ring_elevations(scan, ring);
         // Uses the scan with the most rings, because every beam has returns in this scan.
-        if (elevations.size() > elevation_rad_.size() && are_rings(scan, ring, elevations))
+        if (elevations.size() > elevation_rad_.size() && are_rings_separated(scan, ring, elevations))
             elevation_rad_ = std::move(elevations);
     }
 }
 
-void FileOrder::set_rings(Points& points) const {
+void FileOrder::assign_ring_numbers(Points& points) const {
     points.ring.clear();
     if (points.size() == 0) return;
-    points.ring = number_turns(unwrap_azimuths_of_points(points, turning_), first_azimuth_rad_);
+    points.ring = compute_turn_numbers(unwrap_azimuths_of_points(points, turning_), first_azimuth_rad_);
     const std::vector<double> elevations = compute_ring_elevations(points, points.ring);
     if (elevations.size() == n_rings()) return;
     std::vector<std::uint16_t> nearest;

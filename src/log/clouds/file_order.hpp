@@ -25,7 +25,7 @@ public:
     /// Sets the ring of each point. Ring 0 is the first ring in the files. If rings are
     /// missing in a scan, each of its rings gets the number of the ring with the nearest
     /// elevation.
-    void set_rings(Points& points) const;
+    void assign_ring_numbers(Points& points) const;
 
 private:
     double first_azimuth_rad_ = 0.0;     ///< azimuth at which each ring begins

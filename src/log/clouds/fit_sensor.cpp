@@ -89,7 +89,7 @@ std::vector<std::optional<double>> estimate_elevations(const std::vector<Points>
 /// Estimates the number of columns per revolution from the azimuth steps between
 /// neighbouring points of a ring. Uses the lower quartile of the steps, because steps
 /// across dropped rays are longer.
-int estimate_columns(const Points& scan, const Rings& rings) {
+int estimate_column_count(const Points& scan, const Rings& rings) {
     std::vector<double> steps;
     for (const Ring& ring : rings) {
         std::vector<double> azimuths = ring.azimuth_rad;
@@ -109,7 +109,7 @@ int estimate_columns(const Points& scan, const Rings& rings) {
 
 /// Returns S_r(N), the sum of exp(i N azimuth) over the points of ring r, for each ring.
 /// |S_r| is large if the azimuths are on a grid of N columns.
-std::vector<std::complex<double>> compute_phases(const Rings& rings, int columns) {
+std::vector<std::complex<double>> compute_column_phases(const Rings& rings, int columns) {
     std::vector<std::complex<double>> sums;
     for (const Ring& ring : rings) {
         std::complex<double> sum = 0.0;
@@ -121,7 +121,7 @@ std::vector<std::complex<double>> compute_phases(const Rings& rings, int columns
 
 /// Returns the sum of |S_r(N)| over all rings r, for `count` consecutive numbers of
 /// columns N, starting with `first`.
-std::vector<double> compute_lengths(const Rings& rings, int first, std::size_t count) {
+std::vector<double> compute_phase_lengths(const Rings& rings, int first, std::size_t count) {
     std::vector<double> lengths(count, 0.0);
     for (const Ring& ring : rings) {
         std::vector<std::complex<double>> turned, step;
@@ -148,11 +148,11 @@ struct Lattice {
 };
 
 Lattice find_lattice(const Points& scan, const Rings& rings) {
-    Lattice lattice{estimate_columns(scan, rings), std::vector<double>(rings.size(), 0.0)};
+    Lattice lattice{estimate_column_count(scan, rings), std::vector<double>(rings.size(), 0.0)};
     const int reach = std::max(1, int(kTried * lattice.columns)),
               first = std::max(1, lattice.columns - reach);
     const std::vector<double> lengths =
-        compute_lengths(rings, first, std::size_t(lattice.columns + reach + 1 - first));
+        compute_phase_lengths(rings, first, std::size_t(lattice.columns + reach + 1 - first));
     const auto best = std::ranges::max_element(lengths);
     if (*best <= kCoherent * double(scan.size())) {
         // A ring has at most one first return per column. Therefore the fullest ring
@@ -164,7 +164,7 @@ Lattice find_lattice(const Points& scan, const Rings& rings) {
         return lattice;
     }
     lattice.columns = first + int(best - lengths.begin());
-    const std::vector<std::complex<double>> sums = compute_phases(rings, lattice.columns);
+    const std::vector<std::complex<double>> sums = compute_column_phases(rings, lattice.columns);
     const std::complex<double> common = std::accumulate(sums.begin(), sums.end(), std::complex<double>(0.0));
     for (std::size_t r = 0; r < rings.size(); ++r)
         lattice.offset_rad[r] =

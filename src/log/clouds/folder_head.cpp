@@ -81,7 +81,7 @@ Pose read_mounting(const JsonField& field, const std::string& location) {
 
 /// Sets the sensor of a LiDAR. The JSON field contains the name of a built-in sensor or
 /// of a sensor file.
-void name_sensor(const JsonField& field, const fs::path& folder, bool spins, Lidar& lidar) {
+void read_sensor_name(const JsonField& field, const fs::path& folder, bool spins, Lidar& lidar) {
     const std::string name = field.text(kLongestPath);
     // maximum range, used if the sensor file does not contain one
     const double max_range_m = lidar.sensor.max_range_m;
@@ -122,7 +122,7 @@ HeadLidar read_lidar(const JsonField& field, const std::string& file, const fs::
             fmt::format("{}: LiDAR '{}', vehicle_from_sensor", file, make_excerpt(lidar.lidar.name)));
     lidar.spins = read_flag_or(field, "spins", true);
     if (field.has("sensor") && field.at("sensor").is_text())
-        name_sensor(field.at("sensor"), folder, lidar.spins, lidar.lidar);
+        read_sensor_name(field.at("sensor"), folder, lidar.spins, lidar.lidar);
     else if (field.has("sensor")) read_sensor(field.at("sensor"), lidar.spins, lidar.lidar);
     lidar.has_beams = !lidar.lidar.sensor.beams.empty();
     if (lidar.has_beams && !lidar.spins)
@@ -176,7 +176,7 @@ std::vector<HeadFrame> read_listed_frames(const JsonField& field, const std::vec
 
 /// Returns true for a CSV file directly in the folder of the log. Such a file may be a
 /// table of beams instead of a scan.
-bool is_table_beside(const fs::path& file, const fs::path& folder) {
+bool can_be_beam_table(const fs::path& file, const fs::path& folder) {
     return file.extension() == ".csv" && file.parent_path() == folder;
 }
 
@@ -196,7 +196,7 @@ std::vector<HeadFrame> find_frames_in_folders(double rate_hz, const std::vector<
         const bool has_scans = std::ranges::any_of(
             files, [](const fs::path& f) { return !is_text(f) && (is_point_file(f) || is_image_file(f)); });
         for (const fs::path& file : files)
-            if ((is_point_file(file) && !is_table_beside(file, folder) && !(has_scans && is_text(file))) ||
+            if ((is_point_file(file) && !can_be_beam_table(file, folder) && !(has_scans && is_text(file))) ||
                 is_image_file(file)) {
                 frames.push_back({number, number / rate_hz, int(l), file});
                 ++number;

@@ -87,7 +87,7 @@ Head read_head(const std::filesystem::path& folder, double max_range_m);
 /// - 7 numbers per line: time_s x y z roll pitch yaw
 ///
 /// Poses with times are interpolated at the times of the frames. If the vehicle then does
-/// not drive forward, tests other meanings of the numbers (see choose_reading()).
+/// not drive forward, tests other meanings of the numbers (see choose_pose_reading()).
 /// @param read_pairs  reads pairs of scans that confirm a meaning; may be null
 std::optional<std::vector<Pose>> read_poses(const std::filesystem::path& file,
                                             const std::vector<HeadFrame>& frames, const ReadPairs& read_pairs,
@@ -96,9 +96,9 @@ std::optional<std::vector<Pose>> read_poses(const std::filesystem::path& file,
 /// Reads labelled boxes from boxes.json. Returns no boxes if the file does not exist.
 /// Ignores labels outside the time of the loaded frames.
 /// @param frames  loaded frames
-/// @param all  all frames of the log, because labels can refer to frames by number
+/// @param all_frames  all frames of the log, because labels can refer to frames by number
 std::vector<BoxTrack> read_boxes(const std::filesystem::path& file, const std::vector<HeadFrame>& frames,
-                                 const std::vector<HeadFrame>& all);
+                                 const std::vector<HeadFrame>& all_frames);
 
 /// Reads the scans of all frames, which must already have poses. Estimates unknown beams
 /// from the points. Undoes motion compensation only if the log has poses

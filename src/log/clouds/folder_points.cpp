@@ -51,7 +51,7 @@ bool are_ranges(const FieldValues& ranges, const std::vector<glm::vec3>& points,
 
 /// Returns for each point whether its field `range` says that the ray has no return.
 /// Returns an empty array if the field does not exist or contains no ranges.
-std::vector<char> flag_far_points(const PointTable& table, const std::vector<glm::vec3>& points) {
+std::vector<char> flag_no_return_points(const PointTable& table, const std::vector<glm::vec3>& points) {
     const FieldValues* ranges = table.find(PointValue::range);
     std::vector<char> marked;
     if (!ranges) return marked;
@@ -71,7 +71,7 @@ std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> find_returns(
         xyz[std::size_t(axis)]->visit([&](const auto& value_at) {
             for (std::size_t i = 0; i < table.n; ++i) all[i][axis] = float(value_at(i));
         });
-    const std::vector<char> marked = flag_far_points(table, all);
+    const std::vector<char> marked = flag_no_return_points(table, all);
     std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> returns;
     returns.first.reserve(table.n);
     for (std::size_t i = 0; i < table.n; ++i)
@@ -89,7 +89,7 @@ struct Conversion {
     /// Converts a field: calls set(k, of_value(value)) for the k-th selected point.
     /// @throws DataError of of_value, with the number of the point added to the message
     template <class OfValue, class Set>
-    void each(const FieldValues& field, const OfValue& of_value, const Set& set) const {
+    void convert_each(const FieldValues& field, const OfValue& of_value, const Set& set) const {
         field.visit([&](const auto& value_at) {
             std::size_t k = 0;
             try {
@@ -105,7 +105,7 @@ struct Conversion {
     void to(std::vector<T>& values, const FieldValues* field, const OfValue& of_value) const {
         if (!field) return;
         values.resize(kept.size());
-        each(*field, of_value, [&](std::size_t index, T value) { values[index] = value; });
+        convert_each(*field, of_value, [&](std::size_t index, T value) { values[index] = value; });
     }
 };
 

@@ -110,7 +110,7 @@ public:
                 if (sequence_.frames[i].lidar == int(l) && source_.has_points(i)) with_points.push_back(i);
             if (sequence_.lidars[l].sensor.name.empty()) sequence_.lidars[l].sensor.name = sequence_.name;
             if (with_points.empty()) check_rays(l);
-            else make_plan(l, with_points);
+            else plan_lidar_conversion(l, with_points);
         }
         const auto stands = [&](const Plan& plan) { return !plan.undo; };
         sequence_.rolling_shutter =
@@ -137,15 +137,15 @@ public:
             frame.scan = make_unordered_scan(points);
             return;
         }
-        if (plan.order) plan.order->set_rings(points);
+        if (plan.order) plan.order->assign_ring_numbers(points);
         if (plan.has_rings || plan.order) points = renumber_rings(points, plan, index);
         else recover_rings(points, sensor.beams);
-        frame.scan = make_spinning_scan(points, sensor, make_even_sweep(points, sensor));
+        frame.scan = make_spinning_scan(points, sensor, make_uniform_sweep(points, sensor));
         n_first_[index] = count_first_returns(points);
         behind_[index] = n_first_[index] - std::min(n_first_[index], frame.scan.count_returns());
     }
 
-    void report_left_out() {
+    void report_skipped_values() {
         const auto sum = [](const std::vector<std::size_t>& counts) {
             return std::reduce(counts.begin(), counts.end());
         };
@@ -188,7 +188,7 @@ private:
         const Frame& frame = sequence_.frames[index];
         Points points = source_.points(index);
         if (undo && !points.time_offset_s.empty())
-            undo_compensation(points, sequence_.world_from_sensor(frame.lidar), frame.time_s);
+            undo_motion_compensation(points, sequence_.world_from_sensor(frame.lidar), frame.time_s);
         return points;
     }
 
@@ -214,7 +214,7 @@ private:
         else if (sensor.period_s == 0.0) sensor.period_s = estimate_frame_step_s(lidar);
     }
 
-    void make_plan(std::size_t lidar, const std::vector<std::size_t>& frames) {
+    void plan_lidar_conversion(std::size_t lidar, const std::vector<std::size_t>& frames) {
         Plan& plan = plans_[lidar];
         std::vector<Points> samples;
         std::vector<std::size_t> of_sample;  // frame of each sample
@@ -227,7 +227,7 @@ private:
         const std::size_t n = std::min(kSamples, frames.size());
         for (std::size_t k = 0; k < n; ++k) add_sample(frames[k * frames.size() / n]);
         for (std::size_t k = 0; samples.empty() && k < frames.size(); ++k) add_sample(frames[k]);
-        if (samples.empty()) broken_.tell(sequence_, broken_.size());
+        if (samples.empty()) broken_.add_broken_scan_notes(sequence_, broken_.size());
         plan.has_rings = !samples[0].ring.empty();
         plan.has_times = !samples[0].time_offset_s.empty();
         plan.undo = head_.motion_compensated && has_poses_ && plan.has_times;
@@ -313,7 +313,7 @@ private:
         }
         const FileOrder order(samples);
         if (!order.has_ring_numbers()) return false;
-        for (Points& sample : samples) order.set_rings(sample);
+        for (Points& sample : samples) order.assign_ring_numbers(sample);
         plans_[lidar].order = order;
         return true;
     }
@@ -457,7 +457,7 @@ void read_scans(Sequence& sequence, const Head& head, const ScanSource& source,
     for_each_with_progress(frames.size(), options.progress, "reading scans", [&](std::size_t index) {
         broken.attempt(frames[index], [&] { reader.read(frames[index]); });
     });
-    reader.report_left_out();
+    reader.report_skipped_values();
     broken.leave_out(sequence);
 }
 

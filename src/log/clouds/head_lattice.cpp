@@ -21,7 +21,7 @@ double HeadLattice::compute_azimuth(int tick) const {
     return std::remainder(zero_rad + tick * tick_rad(), 2.0 * kPi);
 }
 
-Sweep make_even_sweep(const Points& points, const SpinningSensor& sensor) {
+Sweep make_uniform_sweep(const Points& points, const SpinningSensor& sensor) {
     Sweep sweep{{sensor.columns, 0.0}, {}};
     const std::vector<BeamGeometry> beams = make_beam_geometries(sensor.beams);
     const BeamGeometry ideal((Beam()));

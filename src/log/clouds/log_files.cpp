@@ -38,7 +38,7 @@ std::vector<SurfaceClass> read_classes(const fs::path& file, std::size_t n_point
 
 }  // namespace
 
-std::string describe_stranger(const fs::path& folder, const std::string& marker) {
+std::string describe_unknown_folder(const fs::path& folder, const std::string& marker) {
     std::error_code failed;
     const auto has = [&](const char* name) { return fs::exists(folder / name, failed); };
     if ((has("velodyne") && (has("times.txt") || has("calib.txt"))) || has("sequences"))
@@ -65,7 +65,7 @@ std::string describe_stranger(const fs::path& folder, const std::string& marker)
                         n, n == 1 ? "" : "s", (folder / first).string());
 }
 
-std::string note_gaps(const fs::path& folder, const std::vector<int>& frames, bool allow_missing) {
+std::string format_frame_gaps(const fs::path& folder, const std::vector<int>& frames, bool allow_missing) {
     constexpr std::size_t kShown = 5;
     const std::size_t n = static_cast<std::size_t>(frames.back() - frames.front() + 1) - frames.size();
     if (n == 0) return "";

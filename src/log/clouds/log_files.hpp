@@ -36,15 +36,15 @@ ScanPoints read_scan(const std::filesystem::path& file, const std::filesystem::p
 /// Returns a note for the user about missing scan files between the first and the last
 /// frame. Returns an empty string if no scan file is missing.
 /// @throws DataError if scan files are missing and allow_missing is false
-std::string note_gaps(const std::filesystem::path& folder, const std::vector<int>& frames,
-                      bool allow_missing);
+std::string format_frame_gaps(const std::filesystem::path& folder, const std::vector<int>& frames,
+                              bool allow_missing);
 
 /// Returns an error message for a folder that is not a KITTI drive. The message names the
 /// folder to use instead. Recognises an odometry sequence, a folder of drives, and a
 /// folder inside a drive.
 /// @param marker  subfolder that every drive has
 /// @return empty string if the folder is none of these
-std::string describe_stranger(const std::filesystem::path& folder, const std::string& marker);
+std::string describe_unknown_folder(const std::filesystem::path& folder, const std::string& marker);
 
 /// Reads the times of some frames, in seconds after the first time in the file. Line i
 /// contains the time of frame i, and is empty if this scan is missing. Times can cross

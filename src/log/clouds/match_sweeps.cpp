@@ -18,7 +18,8 @@ double compute_median_step_s(std::vector<double> times_s) {
 }
 
 std::vector<std::optional<std::size_t>> match_sweeps(const std::vector<double>& main_s,
-                                                     const std::vector<double>& other_s, double most_s) {
+                                                     const std::vector<double>& other_s,
+                                                     double max_difference_s) {
     std::vector<std::optional<std::size_t>> beside(main_s.size());
     for (std::size_t i = 0; i < other_s.size(); ++i) {
         const auto distance_s = [&](std::size_t index, std::size_t other) {
@@ -27,7 +28,8 @@ std::vector<std::optional<std::size_t>> match_sweeps(const std::vector<double>& 
         const auto after = std::ranges::lower_bound(main_s, other_s[i]);
         std::size_t k = std::min(std::size_t(after - main_s.begin()), main_s.size() - 1);
         if (k > 0 && distance_s(k - 1, i) < distance_s(k, i)) --k;
-        if (distance_s(k, i) <= most_s && (!beside[k] || distance_s(k, i) < distance_s(k, *beside[k])))
+        if (distance_s(k, i) <= max_difference_s &&
+            (!beside[k] || distance_s(k, i) < distance_s(k, *beside[k])))
             beside[k] = i;
     }
     return beside;

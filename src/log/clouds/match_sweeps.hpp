@@ -17,9 +17,10 @@ double compute_median_step_s(std::vector<double> times_s);
 /// sweeps of the main LiDAR define the frame numbers.
 /// @param main_s  [sweeps] times of the main LiDAR, ascending, at least one
 /// @param other_s  times of the other LiDAR in any order
-/// @param most_s  maximum time difference
+/// @param max_difference_s  maximum time difference
 /// @return [sweeps] indices in other_s; empty if no sweep is near enough
 std::vector<std::optional<std::size_t>> match_sweeps(const std::vector<double>& main_s,
-                                                     const std::vector<double>& other_s, double most_s);
+                                                     const std::vector<double>& other_s,
+                                                     double max_difference_s);
 
 }  // namespace relidar

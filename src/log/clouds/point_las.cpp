@@ -26,7 +26,7 @@ constexpr double kMostAway_m = 100.0;  // largest distance of the nearest points
 constexpr int kPacked = 128;           // added to the point format if the points are compressed
 
 template <class T>
-T number_at(std::string_view bytes, std::size_t offset) {
+T read_unaligned(std::string_view bytes, std::size_t offset) {
     T value;
     std::memcpy(&value, bytes.data() + offset, sizeof value);
     return value;
@@ -49,7 +49,7 @@ LasHeader read_header(std::string_view bytes, const std::string& location) {
         throw DataError(
             fmt::format("{}: {} bytes, expected a LAS file, which begins with LASF", location, bytes.size()));
     LasHeader header;
-    header.format = number_at<std::uint8_t>(bytes, kFormatAt);
+    header.format = read_unaligned<std::uint8_t>(bytes, kFormatAt);
     if (header.format >= kPacked)
         throw DataError(fmt::format(
             "{}: found compressed points (LAZ), expected LAS; 'laszip IN.laz OUT.las' unpacks them",
@@ -57,14 +57,14 @@ LasHeader read_header(std::string_view bytes, const std::string& location) {
     if (header.format > kMostFormat)
         throw DataError(
             fmt::format("{}: point format {}, expected 0 to {}", location, header.format, kMostFormat));
-    header.begin = number_at<std::uint32_t>(bytes, kPointsAt);
-    header.record = number_at<std::uint16_t>(bytes, kRecordAt);
-    header.n = number_at<std::uint32_t>(bytes, kCountAt);
-    if (number_at<std::uint8_t>(bytes, kVersionAt + 1) >= 4 && bytes.size() >= kLongHeader)
-        header.n = std::max(header.n, number_at<std::uint64_t>(bytes, kLongCountAt));
+    header.begin = read_unaligned<std::uint32_t>(bytes, kPointsAt);
+    header.record = read_unaligned<std::uint16_t>(bytes, kRecordAt);
+    header.n = read_unaligned<std::uint32_t>(bytes, kCountAt);
+    if (read_unaligned<std::uint8_t>(bytes, kVersionAt + 1) >= 4 && bytes.size() >= kLongHeader)
+        header.n = std::max(header.n, read_unaligned<std::uint64_t>(bytes, kLongCountAt));
     for (std::size_t axis = 0; axis < 3; ++axis) {
-        header.scale[axis] = number_at<double>(bytes, kScaleAt + 8 * axis);
-        header.offset_m[axis] = number_at<double>(bytes, kOffsetAt + 8 * axis);
+        header.scale[axis] = read_unaligned<double>(bytes, kScaleAt + 8 * axis);
+        header.offset_m[axis] = read_unaligned<double>(bytes, kOffsetAt + 8 * axis);
     }
     if (header.record < header.least_record() || header.begin > bytes.size() ||
         header.n > (bytes.size() - header.begin) / header.record)
@@ -101,7 +101,7 @@ PointTable read_las(const SharedBytes& file, const std::string& location) {
         const std::string_view point(points + i * header.record, header.record);
         for (std::size_t axis = 0; axis < 3; ++axis)
             position_m[axis][i] =
-                header.scale[axis] * number_at<std::int32_t>(point, 4 * axis) + header.offset_m[axis];
+                header.scale[axis] * read_unaligned<std::int32_t>(point, 4 * axis) + header.offset_m[axis];
         // a ray keeps at most 8 returns
         return_numbers[i] = std::uint8_t(std::min(point[14] & (header.is_long() ? 15 : 7), 8));
     }

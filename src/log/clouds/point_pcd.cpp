@@ -146,7 +146,7 @@ std::string unpack_lzf(std::string_view packed, std::size_t size, const std::str
 
 /// Decompresses the points of a PCD file. `data` contains the compressed size, the
 /// decompressed size, and LZF data. The result stores one field after another.
-std::string unpack(std::string_view data, const std::string& location) {
+std::string decompress_pcd_points(std::string_view data, const std::string& location) {
     if (data.size() < 8)
         throw DataError(
             fmt::format("{}: the file is truncated: found {} bytes after the header, expected "
@@ -174,7 +174,8 @@ PointTable read_pcd(const SharedBytes& file, const std::string& location) {
     if (header.data == "ascii") return read_lines(data, fields, n, location);
     if (header.data == "binary") return read_packed(file.with(data), fields, n, Packing::by_point, location);
     if (header.data == "binary_compressed")
-        return read_packed(share_bytes(unpack(data, location)), fields, n, Packing::by_field, location);
+        return read_packed(share_bytes(decompress_pcd_points(data, location)), fields, n, Packing::by_field,
+                           location);
     throw DataError(fmt::format("{}: found DATA '{}', expected ascii, binary or binary_compressed", location,
                                 make_excerpt(header.data)));
 }

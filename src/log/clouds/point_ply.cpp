@@ -16,7 +16,7 @@ namespace {
 
 constexpr std::size_t kMostPlyFields = 1024;
 
-PointField field_of(const std::string& type, const std::string& name, const std::string& where) {
+PointField make_ply_field(const std::string& type, const std::string& name, const std::string& where) {
     struct Row {
         const char *name, *other;
         char kind;
@@ -57,7 +57,7 @@ void parse_line(const std::string& line, PlyHeader& header, int& elements, const
         if (header.fields.size() >= kMostPlyFields)
             throw DataError(fmt::format("{}: found more than {} properties of a vertex, expected fewer",
                                         location, kMostPlyFields));
-        header.fields.push_back(field_of(a, b, location));
+        header.fields.push_back(make_ply_field(a, b, location));
     }
 }
 

@@ -68,7 +68,7 @@ constexpr std::string_view kPrefixes[] = {"scalar_",     "points_", "point_", "p
                                           "coordinate_", "coord_",  "xyz_",   "vertex_",   "lidar_"};
 
 /// Returns the index of a field name in kFieldNames, or kNotRead if the name is unknown.
-std::size_t find_name(std::string_view name) {
+std::size_t find_field_index(std::string_view name) {
     const auto* const row = std::ranges::find(kFieldNames, name, &FieldName::name);
     return std::size_t(row - std::begin(kFieldNames));
 }
@@ -86,8 +86,8 @@ std::size_t find_row_of_field(std::string_view field) {
     std::string_view rest = name;
     rest.remove_prefix(std::min(rest.find_last_of("./:") + 1, rest.size()));
     for (const std::string_view prefix : kPrefixes)
-        if (rest.starts_with(prefix) && find_name(rest) == kNotRead) rest.remove_prefix(prefix.size());
-    return find_name(rest);
+        if (rest.starts_with(prefix) && find_field_index(rest) == kNotRead) rest.remove_prefix(prefix.size());
+    return find_field_index(rest);
 }
 
 struct NumberTypeRow {

@@ -62,7 +62,7 @@ public:
             expect('(');
             const std::string name = quoted();
             expect(',');
-            fields.push_back(field_of(name, quoted()));
+            fields.push_back(parse_numpy_field(name, quoted()));
             if (accept(',') && peek('(')) fields.back().count *= shape();
             expect(')');
             if (!accept(',') && !peek(']')) fail();
@@ -116,7 +116,7 @@ private:
     }
     /// Converts a numpy type such as '<f4' to a field. Fields without a name, or with the
     /// type 'V', contain no data.
-    PointField field_of(const std::string& name, const std::string& type) const {
+    PointField parse_numpy_field(const std::string& name, const std::string& type) const {
         const auto size = parse_number(std::string_view(type).substr(std::min<std::size_t>(2, type.size())));
         if (type.size() < 3 || !size || !(*size >= 1.0 && *size <= 65536.0)) fail();
         if (type[0] == '>')

@@ -83,11 +83,11 @@ double ScanPairs::compute_overlap(const PoseTrack& world_from_vehicle) const {
     return pairs_.empty() ? 0.0 : sum / double(pairs_.size());
 }
 
-std::size_t choose_reading(const std::vector<PoseReading>& readings, const ReadPairs& read_pairs,
-                           const std::string& location, std::vector<std::string>& notes) {
+std::size_t choose_pose_reading(const std::vector<PoseReading>& readings, const ReadPairs& read_pairs,
+                                const std::string& location, std::vector<std::string>& notes) {
     std::vector<double> forward;
     for (const PoseReading& reading : readings) {
-        const stamped::Driving driving = stamped::find_driving(reading.world_from_vehicle);
+        const stamped::Driving driving = stamped::estimate_driving_direction(reading.world_from_vehicle);
         forward.push_back(driving.n_steps < kFewestSteps ? 0.0 : driving.mean.x);
     }
     const auto is_possible = [&](std::size_t index) {
@@ -125,7 +125,7 @@ void correct_inverse_poses(Sequence& sequence) {
     const std::vector<PoseReading> readings = {{"world-from-sensor poses", sequence.world_from_vehicle},
                                                {"sensor-from-world poses", std::move(invert_track), true}};
     const auto read_pairs = [&] { return format_pairs(sequence); };
-    if (choose_reading(readings, read_pairs, sequence.source, sequence.notes) == 0) return;
+    if (choose_pose_reading(readings, read_pairs, sequence.source, sequence.notes) == 0) return;
     set_vehicle_poses(sequence, readings[1].world_from_vehicle);
     sequence.world_offset_m = glm::dvec3(0.0);
     recentre_sequence(sequence);

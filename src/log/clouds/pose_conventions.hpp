@@ -51,8 +51,8 @@ using ReadPairs = std::function<ScanPairs()>;
 /// @param read_pairs  reads pairs of scans; called only if the motion contradicts the
 /// documented meaning; may be null
 /// @param location  name of the file, for the note
-std::size_t choose_reading(const std::vector<PoseReading>& readings, const ReadPairs& read_pairs,
-                           const std::string& location, std::vector<std::string>& notes);
+std::size_t choose_pose_reading(const std::vector<PoseReading>& readings, const ReadPairs& read_pairs,
+                                const std::string& location, std::vector<std::string>& notes);
 
 /// Inverts the poses of a log if they are probably sensor-from-world poses, and adds a
 /// note for the user. With the inverse, the vehicle must drive forward and consecutive

@@ -65,12 +65,12 @@ struct Band {
     double elevation_rad;  ///< median elevation of the band
 };
 
-/// Returns the groups of consecutive bins with at least `least` points each. Gaps of up
+/// Returns the groups of consecutive bins with at least `min_count` points each. Gaps of up
 /// to kLeastGap bins do not split a group.
-std::vector<Band> group_bins(const std::vector<int>& count, double least) {
+std::vector<Band> group_elevation_bins(const std::vector<int>& count, double min_count) {
     std::vector<Band> bands;
     for (int b = 0; b < int(count.size()); ++b) {
-        if (count[std::size_t(b)] == 0 || count[std::size_t(b)] < least) continue;
+        if (count[std::size_t(b)] == 0 || count[std::size_t(b)] < min_count) continue;
         if (bands.empty() || b - bands.back().last > kLeastGap) bands.push_back({b, b, 0.0});
         bands.back().last = b;
     }
@@ -123,7 +123,7 @@ std::vector<Band> find_bands(const std::vector<double>& elevations) {
     if (full.empty()) return {};
     std::nth_element(full.begin(), full.begin() + std::ptrdiff_t(full.size() * 9 / 10), full.end());
     const double least = kStray * full[full.size() * 9 / 10];
-    std::vector<Band> groups = group_bins(count, 1.0), bands = group_bins(count, least);
+    std::vector<Band> groups = group_elevation_bins(count, 1.0), bands = group_elevation_bins(count, least);
     for (int pass = 0; pass < 2; ++pass) {  // upward, then downward
         bands = add_weak_bands(groups, bands);
         std::ranges::reverse(groups);

@@ -226,14 +226,14 @@ std::uint16_t convert_ring_number(double value, const std::string& location) {
     return std::uint16_t(value);
 }
 
-Scan make_scan_from_images(const std::string& location, std::vector<NamedArray> given,
+Scan make_scan_from_images(const std::string& location, std::vector<NamedArray> stored_arrays,
                            const ImageSource& source) {
     const Head& head = source.head;
-    const bool has_rays = find_array(given, "directions") != nullptr;
-    const NamedArray* range = find_array(given, "range");
+    const bool has_rays = find_array(stored_arrays, "directions") != nullptr;
+    const NamedArray* range = find_array(stored_arrays, "range");
     if (!has_rays && source.of_head.lowest_first && range && range->shape.size() == 2)
-        flip_rows(given, range->shape[0]);
-    const Arrays arrays(location, std::move(given));
+        flip_rows(stored_arrays, range->shape[0]);
+    const Arrays arrays(location, std::move(stored_arrays));
     const NamedArray* deskewed = arrays.find("deskewed");
     check_deskewed(deskewed && deskewed->count() == 1 && deskewed->as_float()[0] != 0.0f, head,
                    arrays.where());

@@ -344,7 +344,7 @@ Scan make_unordered_scan(const Points& points) {
     return scan;
 }
 
-void undo_compensation(Points& points, const PoseTrack& world_from_sensor, double time_s) {
+void undo_motion_compensation(Points& points, const PoseTrack& world_from_sensor, double time_s) {
     const Pose world_from_reference = world_from_sensor.at(time_s);
     for (std::size_t i = 0; i < points.size(); ++i) {
         const Pose world_from_firing = world_from_sensor.at(time_s + double(points.time_offset_s[i]));

@@ -41,7 +41,7 @@ constexpr double kLargestCoordinate_m = 1e8;
 /// Parses a time stamp in a table. Some programs write time stamps with a fraction or an
 /// exponent.
 std::optional<std::int64_t> parse_stamp_cell(std::string_view cell) {
-    if (const auto whole = parse_stamp(cell)) return whole;
+    if (const auto whole = parse_timestamp_ns(cell)) return whole;
     const std::optional<double> number = parse_number(cell);
     if (!number || !(*number >= 0.0 && *number < 9e18)) return std::nullopt;
     return std::int64_t(std::llround(*number));
@@ -126,7 +126,7 @@ std::vector<Points> sample_points(const StampedPoints& source, std::size_t n_sca
 
 /// Returns true if the elevations of most points are close to those of the nominal beams,
 /// compared with the spacing of the beams. Returns false for points of another LiDAR.
-bool are_near_beams(const std::vector<Points>& samples, const FittedSensor& fit) {
+bool are_points_near_beams(const std::vector<Points>& samples, const FittedSensor& fit) {
     const std::vector<Beam>& beams = fit.sensor.beams;
     // angle between each point and its beam, divided by the angle to the next beam
     std::vector<double> off;
@@ -155,7 +155,7 @@ std::optional<SpinningSensor> fit_nominal(const std::vector<Points>& samples, co
     } catch (const DataError&) {
         return std::nullopt;
     }
-    if (!are_near_beams(samples, fit)) return std::nullopt;
+    if (!are_points_near_beams(samples, fit)) return std::nullopt;
     const double step = 2.0 * kPi / fit.sensor.columns;
     std::vector<Beam> beams = format.beams;
     std::complex<double> sum = 0.0;
@@ -178,7 +178,7 @@ std::optional<SpinningSensor> fit_nominal(const std::vector<Points>& samples, co
 
 }  // namespace
 
-std::optional<std::int64_t> parse_stamp(std::string_view text) {
+std::optional<std::int64_t> parse_timestamp_ns(std::string_view text) {
     std::int64_t stamp = 0;
     const auto [end, failed] = std::from_chars(text.data(), text.data() + text.size(), stamp);
     if (failed != std::errc() || end != text.data() + text.size() || stamp < 0) return std::nullopt;
@@ -188,7 +188,7 @@ std::optional<std::int64_t> parse_stamp(std::string_view text) {
 std::vector<StampedScan> list_scans(const fs::path& folder) {
     std::vector<StampedScan> scans;
     for (const fs::path& file : list_folder(folder))
-        if (const auto stamp = parse_stamp(file.stem().string()); stamp && file.extension() == ".bin")
+        if (const auto stamp = parse_timestamp_ns(file.stem().string()); stamp && file.extension() == ".bin")
             scans.push_back({0, *stamp, file});
     if (scans.empty())
         throw DataError(
@@ -221,7 +221,7 @@ std::vector<StampedRow> read_rows(const fs::path& file, std::size_t n_values) {
     return rows;
 }
 
-Driving find_driving(const PoseTrack& world_from_rider) {
+Driving estimate_driving_direction(const PoseTrack& world_from_rider) {
     const std::vector<Pose>& poses = world_from_rider.pose;
     Driving driving;
     double rises = 0.0;
@@ -248,7 +248,7 @@ Driving find_driving(const PoseTrack& world_from_rider) {
     return driving;
 }
 
-void warn_unless_forward(std::vector<std::string>& notes, double forward) {
+void warn_unless_facing_forward(std::vector<std::string>& notes, double forward) {
     constexpr double kMostlyForward = 0.9;
     if (forward < kMostlyForward)
         notes.push_back(

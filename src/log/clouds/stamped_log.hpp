@@ -26,7 +26,7 @@ struct StampedScan {
 };
 /// Parses a time stamp of digits only, for example from a file name. Returns nothing for
 /// other texts.
-std::optional<std::int64_t> parse_stamp(std::string_view text);
+std::optional<std::int64_t> parse_timestamp_ns(std::string_view text);
 /// Lists the scan files of a folder, sorted by time and numbered from 0. The name of a
 /// file is its time stamp with the extension .bin.
 /// @throws DataError if the folder contains no such file
@@ -52,10 +52,10 @@ struct Driving {
     double rise_spread = 0.0;  ///< standard deviation of the z components of the unit vectors
     std::size_t n_steps = 0;   ///< number of position changes of at least one metre
 };
-Driving find_driving(const PoseTrack& world_from_rider);
+Driving estimate_driving_direction(const PoseTrack& world_from_rider);
 /// Adds a warning to the notes if the vehicle does not seem to drive forward.
 /// @param forward  forward component of the mean driving direction, at most 1
-void warn_unless_forward(std::vector<std::string>& notes, double forward);
+void warn_unless_facing_forward(std::vector<std::string>& notes, double forward);
 
 /// The scan files of a log with their time stamps, and the poses of the log. Does not
 /// contain the points.

@@ -49,7 +49,7 @@ PoseTrack compute_corrections(const Sequence& sequence, const Frame& frame,
 
 /// Applies pose corrections to the origins and directions of all rays of a frame.
 /// @return maximum distance in metres by which a point is moved
-double place_rays_of(Frame& frame, const PoseTrack& corrections) {
+double correct_frame_rays(Frame& frame, const PoseTrack& corrections) {
     double farthest_m = 0.0;
     for (const Pose& pose : corrections.pose) farthest_m = std::max(farthest_m, measure_correction(pose));
     if (farthest_m < kLeast_m) return 0.0;
@@ -66,14 +66,14 @@ double place_rays_of(Frame& frame, const PoseTrack& corrections) {
 
 }  // namespace
 
-std::string place_rays(Sequence& sequence, const PoseAt& world_from_vehicle) {
+std::string correct_ray_motion(Sequence& sequence, const PoseAt& world_from_vehicle) {
     if (!sequence.rolling_shutter) return "";
     std::vector<double> moved_m(sequence.frames.size(), 0.0);
     parallel_for(static_cast<int>(sequence.frames.size()), [&](int index) {
         Frame& frame = sequence.frames[std::size_t(index)];
         if (frame.scan.rays.size() == 0) return;
         const PoseTrack track = compute_corrections(sequence, frame, world_from_vehicle);
-        if (!track.pose.empty()) moved_m[std::size_t(index)] = place_rays_of(frame, track);
+        if (!track.pose.empty()) moved_m[std::size_t(index)] = correct_frame_rays(frame, track);
     });
     const auto n = std::ranges::count_if(moved_m, [](double m) { return m > 0.0; });
     return n == 0 ? ""

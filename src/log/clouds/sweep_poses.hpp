@@ -20,6 +20,6 @@ using PoseAt = std::function<std::optional<Pose>(double)>;
 /// millimetre are not changed.
 /// @param world_from_vehicle  vehicle pose by time, in the recentred world of the log
 /// @return a note, or an empty string if no sweep was changed
-std::string place_rays(Sequence& sequence, const PoseAt& world_from_vehicle);
+std::string correct_ray_motion(Sequence& sequence, const PoseAt& world_from_vehicle);
 
 }  // namespace relidar::bag

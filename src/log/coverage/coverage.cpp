@@ -21,14 +21,14 @@ struct Place {
     std::uint32_t bit;
 };
 
-Place make_place(const glm::ivec3& cell) {
+Place make_cell_location(const glm::ivec3& cell) {
     const glm::ivec3 block = cell >> 3, within = cell & 7;
     return {block, std::uint32_t(within.x + kEdge * (within.y + kEdge * within.z))};
 }
 
-std::uint64_t key_of(const glm::ivec3& block) { return make_cell_key(glm::dvec3(block), 1.0); }
+std::uint64_t make_block_key(const glm::ivec3& block) { return make_cell_key(glm::dvec3(block), 1.0); }
 
-bool is_near(const glm::dvec3& point_m) {
+bool is_in_supported_range(const glm::dvec3& point_m) {
     return std::abs(point_m.x) < kFarthestPoint_m && std::abs(point_m.y) < kFarthestPoint_m &&
            std::abs(point_m.z) < kFarthestPoint_m;
 }
@@ -37,7 +37,7 @@ bool is_near(const glm::dvec3& point_m) {
 /// the segment.
 template <class Visit>
 void visit_cells(const glm::dvec3& from_m, const glm::dvec3& to_m, const Visit& visit) {
-    if (!is_near(from_m) || !is_near(to_m)) return;
+    if (!is_in_supported_range(from_m) || !is_in_supported_range(to_m)) return;
     const glm::dvec3 a = from_m / Coverage::kCell_m, way = (to_m - from_m) / Coverage::kCell_m;
     glm::ivec3 cell(glm::floor(a));
     const glm::ivec3 end(glm::floor(a + way));
@@ -73,9 +73,9 @@ void Coverage::add(const glm::dvec3& from_m, const glm::dvec3& to_m) {
     // the same block.
     Block* block = nullptr;
     visit_cells(from_m, to_m, [&](const glm::ivec3& cell, double) {
-        const Place place = make_place(cell);
+        const Place place = make_cell_location(cell);
         if (!block || block->place != place.block) {
-            block = &blocks_[key_of(place.block)];
+            block = &blocks_[make_block_key(place.block)];
             block->place = place.block;
         }
         block->cells[place.bit / 16] = std::uint16_t(block->cells[place.bit / 16] | 1u << place.bit % 16);
@@ -83,7 +83,7 @@ void Coverage::add(const glm::dvec3& from_m, const glm::dvec3& to_m) {
 }
 
 void Coverage::add(const Block& block) {
-    Block& own = blocks_[key_of(block.place)];
+    Block& own = blocks_[make_block_key(block.place)];
     own.place = block.place;
     for (std::size_t w = 0; w < kWords; ++w) own.cells[w] = std::uint16_t(own.cells[w] | block.cells[w]);
 }
@@ -97,10 +97,10 @@ double Coverage::share(const glm::dvec3& from_m, const glm::dvec3& to_m) const {
     const Block* block = nullptr;
     glm::ivec3 at(std::numeric_limits<int>::max());  // index of the block that `block` points to
     visit_cells(from_m, to_m, [&](const glm::ivec3& cell, double crossed_m) {
-        const Place place = make_place(cell);
+        const Place place = make_cell_location(cell);
         if (place.block != at) {
             at = place.block;
-            const auto found = blocks_.find(key_of(at));
+            const auto found = blocks_.find(make_block_key(at));
             block = found == blocks_.end() ? nullptr : &found->second;
         }
         length_m += crossed_m;

@@ -39,7 +39,7 @@ std::vector<double> compute_observed_length_m(const std::vector<double>& range_m
 }
 
 /// Marks the space between two neighbouring rays as observed.
-void add_between(Coverage& coverage, const Look& first, const Look& second) {
+void add_space_between_rays(Coverage& coverage, const Look& first, const Look& second) {
     const double length_m = std::min(first.length_m, second.length_m);
     const int n = static_cast<int>(length_m * glm::distance(first.ray.direction, second.ray.direction) /
                                    Coverage::kCell_m);
@@ -78,7 +78,8 @@ Coverage compute_coverage(const Sequence& sequence, const PoseTrack& world_from_
             looks[row].ray = make_world_ray(world_from_sensor, frame.time_s, scan.rays,
                                             row * columns + column, sequence.rolling_shutter);
             coverage.add(looks[row].ray.origin_m, looks[row].end_m());
-            if (row > 0 && looks[row - 1].length_m > 0.0) add_between(coverage, looks[row - 1], looks[row]);
+            if (row > 0 && looks[row - 1].length_m > 0.0)
+                add_space_between_rays(coverage, looks[row - 1], looks[row]);
         }
     }
     return coverage;

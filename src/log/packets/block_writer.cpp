@@ -147,7 +147,7 @@ void BlockWriter::append_returns(std::string& bytes, const FiredColumn& column, 
     }
 }
 
-std::size_t BlockWriter::find_part(std::size_t block, std::uint32_t number) const {
+std::size_t BlockWriter::get_firing_sequence(std::size_t block, std::uint32_t number) const {
     const auto n_packets = std::size_t(packets_per_firing()), n_here = layout_.parts() / n_packets;
     return number % n_packets * n_here + block / (layout_.banks * std::size_t(returns_)) % n_here;
 }
@@ -158,7 +158,7 @@ void BlockWriter::append_blocks(std::string& bytes, std::span<const FiredColumn>
     const std::size_t n_joined = count_blocks_per_firing() / std::size_t(packets_per_firing());
     for (std::size_t block = 0; block < layout_.n_blocks; ++block) {
         const auto firings = columns.subspan(block / n_joined * layout_.firings, layout_.firings);
-        const BlockPlace place{find_part(block, number), block / n_returns % layout_.banks,
+        const BlockPlace place{get_firing_sequence(block, number), block / n_returns % layout_.banks,
                                block % n_returns};
         if (layout_.flagged) append(bytes, std::uint16_t(0xEEFF - 0x1100 * place.bank));
         const double azimuth_deg = firings.front().azimuth_deg + double(place.part) * sequence_deg_;
@@ -171,7 +171,8 @@ std::int64_t BlockWriter::compute_packet_time_ns(std::span<const FiredColumn> co
                                                  double FiredColumn::*time) const {
     const double shift_s = 1e-6 * layout_.shift_us;
     if (!layout_.at_end) return to_unix_ns(columns.front().*time - shift_s, start_ns_);
-    const double sequence_s = 1e-6 * layout_.cycle_us * double(find_part(layout_.n_blocks - 1, number));
+    const double sequence_s =
+        1e-6 * layout_.cycle_us * double(get_firing_sequence(layout_.n_blocks - 1, number));
     return to_unix_ns(columns.back().*time + sequence_s - shift_s, start_ns_);
 }
 

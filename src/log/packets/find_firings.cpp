@@ -95,7 +95,7 @@ FiredColumn make_fired_column(const Scan& scan, const FiringImage& image, int fi
 
 /// A log has no measured time for firings without returns. Computes their times from the
 /// nearest firing with a return and the rotation of the head between both.
-void correct_empty_times(std::vector<FiredColumn>& columns, double period_s) {
+void correct_times_without_return(std::vector<FiredColumn>& columns, double period_s) {
     const auto n = std::ptrdiff_t(columns.size());
     std::vector<std::ptrdiff_t> before(columns.size(), -1), after(columns.size(), -1);
     for (std::ptrdiff_t i = 0; i < n; ++i)
@@ -148,7 +148,7 @@ std::vector<FiredColumn> find_firings(const Scan& scan, double time_s, const Spi
     for (int firing = 0; firing < image.n_firings(); ++firing)
         columns.push_back(
             make_fired_column(scan, image, firing, beams, has_laser_times ? offset_us : no_offset));
-    if (has_laser_times) correct_empty_times(columns, sensor.period_s);
+    if (has_laser_times) correct_times_without_return(columns, sensor.period_s);
     sort_by_rotation(columns, sensor.period_s);
     // A log may contain a firing in two columns, so the second copy is removed.
     const auto is_repeat = [&](const FiredColumn& before, const FiredColumn& after) {

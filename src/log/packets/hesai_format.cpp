@@ -145,10 +145,10 @@ private:
         const Layout& layout = blocks_.layout();
         bytes.back() = char(product_.operation_mode);
         if (layout.part_rule == PartRule::mode_flag)
-            bytes[layout.part_at] = char(1 - blocks_.find_part(0, number));
+            bytes[layout.part_at] = char(1 - blocks_.get_firing_sequence(0, number));
         if (layout.part_rule != PartRule::azimuth_state) return;
         for (std::size_t block = 0; block < layout.n_blocks; ++block)
-            bytes[layout.part_at + 1] |= char(blocks_.find_part(block, number) << (6 - 2 * block));
+            bytes[layout.part_at + 1] |= char(blocks_.get_firing_sequence(block, number) << (6 - 2 * block));
     }
 
     /// Appends year, month, day, hour, minute and second in UTC, with one byte each.

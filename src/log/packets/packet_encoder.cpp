@@ -82,7 +82,7 @@ struct PacketEncoder::Impl {
     }
 
     /// Returns the column of a firing, for a sensor that fires at fixed azimuths.
-    std::int64_t column_of(const FiredColumn& firing) const {
+    std::int64_t compute_firing_column(const FiredColumn& firing) const {
         const double place = (firing.azimuth_deg - kBehindSensor_deg) / 360.0 * format->columns();
         if (std::abs(place - std::round(place)) > kMostColumnError)
             throw UsageError(fmt::format(
@@ -92,17 +92,18 @@ struct PacketEncoder::Impl {
         return (std::llround(place) + format->columns()) % format->columns();
     }
 
-    /// Returns the number of firing steps from `from` to a firing, including steps
+    /// Returns the number of firing steps from `anchor` to a firing, including steps
     /// without a firing. It is below 1 if the firing is not later.
-    double count_steps_between(const Anchor& from, const FiredColumn& firing) const {
-        const double by_time = (firing.time_s - from.time_s) / cycle_s();
+    double count_steps_between(const Anchor& anchor, const FiredColumn& firing) const {
+        const double by_time = (firing.time_s - anchor.time_s) / cycle_s();
         if (has_columns()) {
             const double n = format->columns();
-            const double turned = std::fmod(double(column_of(firing) - from.position) + n * 1e6, n);
+            const double turned =
+                std::fmod(double(compute_firing_column(firing) - anchor.position) + n * 1e6, n);
             return turned + n * std::round((by_time - turned) / n);
         }
         if (!options.times_jitter) return std::round(by_time);
-        const double turned_deg = std::remainder(firing.azimuth_deg - from.azimuth_deg, 360.0);
+        const double turned_deg = std::remainder(firing.azimuth_deg - anchor.azimuth_deg, 360.0);
         const double turns = std::round(by_time * step_deg() / 360.0 - turned_deg / 360.0);
         return std::round((turned_deg + 360.0 * turns) / step_deg());
     }
@@ -126,7 +127,7 @@ struct PacketEncoder::Impl {
     /// at the start of each packet. These jumps show where the original packets started,
     /// and the new packets start at the same firings.
     std::int64_t find_first_position(const std::vector<FiredColumn>& firings_of_scan) const {
-        if (has_columns()) return column_of(firings_of_scan.front());
+        if (has_columns()) return compute_firing_column(firings_of_scan.front());
         if (!options.times_jitter) return 1;
         std::vector<int> n_jumps(std::size_t(firings()), 0);
         std::int64_t place = 0;
@@ -144,13 +145,13 @@ struct PacketEncoder::Impl {
     /// Returns the maximum number of consecutive firings that can be missing in a log.
     /// The encoder fills such gaps. They occur because logs contain no firings without
     /// returns at the end of a turn, and because frames can be more than a turn apart.
-    std::int64_t get_longest_gap() const {
+    std::int64_t get_max_filled_gap() const {
         return std::llround((options.times_jitter ? 1.0 : 0.5) * sensor.period_s / cycle_s());
     }
 
     /// Sets the time of a firing on the clock of the sensor. This clock has even steps,
     /// although the receive times of the packets do not.
-    void set_clock(FiredColumn& firing, std::int64_t position) {
+    void set_firing_clock_time(FiredColumn& firing, std::int64_t position) {
         firing.clock_s = firing.time_s;
         if (!options.times_jitter || has_columns()) return;
         const double even_s =
@@ -176,7 +177,7 @@ struct PacketEncoder::Impl {
     /// Adds firings without returns between the last and the next firing. The head is
     /// assumed to rotate evenly between the two. Used only for sensors that fire at any
     /// azimuth.
-    void fill_gap(const FiredColumn& next, std::int64_t position) {
+    void fill_firing_gap(const FiredColumn& next, std::int64_t position) {
         const double turned_deg = std::remainder(next.azimuth_deg - last->azimuth_deg, 360.0);
         const double n = double(position - last->position);
         const double by_rate_deg = n * step_deg();
@@ -186,7 +187,7 @@ struct PacketEncoder::Impl {
             FiredColumn firing{.time_s = last->time_s + share * (next.time_s - last->time_s)};
             firing.azimuth_deg = std::fmod(last->azimuth_deg + share * all_deg + 360.0, 360.0);
             firing.is_filled = true;
-            set_clock(firing, p);
+            set_firing_clock_time(firing, p);
             put(std::move(firing), p);
         }
     }
@@ -195,11 +196,11 @@ struct PacketEncoder::Impl {
         std::int64_t position = last ? last->position + count_steps_to(firing) : start;
         if (last && position == last->position) return;
         if (has_columns()) fired[std::size_t(position % format->columns())] = true;
-        else if (last && position - last->position > get_longest_gap()) {
+        else if (last && position - last->position > get_max_filled_gap()) {
             end_packets();
             position = (packet + 1) * firings() + 1;
-        } else if (last) fill_gap(firing, position);
-        set_clock(firing, position);
+        } else if (last) fill_firing_gap(firing, position);
+        set_firing_clock_time(firing, position);
         last = {position, firing.time_s, firing.azimuth_deg, firing.clock_s - firing.time_s};
         put(std::move(firing), position);
     }

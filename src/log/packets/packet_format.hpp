@@ -115,7 +115,7 @@ public:
     std::size_t find_laser(std::size_t ring) const { return laser_of_[ring]; }
     /// Returns the index of the firing sequence of a block.
     /// @param number  number of the packet
-    std::size_t find_part(std::size_t block, std::uint32_t number) const;
+    std::size_t get_firing_sequence(std::size_t block, std::uint32_t number) const;
     /// Appends all blocks of a packet.
     void append_blocks(std::string& bytes, std::span<const FiredColumn> columns, std::uint32_t number,
                        double range_unit_m) const;

@@ -83,7 +83,7 @@ const DatasetKind& find_kind(const std::string& name) {
                                  fmt::join(list_kind_names(), ", ")));
 }
 
-bool has_marker(const fs::path& path, std::string_view marker) {
+bool has_marker_file(const fs::path& path, std::string_view marker) {
     if (!marker.starts_with('.') && !marker.ends_with('*')) return does_path_exist(path / marker);
     const auto matches = [&](const fs::path& file) {
         return marker.starts_with('.')
@@ -96,10 +96,10 @@ bool has_marker(const fs::path& path, std::string_view marker) {
     return std::any_of(files.begin(), files.end(), matches);
 }
 
-bool is_kind(const fs::path& path, const DatasetKind& kind) {
+bool is_dataset_of_kind(const fs::path& path, const DatasetKind& kind) {
     for (std::string_view left = kind.marker; !left.empty();) {
         const std::size_t end = std::min(left.find(' '), left.size());
-        if (has_marker(path, left.substr(0, end))) return true;
+        if (has_marker_file(path, left.substr(0, end))) return true;
         left.remove_prefix(std::min(end + 1, left.size()));
     }
     return false;
@@ -150,7 +150,7 @@ double find_farthest_return_m(const Sequence& sequence, int lidar) {
 
 /// Sets unknown maximum ranges of LiDARs to the largest range in the log, and adds a note
 /// for the user.
-void find_farthest(Sequence& sequence) {
+void find_farthest_ranges(Sequence& sequence) {
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
         SpinningSensor& sensor = sequence.lidars[l].sensor;
         if (std::isfinite(sensor.max_range_m)) continue;
@@ -215,10 +215,10 @@ void note_outside_range(Sequence& sequence, const std::vector<OutsideRange>& cou
 
 /// Restricts the LiDARs to the range limits that the user requested. Returns outside the
 /// limits become dropped rays.
-void apply_limits(Sequence& sequence, const RangeLimits& wanted) {
-    find_farthest(sequence);
+void drop_outside_requested_limits(Sequence& sequence, const RangeLimits& requested_limits) {
+    find_farthest_ranges(sequence);
     for (Lidar& lidar : sequence.lidars) {
-        const RangeLimits limits = intersect_limits(lidar.sensor.range_limits(), wanted);
+        const RangeLimits limits = intersect_limits(lidar.sensor.range_limits(), requested_limits);
         lidar.sensor.min_range_m = limits.min_m;
         lidar.sensor.max_range_m = limits.max_m;
     }
@@ -260,7 +260,7 @@ void note_missing_intensities(Sequence& sequence) {
 
 /// Keeps only the named LiDARs. Removes the frames of all other LiDARs, and poses that no
 /// frame needs.
-void keep_lidars(Sequence& sequence, const std::vector<std::string>& names) {
+void keep_named_lidars(Sequence& sequence, const std::vector<std::string>& names) {
     std::vector<int> place(sequence.lidars.size(), -1);
     for (const std::string& name : names) place[std::size_t(find_lidar(sequence, name))] = 0;
     std::vector<Lidar> kept;
@@ -302,7 +302,7 @@ std::pair<std::string, fs::path> split_kind_and_path(const std::string& dataset)
 /// @throws UsageError if a drive is requested but the dataset contains only one drive
 const DatasetKind& find_reader(const std::string& dataset, const std::string& sequence) {
     const auto [kind, path] = split_kind_and_path(dataset);
-    const std::string name = kind.empty() ? recognise_dataset(path) : kind;
+    const std::string name = kind.empty() ? detect_dataset_kind(path) : kind;
     const DatasetKind& reader = find_kind(name);
     if (!sequence.empty() && !reader.holds_drives)
         throw UsageError(
@@ -320,13 +320,13 @@ void check_range(const FrameRange& range) {
 
 /// Estimates, for each frame, the start time of the sweep and the deviations of the head
 /// azimuths from even rotation.
-void find_sweeps(Sequence& sequence) {
+void find_sweep_starts(Sequence& sequence) {
     std::vector<RayTable> nominal;
     for (const Lidar& lidar : sequence.lidars)
         nominal.push_back(lidar.pattern ? RayTable{} : make_nominal_rays(lidar, 0.0));
     parallel_for(static_cast<int>(sequence.frames.size()), [&](int index) {
         Frame& frame = sequence.frames[std::size_t(index)];
-        frame.start = find_start(frame.scan.rays, sequence.get_lidar(frame));
+        frame.start = find_sweep_start(frame.scan.rays, sequence.get_lidar(frame));
         frame.azimuth_shift_rad = find_azimuth_shift(frame.scan, sequence.get_lidar(frame).sensor,
                                                      nominal[std::size_t(frame.lidar)]);
     });
@@ -337,18 +337,18 @@ void find_sweeps(Sequence& sequence) {
 bool is_dataset(const fs::path& path) {
     try {
         return std::any_of(std::begin(kKinds), std::end(kKinds),
-                           [&](const DatasetKind& kind) { return is_kind(path, kind); });
+                           [&](const DatasetKind& kind) { return is_dataset_of_kind(path, kind); });
     } catch (const DataError&) {
         return false;  // the path cannot be read
     }
 }
 
-std::string recognise_dataset(const fs::path& path) {
+std::string detect_dataset_kind(const fs::path& path) {
     std::error_code failed;
     if (!fs::is_regular_file(path, failed)) check_folder(path, "a dataset");
     std::string known;
     for (const DatasetKind& kind : kKinds) {
-        if (is_kind(path, kind)) return kind.name;
+        if (is_dataset_of_kind(path, kind)) return kind.name;
         known += fmt::format("{}{} ({})", known.empty() ? "" : ", ", kind.describe, kind.marker);
     }
     check_bare_folder(path);
@@ -357,7 +357,7 @@ std::string recognise_dataset(const fs::path& path) {
     if (const std::string other = describe_other_files(path); !other.empty())
         throw DataError(fmt::format("{} is not a dataset: {}", path.string(), other));
     for (const DatasetKind& kind : kKinds) {
-        const std::string stranger = kitti::describe_stranger(path, kind.marker);
+        const std::string stranger = kitti::describe_unknown_folder(path, kind.marker);
         if (!stranger.empty())
             throw DataError(fmt::format("{} is not a dataset: {}", path.string(), stranger));
     }
@@ -385,11 +385,11 @@ Sequence load_sequence(const std::string& dataset, const DatasetOptions& options
     sequence.rolling_shutter = sequence.rolling_shutter && options.rolling_shutter;
     check_sequence(sequence);
     check_gaps(sequence);
-    if (!options.lidars.empty()) keep_lidars(sequence, options.lidars);
+    if (!options.lidars.empty()) keep_named_lidars(sequence, options.lidars);
     folder::correct_inverse_poses(sequence);
-    find_sweeps(sequence);
-    drop_far_marker(sequence);
-    apply_limits(sequence, {options.min_range_m, options.max_range_m});
+    find_sweep_starts(sequence);
+    drop_max_range_markers(sequence);
+    drop_outside_requested_limits(sequence, {options.min_range_m, options.max_range_m});
     note_missing_intensities(sequence);
     return sequence;
 }

@@ -24,7 +24,9 @@ public:
         for (int level = 0; level < kLevels; ++level) maps_.emplace_back(round(level).cell_m);
     }
     bool empty() const { return maps_.front().empty(); }
-    RegisterRound round(int level) const { return between(first_, last_, level / double(kLevels - 1)); }
+    RegisterRound round(int level) const {
+        return interpolate_rounds(first_, last_, level / double(kLevels - 1));
+    }
     /// Adds points to the maps of all levels.
     /// @param travelled_m distance that the sensor had driven when it measured the points
     void add(const std::vector<glm::dvec3>& points_m, double travelled_m) {
@@ -32,8 +34,8 @@ public:
             for (const glm::dvec3& point_m : points_m) maps_[std::size_t(level)].add(point_m, travelled_m);
         });
     }
-    void forget(double travelled_m) {
-        for (VoxelPlanes& map : maps_) map.forget(travelled_m);
+    void remove_old_cells(double travelled_m) {
+        for (VoxelPlanes& map : maps_) map.remove_old_cells(travelled_m);
     }
     /// Returns the plane at a point from map `level`, or from the next coarser map that
     /// has one. Distant points are sparse and form planes only in large cells. Returns

@@ -82,7 +82,7 @@ public:
             before = found;
         }
         if (places_.size() < kFewestPlaces) return result;
-        spread(result);
+        distribute_corrections(result);
         return result;
     }
 
@@ -115,26 +115,27 @@ private:
         return nearest;
     }
 
-    void make_map(std::size_t about) {
-        if (map_of_ == about) return;
-        map_of_ = about;
+    void build_loop_map(std::size_t centre_key) {
+        if (map_of_ == centre_key) return;
+        map_of_ = centre_key;
         maps_.clear();
         std::vector<glm::dvec3> points_m;
         for (std::size_t key = 0; key < keys_.size(); ++key) {
-            if (std::abs(compute_driven_length_m(key) - compute_driven_length_m(about)) > kMap_m) continue;
+            if (std::abs(compute_driven_length_m(key) - compute_driven_length_m(centre_key)) > kMap_m)
+                continue;
             for (const ThinPoint& point : scans_[keys_[key]])
-                points_m.push_back(place(track_, point).point_m);
+                points_m.push_back(place_point_in_world(track_, point).point_m);
         }
         maps_.add(points_m, 0.0);
     }
 
     /// Returns the points of a scan in the frame of its key pose, each with the position
     /// of the vehicle when it was measured.
-    std::vector<PlacedPoint> points_of(std::size_t key) const {
+    std::vector<PlacedPoint> transform_scan_to_key_pose(std::size_t key) const {
         const Pose pose_from_world = inverse(pose(key));
         std::vector<PlacedPoint> points;
         for (const ThinPoint& point : scans_[keys_[key]]) {
-            const PlacedPoint at = place(track_, point);
+            const PlacedPoint at = place_point_in_world(track_, point);
             points.push_back({pose_from_world * at.point_m, pose_from_world * at.vehicle_m});
         }
         return points;
@@ -154,7 +155,8 @@ private:
 
     /// Tries a grid of start positions around a pose. Returns the one with the most
     /// points on planes of the map. Positions far from the prediction get a penalty.
-    Pose find_best_start(const std::vector<PlacedPoint>& points, const Pose& about, double reach_m) const {
+    Pose find_best_start(const std::vector<PlacedPoint>& points, const Pose& initial_pose,
+                         double reach_m) const {
         std::vector<glm::dvec3> offsets;
         const auto steps = [&](double widest_m) {
             return int(std::ceil(std::min(reach_m, widest_m) / kGrid_m));
@@ -164,7 +166,7 @@ private:
             for (int y = -wide; y <= wide; ++y)
                 for (int z = -high; z <= high; ++z) offsets.emplace_back(x, y, z);
         const auto start_at = [&](std::size_t index) {
-            return Pose{about.rotation, about.translation + kGrid_m * offsets[index]};
+            return Pose{initial_pose.rotation, initial_pose.translation + kGrid_m * offsets[index]};
         };
         std::vector<double> scores(offsets.size());
         parallel_for(static_cast<int>(offsets.size()), [&](int index) {
@@ -176,7 +178,8 @@ private:
 
     /// Moves a scan by one Gauss-Newton step towards the planes of the map.
     /// @return length of the step
-    double step(const std::vector<PlacedPoint>& points, Pose& pose, int level, double& share) const {
+    double align_scan_step(const std::vector<PlacedPoint>& points, Pose& pose, int level,
+                           double& share) const {
         const double scale_m = maps_.round(level).scale_m;
         const RigidEquations equations =
             parallel_reduce(points.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
@@ -184,48 +187,52 @@ private:
                 for (const PlacedPoint& point : std::span(points).subspan(begin, end - begin)) {
                     const glm::dvec3 p = pose * point.point_m;
                     if (const Plane* plane = maps_.find_finest_plane(p, level))
-                        part.add(row_of({p, pose.translation}, *plane, scale_m));
+                        part.add(make_plane_residual_row({p, pose.translation}, *plane, scale_m));
                 }
                 return part;
             });
-        share = double(equations.n_on_planes()) / double(points.size());
+        share = double(equations.count_points_on_planes()) / double(points.size());
         if (equations.empty()) return 0.0;
         const Twist x = equations.solve(kLoopPrior);
-        pose = moved(pose, x);
+        pose = apply_twist(pose, x);
         return compute_length_m(x);
     }
 
-    double settle(const std::vector<PlacedPoint>& points, Pose& pose) const {
+    double refine_loop_pose(const std::vector<PlacedPoint>& points, Pose& pose) const {
         double share = 0.0;
         for (int level = 0; level < LevelMaps::kLevels; ++level)
-            for (int i = 0; i < kMostLoopSteps && step(points, pose, level, share) > kLoopStep_m; ++i) {}
+            for (int i = 0; i < kMostLoopSteps && align_scan_step(points, pose, level, share) > kLoopStep_m;
+                 ++i) {}
         return share;
     }
 
-    std::optional<LoopClosure> find(std::size_t earlier, std::size_t later,
-                                    const std::optional<LoopClosure>& before) {
-        make_map(earlier);
-        const std::vector<PlacedPoint> points = points_of(later);
+    std::optional<LoopClosure> find(std::size_t earlier, std::size_t later_key,
+                                    const std::optional<LoopClosure>& previous_closure) {
+        build_loop_map(earlier);
+        const std::vector<PlacedPoint> points = transform_scan_to_key_pose(later_key);
         const double reach_m =
-            1.0 + kNearShare * (compute_driven_length_m(later) - compute_driven_length_m(earlier));
-        Pose at = before ? move_with_pose(before->off, pose(before->later), pose(later))
-                         : find_best_start(points, pose(later), reach_m);
-        double share = settle(points, at);
+            1.0 + kNearShare * (compute_driven_length_m(later_key) - compute_driven_length_m(earlier));
+        Pose at = previous_closure
+                      ? apply_correction_to_other_pose(previous_closure->off, pose(previous_closure->later),
+                                                       pose(later_key))
+                      : find_best_start(points, pose(later_key), reach_m);
+        double share = refine_loop_pose(points, at);
         // If the start value from the previous loop closure fails, tries the grid of
         // start positions.
-        if (before && share < kLeastShare) {
-            at = find_best_start(points, pose(later), reach_m);
-            share = settle(points, at);
+        if (previous_closure && share < kLeastShare) {
+            at = find_best_start(points, pose(later_key), reach_m);
+            share = refine_loop_pose(points, at);
         }
         if (share < kLeastShare) return std::nullopt;
-        return LoopClosure{earlier, later, compute_twist(pose(later), at)};
+        return LoopClosure{earlier, later_key, compute_twist(pose(later_key), at)};
     }
 
     /// Applies the motion that corrects `pose` to another pose. Both poses move together
     /// like a rigid body.
-    static Pose move_with_pose(const Twist& correction, const Pose& pose, const Pose& other) {
-        const Pose world_from_world = moved(pose, correction) * inverse(pose);
-        return world_from_world * other;
+    static Pose apply_correction_to_other_pose(const Twist& correction, const Pose& pose,
+                                               const Pose& other_pose) {
+        const Pose world_from_world = apply_twist(pose, correction) * inverse(pose);
+        return world_from_world * other_pose;
     }
 
     /// Least-squares equations for the corrections x of all key poses. add() adds a term
@@ -234,11 +241,11 @@ private:
         std::vector<Eigen::Triplet<double>> h;
         Eigen::VectorXd g;
 
-        void add(std::size_t first, std::size_t second, const glm::dvec3& from_a_to_b, const Twist& off,
-                 const Vector6& weight) {
+        void add(std::size_t first, std::size_t second, const glm::dvec3& from_a_to_b,
+                 const Twist& difference, const Vector6& weight) {
             const Matrix6 ja = -make_motion_matrix(from_a_to_b);
             const Matrix6 jb = Matrix6::Identity();
-            const Vector6 target = Eigen::Map<const Vector6>(off.data());
+            const Vector6 target = Eigen::Map<const Vector6>(difference.data());
             const auto block = [&](std::size_t index, std::size_t j, const Matrix6& matrix) {
                 for (int r = 0; r < 6; ++r)
                     for (int c = 0; c < 6; ++c)
@@ -255,7 +262,7 @@ private:
         }
     };
 
-    static Vector6 weights(double metres, double radians, double factor) {
+    static Vector6 make_prior_weights(double metres, double radians, double factor) {
         Vector6 w;
         w << Eigen::Vector3d::Constant(factor / (metres * metres)),
             Eigen::Vector3d::Constant(factor / (radians * radians));
@@ -269,13 +276,14 @@ private:
             return pose(second).translation - pose(first).translation;
         };
         for (std::size_t k = 0; k + 1 < n; ++k)
-            equations.add(k, k + 1, between_keys(k, k + 1), Twist{},
-                          weights(kWay_m, kWay_rad,
-                                  kKey_m / (compute_driven_length_m(k + 1) - compute_driven_length_m(k))));
+            equations.add(
+                k, k + 1, between_keys(k, k + 1), Twist{},
+                make_prior_weights(kWay_m, kWay_rad,
+                                   kKey_m / (compute_driven_length_m(k + 1) - compute_driven_length_m(k))));
         for (std::size_t i = 0; i < places_.size(); ++i)
             equations.add(places_[i].earlier, places_[i].later,
                           between_keys(places_[i].earlier, places_[i].later), places_[i].off,
-                          weights(kPlace_m, kPlace_rad, believed[i]));
+                          make_prior_weights(kPlace_m, kPlace_rad, believed[i]));
         for (int i = 0; i < 6; ++i) equations.h.emplace_back(i, i, 1e9);  // fixes the first pose
         Eigen::SparseMatrix<double> h(6 * Eigen::Index(n), 6 * Eigen::Index(n));
         h.setFromTriplets(equations.h.begin(), equations.h.end());
@@ -297,7 +305,7 @@ private:
         return (moves.head<3>() - Eigen::Vector3d(place.off[0], place.off[1], place.off[2])).norm();
     }
 
-    void spread(ClosedLoops& result) const {
+    void distribute_corrections(ClosedLoops& result) const {
         std::vector<double> believed(places_.size(), 1.0);
         Eigen::VectorXd x;
         for (int i = 0; i < kReweighted; ++i) {
@@ -321,7 +329,7 @@ private:
                                  ? glm::clamp((way_m_[k] - compute_driven_length_m(key)) / length, 0.0, 1.0)
                                  : 0.0;
             const Vector6 c = (1.0 - s) * move_with_key_pose(k, key, x) + s * move_with_key_pose(k, next, x);
-            result.track.pose[k] = moved(track_.pose[k], {c[0], c[1], c[2], c[3], c[4], c[5]});
+            result.track.pose[k] = apply_twist(track_.pose[k], {c[0], c[1], c[2], c[3], c[4], c[5]});
         }
     }
 };

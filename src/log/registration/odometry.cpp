@@ -86,7 +86,7 @@ public:
 
     /// Estimates a pose and adds its scan to the map. Must be called for each pose in
     /// order.
-    void follow(std::size_t pose, const std::vector<ThinPoint>& scan) {
+    void estimate_next_pose(std::size_t pose, const std::vector<ThinPoint>& scan) {
         const std::vector<Pose> starts =
             pose == begin_ ? std::vector<Pose>{track_.pose[pose]} : list_predictions(pose);
         Candidate best{starts.front(), 0.0};
@@ -95,7 +95,7 @@ public:
             if (candidate.share > best.share) best = candidate;
         }
         const bool is_lost = !scan.empty() && !maps_.empty() && best.share < kFewestShare;
-        set(pose, is_lost ? starts.front() : best.pose);
+        set_pose(pose, is_lost ? starts.front() : best.pose);
         if (pose > begin_)
             travelled_m_ += glm::distance(track_.pose[pose].translation, track_.pose[pose - 1].translation);
         if (scan.empty()) return;
@@ -126,12 +126,13 @@ private:
 
     void add_to_maps(const std::vector<ThinPoint>& scan) {
         std::vector<glm::dvec3> points_m(scan.size());
-        for_each_block(scan.size(),
-                       [&](std::size_t index) { points_m[index] = place(track_, scan[index]).point_m; });
+        for_each_block(scan.size(), [&](std::size_t index) {
+            points_m[index] = place_point_in_world(track_, scan[index]).point_m;
+        });
         maps_.add(points_m, travelled_m_);
         if (travelled_m_ - kMemory_m < forgotten_m_ + kForgotten_m) return;
         forgotten_m_ = travelled_m_ - kMemory_m;
-        maps_.forget(forgotten_m_);
+        maps_.remove_old_cells(forgotten_m_);
     }
 
     /// Predicts the motion from pose index - 1 to pose `index` by constant velocity, from
@@ -158,7 +159,7 @@ private:
     }
 
     /// Sets pose `index`, and pose index + 1 to its prediction.
-    void set(std::size_t index, const Pose& pose) {
+    void set_pose(std::size_t index, const Pose& pose) {
         track_.pose[index] = pose;
         if (index + 1 < track_.pose.size())
             track_.pose[index + 1] = pose * (options_.use_pose_motion ? predict_pose_file_motion(index + 1)
@@ -168,12 +169,13 @@ private:
     /// Aligns a scan with the maps, from coarse to fine.
     /// @return the aligned pose, and the share of the scan's points that lie on planes
     Candidate align_scan(std::size_t index, const Pose& start, const std::vector<ThinPoint>& scan) {
-        set(index, start);
+        set_pose(index, start);
         if (maps_.empty() || scan.empty()) return {start, 0.0};
         double share = 0.0;
         for (int level = 0; level < LevelMaps::kLevels; ++level) {
             const double scale_m = maps_.round(level).scale_m;
-            for (int i = 0; i < kMostSteps && step(index, start, scan, level, scale_m, share) > kConverged_m;
+            for (int i = 0;
+                 i < kMostSteps && align_scan_step(index, start, scan, level, scale_m, share) > kConverged_m;
                  ++i) {}
         }
         return {track_.pose[index], share};
@@ -181,23 +183,23 @@ private:
 
     /// Moves pose `index` by one Gauss-Newton step.
     /// @return length of the step
-    double step(std::size_t index, const Pose& start, const std::vector<ThinPoint>& scan, int level,
-                double scale_m, double& share) {
+    double align_scan_step(std::size_t index, const Pose& start, const std::vector<ThinPoint>& scan,
+                           int level, double scale_m, double& share) {
         const RigidEquations equations =
             parallel_reduce(scan.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
                 RigidEquations part;
                 for (const ThinPoint& point : std::span(scan).subspan(begin, end - begin)) {
-                    const PlacedPoint at = place(track_, point);
+                    const PlacedPoint at = place_point_in_world(track_, point);
                     const double moves_along = point.left + 1 == index ? double(point.s) : 1.0;
                     if (const Plane* plane = maps_.find_finest_plane(at.point_m, level))
-                        part.add(row_of(at, *plane, scale_m), moves_along);
+                        part.add(make_plane_residual_row(at, *plane, scale_m), moves_along);
                 }
                 return part;
             });
-        share = double(equations.n_on_planes()) / double(scan.size());
+        share = double(equations.count_points_on_planes()) / double(scan.size());
         if (equations.empty()) return 0.0;
         const Twist x = equations.solve(kPrior, compute_twist(start, track_.pose[index]));
-        set(index, moved(track_.pose[index], x));
+        set_pose(index, apply_twist(track_.pose[index], x));
         return compute_length_m(x);
     }
 };
@@ -214,7 +216,7 @@ Pose find_first_motion(const PoseTrack& initial_track, const std::vector<std::ve
         Follower follower(initial_track, options, stretch.begin, motion);
         int n = 0;
         for (std::size_t k = stretch.begin; k < stretch.end && n < kTrialScans; n += !scans[k++].empty())
-            follower.follow(k, scans[k]);
+            follower.estimate_next_pose(k, scans[k]);
         if (follower.share() <= best_share) continue;
         best_share = follower.share();
         best = motion;
@@ -225,17 +227,17 @@ Pose find_first_motion(const PoseTrack& initial_track, const std::vector<std::ve
 /// Estimates the poses of a section. The first pose stays unchanged.
 /// @param proceed called before each scan
 /// @return poses of the section; empty if proceed() returned false
-std::vector<Pose> follow_stretch(const PoseTrack& initial_track,
-                                 const std::vector<std::vector<ThinPoint>>& scans,
-                                 const OdometryOptions& options, const Stretch& stretch,
-                                 const std::function<bool()>& proceed) {
+std::vector<Pose> estimate_stretch_poses(const PoseTrack& initial_track,
+                                         const std::vector<std::vector<ThinPoint>>& scans,
+                                         const OdometryOptions& options, const Stretch& stretch,
+                                         const std::function<bool()>& proceed) {
     Follower follower(initial_track, options, stretch.begin,
                       options.use_pose_motion
                           ? std::nullopt
                           : std::optional(find_first_motion(initial_track, scans, options, stretch)));
     for (std::size_t k = stretch.begin; k < stretch.end; ++k) {
         if (!proceed()) return {};
-        follower.follow(k, scans[k]);
+        follower.estimate_next_pose(k, scans[k]);
     }
     const auto first = follower.track().pose.begin();
     return {first + std::ptrdiff_t(stretch.begin), first + std::ptrdiff_t(stretch.end)};
@@ -281,8 +283,8 @@ PoseTrack estimate_poses(const PoseTrack& initial_track, const std::vector<std::
     };
     std::vector<std::vector<Pose>> parts(share.end - share.begin);
     parallel_for(static_cast<int>(parts.size()), [&](int index) {
-        parts[std::size_t(index)] = follow_stretch(initial_track, scans, options,
-                                                   stretches[share.begin + std::size_t(index)], proceed);
+        parts[std::size_t(index)] = estimate_stretch_poses(
+            initial_track, scans, options, stretches[share.begin + std::size_t(index)], proceed);
     });
     if (ended) return initial_track;
     std::vector<Pose> own;

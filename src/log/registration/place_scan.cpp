@@ -68,16 +68,17 @@ ScanPlacement place_scan(const Sequence& sequence, std::size_t pose, const Scene
                 for (std::size_t k = begin; k < end; ++k) {
                     const ThinPoint& point = f.points[k];
                     if (seen[k].normal == glm::dvec3(0.0)) continue;
-                    part.add(row_of(place(track, point), {seen[k].point_m, seen[k].normal}, kScale_m),
+                    part.add(make_plane_residual_row(place_point_in_world(track, point),
+                                                     {seen[k].point_m, seen[k].normal}, kScale_m),
                              get_pose_share(point, pose));
                 }
                 return part;
             });
         }
-        result.on_surfaces = double(equations.n_on_planes()) / double(n);
+        result.on_surfaces = double(equations.count_points_on_planes()) / double(n);
         if (equations.empty()) return result;
         const Twist step = equations.solve(kPlacePrior, compute_twist(before, track.pose[pose]));
-        track.pose[pose] = moved(track.pose[pose], step);
+        track.pose[pose] = apply_twist(track.pose[pose], step);
         step_m = compute_length_m(step);
     }
     const double moved_m = glm::distance(before.translation, track.pose[pose].translation);

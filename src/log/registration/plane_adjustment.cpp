@@ -36,10 +36,11 @@ void run_in_chunks(std::size_t count, const Task& task) {
     });
 }
 
-std::vector<PlacedPoint> place_all(const PoseTrack& track, const std::vector<ThinPoint>& points) {
+std::vector<PlacedPoint> transform_points_to_world(const PoseTrack& track,
+                                                   const std::vector<ThinPoint>& points) {
     std::vector<PlacedPoint> placed(points.size());
     run_in_chunks(points.size(), [&](std::size_t begin, std::size_t end, std::size_t) {
-        for (std::size_t i = begin; i < end; ++i) placed[i] = place(track, points[i]);
+        for (std::size_t i = begin; i < end; ++i) placed[i] = place_point_in_world(track, points[i]);
     });
     return placed;
 }
@@ -50,10 +51,10 @@ Twist extract_twist(const Eigen::VectorXd& step, std::size_t pose) {
     return twist;
 }
 
-Eigen::VectorXd compute_pose_differences(const PoseTrack& from, const PoseTrack& to) {
-    Eigen::VectorXd result(6 * Eigen::Index(from.pose.size()));
-    for (std::size_t k = 0; k < from.pose.size(); ++k) {
-        const Twist twist = compute_twist(from.pose[k], to.pose[k]);
+Eigen::VectorXd compute_pose_differences(const PoseTrack& first, const PoseTrack& second) {
+    Eigen::VectorXd result(6 * Eigen::Index(first.pose.size()));
+    for (std::size_t k = 0; k < first.pose.size(); ++k) {
+        const Twist twist = compute_twist(first.pose[k], second.pose[k]);
         for (std::size_t i = 0; i < 6; ++i) result[Eigen::Index(6 * k + i)] = twist[i];
     }
     return result;
@@ -93,26 +94,27 @@ std::vector<RegisterRound> PlaneAdjustment::run(const RegisterRound& first, cons
     constexpr int kRounds = kShrinking + kLastRounds;
     std::vector<RegisterRound> rounds;
     for (int i = 0; i < kRounds && proceed(i / double(kRounds)); ++i)
-        rounds.push_back(step(between(first, last, std::min(1.0, i / double(kShrinking - 1))), kShift * i));
+        rounds.push_back(
+            step(interpolate_rounds(first, last, std::min(1.0, i / double(kShrinking - 1))), kShift * i));
     return rounds;
 }
 
 PlaneMap PlaneAdjustment::planes(const RegisterRound& round) const {
-    const std::vector<PlacedPoint> placed = place_all(track_, points_);
+    const std::vector<PlacedPoint> placed = transform_points_to_world(track_, points_);
     PlaneMap map{PlaneCells(placed, round.cell_m, 0.0), {}};
     map.planes = fit_planes(map.cells, points_, placed, round);
     return map;
 }
 
 RegisterRound PlaneAdjustment::step(RegisterRound round, double shift) {
-    const std::vector<PlacedPoint> placed = place_all(track_, points_);
+    const std::vector<PlacedPoint> placed = transform_points_to_world(track_, points_);
     const PlaneCells cells(placed, round.cell_m, shift);
     const std::vector<std::optional<Plane>> planes = fit_planes(cells, points_, placed, round);
     std::vector<PoseEquations> parts(kChunks, PoseEquations(track_.pose.size()));
     run_in_chunks(cells.size(), [&](std::size_t begin, std::size_t end, std::size_t chunk) {
         for (std::size_t c = begin; c < end; ++c)
             if (planes[c])
-                parts[chunk].add_cell(points_, placed, cells.members(c), *planes[c], round.scale_m);
+                parts[chunk].add_cell_residuals(points_, placed, cells.members(c), *planes[c], round.scale_m);
     });
     for (std::size_t c = 1; c < kChunks; ++c) parts[0].add(std::move(parts[c]));
     if (prior_) add_prior(parts[0]);
@@ -120,7 +122,7 @@ RegisterRound PlaneAdjustment::step(RegisterRound round, double shift) {
     const Eigen::VectorXd step =
         parts[0].solve(track_, compute_pose_differences(start_, track_), kAdjustmentPrior);
     for (std::size_t k = 0; k < track_.pose.size(); ++k)
-        track_.pose[k] = moved(track_.pose[k], extract_twist(step, k));
+        track_.pose[k] = apply_twist(track_.pose[k], extract_twist(step, k));
     remove_common_motion();
     round.planes = parts[0].n_planes();
     round.residual_m = parts[0].residual_m();
@@ -137,10 +139,10 @@ void PlaneAdjustment::add_prior(PoseEquations& equations) const {
         return correction.segment<6>(6 * Eigen::Index(index));
     };
     for (std::size_t k = 0; k < track_.pose.size(); ++k) {
-        equations.add_pull(k, prior_->pull, of_pose(k));
+        equations.add_zero_correction_prior(k, prior_->pull, of_pose(k));
         if (k + 1 == track_.pose.size()) break;
         const double share = kLinkTime_s / (track_.time_s[k + 1] - track_.time_s[k]);
-        equations.add_link(k, share * prior_->link, of_pose(k + 1) - of_pose(k));
+        equations.add_neighbour_pose_prior(k, share * prior_->link, of_pose(k + 1) - of_pose(k));
     }
 }
 
@@ -157,19 +159,19 @@ void PlaneAdjustment::remove_common_motion() {
             v += glm::dvec3(c[0], c[1], c[2]) / n;
             w += glm::dvec3(c[3], c[4], c[5]) / n;
         }
-        const glm::dquat turn = moved(Pose{}, {0, 0, 0, -w.x, -w.y, -w.z}).rotation;
+        const glm::dquat turn = apply_twist(Pose{}, {0, 0, 0, -w.x, -w.y, -w.z}).rotation;
         for (Pose& pose : track_.pose)
             pose = {glm::normalize(turn * pose.rotation), centre + turn * (pose.translation - v - centre)};
     }
 }
 
 std::pair<std::size_t, std::size_t> PlaneAdjustment::find_neighbour_poses(std::size_t pose,
-                                                                          const std::vector<bool>& among) {
+                                                                          const std::vector<bool>& selected) {
     std::size_t before = pose, after = pose;
     for (std::size_t k = pose; k-- > 0 && before == pose;)
-        if (among[k]) before = k;
-    for (std::size_t k = pose + 1; k < among.size() && after == pose; ++k)
-        if (among[k]) after = k;
+        if (selected[k]) before = k;
+    for (std::size_t k = pose + 1; k < selected.size() && after == pose; ++k)
+        if (selected[k]) after = k;
     return {before, after};
 }
 
@@ -189,7 +191,7 @@ void PlaneAdjustment::interpolate_corrections(const std::vector<bool>& is_known)
         const double s = before == after ? 0.0 : compute_time_fraction(before, k, after);
         Twist twist = extract_twist(known, before);
         for (std::size_t i = 0; i < 6; ++i) twist[i] += s * (extract_twist(known, after)[i] - twist[i]);
-        track_.pose[k] = moved(start_.pose[k], twist);
+        track_.pose[k] = apply_twist(start_.pose[k], twist);
     }
 }
 
@@ -197,9 +199,9 @@ double PlaneAdjustment::compute_fraction_on_planes(const PlaneMap& map, std::spa
                                                    double scale_m) const {
     std::size_t n_placed = 0;
     for (const ThinPoint& point : points) {
-        const PlacedPoint placed = place(track_, point);
+        const PlacedPoint placed = place_point_in_world(track_, point);
         const Plane* plane = map.at(placed.point_m);
-        n_placed += plane && row_of(placed, *plane, scale_m).is_on_plane();
+        n_placed += plane && make_plane_residual_row(placed, *plane, scale_m).is_on_plane();
     }
     return points.empty() ? 0.0 : double(n_placed) / double(points.size());
 }
@@ -208,8 +210,8 @@ bool PlaneAdjustment::is_placed(double share, std::size_t n_points) {
     return share >= kFewestOnPlanes && share * double(n_points) >= double(kFewestPlaced);
 }
 
-double PlaneAdjustment::compute_deviation_m(std::size_t pose, const std::vector<bool>& among) const {
-    const auto [before, after] = find_neighbour_poses(pose, among);
+double PlaneAdjustment::compute_deviation_m(std::size_t pose, const std::vector<bool>& selected) const {
+    const auto [before, after] = find_neighbour_poses(pose, selected);
     if (before == pose || after == pose) return 0.0;
     const auto correction = [&](std::size_t index) {
         return track_.pose[index].translation - given_.pose[index].translation;
@@ -224,9 +226,9 @@ double PlaneAdjustment::compute_deviation_m(std::size_t pose, const std::vector<
     return least;
 }
 
-std::vector<std::size_t> PlaneAdjustment::replace_lost(const PlaneMap& map,
-                                                       const std::vector<bool>& candidates, double scale_m,
-                                                       double largest_m) {
+std::vector<std::size_t> PlaneAdjustment::replace_lost_poses(const PlaneMap& map,
+                                                             const std::vector<bool>& candidates,
+                                                             double scale_m, double largest_m) {
     std::vector<std::span<const ThinPoint>> scans(candidates.size());
     for (std::size_t k = 0, begin = 0, end = 0; k < scans.size(); ++k, begin = end) {
         while (end < points_.size() && points_[end].pose == k) ++end;
@@ -249,19 +251,20 @@ std::vector<std::size_t> PlaneAdjustment::replace_lost(const PlaneMap& map,
     return lost;
 }
 
-void PlaneAdjustment::place_pose(const PlaneMap& map, std::size_t pose, const std::vector<ThinPoint>& points,
-                                 double scale_m) {
+void PlaneAdjustment::align_pose_to_planes(const PlaneMap& map, std::size_t pose,
+                                           const std::vector<ThinPoint>& points, double scale_m) {
     const RigidEquations equations =
         parallel_reduce(points.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
             RigidEquations part;
             for (const ThinPoint& point : std::span(points).subspan(begin, end - begin)) {
-                const PlacedPoint placed = place(track_, point);
+                const PlacedPoint placed = place_point_in_world(track_, point);
                 if (const Plane* plane = map.at(placed.point_m))
-                    part.add(row_of(placed, *plane, scale_m), get_pose_share(point, pose));
+                    part.add(make_plane_residual_row(placed, *plane, scale_m), get_pose_share(point, pose));
             }
             return part;
         });
-    if (!equations.empty()) track_.pose[pose] = moved(track_.pose[pose], equations.solve(kAdjustmentPrior));
+    if (!equations.empty())
+        track_.pose[pose] = apply_twist(track_.pose[pose], equations.solve(kAdjustmentPrior));
 }
 
 }  // namespace relidar

@@ -33,11 +33,11 @@ struct CorrectionPrior {
 class PlaneAdjustment {
 public:
     /// Prepares the optimisation of a track.
-    /// @param given poses that the corrections refer to
+    /// @param initial_track poses that the corrections refer to
     /// @param start initial poses, accurate enough for the cells of the first round
     /// @param points points of all sweeps, sweep by sweep
     /// @param gauge [poses] true for poses whose mean correction is kept at zero
-    PlaneAdjustment(const PoseTrack& given, const PoseTrack& start, std::vector<ThinPoint> points,
+    PlaneAdjustment(const PoseTrack& initial_track, const PoseTrack& start, std::vector<ThinPoint> points,
                     std::vector<bool> gauge);
 
     /// Runs rounds in which the cell size and the scale of the robust kernel decrease
@@ -57,12 +57,12 @@ public:
     /// interpolated too.
     /// @param candidates [poses] poses that have points
     /// @return indices of the replaced candidates
-    std::vector<std::size_t> replace_lost(const PlaneMap& map, const std::vector<bool>& candidates,
-                                          double scale_m, double largest_m);
+    std::vector<std::size_t> replace_lost_poses(const PlaneMap& map, const std::vector<bool>& candidates,
+                                                double scale_m, double largest_m);
     /// Moves one pose by a Gauss-Newton step that moves its points towards fixed planes.
     /// All other poses stay unchanged.
-    void place_pose(const PlaneMap& map, std::size_t pose, const std::vector<ThinPoint>& points,
-                    double scale_m);
+    void align_pose_to_planes(const PlaneMap& map, std::size_t pose, const std::vector<ThinPoint>& points,
+                              double scale_m);
     /// Returns true if enough points of a scan lie on planes to determine its pose.
     /// @param share share of the points that lie on planes
     static bool is_placed(double share, std::size_t n_points);
@@ -72,8 +72,8 @@ public:
     /// Returns the distance in metres between the corrections of a pose and of its
     /// neighbours: the minimum over the earlier neighbour, the later one, and their
     /// interpolation. Returns 0 at an end of the track.
-    /// @param among [poses] poses that count as neighbours
-    double compute_deviation_m(std::size_t pose, const std::vector<bool>& among) const;
+    /// @param selected [poses] poses that count as neighbours
+    double compute_deviation_m(std::size_t pose, const std::vector<bool>& selected) const;
     void set_pose(std::size_t pose, const Pose& value) { track_.pose[pose] = value; }
 
 private:
@@ -86,10 +86,10 @@ private:
     void add_prior(PoseEquations& equations) const;
     void remove_common_motion();
     void interpolate_corrections(const std::vector<bool>& is_known);
-    /// Returns the nearest earlier and the nearest later pose that `among` marks. If one
+    /// Returns the nearest earlier and the nearest later pose that `selected` marks. If one
     /// side has none, returns `pose` for this side.
     static std::pair<std::size_t, std::size_t> find_neighbour_poses(std::size_t pose,
-                                                                    const std::vector<bool>& among);
+                                                                    const std::vector<bool>& selected);
     double compute_time_fraction(std::size_t before, std::size_t pose, std::size_t after) const;
 };
 

@@ -16,9 +16,10 @@ namespace relidar {
 
 /// Interpolates cell size and robust-kernel scale geometrically between two rounds: t = 0
 /// gives `first`, t = 1 gives `last`.
-inline RegisterRound between(const RegisterRound& first, const RegisterRound& last, double t) {
-    return {first.cell_m * std::pow(last.cell_m / first.cell_m, t),
-            first.scale_m * std::pow(last.scale_m / first.scale_m, t)};
+inline RegisterRound interpolate_rounds(const RegisterRound& first, const RegisterRound& last,
+                                        double fraction) {
+    return {first.cell_m * std::pow(last.cell_m / first.cell_m, fraction),
+            first.scale_m * std::pow(last.scale_m / first.scale_m, fraction)};
 }
 
 /// Plane n . (p - point) = 0, with two directions u and v in the plane.

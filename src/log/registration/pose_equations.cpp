@@ -42,7 +42,7 @@ Eigen::Vector3d make_row_of_plane(const PlacedPoint& point, const Plane& plane) 
 
 }  // namespace
 
-Row row_of(const PlacedPoint& point, const Plane& plane, double scale_m) {
+Row make_plane_residual_row(const PlacedPoint& point, const Plane& plane, double scale_m) {
     Row row;
     row.residual_m = glm::dot(plane.normal, point.point_m - plane.point_m);
     row.weight = compute_weight(row.residual_m, scale_m);
@@ -107,8 +107,10 @@ void PoseEquations::add_point(const ThinPoint& point, const Row& row) {
     weight_ += row.weight;
 }
 
-void PoseEquations::add_cell(const std::vector<ThinPoint>& points, const std::vector<PlacedPoint>& placed,
-                             std::span<const std::uint32_t> members, const Plane& plane, double scale_m) {
+void PoseEquations::add_cell_residuals(const std::vector<ThinPoint>& points,
+                                       const std::vector<PlacedPoint>& placed,
+                                       std::span<const std::uint32_t> members, const Plane& plane,
+                                       double scale_m) {
     const std::size_t begin = couplings_.size();
     // Searches from the end, because points are almost sorted by pose.
     const auto coupling = [&](std::size_t pose) -> Coupling& {
@@ -122,7 +124,7 @@ void PoseEquations::add_cell(const std::vector<ThinPoint>& points, const std::ve
     Eigen::Matrix3d stiffness = Eigen::Matrix3d::Zero();
     Eigen::Vector3d pull = Eigen::Vector3d::Zero();
     for (const std::uint32_t i : members) {
-        const Row row = row_of(placed[i], plane, scale_m);
+        const Row row = make_plane_residual_row(placed[i], plane, scale_m);
         const Eigen::Vector3d b = make_row_of_plane(placed[i], plane);
         stiffness += row.weight * b * b.transpose();
         pull += row.weight * row.residual_m * b;
@@ -133,7 +135,7 @@ void PoseEquations::add_cell(const std::vector<ThinPoint>& points, const std::ve
         return root.matrixL().solve(b);
     };
     for (const std::uint32_t i : members) {
-        const Row row = row_of(placed[i], plane, scale_m);
+        const Row row = make_plane_residual_row(placed[i], plane, scale_m);
         add_point(points[i], row);
         const Eigen::Vector3d b = whitened(make_row_of_plane(placed[i], plane));
         for (const auto& [pose, share] : list_pose_shares(points[i]))
@@ -160,12 +162,14 @@ void PoseEquations::add(PoseEquations&& other) {
     other = PoseEquations(0);  // frees the memory of `other`
 }
 
-void PoseEquations::add_pull(std::size_t pose, const Vector6& stiffness, const Vector6& correction) {
+void PoseEquations::add_zero_correction_prior(std::size_t pose, const Vector6& stiffness,
+                                              const Vector6& correction) {
     diagonal_[pose].diagonal() += stiffness;
     gradient_.segment<6>(6 * Eigen::Index(pose)) += stiffness.cwiseProduct(correction);
 }
 
-void PoseEquations::add_link(std::size_t pose, const Vector6& stiffness, const Vector6& difference) {
+void PoseEquations::add_neighbour_pose_prior(std::size_t pose, const Vector6& stiffness,
+                                             const Vector6& difference) {
     diagonal_[pose].diagonal() += stiffness;
     diagonal_[pose + 1].diagonal() += stiffness;
     next_[pose].diagonal() -= stiffness;

@@ -30,7 +30,7 @@ struct Row {
     Vector6 j;
     bool is_on_plane() const { return weight > 0.25; }
 };
-Row row_of(const PlacedPoint& point, const Plane& plane, double scale_m);
+Row make_plane_residual_row(const PlacedPoint& point, const Plane& plane, double scale_m);
 
 /// Gauss-Newton equations for one pose, while planes and other poses are fixed. Also
 /// counts the points that lie on planes.
@@ -41,7 +41,7 @@ public:
     void add(const Row& row, double share = 1.0);
     RigidEquations& operator+=(const RigidEquations& other);
     bool empty() const { return !(stiffness_.trace() > 0.0); }
-    std::size_t n_on_planes() const { return n_on_planes_; }
+    std::size_t count_points_on_planes() const { return n_on_planes_; }
     /// Solves the equations for the next step of the pose.
     /// @param prior weight that pulls the correction to zero, relative to the mean
     /// weights of translations and of rotations. It matters only in directions that no
@@ -73,14 +73,14 @@ public:
     void add_point(const ThinPoint& point, const Row& row);
     /// Adds the residuals of all points in a cell, and eliminates the unknowns of the
     /// cell's plane (Schur complement).
-    void add_cell(const std::vector<ThinPoint>& points, const std::vector<PlacedPoint>& placed,
-                  std::span<const std::uint32_t> members, const Plane& plane, double scale_m);
+    void add_cell_residuals(const std::vector<ThinPoint>& points, const std::vector<PlacedPoint>& placed,
+                            std::span<const std::uint32_t> members, const Plane& plane, double scale_m);
     void add(PoseEquations&& other);
     /// Adds a prior that pulls the correction of one pose to zero.
-    void add_pull(std::size_t pose, const Vector6& stiffness, const Vector6& correction);
+    void add_zero_correction_prior(std::size_t pose, const Vector6& stiffness, const Vector6& correction);
     /// Adds a prior that makes the corrections of `pose` and `pose + 1` similar.
     /// @param difference  correction of `pose + 1` minus correction of `pose`
-    void add_link(std::size_t pose, const Vector6& stiffness, const Vector6& difference);
+    void add_neighbour_pose_prior(std::size_t pose, const Vector6& stiffness, const Vector6& difference);
 
     /// Solves for the step of all poses, [n_poses,6], by conjugate gradients. The
     /// preconditioner consists of the diagonal blocks and a direct solution for rigid

@@ -60,7 +60,7 @@ std::vector<ActorPoints> collect_points(const Sequence& sequence, const std::vec
         of_frame[std::size_t(index)].resize(boxes.size());
         std::vector<std::size_t> present;
         for (std::size_t b = 0; b < boxes.size(); ++b)
-            if (boxes[b]->present(frame.time_s)) present.push_back(b);
+            if (boxes[b]->is_present(frame.time_s)) present.push_back(b);
         for (std::size_t ray = 0; ray < frame.scan.range_m.size() && !present.empty(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f)) continue;
             const WorldReturn measured = compute_world_return(sequence, frame, ray);
@@ -116,7 +116,7 @@ std::optional<Pose> interpolate_pose(const PoseTrack& track, const std::vector<b
     const Eigen::MatrixXd fit = powers.colPivHouseholderQr().solve(twists);
     Twist twist;
     for (int c = 0; c < 6; ++c) twist[std::size_t(c)] = fit(0, c);
-    return moved(reference, twist);
+    return apply_twist(reference, twist);
 }
 
 /// Returns the share of points that lie on planes which several poses observe.
@@ -138,14 +138,15 @@ PoseTrack make_identity_track(const PoseTrack& track) {
 }
 
 /// Returns true if a box at rest explains the points as well as the registered track.
-bool is_standing(const BoxTrack& box, const ActorPoints& actor, const std::vector<bool>& has_points,
-                 double registered_share) {
+bool is_stationary_actor(const BoxTrack& box, const ActorPoints& actor, const std::vector<bool>& has_points,
+                         double registered_share) {
     const PoseTrack& track = box.world_from_box;
     const Pose middle = track.pose[track.pose.size() / 2];
     for (const Pose& pose : track.pose)
         if (glm::distance(pose.translation, middle.translation) > kStanding_m) return false;
     std::vector<ThinPoint> still = actor.points;
-    for (ThinPoint& point : still) point.point_m = glm::vec3(inverse(middle) * place(track, point).point_m);
+    for (ThinPoint& point : still)
+        point.point_m = glm::vec3(inverse(middle) * place_point_in_world(track, point).point_m);
     const PlaneAdjustment adjustment = make_adjustment(make_identity_track(track), still, has_points);
     return compute_fraction_on_planes(adjustment, still) >= registered_share - kGain;
 }
@@ -188,7 +189,7 @@ void register_actor(BoxTrack& box, const ActorPoints& actor, ActorRegistration& 
             return;
         if (has_points[k]) lengths_m.push_back(length_m);
     }
-    if (is_standing(box, actor, has_points, std::max(labelled_share, registered_share))) {
+    if (is_stationary_actor(box, actor, has_points, std::max(labelled_share, registered_share))) {
         std::vector<Pose>& poses = box.world_from_box.pose;
         std::fill(poses.begin(), poses.end(), Pose(poses[poses.size() / 2]));
         ++result.n_standing;
@@ -208,7 +209,7 @@ ActorRegistration register_actors(Sequence& sequence, const std::vector<int>& tr
     std::vector<double> moved_m;
     std::vector<BoxTrack*> boxes;
     for (BoxTrack& box : sequence.boxes)
-        if (box.moves() && std::max(box.size_m.x, box.size_m.y) >= kSmallest_m) boxes.push_back(&box);
+        if (box.is_moving() && std::max(box.size_m.x, box.size_m.y) >= kSmallest_m) boxes.push_back(&box);
     const std::vector<ActorPoints> actors = collect_points(sequence, train_positions, boxes);
     result.n_actors = boxes.size();
     for (std::size_t i = 0; i < boxes.size(); ++i) {

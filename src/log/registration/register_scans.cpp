@@ -32,11 +32,11 @@ constexpr RegisterRound kLastFollowed{0.5, 0.1};
 constexpr int kLevels = 5, kStepsALevel = 3;  // number of levels and steps per level for held-out scans
 
 /// Returns the size of the cells in which one point of a scan is kept.
-double choose_thinning_m(std::size_t n_scans) {
+double choose_thinning_cell_m(std::size_t n_scans) {
     return std::clamp(kThinned_m * std::sqrt(double(n_scans) / kScansOnACell), kThinnest_m, kThinned_m);
 }
 
-std::vector<ThinPoint> joined(const std::vector<std::vector<ThinPoint>>& scans) {
+std::vector<ThinPoint> concatenate(const std::vector<std::vector<ThinPoint>>& scans) {
     std::vector<ThinPoint> points;
     for (const std::vector<ThinPoint>& scan : scans) points.insert(points.end(), scan.begin(), scan.end());
     return points;
@@ -46,20 +46,21 @@ std::vector<ThinPoint> joined(const std::vector<std::vector<ThinPoint>>& scans) 
 /// from coarse to fine.
 /// @param scans [sweeps] points of the held-out scans; empty for others
 /// @return indices of the scans that could not be aligned
-std::vector<std::size_t> place_held_out(PlaneAdjustment& adjustment, const std::vector<bool>& is_test,
-                                        const std::vector<bool>& is_train,
-                                        const std::vector<std::vector<ThinPoint>>& scans,
-                                        const RegisterRound& first, double largest_m) {
+std::vector<std::size_t> align_held_out_sweeps(PlaneAdjustment& adjustment, const std::vector<bool>& is_test,
+                                               const std::vector<bool>& is_train,
+                                               const std::vector<std::vector<ThinPoint>>& scans,
+                                               const RegisterRound& first, double largest_m) {
     std::vector<std::size_t> lost;
     const std::vector<Pose> as_neighbours = adjustment.track().pose;
     if (std::ranges::count(is_test, true) == 0) return lost;
     for (int level = 0; level < kLevels; ++level) {
-        const RegisterRound round = between(first, kLast, level / double(kLevels - 1));
+        const RegisterRound round = interpolate_rounds(first, kLast, level / double(kLevels - 1));
         const double scale_m = round.scale_m;
         const PlaneMap map = adjustment.planes({round.cell_m, kLast.scale_m});
         for (std::size_t k = 0; k < scans.size(); ++k) {
             if (!is_test[k]) continue;
-            for (int step = 0; step < kStepsALevel; ++step) adjustment.place_pose(map, k, scans[k], scale_m);
+            for (int step = 0; step < kStepsALevel; ++step)
+                adjustment.align_pose_to_planes(map, k, scans[k], scale_m);
             if (level + 1 < kLevels) continue;
             const bool found = PlaneAdjustment::is_placed(
                 adjustment.compute_fraction_on_planes(map, scans[k], scale_m), scans[k].size());
@@ -72,7 +73,8 @@ std::vector<std::size_t> place_held_out(PlaneAdjustment& adjustment, const std::
 }
 
 /// Returns for each sweep whether it contains one of the given frames.
-std::vector<bool> mark_sweeps(const Sweeps& sweeps, const std::vector<int>& positions, std::size_t n_frames) {
+std::vector<bool> mark_selected_sweeps(const Sweeps& sweeps, const std::vector<int>& positions,
+                                       std::size_t n_frames) {
     std::vector<bool> among(n_frames, false), is(sweeps.frames.size(), false);
     for (const int position : positions) among[std::size_t(position)] = true;
     for (std::size_t k = 0; k < is.size(); ++k)
@@ -92,17 +94,17 @@ std::vector<bool> select_middle_sweep(const std::vector<bool>& selected) {
 }
 
 /// Returns the share of a scan's points that lie on planes, as the median over sweeps.
-/// @param among [sweeps] sweeps that are included
+/// @param selected [sweeps] sweeps that are included
 double compute_median_share(const PlaneAdjustment& adjustment, const PlaneMap& map,
                             const std::vector<std::vector<ThinPoint>>& scans,
-                            const std::vector<bool>& among) {
+                            const std::vector<bool>& selected) {
     std::vector<double> all(scans.size()), shares;
     parallel_for(static_cast<int>(scans.size()), [&](int index) {
         all[std::size_t(index)] =
             adjustment.compute_fraction_on_planes(map, scans[std::size_t(index)], kLast.scale_m);
     });
     for (std::size_t k = 0; k < all.size(); ++k)
-        if (among[k]) shares.push_back(all[k]);
+        if (selected[k]) shares.push_back(all[k]);
     return compute_median(std::move(shares));
 }
 
@@ -112,11 +114,11 @@ Registration register_scans(const Sequence& sequence, const Split& split, const 
     Registration result;
     result.world_from_vehicle = sequence.world_from_vehicle;
     const Sweeps sweeps = group_frames_by_sweep(sequence);
-    const std::vector<bool> is_train = mark_sweeps(sweeps, split.train, sequence.frames.size()),
-                            is_test = mark_sweeps(sweeps, split.test, sequence.frames.size());
+    const std::vector<bool> is_train = mark_selected_sweeps(sweeps, split.train, sequence.frames.size()),
+                            is_test = mark_selected_sweeps(sweeps, split.test, sequence.frames.size());
     const auto n_train = static_cast<std::size_t>(std::ranges::count(is_train, true));
     if (n_train < 2) return result;
-    const double thin_m = choose_thinning_m(n_train);
+    const double thin_m = choose_thinning_cell_m(n_train);
     const auto proceed = [&](const char* description) {
         return [&, description](double done) {
             if (options.progress) options.progress(description, done);
@@ -137,7 +139,7 @@ Registration register_scans(const Sequence& sequence, const Split& split, const 
     result.n_loop_closures = closed.places;
     result.largest_loop_error_m = closed.largest_m;
 
-    PlaneAdjustment adjustment(sweeps.track, closed.track, joined(scans),
+    PlaneAdjustment adjustment(sweeps.track, closed.track, concatenate(scans),
                                options.use_pose_motion ? is_train : select_middle_sweep(is_train));
     result.rounds = adjustment.run(first, kLast, proceed("registering all scans jointly"));
     if (result.stopped) return result;
@@ -148,11 +150,11 @@ Registration register_scans(const Sequence& sequence, const Split& split, const 
             sequence.name, split.train.size()));
     const PlaneMap map = adjustment.planes(kLast);
     result.on_planes = compute_median_share(adjustment, map, scans, is_train);
-    result.lost = adjustment.replace_lost(map, is_train, kLast.scale_m, options.largest_m);
+    result.lost = adjustment.replace_lost_poses(map, is_train, kLast.scale_m, options.largest_m);
     const std::vector<std::vector<ThinPoint>> held_out =
         thin_scans(sequence, sweeps, is_test, options, thin_m);
     const std::vector<std::size_t> lost =
-        place_held_out(adjustment, is_test, is_train, held_out, first, options.largest_m);
+        align_held_out_sweeps(adjustment, is_test, is_train, held_out, first, options.largest_m);
     result.lost.insert(result.lost.end(), lost.begin(), lost.end());
     std::sort(result.lost.begin(), result.lost.end());
     for (std::size_t& k : result.lost) k = sweeps.pose[k];

@@ -13,7 +13,7 @@ namespace {
 
 bool is_mover(const RegisterOptions& options, const WorldReturn& world_return) {
     return std::any_of(options.movers.begin(), options.movers.end(), [&](const BoxTrack& box) {
-        return box.present(world_return.time_s) &&
+        return box.is_present(world_return.time_s) &&
                box.holds(world_return.point_m, world_return.time_s, options.mover_margin_m);
     });
 }
@@ -27,8 +27,8 @@ int find_leading_lidar(const Sequence& sequence) {
     return static_cast<int>(std::ranges::max_element(returns) - returns.begin());
 }
 
-std::vector<ThinPoint> thin_sweep(const Sequence& sequence, const Sweeps& sweeps, std::size_t sweep,
-                                  const RegisterOptions& options, double cell_m) {
+std::vector<ThinPoint> thin_sweep_points(const Sequence& sequence, const Sweeps& sweeps, std::size_t sweep,
+                                         const RegisterOptions& options, double cell_m) {
     std::vector<ThinPoint> points;
     for (const int position : sweeps.frames[sweep])
         for (const std::size_t ray : thin_rays(sequence, position, options, cell_m))
@@ -98,7 +98,7 @@ ThinPoint make_thin_point(const Sequence& sequence, const PoseTrack& track, std:
             static_cast<float>(at.s), static_cast<std::uint32_t>(at.left), static_cast<std::uint32_t>(pose)};
 }
 
-PlacedPoint place(const PoseTrack& track, const ThinPoint& point) {
+PlacedPoint place_point_in_world(const PoseTrack& track, const ThinPoint& point) {
     const Pose pose = track.pose.size() == 1
                           ? track.pose.front()
                           : interpolate(track.pose[point.left], track.pose[point.left + 1], double(point.s));
@@ -115,7 +115,7 @@ std::vector<std::vector<ThinPoint>> thin_scans(const Sequence& sequence, const S
     std::vector<std::vector<ThinPoint>> scans(chosen.size());
     parallel_for(static_cast<int>(scans.size()), [&](int index) {
         const auto sweep = std::size_t(index);
-        if (chosen[sweep]) scans[sweep] = thin_sweep(sequence, sweeps, sweep, options, cell_m);
+        if (chosen[sweep]) scans[sweep] = thin_sweep_points(sequence, sweeps, sweep, options, cell_m);
     });
     return scans;
 }

@@ -41,7 +41,7 @@ inline constexpr std::size_t kPointsOfPart = 512;
 struct PlacedPoint {
     glm::dvec3 point_m, vehicle_m;
 };
-PlacedPoint place(const PoseTrack& track, const ThinPoint& point);
+PlacedPoint place_point_in_world(const PoseTrack& track, const ThinPoint& point);
 /// Returns how much of the motion of a pose a point follows, 0 to 1.
 double get_pose_share(const ThinPoint& point, std::size_t pose);
 

@@ -49,7 +49,7 @@ void VoxelPlanes::fit(const Cell& cell, const glm::dvec3& centre_m) const {
     cell.n_fitted.store(cell.sums.n, std::memory_order_release);
 }
 
-void VoxelPlanes::forget(double travelled_m) {
+void VoxelPlanes::remove_old_cells(double travelled_m) {
     std::erase_if(cells_, [&](const auto& entry) { return entry.second.travelled_m < travelled_m; });
 }
 

@@ -27,7 +27,7 @@ public:
     const Plane* at(const glm::dvec3& point_m) const;
     /// Removes cells whose last point was measured before the sensor had driven
     /// `travelled_m`.
-    void forget(double travelled_m);
+    void remove_old_cells(double travelled_m);
 
 private:
     struct Cell {

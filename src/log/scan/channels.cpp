@@ -108,7 +108,7 @@ std::size_t size(const ChannelValues& values) {
     return std::visit([](const auto& v) { return v.size(); }, values);
 }
 
-std::vector<ScanChannel> remove_values(const std::vector<ScanChannel>& channels) {
+std::vector<ScanChannel> copy_without_values(const std::vector<ScanChannel>& channels) {
     std::vector<ScanChannel> result;
     for (const auto& [info, values, second] : channels)
         result.push_back(
@@ -128,22 +128,24 @@ std::vector<ChannelNumber> list_channel_numbers(const std::vector<ScanChannel>& 
     return numbers;
 }
 
-void append_row(std::string& bytes, const std::vector<ScanChannel>& channels, std::size_t point) {
+void append_channel_values(std::string& bytes, const std::vector<ScanChannel>& channels, std::size_t index) {
     for (const ScanChannel& channel : channels)
-        std::visit([&](const auto& values) { append(bytes, values[point]); }, channel.values);
+        std::visit([&](const auto& values) { append(bytes, values[index]); }, channel.values);
 }
 
-void append_return(ScanChannel& of_points, const ScanChannel& of_rays, std::size_t ray, int number) {
-    const ChannelInfo& channel = of_rays.info;
+void append_return_value(ScanChannel& point_channel, const ScanChannel& ray_channel, std::size_t ray,
+                         int number) {
+    const ChannelInfo& channel = ray_channel.info;
     const auto append_one = [&]<class T>(const std::vector<T>& values) {
-        const auto* second =
-            number == 2 && size(of_rays.second) > 0 ? std::get_if<std::vector<T>>(&of_rays.second) : nullptr;
+        const auto* second = number == 2 && size(ray_channel.second) > 0
+                                 ? std::get_if<std::vector<T>>(&ray_channel.second)
+                                 : nullptr;
         const T other = second           ? (*second)[ray]
                         : channel.of_ray ? values[ray]
                                          : get_missing_value<T>(channel);
-        std::get<std::vector<T>>(of_points.values).push_back(number == 1 ? values[ray] : other);
+        std::get<std::vector<T>>(point_channel.values).push_back(number == 1 ? values[ray] : other);
     };
-    std::visit(append_one, of_rays.values);
+    std::visit(append_one, ray_channel.values);
 }
 
 void check_channels(const std::vector<ScanChannel>& channels, std::size_t count,

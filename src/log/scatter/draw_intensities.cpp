@@ -22,8 +22,8 @@ constexpr int kTileColumns = 64;  // Number of columns of a tile. Each tile has 
 /// are therefore independent and can run in parallel.
 static_assert(scatter_detail::kAhead <= kTileColumns);
 
-const IntensityScatter::Node& find_leaf(const IntensityScatter& scatter,
-                                        const scatter_detail::Context& context, int row, int column) {
+const IntensityScatter::Node& find_tree_leaf(const IntensityScatter& scatter,
+                                             const scatter_detail::Context& context, int row, int column) {
     const IntensityScatter::Node* node = &scatter.nodes.front();
     while (node->feature >= 0) {
         const float asked = context.feature(std::size_t(node->feature), row, column);
@@ -46,7 +46,7 @@ std::vector<float> draw_intensities(const IntensityScatter& scatter, const Rende
         for (int column = tile * kTileColumns; column < end; ++column) {
             const auto i = std::size_t(row) * std::size_t(rendered.columns) + std::size_t(column);
             if (returns[i] == 0) continue;
-            const IntensityScatter::Node& leaf = find_leaf(scatter, context, row, column);
+            const IntensityScatter::Node& leaf = find_tree_leaf(scatter, context, row, column);
             drawn[i] = scatter.values[leaf.first + std::size_t(Random(combine_hashes(seed, i)).uniform() *
                                                                double(leaf.count))];
         }

@@ -75,7 +75,8 @@ bool is_return(const MeasuredIntensities& image, std::size_t ray) {
 
 /// Returns the measured returns whose rays also hit a rendered surface. If there are too
 /// many, selects about `max_count` of them at random.
-std::vector<ReturnPlace> returns_of(std::span<const MeasuredIntensities> images, std::size_t max_count) {
+std::vector<ReturnPlace> list_return_places(std::span<const MeasuredIntensities> images,
+                                            std::size_t max_count) {
     std::size_t n = 0;
     for (const MeasuredIntensities& image : images)
         for (std::size_t i = 0; i < image.measured.size(); ++i) n += is_return(image, i);
@@ -87,7 +88,7 @@ std::vector<ReturnPlace> returns_of(std::span<const MeasuredIntensities> images,
             if (is_return(images[k], i) && Random(combine_hashes(k, i)).uniform() < share)
                 of_images[k].push_back({std::uint32_t(k), std::uint32_t(i)});
     });
-    return joined(std::move(of_images));
+    return concatenate(std::move(of_images));
 }
 
 Features compute_features(std::span<const MeasuredIntensities> images, ReturnPlace location) {
@@ -168,7 +169,7 @@ using Bins = std::array<Counts, kBins>;
 
 /// Returns the best split of a tree node by one feature.
 /// @param counts  number of returns of each class in each bin of the feature
-Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, const Terms& terms) {
+Cut find_best_feature_split(const Bins& counts, std::size_t feature, std::size_t n_cuts, const Terms& terms) {
     Cut best;
     Counts all, low;
     for (const Counts& of_bin : counts) all.add(of_bin);
@@ -189,15 +190,16 @@ Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, con
 }
 
 /// Returns the best split of a tree node by a few consecutive features, from `first` on.
-Cut find_cut_of_some(const Returns& returns, std::span<const Return> of_node, std::size_t first,
-                     const Terms& terms) {
+Cut find_best_split_among(const Returns& returns, std::span<const Return> node_returns, std::size_t first,
+                          const Terms& terms) {
     const std::size_t n = std::min(kTogether, kFeatures - first);
     std::array<Bins, kTogether> counts{};
-    for (const Return& one : of_node)
+    for (const Return& one : node_returns)
         for (std::size_t f = 0; f < n; ++f) ++counts[f][one.bins[first + f]].of[one.of_class];
     Cut best;
     for (std::size_t f = 0; f < n; ++f)
-        if (const Cut cut = find_cut_of(counts[f], first + f, returns.cuts[first + f].size(), terms);
+        if (const Cut cut =
+                find_best_feature_split(counts[f], first + f, returns.cuts[first + f].size(), terms);
             cut.gain > best.gain)
             best = cut;
     return best;
@@ -207,12 +209,14 @@ Cut find_cut_of_some(const Returns& returns, std::span<const Return> of_node, st
 /// the lowest feature index.
 /// @param each function that runs a task for 0, 1, ..., n - 1
 template <class Each>
-Cut find_cut(const Returns& returns, std::span<const Return> of_node, const Terms& terms, const Each& each) {
+Cut find_best_node_split(const Returns& returns, std::span<const Return> node_returns, const Terms& terms,
+                         const Each& each) {
     Cut best;
-    if (of_node.size() < 2 * kFewestOfLeaf) return best;
+    if (node_returns.size() < 2 * kFewestOfLeaf) return best;
     std::array<Cut, (kFeatures + kTogether - 1) / kTogether> cuts;
     each(int(cuts.size()), [&](int k) {
-        cuts[std::size_t(k)] = find_cut_of_some(returns, of_node, std::size_t(k) * kTogether, terms);
+        cuts[std::size_t(k)] =
+            find_best_split_among(returns, node_returns, std::size_t(k) * kTogether, terms);
     });
     for (const Cut& cut : cuts)
         if (cut.gain > best.gain) best = cut;
@@ -221,8 +225,8 @@ Cut find_cut(const Returns& returns, std::span<const Return> of_node, const Term
 
 /// Finds the best splits of several tree nodes in parallel. The features of large nodes
 /// are also processed in parallel.
-std::vector<Cut> find_cuts(const Returns& returns, const Terms& terms,
-                           std::span<const IntensityScatter::Node> nodes) {
+std::vector<Cut> find_best_layer_splits(const Returns& returns, const Terms& terms,
+                                        std::span<const IntensityScatter::Node> nodes) {
     constexpr std::size_t kLarge = 65536;
     std::vector<Cut> cuts(nodes.size());
     const auto part = [&](std::size_t index) {
@@ -231,7 +235,7 @@ std::vector<Cut> find_cuts(const Returns& returns, const Terms& terms,
     parallel_for(int(nodes.size()), [&](int k) {
         const bool is_large = nodes[std::size_t(k)].count >= kLarge;
         cuts[std::size_t(k)] =
-            find_cut(returns, part(std::size_t(k)), terms, [&](int count, const auto& task) {
+            find_best_node_split(returns, part(std::size_t(k)), terms, [&](int count, const auto& task) {
                 if (is_large) return parallel_for(count, task);
                 for (int i = 0; i < count; ++i) task(i);
             });
@@ -243,7 +247,7 @@ std::vector<Cut> find_cuts(const Returns& returns, const Terms& terms,
 /// Reorders the returns so that those of each child are contiguous.
 void split_layer(Returns& returns, const Terms& terms, std::vector<IntensityScatter::Node>& nodes,
                  std::size_t first) {
-    const std::vector<Cut> cuts = find_cuts(returns, terms, std::span(nodes).subspan(first));
+    const std::vector<Cut> cuts = find_best_layer_splits(returns, terms, std::span(nodes).subspan(first));
     std::vector<std::uint32_t> n_low(cuts.size(), 0);
     parallel_for(int(cuts.size()), [&](int k) {
         const Cut& cut = cuts[std::size_t(k)];
@@ -291,7 +295,7 @@ double find_common_divisor(double first, double second, double error) {
 
 }  // namespace
 
-double find_step(std::vector<float> values) {
+double find_quantisation_step(std::vector<float> values) {
     constexpr double kError = 1e-6, kFinest = 1e-5;  // Both values are relative to the largest intensity.
     constexpr std::size_t kFewestLevels = 8;
     parallel_sort(values, std::less<>());
@@ -312,13 +316,13 @@ double find_step(std::vector<float> values) {
     return std::ranges::all_of(values, is_multiple) ? step : 0.0;
 }
 
-float IntensityScatter::quantised(float intensity) const {
+float IntensityScatter::round_to_step(float intensity) const {
     return step > 0.0 ? static_cast<float>(std::round(double(intensity) / step) * step) : intensity;
 }
 
 IntensityScatter fit_scatter(std::span<const MeasuredIntensities> images) {
     check_sizes(images);
-    const std::vector<ReturnPlace> places = returns_of(images, kMostReturns);
+    const std::vector<ReturnPlace> places = list_return_places(images, kMostReturns);
     IntensityScatter result;
     if (places.size() < kFewestReturns) return result;
     Returns returns = read_returns(images, places);
@@ -330,7 +334,7 @@ IntensityScatter fit_scatter(std::span<const MeasuredIntensities> images) {
         first = end;
     }
     for (const Return& one : returns.all) result.values.push_back(one.value);
-    result.step = find_step(result.values);
+    result.step = find_quantisation_step(result.values);
     return result;
 }
 

@@ -92,7 +92,7 @@ public:
         /// Returns true if feature k is in the next list, which has `count` features.
         /// Otherwise subtracts `count` from k.
         const auto is_of = [&](std::size_t count) { return k < count || (k -= count, false); };
-        if (is_of(kOwn)) return own(k, index(row, column));
+        if (is_of(kOwn)) return get_own_feature(k, index(row, column));
         if (is_of(kBeside.size())) return scan_.intensity[at(kBeside[k])];
         if (is_of(kBeside.size())) return compute_steepness(at(kBeside[k]), index(row, column));
         if (is_of(kSmoothed.size()))
@@ -113,15 +113,15 @@ private:
         if (column < 0 || column >= columns) column = (column % columns + columns) % columns;
         return std::size_t(row) * std::size_t(columns) + std::size_t(column);
     }
-    float own(std::size_t index, std::size_t i) const {
+    float get_own_feature(std::size_t index, std::size_t i) const {
         const std::array<const std::vector<float>*, kOwn> values{
             &scan_.intensity, &scan_.range_m, &scan_.spread_m, &scan_.cosine, &scan_.elevation_rad};
         return (*values[index])[i];
     }
     /// Returns log(range of another ray / range of this ray).
-    float compute_steepness(std::size_t other, std::size_t index) const {
-        return scan_.range_m[other] > 0.0f && scan_.range_m[index] > 0.0f
-                   ? std::log(scan_.range_m[other] / scan_.range_m[index])
+    float compute_steepness(std::size_t other_index, std::size_t index) const {
+        return scan_.range_m[other_index] > 0.0f && scan_.range_m[index] > 0.0f
+                   ? std::log(scan_.range_m[other_index] / scan_.range_m[index])
                    : kNoIntensity;
     }
     /// Returns the mean of the known values in a window, or kNoIntensity if there are

@@ -17,12 +17,12 @@ double Beam::to_surface_range(double measured_m) const {
     return measured_m > 0.0 ? std::max(measured_m - range_offset_m, 1e-3) : measured_m;
 }
 
-double Beam::to_measured_intensity(double of_surface, double fall) const {
-    return std::clamp(intensity_gain * fall * of_surface + intensity_offset, 0.0, 1.0);
+double Beam::to_measured_intensity(double surface_intensity, double fall) const {
+    return std::clamp(intensity_gain * fall * surface_intensity + intensity_offset, 0.0, 1.0);
 }
 
-double Beam::to_surface_intensity(double measured, double fall) const {
-    return (measured - intensity_offset) / intensity_gain / fall;
+double Beam::to_surface_intensity(double measured_intensity, double fall) const {
+    return (measured_intensity - intensity_offset) / intensity_gain / fall;
 }
 
 const Beam& find_beam(const std::vector<Beam>& beams, std::size_t channel) {

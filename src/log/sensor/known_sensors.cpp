@@ -79,8 +79,8 @@ void add_beams(SpinningSensor& sensor, int count, double top_deg, double bottom_
     }
 }
 
-SensorModel model(SpinningSensor sensor, const std::string& about) {
-    return {sensor.name, about, sensor.range_limits(), std::move(sensor)};
+SensorModel make_sensor_model(SpinningSensor sensor, const std::string& description) {
+    return {sensor.name, description, sensor.range_limits(), std::move(sensor)};
 }
 
 /// Returns the HDL-64E as described in its data sheet. The upper 32 beams start at +2
@@ -92,7 +92,7 @@ SensorModel make_hdl64e(int columns, double rate_hz) {
     add_beams(sensor, 32, -24.33 + 31.0 * 0.5, -24.33);
     sensor.max_range_m = 120.0;
     sensor.divergence_rad = 2.0e-3;
-    return model(std::move(sensor), "evenly spaced beams as in the data sheet");
+    return make_sensor_model(std::move(sensor), "evenly spaced beams as in the data sheet");
 }
 
 /// Returns one of Waymo's four short-range LiDARs. Waymo publishes only the highest and
@@ -102,9 +102,10 @@ SensorModel make_waymo_side(int columns, double rate_hz) {
     constexpr double step_deg = 120.0 / 200.0;
     add_beams(sensor, 200, 30.0 - 0.5 * step_deg, -90.0 + 0.5 * step_deg);
     sensor.max_range_m = 20.0;
-    return model(std::move(sensor),
-                 "short-range LiDARs of the Waymo Open Dataset: 200 evenly spaced beams from +30 to -90 "
-                 "degrees");
+    return make_sensor_model(
+        std::move(sensor),
+        "short-range LiDARs of the Waymo Open Dataset: 200 evenly spaced beams from +30 to -90 "
+        "degrees");
 }
 
 /// Returns a spinning sensor with one ray per pixel of the KITTI-360 range images in
@@ -117,12 +118,12 @@ SensorModel make_kitti360(int columns, double rate_hz) {
     for (int row = 0; row < grid.rows; ++row) {
         sensor.beams.push_back({.elevation_rad = grid.fov_up_rad - row * grid.fov_rad / grid.rows});
     }
-    return model(std::move(sensor), "image size of published results on KITTI-360, 66 x 1030");
+    return make_sensor_model(std::move(sensor), "image size of published results on KITTI-360, 66 x 1030");
 }
 
 /// Returns the text of the built-in beam table of a sensor. Its first line begins with #
 /// and names the source of the values.
-std::string table_of(const std::string& name) {
+std::string get_beam_table_text(const std::string& name) {
     const auto tables = sensor_table_texts();
     const auto table = std::find_if(tables.begin(), tables.end(),
                                     [&](const auto& named) { return named.first == name + ".csv"; });
@@ -131,10 +132,10 @@ std::string table_of(const std::string& name) {
 }
 
 /// Returns the source of a beam table, which its first line names after the #.
-std::string about(const std::string& table) { return table.substr(2, table.find('\n') - 2); }
+std::string get_table_source(const std::string& table) { return table.substr(2, table.find('\n') - 2); }
 
 SensorModel make_sensor_from_table(const Tabled& row, int columns, double rate_hz) {
-    const std::string table = table_of(row.name);
+    const std::string table = get_beam_table_text(row.name);
     SpinningSensor sensor = parse_beam_table(table, row.name, columns ? columns : row.columns, rate_hz);
     sensor.name = row.name;
     // Ousters fire at fixed azimuths, first exactly backward.
@@ -142,7 +143,7 @@ SensorModel make_sensor_from_table(const Tabled& row, int columns, double rate_h
     sensor.min_range_m = row.min_range_m;
     sensor.max_range_m = row.max_range_m;
     sensor.divergence_rad = row.divergence_rad;
-    return model(std::move(sensor), about(table));
+    return make_sensor_model(std::move(sensor), get_table_source(table));
 }
 
 /// Returns Hesai's AT128, whose mirrors scan 120 degrees from left to right in 0.1 s.
@@ -150,7 +151,7 @@ SensorModel make_sensor_from_table(const Tabled& row, int columns, double rate_h
 SensorModel make_at128() {
     constexpr int kColumns = 1200;
     constexpr double period_s = 0.1, step_deg = 0.1;
-    const std::string table = table_of("AT128");
+    const std::string table = get_beam_table_text("AT128");
     const std::vector<Beam> beams = parse_beam_table(table, "AT128", kColumns, 1.0 / period_s).beams;
     RayTable rays{.rows = int(beams.size()),
                   .columns = kColumns,
@@ -167,7 +168,7 @@ SensorModel make_at128() {
             rays.time_offset_s.push_back(float(-left_of_middle / kColumns * period_s));
             rays.channel.push_back(std::uint16_t(row));
         }
-    return {"AT128", about(table), {0.5, 200.0}, std::move(rays)};
+    return {"AT128", get_table_source(table), {0.5, 200.0}, std::move(rays)};
 }
 
 /// Returns a scanning-window sensor with the data-sheet values of Hesai's AT128: 128
@@ -203,10 +204,10 @@ SensorModel make_rosette() {
 
 }  // namespace
 
-std::vector<BeamFiring> find_beam_firings(const std::string& name) {
+std::vector<BeamFiring> get_beam_firings(const std::string& name) {
     std::vector<BeamFiring> firings;
     std::vector<std::string_view> header;
-    const std::vector<std::string> lines = split_lines(table_of(name));
+    const std::vector<std::string> lines = split_lines(get_beam_table_text(name));
     for (const std::string& line : lines) {
         if (line.starts_with('#')) continue;
         const std::vector<std::string_view> cells = split_csv_cells(line);

@@ -29,7 +29,7 @@ const std::vector<PatternKind>& list_pattern_kinds() {
 
 namespace {
 
-const PatternKind& kind_of(const SensorPattern& pattern) {
+const PatternKind& get_pattern_kind(const SensorPattern& pattern) {
     return *std::ranges::find_if(list_pattern_kinds(),
                                  [&](const PatternKind& k) { return k.holds(pattern); });
 }
@@ -39,12 +39,14 @@ constexpr double kLargestRange_m = 1e12, kLongestPeriod_s = 3600.0;
 }  // namespace
 
 RayTable make_rays(const SensorPattern& pattern, double time_s) {
-    return kind_of(pattern).make_rays(pattern, time_s);
+    return get_pattern_kind(pattern).make_rays(pattern, time_s);
 }
 
 RayTable make_rays(const SensorModel& sensor, double time_s) { return make_rays(sensor.pattern, time_s); }
 
-PatternSummary describe_pattern(const SensorPattern& pattern) { return kind_of(pattern).describe(pattern); }
+PatternSummary describe_pattern(const SensorPattern& pattern) {
+    return get_pattern_kind(pattern).describe(pattern);
+}
 
 double get_period(const SensorPattern& pattern) { return describe_pattern(pattern).period_s; }
 
@@ -78,7 +80,7 @@ SensorModel read_sensor_json(const JsonField& field, const std::string& name) {
 }
 
 std::string write_sensor_json(const SensorModel& sensor) {
-    const PatternKind& kind = kind_of(sensor.pattern);
+    const PatternKind& kind = get_pattern_kind(sensor.pattern);
     nlohmann::ordered_json json = {{"name", sensor.name}, {"min_range_m", sensor.limits.min_m}};
     if (!std::isinf(sensor.limits.max_m)) json["max_range_m"] = sensor.limits.max_m;
     json.update(kind.write(sensor.pattern));
@@ -88,17 +90,17 @@ std::string write_sensor_json(const SensorModel& sensor) {
 
 namespace pattern_detail {
 
-double read_angle(const JsonField& field, const std::string& name, double most_deg) {
+double read_angle(const JsonField& field, const std::string& name, double max_deg) {
     const std::string in_rad = name + "_rad", in_deg = name + "_deg";
-    if (!field.has(in_rad)) return field.at(in_deg).number(-most_deg, most_deg) * kPi / 180.0;
+    if (!field.has(in_rad)) return field.at(in_deg).number(-max_deg, max_deg) * kPi / 180.0;
     if (field.has(in_deg)) field.fail("found " + in_deg + " and " + in_rad, "expected one of them");
-    const double most_rad = most_deg * kPi / 180.0 * (1.0 + 1e-12);
+    const double most_rad = max_deg * kPi / 180.0 * (1.0 + 1e-12);
     return field.at(in_rad).number(-most_rad, most_rad);
 }
 
-double read_angle_or(const JsonField& field, const std::string& name, double missing_rad, double most_deg) {
+double read_angle_or(const JsonField& field, const std::string& name, double missing_rad, double max_deg) {
     const bool has = field.has(name + "_rad") || field.has(name + "_deg");
-    return has ? read_angle(field, name, most_deg) : missing_rad;
+    return has ? read_angle(field, name, max_deg) : missing_rad;
 }
 
 double read_number_or(const JsonField& field, const char* key, double default_value, double low,
@@ -113,12 +115,12 @@ double read_divergence(const JsonField& field) {
     return 1e-3 * read_number_or(field, "divergence_mrad", 0.0, 0.0, 1000.0);
 }
 
-CommonMembers read_common(const JsonField& field, const std::string& name, double least_period_s) {
+CommonMembers read_common(const JsonField& field, const std::string& name, double min_period_s) {
     const CommonMembers common{
         field.has("name") ? field.at("name").text() : name,
         {read_number_or(field, "min_range_m", 0.0, 0.0, kLargestRange_m),
          read_number_or(field, "max_range_m", RangeLimits{}.max_m, 0.0, kLargestRange_m)},
-        read_number_or(field, "period_s", 0.1, least_period_s, kLongestPeriod_s),
+        read_number_or(field, "period_s", 0.1, min_period_s, kLongestPeriod_s),
         read_divergence(field)};
     if (!(common.limits.min_m < common.limits.max_m))
         field.fail(fmt::format("found {} to {} m", common.limits.min_m, common.limits.max_m),
@@ -136,7 +138,7 @@ void check_members(const JsonField& field, std::vector<std::string> members,
     field.check_members(members);
 }
 
-double between(double first, double last, int index, int count) {
+double interpolate_evenly(double first, double last, int index, int count) {
     return count > 1 ? first + (last - first) * index / (count - 1) : 0.5 * (first + last);
 }
 

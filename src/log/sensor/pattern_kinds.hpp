@@ -61,10 +61,10 @@ namespace pattern_detail {
 /// Reads an angle from the JSON member NAME_rad in radians or NAME_deg in degrees.
 /// @return radians
 /// @throws DataError if both members are missing, or the angle is outside +-most_deg
-double read_angle(const JsonField& field, const std::string& name, double most_deg);
+double read_angle(const JsonField& field, const std::string& name, double max_deg);
 /// Reads an angle from the JSON member NAME_rad or NAME_deg. Returns `missing_rad` if
 /// both are missing.
-double read_angle_or(const JsonField& field, const std::string& name, double missing_rad, double most_deg);
+double read_angle_or(const JsonField& field, const std::string& name, double missing_rad, double max_deg);
 /// Returns the number in a JSON member, or `default_value` if the member is missing.
 double read_number_or(const JsonField& field, const char* key, double default_value, double low, double high);
 /// Reads a beam divergence from the JSON member divergence_rad or divergence_mrad.
@@ -79,8 +79,8 @@ struct CommonMembers {
     double period_s, divergence_rad;
 };
 /// Reads the JSON members that all kinds of sensors can have.
-/// @param least_period_s  smallest allowed period
-CommonMembers read_common(const JsonField& field, const std::string& name, double least_period_s = 1e-6);
+/// @param min_period_s  smallest allowed period
+CommonMembers read_common(const JsonField& field, const std::string& name, double min_period_s = 1e-6);
 /// Checks that a sensor's JSON object has only known members: those of all sensors, and
 /// `members`. An angle NAME can be stored as NAME_rad or NAME_deg.
 /// @throws DataError for any other member
@@ -88,7 +88,7 @@ void check_members(const JsonField& field, std::vector<std::string> members,
                    const std::vector<std::string>& angles);
 
 /// Returns element `index` of `count` evenly spaced values from `first` to `last`.
-double between(double first, double last, int index, int count);
+double interpolate_evenly(double first, double last, int index, int count);
 /// Appends a ray that starts at the sensor origin.
 void add_ray(RayTable& rays, const glm::dvec3& direction, double time_s, int channel);
 /// Checks the number of rays of a sensor.

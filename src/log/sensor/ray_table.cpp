@@ -14,13 +14,13 @@ double RayTable::find_largest_divergence() const {
     return ray_divergence_rad.empty() ? divergence_rad : *std::ranges::max_element(ray_divergence_rad);
 }
 
-void RayTable::append(const RayTable& from, std::size_t ray) {
-    origin.push_back(from.origin[ray]);
-    direction.push_back(from.direction[ray]);
-    time_offset_s.push_back(from.time_offset_s[ray]);
-    channel.push_back(from.channel[ray]);
-    divergence_rad = from.divergence_rad;
-    if (!from.ray_divergence_rad.empty()) ray_divergence_rad.push_back(from.ray_divergence_rad[ray]);
+void RayTable::append(const RayTable& source, std::size_t ray) {
+    origin.push_back(source.origin[ray]);
+    direction.push_back(source.direction[ray]);
+    time_offset_s.push_back(source.time_offset_s[ray]);
+    channel.push_back(source.channel[ray]);
+    divergence_rad = source.divergence_rad;
+    if (!source.ray_divergence_rad.empty()) ray_divergence_rad.push_back(source.ray_divergence_rad[ray]);
 }
 
 std::vector<glm::dvec2> make_footprint_pattern(int count) {

@@ -168,7 +168,7 @@ void limit_scan_memory(std::uint64_t bytes, const fs::path& folder) {
     m.limit = bytes > 0 ? bytes : get_machine_memory() / 2 / std::uint64_t(m.processes);
 }
 
-void share_scan_memory(int n_processes) { memory().processes = std::max(n_processes, 1); }
+void set_scan_process_count(int n_processes) { memory().processes = std::max(n_processes, 1); }
 
 ScanMemoryUse get_scan_memory_use() {
     const MappedFile* file = memory().file;

@@ -81,13 +81,13 @@ SensorModel read_sensor(const SensorName& name, double max_range_m) {
             "sensor '{}:{}': found columns for a table of rays, but such a sensor does not spin; use "
             "only the file name",
             name.name, name.columns));
-    sensor_files::limit_range(sensor, max_range_m, name.name);
+    sensor_files::limit_sensor_range(sensor, max_range_m, name.name);
     return sensor;
 }
 
 }  // namespace
 
-void sensor_files::limit_range(SensorModel& sensor, double max_range_m, const std::string& location) {
+void sensor_files::limit_sensor_range(SensorModel& sensor, double max_range_m, const std::string& location) {
     if (!std::isinf(sensor.limits.max_m)) return;
     if (!(sensor.limits.min_m < max_range_m))
         throw DataError(fmt::format(

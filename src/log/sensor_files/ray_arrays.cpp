@@ -77,13 +77,14 @@ void set_divergence(RayTable& rays, const std::vector<double>& divergence_rad) {
 
 }  // namespace
 
-std::vector<double> compute_divergence(std::vector<double> of_rays_rad, std::optional<double> of_all_mrad,
+std::vector<double> compute_divergence(std::vector<double> ray_divergence_rad,
+                                       std::optional<double> common_divergence_mrad,
                                        const std::string& location) {
-    if (!of_rays_rad.empty() && of_all_mrad)
+    if (!ray_divergence_rad.empty() && common_divergence_mrad)
         throw DataError(
             fmt::format("{}: found both divergence and divergence_mrad, expected one of them", location));
-    if (of_all_mrad) return {1e-3 * *of_all_mrad};
-    return of_rays_rad;
+    if (common_divergence_mrad) return {1e-3 * *common_divergence_mrad};
+    return ray_divergence_rad;
 }
 
 SensorModel make_ray_sensor(const RayColumns& columns, const std::string& name, const std::string& location) {

@@ -34,9 +34,10 @@ SensorModel make_ray_sensor(const RayColumns& columns, const std::string& name, 
 
 /// Returns the beam divergences in radians. A file may contain one number per ray or one
 /// number for all rays.
-/// @param of_rays_rad  [n] divergence of each ray, or empty
+/// @param ray_divergence_rad  [n] divergence of each ray, or empty
 /// @throws DataError if the file contains both forms
-std::vector<double> compute_divergence(std::vector<double> of_rays_rad, std::optional<double> of_all_mrad,
+std::vector<double> compute_divergence(std::vector<double> ray_divergence_rad,
+                                       std::optional<double> common_divergence_mrad,
                                        const std::string& location);
 
 /// Parses the text of a ray table in CSV format.
@@ -56,6 +57,6 @@ SensorModel parse_sensor_json(const std::string& text, const std::string& name, 
 
 /// Sets the maximum range of a sensor that has none.
 /// @throws DataError if the maximum range is not above the minimum range
-void limit_range(SensorModel& sensor, double max_range_m, const std::string& location);
+void limit_sensor_range(SensorModel& sensor, double max_range_m, const std::string& location);
 
 }  // namespace relidar::sensor_files

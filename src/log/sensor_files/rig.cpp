@@ -48,7 +48,7 @@ Pose mounting(const Json& sensor, const std::string& location) {
             read_vector(sensor, "translation_m", kFarthest_m, location)};
 }
 
-int returns_of(const Json& sensor, const std::string& location) {
+int read_return_count(const Json& sensor, const std::string& location) {
     if (!sensor.contains("returns")) return 1;
     const Json& returns = sensor.at("returns");
     if (returns != 1 && returns != 2) throw DataError(fmt::format("{}: returns: expected 1 or 2", location));
@@ -74,11 +74,12 @@ SensorModel read_sensor_model(const Json& sensor, const std::string& name, const
         return find_sensor(find_file_beside_rig(read_text_member(sensor, "sensor", location), rig));
     const std::string object = location + ": sensor";
     SensorModel model = parse_sensor_json_text(sensor.at("sensor").dump(), name, object);
-    sensor_files::limit_range(model, kDefaultMaxRange_m, object);
+    sensor_files::limit_sensor_range(model, kDefaultMaxRange_m, object);
     return model;
 }
 
-void check_name(const std::string& name, const std::set<std::string>& taken, const std::string& location) {
+void check_name(const std::string& name, const std::set<std::string>& used_names,
+                const std::string& location) {
     const auto allowed = [](char character) {
         return std::isalnum(static_cast<unsigned char>(character)) || character == '-' || character == '_' ||
                character == '.';
@@ -87,7 +88,7 @@ void check_name(const std::string& name, const std::set<std::string>& taken, con
         !std::all_of(name.begin(), name.end(), allowed))
         throw DataError(fmt::format("{}: name: found \"{}\", expected letters, digits, -, _ and .", location,
                                     make_excerpt(name)));
-    if (taken.contains(name))
+    if (used_names.contains(name))
         throw DataError(fmt::format("{}: name: \"{}\" occurs twice, expected it once", location, name));
 }
 
@@ -127,7 +128,7 @@ std::optional<std::vector<MountedSensor>> find_rig(const std::string& path) {
         names.insert(name);
         check_keys(sensor, {"name", "sensor", "translation_m", "yaw_pitch_roll_deg", "returns"}, where);
         rig.push_back({name, read_sensor_model(sensor, name, path, where), mounting(sensor, where),
-                       returns_of(sensor, where)});
+                       read_return_count(sensor, where)});
     }
     return rig;
 }

@@ -43,7 +43,7 @@ std::vector<double> read_numbers_member(const Json* json, const std::string& loc
     return json ? JsonField(*json, location, "").read_nested_numbers(1) : std::vector<double>{};
 }
 
-double number_of(const Json* json, double default_value, const std::string& location) {
+double read_optional_number(const Json* json, double default_value, const std::string& location) {
     if (!json) return default_value;
     if (!json->is_number() || !std::isfinite(json->get<double>()))
         throw DataError(fmt::format("{}: expected a number", location));
@@ -89,8 +89,8 @@ SensorModel parse_ouster_sensor(const Json& json, const std::string& name, const
             location, altitude.size(), azimuth.size(), kMostBeams));
     }
     const double offset_m =
-        1e-3 * number_of(find(json, "lidar_origin_to_beam_origin_mm", {"beam_intrinsics"}), 0.0,
-                         location + ": lidar_origin_to_beam_origin_mm");
+        1e-3 * read_optional_number(find(json, "lidar_origin_to_beam_origin_mm", {"beam_intrinsics"}), 0.0,
+                                    location + ": lidar_origin_to_beam_origin_mm");
     SpinningSensor sensor;
     const auto [mode_columns, mode_rate_hz] =
         columns > 0 ? std::pair(columns, rate_hz) : parse_ouster_mode(json, location);

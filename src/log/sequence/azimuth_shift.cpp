@@ -21,9 +21,9 @@ constexpr double kExact_rad = 1e-5;  // shifts below this value are rounding err
 constexpr double kAgree_columns = 0.1;
 
 /// Returns the difference of two directions in azimuth, positive to the left.
-double compute_azimuth_between(const glm::vec3& from, const glm::vec3& to) {
-    return std::atan2(double(from.x) * to.y - double(from.y) * to.x,
-                      double(from.x) * to.x + double(from.y) * to.y);
+double compute_azimuth_between(const glm::vec3& first, const glm::vec3& second) {
+    return std::atan2(double(first.x) * second.y - double(first.y) * second.x,
+                      double(first.x) * second.x + double(first.y) * second.y);
 }
 
 /// Calls visit(ray, firing) for each ray of a scan, with the index of its firing within

@@ -31,7 +31,7 @@ struct SeenPlace {
     PlaceReturn given;  ///< the return; `place` and `cosine` are computed later
 };
 
-std::vector<SeenPlace> returns_of(const Sequence& sequence, const Frame& frame) {
+std::vector<SeenPlace> collect_observed_places(const Sequence& sequence, const Frame& frame) {
     std::vector<SeenPlace> result;
     const Scan& scan = frame.scan;
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
@@ -51,8 +51,8 @@ std::vector<SeenPlace> returns_of(const Sequence& sequence, const Frame& frame) 
 /// @param places returns of all frames
 /// @param cell_m edge length of a cell
 CellNumbers cells_of(const std::vector<SeenPlace>& places, double cell_m) {
-    return number_cells(places.size(),
-                        [&](std::size_t index) { return make_cell_key(places[index].point_m, cell_m); });
+    return assign_cell_numbers(
+        places.size(), [&](std::size_t index) { return make_cell_key(places[index].point_m, cell_m); });
 }
 
 /// Computes the surface normal in each cell of size kSurface_m, or zero if the returns of
@@ -76,8 +76,10 @@ std::vector<glm::vec3> estimate_normals_of_places(const std::vector<SeenPlace>& 
 }  // namespace
 
 PlaceReturns collect_place_returns(const Sequence& sequence, const std::vector<int>& positions) {
-    std::vector<SeenPlace> seen = joined(read_frames(
-        sequence, positions, kMostCompared, [&](const Frame& frame) { return returns_of(sequence, frame); }));
+    std::vector<SeenPlace> seen =
+        concatenate(read_frames(sequence, positions, kMostCompared, [&](const Frame& frame) {
+            return collect_observed_places(sequence, frame);
+        }));
     {
         const CellNumbers cells = cells_of(seen, kSurface_m);
         const std::vector<glm::vec3> normals = estimate_normals_of_places(seen, cells);

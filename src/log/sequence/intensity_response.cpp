@@ -78,7 +78,7 @@ std::vector<std::size_t> divide_into_chunks(const std::vector<PlaceReturn>& retu
 /// Calls task(returns, chunk) for the returns of each place (small cell), in parallel by
 /// chunk.
 template <class Task>
-void for_each_place(const std::vector<PlaceReturn>& returns, const Task& task) {
+void for_each_place_in_parallel(const std::vector<PlaceReturn>& returns, const Task& task) {
     const std::vector<std::size_t> bounds = divide_into_chunks(returns);
     parallel_for(static_cast<int>(kChunks), [&](int chunk) {
         const std::size_t last = bounds[std::size_t(chunk) + 1];
@@ -90,7 +90,7 @@ void for_each_place(const std::vector<PlaceReturn>& returns, const Task& task) {
 }
 
 void fit_albedos(Model& model, const PlaceReturns& returns) {
-    for_each_place(returns.seen, [&](std::span<const PlaceReturn> place, std::size_t) {
+    for_each_place_in_parallel(returns.seen, [&](std::span<const PlaceReturn> place, std::size_t) {
         double sum = 0.0, weight = 0.0;
         for (const PlaceReturn& r : place) {
             const Response& beam = model.beams[r.beam];
@@ -127,20 +127,22 @@ struct Row {
     void add(Eigen::Index unknown, double derivative) { by[n++] = {unknown, derivative}; }
 };
 
-Row row_of(const Model& model, const Layout& layout, const PlaceReturn& r) {
-    const Response& beam = model.beams[r.beam];
-    const auto [knot, s] = find_knot(r.range_m);
-    const double rho = model.shared.at_range(r.range_m), kappa = model.shared.at_cosine(r.cosine),
-                 albedo = model.albedo[r.place], mean_beam = albedo * rho * kappa;
-    Row row{{}, 0, beam.gain * rho * kappa, double(r.intensity) - beam.gain * mean_beam - beam.offset};
+Row make_response_row(const Model& model, const Layout& layout, const PlaceReturn& place_return) {
+    const Response& beam = model.beams[place_return.beam];
+    const auto [knot, s] = find_knot(place_return.range_m);
+    const double rho = model.shared.at_range(place_return.range_m),
+                 kappa = model.shared.at_cosine(place_return.cosine),
+                 albedo = model.albedo[place_return.place], mean_beam = albedo * rho * kappa;
+    Row row{
+        {}, 0, beam.gain * rho * kappa, double(place_return.intensity) - beam.gain * mean_beam - beam.offset};
     if (layout.parts.shared) {
         row.add(layout.factor(knot), beam.gain * albedo * kappa * (1.0 - s));
         row.add(layout.factor(knot + 1), beam.gain * albedo * kappa * s);
-        row.add(layout.incidence(), -beam.gain * albedo * rho * (1.0 - double(r.cosine)));
+        row.add(layout.incidence(), -beam.gain * albedo * rho * (1.0 - double(place_return.cosine)));
     }
     if (layout.parts.beams) {
-        row.add(layout.gain(r.beam), mean_beam);
-        row.add(layout.offset(r.beam), 1.0);
+        row.add(layout.gain(place_return.beam), mean_beam);
+        row.add(layout.offset(place_return.beam), 1.0);
     }
     return row;
 }
@@ -169,7 +171,7 @@ struct alignas(64) Sums {
         double cc = 0.0, ce = 0.0;
         touched.clear();
         for (const PlaceReturn& r : place) {
-            const Row row = row_of(model, layout, r);
+            const Row row = make_response_row(model, layout, r);
             for (std::size_t i = 0; i < row.n; ++i) {
                 const auto [unknown, derivative] = row.by[i];
                 if (coupling[std::size_t(unknown)] == 0.0) touched.push_back(unknown);
@@ -193,7 +195,7 @@ struct alignas(64) Sums {
 
 System build_system(const Model& model, const Layout& layout, const PlaceReturns& returns) {
     std::vector<Sums> sums(kChunks, Sums(layout.size()));
-    for_each_place(returns.seen, [&](std::span<const PlaceReturn> place, std::size_t chunk) {
+    for_each_place_in_parallel(returns.seen, [&](std::span<const PlaceReturn> place, std::size_t chunk) {
         sums[chunk].add(model, layout, place);
     });
     for (std::size_t c = 1; c < kChunks; ++c) {
@@ -257,7 +259,7 @@ void apply_step(Model& model, const Layout& layout, const Eigen::VectorXd& step)
 
 /// Normalises the beams so that their mean, weighted by numbers of returns, has gain 1
 /// and offset 0. A common scale and shift of all albedos cannot be observed anyway.
-void fix_mean(std::vector<Response>& beams, const PlaceReturns& returns) {
+void normalise_mean_beam(std::vector<Response>& beams, const PlaceReturns& returns) {
     std::vector<double> n(beams.size(), kResponsePrior);
     for (const PlaceReturn& r : returns.seen) n[r.beam] += 1.0;
     double all = 0.0, gain = 0.0, offset = 0.0;
@@ -269,16 +271,16 @@ void fix_mean(std::vector<Response>& beams, const PlaceReturns& returns) {
     }
 }
 
-double compute_error(const Model& m, const PlaceReturns& returns) {
+double compute_error(const Model& model, const PlaceReturns& returns) {
     struct alignas(64) Sum {  // one cache line per sum, because threads write to neighbouring elements
         double of = 0.0;
     };
     std::array<Sum, kChunks> squares;
-    for_each_place(returns.seen, [&](std::span<const PlaceReturn> place, std::size_t chunk) {
+    for_each_place_in_parallel(returns.seen, [&](std::span<const PlaceReturn> place, std::size_t chunk) {
         for (const PlaceReturn& r : place) {
-            const Response& beam = m.beams[r.beam];
-            const double mean_beam =
-                             m.albedo[r.place] * m.shared.at_range(r.range_m) * m.shared.at_cosine(r.cosine),
+            const Response& beam = model.beams[r.beam];
+            const double mean_beam = model.albedo[r.place] * model.shared.at_range(r.range_m) *
+                                     model.shared.at_cosine(r.cosine),
                          error = beam.gain * mean_beam + beam.offset - double(r.intensity);
             squares[chunk].of += error * error;
         }
@@ -309,7 +311,7 @@ Model fit_response(const PlaceReturns& returns, std::size_t n_beams, Parts parts
         if (is_better) m = std::move(next);
     }
     if (parts.beams) {
-        fix_mean(m.beams, returns);
+        normalise_mean_beam(m.beams, returns);
         fit_albedos(m, returns);
     }
     return m;

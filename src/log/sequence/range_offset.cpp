@@ -68,11 +68,11 @@ struct Cells {
     }
 };
 
-Cells gather_cells(const Sequence& sequence, const std::vector<int>& positions) {
+Cells collect_observation_cells(const Sequence& sequence, const std::vector<int>& positions) {
     const std::vector<Observation> all =
-        joined(read_frames(sequence, positions, kMostOffsetReturns,
-                           [&](const Frame& frame) { return collect_observations(sequence, frame); }));
-    const ItemsOfCells items(number_cells(all.size(), [&](std::size_t index) {
+        concatenate(read_frames(sequence, positions, kMostOffsetReturns,
+                                [&](const Frame& frame) { return collect_observations(sequence, frame); }));
+    const ItemsOfCells items(assign_cell_numbers(all.size(), [&](std::size_t index) {
         return make_cell_key(glm::dvec3(all[index].point_m), kCell_m);
     }));
     Cells cells{std::vector<Observation>(all.size()), {0}};
@@ -85,7 +85,7 @@ Cells gather_cells(const Sequence& sequence, const std::vector<int>& positions) 
     return cells;
 }
 
-glm::dvec3 moved(const Observation& observation, const std::vector<double>& offset_m) {
+glm::dvec3 shift_by_range_offset(const Observation& observation, const std::vector<double>& offset_m) {
     return glm::dvec3(observation.point_m) - offset_m[observation.beam] * glm::dvec3(observation.direction);
 }
 
@@ -98,9 +98,9 @@ struct Plane {
 std::optional<Plane> fit_plane_of_cell(std::span<const Observation> observations,
                                        const std::vector<double>& offset_m) {
     if (observations.size() < std::size_t(kMinReturns)) return std::nullopt;
-    const glm::dvec3 about = moved(observations[0], offset_m);
+    const glm::dvec3 about = shift_by_range_offset(observations[0], offset_m);
     PlaneSums sums;
-    for (const Observation& o : observations) sums.add(moved(o, offset_m) - about);
+    for (const Observation& o : observations) sums.add(shift_by_range_offset(o, offset_m) - about);
     const PlaneFit fit = sums.fit();
     if (fit.variance[0] > kMaxThickness_m * kMaxThickness_m ||
         fit.variance[1] < kMaxThickness_m * kMaxThickness_m)
@@ -123,7 +123,8 @@ struct Residuals {
 
     void add(const Observation& observation, const Plane& plane, const std::vector<double>& offset_m) {
         const double facing = glm::dot(plane.normal, glm::dvec3(observation.direction)),
-                     residual = glm::dot(plane.normal, moved(observation, offset_m) - plane.point);
+                     residual =
+                         glm::dot(plane.normal, shift_by_range_offset(observation, offset_m) - plane.point);
         if (facing == 0.0 || std::abs(residual) > kMaxResidual_m) return;
         ++n;
         squares += residual * residual;
@@ -182,7 +183,7 @@ std::pair<std::size_t, double> fit_offsets(const Cells& cells, std::vector<doubl
 LaserCalibration calibrate_ranges(Sequence& sequence, const std::vector<int>& positions) {
     const std::vector<Beam*> beams = list_beams(sequence);
     for (Beam* beam : beams) beam->range_offset_m = 0.0;
-    const Cells cells = gather_cells(sequence, positions);
+    const Cells cells = collect_observation_cells(sequence, positions);
     LaserCalibration result;
     if (cells.seen.empty()) return result;
     std::vector<double> offset_m(beams.size(), 0.0);

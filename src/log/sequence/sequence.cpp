@@ -19,7 +19,7 @@
 namespace relidar {
 namespace {
 
-TrackPosition find_place(const std::vector<double>& time_s, double t_s) {
+TrackPosition find_track_position(const std::vector<double>& time_s, double t_s) {
     const auto after = std::upper_bound(time_s.begin(), time_s.end(), t_s);
     const std::ptrdiff_t last = static_cast<std::ptrdiff_t>(time_s.size()) - 2;
     const std::size_t left =
@@ -30,7 +30,7 @@ TrackPosition find_place(const std::vector<double>& time_s, double t_s) {
 
 }  // namespace
 
-bool BoxTrack::present(double t_s) const {
+bool BoxTrack::is_present(double t_s) const {
     const PoseTrack& track = world_from_box;
     if (track.pose.size() < 2) return track.covers(t_s);
     const double half_step =
@@ -54,7 +54,7 @@ bool BoxTrack::holds(const glm::dvec3& point_m, double t_s, double margin_m) con
     // First compares the distance from the centre of the box. This fast test rejects most
     // points, which then need no interpolated rotation.
     if (track.pose.size() > 1) {
-        const TrackPosition at = find_place(track.time_s, t_s);
+        const TrackPosition at = find_track_position(track.time_s, t_s);
         const glm::dvec3 centre =
             glm::mix(track.pose[at.left].translation, track.pose[at.left + 1].translation, at.s);
         const glm::dvec3 d = point_m - centre;
@@ -71,7 +71,7 @@ TrackPosition PoseTrack::place(double t_s) const {
                         "same number",
                         pose.size(), time_s.size()));
     }
-    return pose.size() == 1 ? TrackPosition{} : find_place(time_s, t_s);
+    return pose.size() == 1 ? TrackPosition{} : find_track_position(time_s, t_s);
 }
 
 Pose PoseTrack::at(double t_s) const {
@@ -147,20 +147,20 @@ const BoxTrack* find_box(const Sequence& sequence, const std::string& id) {
     return box == sequence.boxes.end() ? nullptr : &*box;
 }
 
-Sequence copy_without_frames(const Sequence& all) {
-    return {all.name,
-            all.source,
-            all.lidars,
+Sequence copy_without_frames(const Sequence& sequence) {
+    return {sequence.name,
+            sequence.source,
+            sequence.lidars,
             {},
-            all.world_from_vehicle,
-            all.boxes,
-            all.world_offset_m,
-            all.intensity_response,
-            all.conventions,
-            all.notes,
-            all.test_frames,
-            all.has_poses,
-            all.rolling_shutter};
+            sequence.world_from_vehicle,
+            sequence.boxes,
+            sequence.world_offset_m,
+            sequence.intensity_response,
+            sequence.conventions,
+            sequence.notes,
+            sequence.test_frames,
+            sequence.has_poses,
+            sequence.rolling_shutter};
 }
 
 PoseTrack mount_on_track(PoseTrack track, const Pose& sensor_from_moved) {
@@ -212,7 +212,7 @@ std::optional<glm::dvec3> compute_mean_position(const PoseTrack& track, double f
 
 }  // namespace
 
-bool BoxTrack::moves() const {
+bool BoxTrack::is_moving() const {
     constexpr double kSmooth_s = 1.0, kJitter_m = 0.2, kDrift_m = 2.0, kDrift_mps = 0.5;
     const std::vector<double>& t = world_from_box.time_s;
     if (t.size() < 2) return false;
@@ -252,7 +252,7 @@ double compute_firing_time(double time_s, const RayTable& rays, std::size_t ray,
     return rolling_shutter ? time_s + static_cast<double>(rays.time_offset_s[ray]) : time_s;
 }
 
-WorldRay place_ray(const Pose& pose, const RayTable& rays, std::size_t ray) {
+WorldRay make_ray_in_world(const Pose& pose, const RayTable& rays, std::size_t ray) {
     return {pose * glm::dvec3(rays.origin[ray]),
             glm::normalize(pose.rotation * glm::dvec3(rays.direction[ray]))};
 }
@@ -261,8 +261,8 @@ WorldRay place_ray(const Pose& pose, const RayTable& rays, std::size_t ray) {
 
 WorldRay make_world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays,
                         std::size_t ray, bool rolling_shutter) {
-    return place_ray(world_from_sensor.at(compute_firing_time(time_s, rays, ray, rolling_shutter)), rays,
-                     ray);
+    return make_ray_in_world(world_from_sensor.at(compute_firing_time(time_s, rays, ray, rolling_shutter)),
+                             rays, ray);
 }
 
 namespace {
@@ -285,7 +285,7 @@ struct HeadTurn {
 
 }  // namespace
 
-std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor& sensor) {
+std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningSensor& sensor) {
     // Minimum length of the mean phasor exp(i azimuth) of rays from one rotating head.
     // Azimuth offsets of beams and uneven rotation reduce it only slightly below 1.
     constexpr double kTogether = 0.9;
@@ -312,8 +312,8 @@ std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor&
     return SweepStart{std::remainder(at_zero + rad_per_s * double(first_s), 2.0 * kPi), double(first_s)};
 }
 
-std::optional<SweepStart> find_start(const RayTable& rays, const Lidar& lidar) {
-    if (!lidar.pattern) return find_start(rays, lidar.sensor);
+std::optional<SweepStart> find_sweep_start(const RayTable& rays, const Lidar& lidar) {
+    if (!lidar.pattern) return find_sweep_start(rays, lidar.sensor);
     const double period_s = lidar.period_s();
     if (!(period_s > 0.0) || rays.size() == 0) return {};
     const auto [first, last] = std::ranges::minmax(rays.time_offset_s);
@@ -392,8 +392,8 @@ WorldReturn compute_world_return(const Sequence& sequence, const Frame& frame, s
                                  std::size_t number) {
     const double t_s = compute_firing_time(frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
     const WorldRay w =
-        place_ray(sequence.world_from_vehicle.at(t_s, sequence.get_lidar(frame).vehicle_from_sensor),
-                  frame.scan.rays, ray);
+        make_ray_in_world(sequence.world_from_vehicle.at(t_s, sequence.get_lidar(frame).vehicle_from_sensor),
+                          frame.scan.rays, ray);
     const SurfaceReturn surface = compute_surface_return(sequence, frame, ray, number);
     return {w.origin_m + static_cast<double>(surface.range_m) * w.direction, w.direction, t_s,
             surface.intensity};
@@ -402,7 +402,7 @@ WorldReturn compute_world_return(const Sequence& sequence, const Frame& frame, s
 bool is_in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s,
                       double margin_m) {
     return std::any_of(boxes.begin(), boxes.end(), [&](const BoxTrack& box) {
-        return box.present(t_s) && box.holds(point_m, t_s, margin_m) && box.moves();
+        return box.is_present(t_s) && box.holds(point_m, t_s, margin_m) && box.is_moving();
     });
 }
 

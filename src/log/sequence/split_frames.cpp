@@ -85,7 +85,7 @@ std::set<int> parse_frame_list(const std::string& list, const std::vector<int>& 
             if (!known.contains(index))
                 throw UsageError(
                     fmt::format("{}: found frame {}, expected only frames that are read from the log: {}",
-                                kSetting, index, list_text(sweeps)));
+                                kSetting, index, format_number_list(sweeps)));
             if (!held_out.insert(index).second)
                 throw UsageError(fmt::format("{}: frame {} occurs twice, expected it once", kSetting, index));
         }
@@ -93,7 +93,7 @@ std::set<int> parse_frame_list(const std::string& list, const std::vector<int>& 
     if (held_out.size() == known.size())
         throw UsageError(fmt::format(
             "{}: all frames of the log are held out, expected at least one frame for training: {}", kSetting,
-            list_text(sweeps)));
+            format_number_list(sweeps)));
     return held_out;
 }
 

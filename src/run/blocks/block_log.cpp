@@ -19,7 +19,7 @@ constexpr double kSeen_m = 100.0;
 
 /// Returns the frames of one block of the log, for training and for testing, in the order
 /// of the log.
-std::vector<int> list_frames_of_block(const Block& block, const Split& split) {
+std::vector<int> list_block_frames(const Block& block, const Split& split) {
     std::vector<int> frames = block.train;
     for (const int position : block.own)
         if (std::find(split.test.begin(), split.test.end(), position) != split.test.end())
@@ -55,7 +55,7 @@ bool is_near_block(const BoxTrack& box, const Sequence& sequence, const std::vec
 /// Removes actors that have no box in this part of the log from the user's list of
 /// actors. If the list becomes empty, also clears the actor classes, because an empty
 /// list selects actors by class.
-void remove_unknown_tracks(InitialiseOptions& options, const std::vector<BoxTrack>& boxes) {
+void remove_tracks_without_boxes(InitialiseOptions& options, const std::vector<BoxTrack>& boxes) {
     if (options.actor_tracks.empty()) return;
     std::vector<std::string> kept;
     for (const std::string& track : split_words(options.actor_tracks))
@@ -69,7 +69,7 @@ void remove_unknown_tracks(InitialiseOptions& options, const std::vector<BoxTrac
 
 BlockLog load_block_log(const Sequence& sequence, const Split& split, const Block& block,
                         const Config& config) {
-    const std::vector<int> frames = list_frames_of_block(block, split);
+    const std::vector<int> frames = list_block_frames(block, split);
     BlockLog log{copy_without_frames(sequence), {}, config};
     Sequence& part = log.sequence;
     part.name = fmt::format("{}, metres {:.0f} to {:.0f}", sequence.name, block.begin_m, block.end_m);
@@ -83,7 +83,7 @@ BlockLog load_block_log(const Sequence& sequence, const Split& split, const Bloc
     std::copy_if(sequence.boxes.begin(), sequence.boxes.end(), std::back_inserter(part.boxes),
                  [&](const BoxTrack& box) { return is_near_block(box, sequence, frames); });
     log.config.blocks.length_m = 0.0;
-    remove_unknown_tracks(log.config.init, part.boxes);
+    remove_tracks_without_boxes(log.config.init, part.boxes);
     return log;
 }
 

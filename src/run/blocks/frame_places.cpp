@@ -13,8 +13,9 @@ std::vector<glm::dvec3> compute_frame_positions(const Sequence& sequence) {
 
 bool is_within(const BoxTrack& box, const Sequence& sequence, int position, double metres) {
     const double time_s = sequence.frames[std::size_t(position)].time_s;
-    return box.present(time_s) && glm::distance(box.world_from_box.at(time_s).translation,
-                                                sequence.world_from_vehicle.at(time_s).translation) <= metres;
+    return box.is_present(time_s) &&
+           glm::distance(box.world_from_box.at(time_s).translation,
+                         sequence.world_from_vehicle.at(time_s).translation) <= metres;
 }
 
 }  // namespace relidar

@@ -80,7 +80,7 @@ int parse_iteration(const std::string& text) {
     return iteration;
 }
 
-Checkpoint parse(Texts texts, std::vector<NamedArray> arrays) {
+Checkpoint parse_checkpoint(Texts texts, std::vector<NamedArray> arrays) {
     const auto format = texts.find("format"), version = texts.find("version");
     expect("metadata format", format == texts.end() ? "" : format->second, kFormat);
     // Checks the version before the checksum, because another version may compute the
@@ -123,7 +123,7 @@ Checkpoint read_checkpoint(const std::filesystem::path& path) {
     Texts texts;
     std::vector<NamedArray> arrays = read_safetensors(path, &texts);
     try {
-        return parse(std::move(texts), std::move(arrays));
+        return parse_checkpoint(std::move(texts), std::move(arrays));
     } catch (const DataError& error) {
         throw DataError(fmt::format("cannot read checkpoint '{}': {}", path.string(), error.what()));
     }

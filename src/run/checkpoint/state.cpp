@@ -56,7 +56,7 @@ void StateWriter::operator()(const std::string& name, const SurfelArrays& surfel
     const Surfels host = surfels.download();
     for (const ParameterGroup& group : list_parameter_groups(surfels.parameters()))
         put(name + "/" + group.name, "f4", group.shape(host.size()), group.values(host).data());
-    checkpoint_.texts[name + "/" + kPrimitiveKey] = kind_of(surfels.primitive).name;
+    checkpoint_.texts[name + "/" + kPrimitiveKey] = get_primitive_kind(surfels.primitive).name;
 }
 
 const NamedArray& StateReader::find(const std::string& name, const char* dtype,

@@ -146,7 +146,7 @@ std::vector<ConfigKey> list_config_keys(const Config& config) {
     return keys;
 }
 
-void set_key(Config& config, const std::string& key, const std::string& value) {
+void set_config_value(Config& config, const std::string& key, const std::string& value) {
     apply_setting(config, key, {value, ParsedValue::Quotes::unknown});
 }
 
@@ -218,7 +218,7 @@ std::string to_toml(const Config& config) {
            format_toml(config, [](const std::string&) { return true; });
 }
 
-std::string to_short_toml(const Config& config) {
+std::string to_toml_without_defaults(const Config& config) {
     std::set<std::string> left_out;
     const std::vector<ConfigKey> keys = list_config_keys(config),
                                  preset = list_config_keys(make_preset(config.preset));

@@ -11,23 +11,23 @@ Config use_farthest_return(Config config, const Sequence& sequence) {
     return config;
 }
 
-TraceOptions trace_options(const Config& config) {
+TraceOptions make_base_trace_options(const Config& config) {
     TraceOptions options;
     options.chunk = config.trace.chunk;
     return options;
 }
 
 TraceOptions make_training_trace_options(const Config& config) {
-    TraceOptions options = trace_options(config);
+    TraceOptions options = make_base_trace_options(config);
     if (config.loss.likelihood > 0.0f) options.likelihood = RangeKernel{config.loss.likelihood_scale_m};
     return options;
 }
 
 TraceOptions make_rendering_trace_options(const Config& config) {
-    TraceOptions options = trace_options(config);
+    TraceOptions options = make_base_trace_options(config);
     // Normals are always computed, because output channels and ray-drop networks can use
     // them.
-    options.normals = kind_of(config.image.primitive).has_normals;
+    options.normals = get_primitive_kind(config.image.primitive).has_normals;
     if (config.render.range == "mode")
         options.mode_gap_m = static_cast<float>(config.sensor.return_separation_m);
     return options;

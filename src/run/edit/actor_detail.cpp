@@ -68,7 +68,7 @@ ActorDetail measure_actor_detail(const DrivingScene& driving, const std::string&
     const PoseTrack world_from_sensor = log.world_from_sensor(lidar);
     Pose box_from_sensor;
     for (const Frame& frame : log.frames) {
-        if (frame.lidar != lidar || !box->present(frame.time_s)) continue;
+        if (frame.lidar != lidar || !box->is_present(frame.time_s)) continue;
         const Pose nearer =
             inverse(box->world_from_box.at(frame.time_s)) * world_from_sensor.at(frame.time_s);
         if (const double distance_m = glm::length(nearer.translation); distance_m < detail.nearest_m)

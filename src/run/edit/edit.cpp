@@ -44,7 +44,7 @@ std::size_t find_actor(const DrivingScene& driving, const std::string& track) {
         fmt::format("{}{} (actors: {})", message, suggest_name(track, known, "\""), fmt::join(known, ", ")));
 }
 
-BoxTrack& box_of(DrivingScene& driving, const std::string& track) {
+BoxTrack& get_actor_box(DrivingScene& driving, const std::string& track) {
     find_actor(driving, track);
     std::vector<BoxTrack>& boxes = driving.sequence.boxes;
     if (const BoxTrack* box = find_box(driving.sequence, track))
@@ -54,7 +54,7 @@ BoxTrack& box_of(DrivingScene& driving, const std::string& track) {
 }
 
 /// Removes models that no instance uses. The model of the background is kept.
-void drop_unused_models(Scene& scene) {
+void remove_unused_models(Scene& scene) {
     Surfels surfels;
     std::vector<Model> models;
     std::vector<std::uint32_t> moved_to(scene.models.size(), 0);
@@ -76,24 +76,24 @@ void drop_unused_models(Scene& scene) {
 /// Removes the actors for which `keep` returns false. Also removes the boxes of these
 /// actors.
 template <class Keep>
-void keep_instances(DrivingScene& driving, const Keep& keep) {
+void remove_other_instances(DrivingScene& driving, const Keep& keep) {
     std::vector<Instance> kept;
     for (const Instance& instance : driving.scene.instances) {
         if (instance.track.empty() || keep(instance.track)) kept.push_back(instance);
         else std::erase_if(driving.sequence.boxes, [&](const BoxTrack& b) { return b.id == instance.track; });
     }
     driving.scene.instances = std::move(kept);
-    drop_unused_models(driving.scene);
+    remove_unused_models(driving.scene);
 }
 
-bool is_taken(const DrivingScene& driving, const std::string& id) {
+bool is_track_id_used(const DrivingScene& driving, const std::string& id) {
     return std::any_of(driving.sequence.boxes.begin(), driving.sequence.boxes.end(),
                        [&](const BoxTrack& b) { return b.id == id; });
 }
 
-std::string free_id(const DrivingScene& driving, const std::string& stem) {
+std::string make_unused_track_id(const DrivingScene& driving, const std::string& stem) {
     int n = 1;
-    while (is_taken(driving, fmt::format("{}-{}", stem, n))) ++n;
+    while (is_track_id_used(driving, fmt::format("{}-{}", stem, n))) ++n;
     return fmt::format("{}-{}", stem, n);
 }
 
@@ -135,7 +135,7 @@ void check_trajectory(const PoseTrack& track, const std::string& id) {
 /// Adds interpolated poses to a track, so that consecutive poses are at most `step_s`
 /// apart. A box exists only at times near its poses, so this limits how long it exists
 /// before the first and after the last pose.
-PoseTrack refine_track(const PoseTrack& track, double step_s) {
+PoseTrack resample_track(const PoseTrack& track, double step_s) {
     PoseTrack fine;
     for (std::size_t i = 0; i + 1 < track.pose.size(); ++i) {
         const double span = track.time_s[i + 1] - track.time_s[i];
@@ -158,7 +158,8 @@ void complete_sides(DrivingScene& driving, const std::string& track) {
     const std::uint32_t number = scene.instances[find_actor(driving, track)].model;
     Model& model = scene.models[number];
     if (!model.surface || model.surface->is_completed || model.surface->mirrored() == 0.0 ||
-        !is_vehicle(box_of(driving, track)) || std::size_t(model.first) + model.count > scene.surfels.size())
+        !is_vehicle(get_actor_box(driving, track)) ||
+        std::size_t(model.first) + model.count > scene.surfels.size())
         return;
     Surfels completed = scene.surfels.slice(model.first, model.count);
     if (complete_by_symmetry(completed, *model.surface) == 0) return;
@@ -188,50 +189,51 @@ void add_instance(DrivingScene& driving, std::uint32_t model, BoxTrack box, cons
 
 DrivingScene remove_track(DrivingScene driving, const std::string& track) {
     find_actor(driving, track);
-    keep_instances(driving, [&](const std::string& name) { return name != track; });
+    remove_other_instances(driving, [&](const std::string& name) { return name != track; });
     return driving;
 }
 
 DrivingScene move_track(DrivingScene driving, const std::string& track, const Pose& box_from_moved) {
-    for (Pose& pose : box_of(driving, track).world_from_box.pose) pose = pose * box_from_moved;
+    for (Pose& pose : get_actor_box(driving, track).world_from_box.pose) pose = pose * box_from_moved;
     complete_sides(driving, track);
     return driving;
 }
 
 DrivingScene retime_track(DrivingScene driving, const std::string& track, double seconds) {
-    for (double& time_s : box_of(driving, track).world_from_box.time_s) time_s += seconds;
+    for (double& time_s : get_actor_box(driving, track).world_from_box.time_s) time_s += seconds;
     complete_sides(driving, track);
     return driving;
 }
 
-std::string describe_lost_frames(const BoxTrack& before, const Sequence& edited) {
-    const BoxTrack* box = find_box(edited, before.id);
+std::string describe_lost_frames(const BoxTrack& box_before, const Sequence& edited) {
+    const BoxTrack* box = find_box(edited, box_before.id);
     // A set, because LiDARs that sweep at the same time have frames with the same number.
     std::set<int> lost;
     for (const Frame& frame : edited.frames)
-        if (box && before.present(frame.time_s) && !box->present(frame.time_s)) lost.insert(frame.index);
+        if (box && box_before.is_present(frame.time_s) && !box->is_present(frame.time_s))
+            lost.insert(frame.index);
     if (lost.empty()) return "";
     const std::vector<double>& times_s = box->world_from_box.time_s;
     return fmt::format(
         "track {} is now missing in {} frames between {} and {} in which it was present before, "
         "because its new trajectory lasts only from {:.2f} to {:.2f} s",
-        before.id, lost.size(), *lost.begin(), *lost.rbegin(), times_s.front(), times_s.back());
+        box_before.id, lost.size(), *lost.begin(), *lost.rbegin(), times_s.front(), times_s.back());
 }
 
 DrivingScene replace_trajectory(DrivingScene driving, const std::string& track,
                                 const PoseTrack& dataset_from_box) {
-    BoxTrack& box = box_of(driving, track);
+    BoxTrack& box = get_actor_box(driving, track);
     check_trajectory(dataset_from_box, track);
     box.n_before = box.n_after = 0;
-    box.world_from_box = refine_track(shift_track(dataset_from_box, -driving.sequence.world_offset_m),
-                                      std::max(driving.sequence.lidars[0].period_s(), 1e-3));
+    box.world_from_box = resample_track(shift_track(dataset_from_box, -driving.sequence.world_offset_m),
+                                        std::max(driving.sequence.lidars[0].period_s(), 1e-3));
     complete_sides(driving, track);
     return driving;
 }
 
 DrivingScene copy_track(DrivingScene driving, const std::string& track, const Start& start) {
-    BoxTrack box = box_of(driving, track);
-    box.id = free_id(driving, track + "-copy");
+    BoxTrack box = get_actor_box(driving, track);
+    box.id = make_unused_track_id(driving, track + "-copy");
     const std::uint32_t model = driving.scene.instances[find_actor(driving, track)].model;
     add_instance(driving, model, std::move(box), start);
     return driving;
@@ -240,8 +242,8 @@ DrivingScene copy_track(DrivingScene driving, const std::string& track, const St
 DrivingScene insert_track(DrivingScene driving, const DrivingScene& other, const std::string& track,
                           const Start& start) {
     DrivingScene source = other;
-    BoxTrack box = box_of(source, track);
-    if (is_taken(driving, box.id)) box.id = free_id(driving, track + "-insert");
+    BoxTrack box = get_actor_box(source, track);
+    if (is_track_id_used(driving, box.id)) box.id = make_unused_track_id(driving, track + "-insert");
     add_instance(
         driving,
         append_model(driving.scene, other.scene, other.scene.instances[find_actor(other, track)].model),
@@ -250,7 +252,7 @@ DrivingScene insert_track(DrivingScene driving, const DrivingScene& other, const
 }
 
 DrivingScene keep_background(DrivingScene driving) {
-    keep_instances(driving, [](const std::string&) { return false; });
+    remove_other_instances(driving, [](const std::string&) { return false; });
     return driving;
 }
 

@@ -66,7 +66,7 @@ struct GroundPlane {
     double compute_height(const glm::dvec2& xy) const {
         return origin_m.z - (normal.x * (xy.x - origin_m.x) + normal.y * (xy.y - origin_m.y)) / normal.z;
     }
-    double above(const glm::dvec3& point) const { return glm::dot(normal, point - origin_m); }
+    double compute_height_above(const glm::dvec3& point) const { return glm::dot(normal, point - origin_m); }
 };
 
 /// Area on the ground below a box: a rectangle in the x-y plane around the centre of the
@@ -76,13 +76,13 @@ struct Footprint {
     double yaw_rad = 0.0;
     glm::dvec2 half_m{0.0};
 
-    glm::dvec2 local(const glm::dvec3& point) const {
+    glm::dvec2 to_footprint_frame(const glm::dvec3& point) const {
         const double c = std::cos(yaw_rad), s = std::sin(yaw_rad), dx = point.x - centre_m.x,
                      dy = point.y - centre_m.y;
         return {c * dx + s * dy, c * dy - s * dx};
     }
     bool holds(const glm::dvec3& point, double margin_m) const {
-        const glm::dvec2 d = glm::abs(local(point));
+        const glm::dvec2 d = glm::abs(to_footprint_frame(point));
         return d.x <= half_m.x + margin_m && d.y <= half_m.y + margin_m;
     }
 };
@@ -118,7 +118,7 @@ public:
         }
     }
 
-    std::optional<GroundPlane> below(const Footprint& footprint) const {
+    std::optional<GroundPlane> fit_plane_below(const Footprint& footprint) const {
         const glm::dvec3 sensor = find_nearest_pose(way_, footprint.centre_m).translation;
         const double highest_m = sensor.z + kSteepest * glm::distance(glm::dvec2(sensor), footprint.centre_m);
         for (const double margin_m : kMargins_m) {
@@ -133,7 +133,7 @@ public:
 
     /// Returns a text with the distance to the nearest level surfel, for an error
     /// message.
-    std::string nearest(const glm::dvec2& xy) const {
+    std::string describe_nearest_surfel(const glm::dvec2& xy) const {
         if (points_.empty()) return "the background has no horizontal surfel";
         double nearest_m = std::numeric_limits<double>::infinity();
         for (const glm::dvec3& p : points_) nearest_m = std::min(nearest_m, glm::distance(glm::dvec2(p), xy));
@@ -142,7 +142,7 @@ public:
 
 private:
     void add(const Surfels& surfels, std::size_t count) {
-        const bool has_normals = kind_of(surfels.primitive).has_normals;
+        const bool has_normals = get_primitive_kind(surfels.primitive).has_normals;
         for (std::size_t i = 0; i < count; ++i)
             if (surfels.opacity_logit[i] > kFaintLogit &&
                 (!has_normals || std::abs(compute_surfel_normal(surfels.rotation[i]).z) > kLevelSurfel))
@@ -153,7 +153,7 @@ private:
                                                           const std::vector<glm::dvec3>& points) {
         std::vector<glm::dvec3> on;
         std::ranges::copy_if(points, std::back_inserter(on), [&](const glm::dvec3& point) {
-            return std::abs(plane.above(point)) < kFitted_m;
+            return std::abs(plane.compute_height_above(point)) < kFitted_m;
         });
         return on;
     }
@@ -176,7 +176,7 @@ private:
             const GroundPlane plane{a, normal};
             double score = 0.0;
             for (const glm::dvec3& p : points) {
-                const double off = plane.above(p) / kOnPlane_m;
+                const double off = plane.compute_height_above(p) / kOnPlane_m;
                 score += std::max(0.0, 1.0 - off * off);
             }
             if (score > most) best = plane, most = score;
@@ -195,7 +195,7 @@ private:
             for (const glm::dvec3& p : on) sums.add(p - points.front());
             const PlaneFit fit = sums.fit();
             plane = {points.front() + fit.mean, fit.axes[0] * (fit.axes[0].z > 0.0 ? 1.0 : -1.0)};
-            const glm::dvec2 beside = glm::abs(footprint.local(plane.origin_m));
+            const glm::dvec2 beside = glm::abs(footprint.to_footprint_frame(plane.origin_m));
             if (fit.variance[1] < kNarrowest_m * kNarrowest_m || plane.normal.z < kLevelPlane) return {};
             // Rejects the plane if its surfels are not centred below the box, because
             // they then cover only a part of the area.
@@ -261,8 +261,8 @@ std::optional<double> compute_clearance(const DrivingView& owner, const BoxTrack
     for (std::size_t i = 0; i < poses.size(); i += step) {
         const Pose& pose = poses[i];
         const std::optional<GroundPlane> plane =
-            surfels.below(make_footprint(pose.translation, compute_heading(pose), box.size_m));
-        if (plane) heights_m.push_back(plane->above(pose.translation) - 0.5 * box.size_m.z);
+            surfels.fit_plane_below(make_footprint(pose.translation, compute_heading(pose), box.size_m));
+        if (plane) heights_m.push_back(plane->compute_height_above(pose.translation) - 0.5 * box.size_m.z);
     }
     if (heights_m.empty()) return {};
     return compute_median(heights_m);
@@ -302,8 +302,8 @@ std::optional<double> measure_ground_clearance(const DrivingView& owner, const s
     return compute_clearance(owner, find_box_of_actor(owner, track));
 }
 
-Start start_on_ground(const DrivingView& driving, const GroundPlace& place, const DrivingView& owner,
-                      const std::string& track) {
+Start compute_start_on_ground(const DrivingView& driving, const GroundPlace& place, const DrivingView& owner,
+                              const std::string& track) {
     const Sequence& sequence = driving.sequence;
     const BoxTrack& box = find_box_of_actor(owner, track);
     const glm::dvec3 offset_m = sequence.world_offset_m;
@@ -319,7 +319,7 @@ Start start_on_ground(const DrivingView& driving, const GroundPlace& place, cons
     const LevelSurfels surfels(driving, positions);
     const auto ground_at = [&](const glm::dvec2& position_m) {
         const std::optional<GroundPlane> plane =
-            surfels.below(make_footprint(position_m, yaw_rad, box.size_m));
+            surfels.fit_plane_below(make_footprint(position_m, yaw_rad, box.size_m));
         return plane ? plane : estimate_ground_below_actor(position_m, sequence, [&](const BoxTrack& there) {
             return compute_clearance(driving, there).value_or(0.0);
         });
@@ -329,7 +329,7 @@ Start start_on_ground(const DrivingView& driving, const GroundPlace& place, cons
         throw UsageError(fmt::format(
             "cannot place {} on the ground at {:.6g},{:.6g} in the dataset's world: the background "
             "has no surface below its box ({}); choose a position that the log has observed",
-            track, place.dataset_m.x, place.dataset_m.y, surfels.nearest(xy)));
+            track, place.dataset_m.x, place.dataset_m.y, surfels.describe_nearest_surfel(xy)));
     const std::optional<double> clearance_m =
         place.clearance_m ? place.clearance_m : measure_ground_clearance(owner, track);
     const double above_m = 0.5 * box.size_m.z + clearance_m.value_or(0.0);

@@ -49,8 +49,9 @@ void write_cells(const std::filesystem::path& path, const std::vector<NamedArray
 /// Returns an array of the file by its name, and checks its type and its number of
 /// columns.
 /// @throws DataError if the file has no such array of this type and width
-const NamedArray& table(const std::vector<NamedArray>& arrays, const char* name, const char* dtype,
-                        std::size_t width, const std::string& file, const char* rows = "blocks") {
+const NamedArray& find_coverage_array(const std::vector<NamedArray>& arrays, const char* name,
+                                      const char* dtype, std::size_t width, const std::string& file,
+                                      const char* rows = "blocks") {
     const NamedArray* array = find_array(arrays, name);
     if (!array) throw DataError(fmt::format("{}: array {} is missing", file, name));
     if (array->dtype != dtype || array->shape.size() != 2 || array->shape[1] != width)
@@ -89,8 +90,8 @@ Coverage load_coverage(const std::filesystem::path& path) {
     const std::string file = path.string();
     const std::vector<NamedArray> arrays =
         read_cells(path, kCoverageFormat, kCoverageVersion, Coverage::kCell_m);
-    const NamedArray &places = table(arrays, "place", "i4", 3, file),
-                     &cells = table(arrays, "cells", "u2", Coverage::kWords, file);
+    const NamedArray &places = find_coverage_array(arrays, "place", "i4", 3, file),
+                     &cells = find_coverage_array(arrays, "cells", "u2", Coverage::kWords, file);
     check_rows(places, cells, file);
     Coverage coverage;
     for (std::size_t i = 0; i < places.shape[0]; ++i) {
@@ -121,8 +122,8 @@ void save_classes(const std::filesystem::path& path, const ClassMap& map) {
 ClassMap load_classes(const std::filesystem::path& path) {
     const std::string file = path.string();
     const std::vector<NamedArray> arrays = read_cells(path, kClassesFormat, kClassesVersion, kClassCell_m);
-    const NamedArray &places = table(arrays, "place", "i4", 3, file, "cells"),
-                     &classes = table(arrays, "class", "u2", 1, file, "cells");
+    const NamedArray &places = find_coverage_array(arrays, "place", "i4", 3, file, "cells"),
+                     &classes = find_coverage_array(arrays, "class", "u2", 1, file, "cells");
     check_rows(places, classes, file);
     ClassMap map(places.shape[0]);
     for (std::size_t i = 0; i < map.size(); ++i) {

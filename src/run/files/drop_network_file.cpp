@@ -20,8 +20,8 @@ namespace {
 constexpr const char* kNetworkFormat = "relidar drop network";
 constexpr const char* kNetworkVersion = "1";
 
-std::vector<float> values_of(const std::vector<NamedArray>& arrays, const char* name,
-                             const std::string& file) {
+std::vector<float> read_float_array(const std::vector<NamedArray>& arrays, const char* name,
+                                    const std::string& file) {
     const NamedArray* array = find_array(arrays, name);
     if (!array || array->dtype != "f4")
         throw DataError(fmt::format("{}: the array {} is missing or its type is not f4", file, name));
@@ -78,9 +78,9 @@ DropNetwork load_drop_network(const std::filesystem::path& path) {
     const std::string where = file + ": metadata shape";
     const nlohmann::json shape = parse_json(metadata["shape"], where);
     read_shape(JsonField(shape, where, ""), network);
-    network.normalisation = values_of(arrays, "normalisation", file);
-    network.parameters = values_of(arrays, "parameters", file);
-    network.running = values_of(arrays, "running", file);
+    network.normalisation = read_float_array(arrays, "normalisation", file);
+    network.parameters = read_float_array(arrays, "parameters", file);
+    network.running = read_float_array(arrays, "running", file);
     return network;
 }
 

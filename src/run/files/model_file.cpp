@@ -85,7 +85,7 @@ std::optional<BoxSurface> read_surface(const JsonField& model) {
     surface.is_completed = field.at("completed").boolean();
     for (std::size_t s = 0; s < kBoxSides; ++s) {
         const JsonField side = field.at(get_name(BoxSide(s)));
-        if (!surface.set_patches(BoxSide(s), side.text()))
+        if (!surface.parse_patches(BoxSide(s), side.text()))
             side.fail("found a text of " + std::to_string(side.text().size()) + " characters",
                       "expected a 0 or 1 for each of " + std::to_string(surface.patches(BoxSide(s)).size()) +
                           " patches");
@@ -228,11 +228,12 @@ void save_model(const std::filesystem::path& path, const Scene& scene) {
     if (!drop.empty())
         arrays.push_back(make_array(kSensorDrop, {std::size_t(drop.channels), std::size_t(drop.bins)},
                                     drop.probability.data(), drop.probability.size()));
-    std::map<std::string, std::string> metadata{{"format", kModelFormat},
-                                                {"version", kModelVersion},
-                                                {"relidar", RELIDAR_VERSION},
-                                                {kPrimitiveKey, kind_of(scene.surfels.primitive).name},
-                                                {"layout", layout_to_json(scene)}};
+    std::map<std::string, std::string> metadata{
+        {"format", kModelFormat},
+        {"version", kModelVersion},
+        {"relidar", RELIDAR_VERSION},
+        {kPrimitiveKey, get_primitive_kind(scene.surfels.primitive).name},
+        {"layout", layout_to_json(scene)}};
     if (!scene.blocks.empty()) metadata[kBlocks] = format_blocks_json(scene, path.parent_path());
     write_safetensors(path, arrays, metadata);
 }

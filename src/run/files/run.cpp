@@ -185,7 +185,7 @@ void replace_run(const Run& run, const std::function<void()>& remove_earlier) {
     if (!does_path_exist(run.folder)) {
         const StagedFolder staged(run.folder);
         write_staged_files(run, staged.path(), false);
-        return staged.finish_new();
+        return staged.finish_without_replacing();
     }
     make_folder(run.folder);  // throws an error with the reason if the path is a file and not a folder
     const TemporaryFolder staged(run.folder);
@@ -231,8 +231,9 @@ Run load_run(const fs::path& folder) {
     }
     if (run.scene.surfels.size() > 0 && run.scene.surfels.primitive != run.config.image.primitive)
         throw DataError(fmt::format("{}: image.primitive is {}, but {} contains {}",
-                                    (folder / kConfigFile).string(), kind_of(run.config.image.primitive).name,
-                                    kModelFile, kind_of(run.scene.surfels.primitive).label));
+                                    (folder / kConfigFile).string(),
+                                    get_primitive_kind(run.config.image.primitive).name, kModelFile,
+                                    get_primitive_kind(run.scene.surfels.primitive).label));
     return run;
 }
 

@@ -43,9 +43,9 @@ constexpr const char* kConventions =
     "highest first.";
 
 Json to_json(const glm::dvec3& vector) { return {vector.x, vector.y, vector.z}; }
-Json to_json(const Pose& p) {
-    return {p.translation.x, p.translation.y, p.translation.z, p.rotation.w,
-            p.rotation.x,    p.rotation.y,    p.rotation.z};
+Json to_json(const Pose& pose) {
+    return {pose.translation.x, pose.translation.y, pose.translation.z, pose.rotation.w,
+            pose.rotation.x,    pose.rotation.y,    pose.rotation.z};
 }
 
 Json to_json(const BoxTrack& box) {

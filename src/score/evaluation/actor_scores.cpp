@@ -130,7 +130,7 @@ BoxPoints collect_points_in_box(const RangeImage& rendered, const std::vector<fl
     BoxPoints result;
     for (std::size_t i = 0; i < points_m.size(); ++i) {
         std::optional<glm::dvec3> measured, simulated;
-        const bool returns = returned(rendered.drop_prob[i], points_m[i]);
+        const bool returns = is_returned(rendered.drop_prob[i], points_m[i]);
         if (real.range_m[i] > 0.0f)
             measured = in_scan.to_box_frame(compute_ray_end_point(real, i, real.range_m[i]));
         if (returns) simulated = in_scan.to_box_frame(compute_ray_end_point(rendered, i, points_m[i]));
@@ -151,8 +151,8 @@ BoxPoints collect_points_in_box(const RangeImage& rendered, const std::vector<fl
 ActorScores compute_actor_scores(const RangeImage& rendered, const std::vector<float>& points_m,
                                  const RangeImage& real, const Sequence& sequence, const SweepMoment& sweep) {
     ActorScores scores;
-    const TailCounts tails = count_tails(rendered, points_m, sequence, sweep),
-                     real_tails = count_tails(real, real.range_m, sequence, sweep);
+    const TailCounts tails = count_points_in_tails(rendered, points_m, sequence, sweep),
+                     real_tails = count_points_in_tails(real, real.range_m, sequence, sweep);
     if (tails.n_of_box.empty()) return scores;
     scores.metrics["actors/tail_share"] = tails.share;
     scores.metrics["actors/tail_share_real"] = real_tails.share;
@@ -160,7 +160,7 @@ ActorScores compute_actor_scores(const RangeImage& rendered, const std::vector<f
     for (const BoxTrack& box : sequence.boxes) {
         if (!tails.n_of_box.contains(box.id)) continue;  // a box that does not move has no tail
         BoxPoints p;
-        if (box.present(sweep.time_s))
+        if (box.is_present(sweep.time_s))
             p = collect_points_in_box(rendered, points_m, real, sequence, sweep, box);
         scores.actors.push_back({box.id, box.category, score_box(p)});
         scores.actors.back().metrics["tail"] = double(tails.n_of_box.at(box.id));

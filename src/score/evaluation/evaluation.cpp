@@ -37,7 +37,8 @@ SensorChoice make_sensor_of_frame(const Config& config, const Sequence& sequence
 
 /// Converts one flag per return of a scan to one flag per image pixel. Stores the flags
 /// as intensities of the scan and projects the scan into the image.
-std::vector<bool> to_pixels(const std::vector<bool>& returns, const Config& config, const Frame& frame) {
+std::vector<bool> convert_return_flags_to_pixels(const std::vector<bool>& returns, const Config& config,
+                                                 const Frame& frame) {
     Scan flags = frame.scan;
     std::copy(returns.begin(), returns.end(), flags.intensity.begin());
     const RangeImage binned = make_real_image(config, flags);
@@ -54,7 +55,7 @@ struct RenderedFrame {
     std::vector<bool> discovered;
     MetricRow class_scores;  ///< scores of the channel `class`; empty without labels
 
-    std::vector<Region> regions() const {
+    std::vector<Region> make_frame_regions() const {
         std::vector<Region> regions = make_standard_regions(frame.real, moving);
         if (!discovered.empty()) regions.push_back({"discovered_boxes", discovered});
         return regions;
@@ -69,9 +70,11 @@ RenderedFrame make_real_frame(const Config& config, const Sequence& sequence, co
     result.frame.time_s = frame.time_s;
     result.frame.start = frame.start;
     result.frame.real = make_real_image(config, frame.scan);
-    result.moving = to_pixels(find_moving_returns(sequence, frame, sensor_offset), config, frame);
+    result.moving =
+        convert_return_flags_to_pixels(find_moving_returns(sequence, frame, sensor_offset), config, frame);
     if (std::ranges::find(sequence.boxes, kDiscoveredCategory, &BoxTrack::category) != sequence.boxes.end())
-        result.discovered = to_pixels(find_discovered_returns(sequence, frame, sensor_offset), config, frame);
+        result.discovered = convert_return_flags_to_pixels(
+            find_discovered_returns(sequence, frame, sensor_offset), config, frame);
     return result;
 }
 
@@ -101,8 +104,8 @@ std::unique_ptr<Lpips> load_lpips() {
 
 /// Computes the metrics of several rendered frames in parallel.
 /// @param lpips  network for the LPIPS metric; null: leaves out this metric
-std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config& config,
-                               const Sequence& sequence, const Lpips* lpips) {
+std::vector<ScoredFrame> score_rendered_frames(std::vector<RenderedFrame> rendered, const Config& config,
+                                               const Sequence& sequence, const Lpips* lpips) {
     MetricOptions options;
     options.max_range_m = use_farthest_return(config, sequence).dataset.max_range_m;
     if (config.sensor.grid != "native")
@@ -110,7 +113,7 @@ std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config
     options.lpips = lpips;
     std::vector<Comparison> comparisons;
     for (const RenderedFrame& r : rendered)
-        comparisons.push_back({&r.frame.rendered.image, &r.frame.real, r.regions(),
+        comparisons.push_back({&r.frame.rendered.image, &r.frame.real, r.make_frame_regions(),
                                select_point_ranges(r.frame.rendered, config)});
     const std::vector<MetricRow> rows = evaluate_all(comparisons, options);
     std::vector<ScoredFrame> frames;
@@ -151,15 +154,14 @@ RangeErrorCounts count_range_errors(const RangeImage& rendered, const RangeImage
             std::size_t(std::lower_bound(kRanges.begin(), kRanges.end(), range_m) - kRanges.begin()) - 1;
         const auto band =
             std::size_t(std::upper_bound(kErrors.begin(), kErrors.end(), error_m) - kErrors.begin());
-        counts
-            .rays[row][returned(rendered.drop_prob[i], rendered.range_m[i]) ? band
-                                                                            : RangeErrorCounts::kBands - 1] +=
-            1.0;
+        counts.rays[row][is_returned(rendered.drop_prob[i], rendered.range_m[i])
+                             ? band
+                             : RangeErrorCounts::kBands - 1] += 1.0;
     }
     return counts;
 }
 
-void discard_images(ScoredFrame& frame) {
+void clear_frame_images(ScoredFrame& frame) {
     const double trace_ms = frame.rendered.trace_ms;
     frame.rendered = {};
     frame.rendered.trace_ms = trace_ms;
@@ -193,12 +195,12 @@ std::vector<ScoredFrame> score_frames(
                 render(frames.positions[i], frames.sequence.frames.at(std::size_t(frames.positions[i]))));
         }
         std::vector<ScoredFrame> scored_batch =
-            score(std::move(batch), frames.config, frames.sequence, lpips.get());
+            score_rendered_frames(std::move(batch), frames.config, frames.sequence, lpips.get());
         add_actor_scores(scored_batch, frames.sequence, frames.config);
         for (ScoredFrame& frame : scored_batch) {
             frame.range_errors = count_range_errors(frame.rendered.image, frame.real);
             if (frames.see) frames.see(frame);
-            if (scored.size() != n / 2) discard_images(frame);
+            if (scored.size() != n / 2) clear_frame_images(frame);
             scored.push_back(std::move(frame));
         }
     }
@@ -231,8 +233,8 @@ void attach_scans(Run& run, const std::vector<int>& positions, const Sequence& l
 ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence,
                         const Frame& frame, const Pose& sensor_offset) {
     const std::unique_ptr<Lpips> lpips = load_lpips();
-    return score({render_frame(renderer, config, sequence, frame, sensor_offset)}, config, sequence,
-                 lpips.get())
+    return score_rendered_frames({render_frame(renderer, config, sequence, frame, sensor_offset)}, config,
+                                 sequence, lpips.get())
         .front();
 }
 

@@ -26,7 +26,7 @@ struct Swept {
 std::vector<Swept> list_swept_boxes(const Sequence& sequence) {
     std::vector<Swept> swept;
     for (const BoxTrack& box : sequence.boxes) {
-        if (!box.moves()) continue;
+        if (!box.is_moving()) continue;
         Swept& s = swept.emplace_back();
         s.box = &box;
         for (const Pose& pose : box.world_from_box.pose) {
@@ -66,8 +66,8 @@ struct Tail {
     }
 };
 
-Tail sum_tails(const RangeImage& image, const std::vector<float>& points_m, const Sequence& sequence,
-               const std::vector<Swept>& swept, const SweepMoment& sweep) {
+Tail measure_tails(const RangeImage& image, const std::vector<float>& points_m, const Sequence& sequence,
+                   const std::vector<Swept>& swept, const SweepMoment& sweep) {
     // Number of rays that a thread processes at a time.
     constexpr std::size_t kRays = 2048;
     const Pose& mounted = sequence.lidars[std::size_t(sweep.lidar)].vehicle_from_sensor;
@@ -76,7 +76,7 @@ Tail sum_tails(const RangeImage& image, const std::vector<float>& points_m, cons
         part.n_of_box.resize(swept.size());
         std::vector<std::size_t> boxes;  // boxes that contain the point at some time of the log
         for (std::size_t i = begin; i < end; ++i) {
-            if (!returned(image.drop_prob[i], points_m[i])) continue;
+            if (!is_returned(image.drop_prob[i], points_m[i])) continue;
             ++part.n_points;
             const glm::dvec3 in_sensor(image.origin[i] + points_m[i] * image.direction[i]);
             const double t_s = compute_facing_time(sequence, in_sensor, sweep);
@@ -85,7 +85,7 @@ Tail sum_tails(const RangeImage& image, const std::vector<float>& points_m, cons
             for (std::size_t k = 0; k < swept.size(); ++k)
                 if (is_in_swept_box(swept[k], point_m)) boxes.push_back(k);
             if (boxes.empty() || std::ranges::any_of(swept, [&](const Swept& actor) {
-                    return actor.box->present(t_s) && actor.box->holds(point_m, t_s, kNowMargin_m);
+                    return actor.box->is_present(t_s) && actor.box->holds(point_m, t_s, kNowMargin_m);
                 }))
                 continue;
             ++part.n_tail;
@@ -97,11 +97,11 @@ Tail sum_tails(const RangeImage& image, const std::vector<float>& points_m, cons
 
 }  // namespace
 
-TailCounts count_tails(const RangeImage& image, const std::vector<float>& points_m, const Sequence& sequence,
-                       const SweepMoment& sweep) {
+TailCounts count_points_in_tails(const RangeImage& image, const std::vector<float>& points_m,
+                                 const Sequence& sequence, const SweepMoment& sweep) {
     const std::vector<Swept> swept = list_swept_boxes(sequence);
     if (swept.empty()) return {};
-    const Tail tail = sum_tails(image, points_m, sequence, swept, sweep);
+    const Tail tail = measure_tails(image, points_m, sequence, swept, sweep);
     TailCounts counts;
     counts.share = double(tail.n_tail) / double(std::max<std::size_t>(tail.n_points, 1));
     for (std::size_t k = 0; k < swept.size(); ++k)

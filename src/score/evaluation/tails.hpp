@@ -26,7 +26,7 @@ struct TailCounts {
 /// lowest 0.3 m of a box count as ground, not as tail. Each point is tested at the time
 /// at which the LiDAR's head faces the point.
 /// @param points_m [n] ranges of the points of the image
-TailCounts count_tails(const RangeImage& image, const std::vector<float>& points_m, const Sequence& sequence,
-                       const SweepMoment& sweep);
+TailCounts count_points_in_tails(const RangeImage& image, const std::vector<float>& points_m,
+                                 const Sequence& sequence, const SweepMoment& sweep);
 
 }  // namespace relidar

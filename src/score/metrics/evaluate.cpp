@@ -34,7 +34,7 @@ constexpr int kSsimWindow = 7;
 // to nothing.
 constexpr int kLpipsEdge = 31;
 
-Positions points(const RangeImage& image, const Mask& mask) {
+Positions select_points(const RangeImage& image, const Mask& mask) {
     Positions result;
     for (std::size_t i = 0; i < mask.size(); ++i)
         if (mask[i])
@@ -94,33 +94,33 @@ struct CloudDistances {
         to_truth = compute_nearest_distances(rendered, truth);
         to_rendered = compute_nearest_distances(truth, rendered);
     }
-    bool defined() const { return !to_truth.empty(); }
-    double chamfer() const { return mean_of(to_truth) + mean_of(to_rendered); }
+    bool has_distances() const { return !to_truth.empty(); }
+    double chamfer() const { return compute_values_mean(to_truth) + compute_values_mean(to_rendered); }
     double compute_squared_chamfer() const {
         return compute_mean_square(to_truth) + compute_mean_square(to_rendered);
     }
     /// Returns the F-score: the harmonic mean of precision and recall. Returns 0 if a
     /// cloud is empty.
     double compute_f_score(double threshold_m) const {
-        if (!defined()) return 0.0;
+        if (!has_distances()) return 0.0;
         const double precision = compute_share_below(to_truth, threshold_m),
                      recall = compute_share_below(to_rendered, threshold_m);
         return 2.0 * precision * recall / std::max(precision + recall, 1e-12);
     }
 };
 
-void add_peer(MetricRow& row, const RangeImage& rendered, const RangeImage& real,
-              const MetricOptions& options) {
+void add_published_metrics(MetricRow& row, const RangeImage& rendered, const RangeImage& real,
+                           const MetricOptions& options) {
     const double threshold = options.peer_drop_threshold;
     add_image(row, "peer/depth_", "_m", make_depth_pair(rendered, real, threshold, options.max_range_m),
               options.lpips);
     add_image(row, "peer/intensity_", "", make_intensity_pair(rendered, real, threshold), options.lpips);
 
-    const Positions a = points(rendered, returned(rendered, threshold));
-    const Positions b = points(real, returned(real, kRealDropThreshold));
+    const Positions a = select_points(rendered, make_positive_range_mask(rendered, threshold));
+    const Positions b = select_points(real, make_positive_range_mask(real, kRealDropThreshold));
     if (a.empty() && b.empty()) return;
     const CloudDistances distances(a, b);
-    if (distances.defined()) row["peer/cd_sq_m2"] = distances.compute_squared_chamfer();
+    if (distances.has_distances()) row["peer/cd_sq_m2"] = distances.compute_squared_chamfer();
     row["peer/f_score"] = distances.compute_f_score(kPeerThreshold_m);
 }
 
@@ -135,7 +135,7 @@ double compute_drop_rmse(const RangeImage& rendered, const RangeImage& real) {
 
 /// Adds metrics of a classifier that predicts for each pixel whether its ray is dropped.
 /// "Dropped" is the positive class.
-void add_drop(MetricRow& row, const Mask& rendered, const Mask& real) {
+void add_ray_drop_metrics(MetricRow& row, const Mask& rendered, const Mask& real) {
     std::size_t hits = 0, false_drops = 0, missed_drops = 0, equal = 0;
     for (std::size_t i = 0; i < real.size(); ++i) {
         hits += !rendered[i] && !real[i];
@@ -156,16 +156,16 @@ void add_drop(MetricRow& row, const Mask& rendered, const Mask& real) {
 /// distances between the rendered and the real point cloud.
 void add_points(MetricRow& row, const std::string& prefix, const RangeImage& rendered, const RangeImage& real,
                 const MetricOptions& options) {
-    const Mask kept = returned(rendered, options.strict_drop_threshold),
-               truth = returned(real, kRealDropThreshold);
+    const Mask kept = make_positive_range_mask(rendered, options.strict_drop_threshold),
+               truth = make_positive_range_mask(real, kRealDropThreshold);
     Mask both(truth.size());
     for (std::size_t i = 0; i < both.size(); ++i) both[i] = kept[i] && truth[i];
     add_errors(row, prefix + "depth_", "_m", select_values(rendered.range_m, both, options.max_range_m),
                select_values(real.range_m, both, options.max_range_m));
-    const Positions a = points(rendered, kept), b = points(real, truth);
+    const Positions a = select_points(rendered, kept), b = select_points(real, truth);
     if (a.empty() && b.empty()) return;
     const CloudDistances distances(a, b);
-    if (distances.defined()) {
+    if (distances.has_distances()) {
         row[prefix + "cd_mean_m"] = distances.chamfer();
         row[prefix + "cd_sq_m2"] = distances.compute_squared_chamfer();
     }
@@ -173,15 +173,15 @@ void add_points(MetricRow& row, const std::string& prefix, const RangeImage& ren
     row[prefix + "f_22cm"] = distances.compute_f_score(kPeerThreshold_m);
 }
 
-void add_strict(MetricRow& row, const RangeImage& rendered, const RangeImage& real,
-                const MetricOptions& options) {
-    const Mask kept = returned(rendered, options.strict_drop_threshold);
-    const Mask truth = returned(real, kRealDropThreshold);
+void add_strict_metrics(MetricRow& row, const RangeImage& rendered, const RangeImage& real,
+                        const MetricOptions& options) {
+    const Mask kept = make_positive_range_mask(rendered, options.strict_drop_threshold);
+    const Mask truth = make_positive_range_mask(real, kRealDropThreshold);
     Mask both(truth.size());
     for (std::size_t i = 0; i < both.size(); ++i) both[i] = kept[i] && truth[i];
     add_errors(row, "strict/intensity_", "", select_values(rendered.intensity, both, kMaxIntensity),
                select_values(real.intensity, both, kMaxIntensity));
-    add_drop(row, kept, truth);
+    add_ray_drop_metrics(row, kept, truth);
     row["strict/drop_rmse"] = compute_drop_rmse(rendered, real);
     const double threshold = options.strict_drop_threshold;
     add_image(row, "strict/image_depth_", "_m",
@@ -195,8 +195,8 @@ void add_strict(MetricRow& row, const RangeImage& rendered, const RangeImage& re
 MetricRow evaluate(const RangeImage& rendered, const RangeImage& real, const MetricOptions& options) {
     check_pair(rendered, real);
     MetricRow row;
-    add_peer(row, rendered, real, options);
-    add_strict(row, rendered, real, options);
+    add_published_metrics(row, rendered, real, options);
+    add_strict_metrics(row, rendered, real, options);
     return row;
 }
 

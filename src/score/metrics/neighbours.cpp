@@ -44,9 +44,10 @@ std::vector<int> find_neighbour_frames(const Sequence& sequence, int position,
 
 /// Returns the moving box that contains a world point at a time, or null if no box
 /// contains the point.
-const BoxTrack* box_of(const std::vector<const BoxTrack*>& moving, const glm::dvec3& point_m, double time_s) {
+const BoxTrack* find_containing_box(const std::vector<const BoxTrack*>& moving, const glm::dvec3& point_m,
+                                    double time_s) {
     const auto it = std::find_if(moving.begin(), moving.end(), [&](const BoxTrack* box) {
-        return box->present(time_s) && box->holds(point_m, time_s, 0.0);
+        return box->is_present(time_s) && box->holds(point_m, time_s, 0.0);
     });
     return it == moving.end() ? nullptr : *it;
 }
@@ -76,7 +77,7 @@ struct Place {
     int row = 0, column = 0;
 };
 
-double elevation_of(const glm::dvec3& vector) {
+double compute_elevation_of(const glm::dvec3& vector) {
     return std::asin(std::clamp(vector.z / glm::length(vector), -1.0, 1.0));
 }
 
@@ -95,8 +96,9 @@ struct Beams {
     glm::dvec3 direction(Place place) const { return rays.direction[at(place)]; }
     /// Returns the elevation of a point minus the elevation of a ray, both seen from the
     /// origin of the ray.
-    double compute_angle_above(Place place, const glm::vec3& point_m) const {
-        return elevation_of(to_direction_from_origin(place, point_m)) - elevation_of(direction(place));
+    double compute_angle_above_beam(Place place, const glm::vec3& point_m) const {
+        return compute_elevation_of(to_direction_from_origin(place, point_m)) -
+               compute_elevation_of(direction(place));
     }
     double compute_cosine(Place place, const glm::vec3& point_m) const {
         const glm::dvec3 v = to_direction_from_origin(place, point_m);
@@ -108,9 +110,9 @@ struct Beams {
         const double azimuth = std::atan2(double(point_m.y), double(point_m.x));
         const int column = int(std::lround((1.0 - azimuth / kPi) / 2.0 * rays.columns));
         int row = 0;
-        double least = std::abs(compute_angle_above({0, column}, point_m));
+        double least = std::abs(compute_angle_above_beam({0, column}, point_m));
         for (int r = 1; r < rays.rows; ++r)
-            if (const double off = std::abs(compute_angle_above({r, column}, point_m)); off < least)
+            if (const double off = std::abs(compute_angle_above_beam({r, column}, point_m)); off < least)
                 least = off, row = r;
         Place best{row, column};
         double most = compute_cosine(best, point_m);
@@ -121,12 +123,13 @@ struct Beams {
     }
     /// Returns true if a point is above the highest or below the lowest row of rays, by
     /// more than half the spacing of the rows.
-    bool compute_angle_outside(Place place, const glm::vec3& point_m) const {
+    bool is_outside_beam_angle(Place place, const glm::vec3& point_m) const {
         const double half_spacing =
-            0.5 * std::abs(elevation_of(direction(place)) -
-                           elevation_of(direction({place.row == 0 ? 1 : place.row - 1, place.column})));
-        return (place.row == 0 && compute_angle_above(place, point_m) > half_spacing) ||
-               (place.row == rays.rows - 1 && compute_angle_above(place, point_m) < -half_spacing);
+            0.5 *
+            std::abs(compute_elevation_of(direction(place)) -
+                     compute_elevation_of(direction({place.row == 0 ? 1 : place.row - 1, place.column})));
+        return (place.row == 0 && compute_angle_above_beam(place, point_m) > half_spacing) ||
+               (place.row == rays.rows - 1 && compute_angle_above_beam(place, point_m) < -half_spacing);
     }
 };
 
@@ -137,7 +140,7 @@ Scan predict_neighbour_points(const Sequence& sequence, int position, const std:
     const Frame& sweep = sequence.frames.at(std::size_t(position));
     std::vector<const BoxTrack*> moving;
     for (const BoxTrack& box : sequence.boxes)
-        if (boxes == BoxMotion::follow && box.moves()) moving.push_back(&box);
+        if (boxes == BoxMotion::follow && box.is_moving()) moving.push_back(&box);
     Scan points;
     for (const int neighbour : find_neighbour_frames(sequence, position, train)) {
         const Frame& frame = sequence.frames.at(std::size_t(neighbour));
@@ -150,11 +153,11 @@ Scan predict_neighbour_points(const Sequence& sequence, int position, const std:
                 double(frame.scan.range_m[ray] - compute_surface_return(sequence, frame, ray).range_m) *
                 w.direction;
             glm::dvec3 world_m = w.point_m;
-            if (const BoxTrack* box = box_of(moving, w.point_m, w.time_s)) {
+            if (const BoxTrack* box = find_containing_box(moving, w.point_m, w.time_s)) {
                 // In both sweeps, the LiDAR measures the box at about the same time
                 // relative to the time of the frame.
                 const double then_s = sweep.time_s + (w.time_s - frame.time_s);
-                if (!box->present(then_s)) continue;
+                if (!box->is_present(then_s)) continue;
                 world_m =
                     box->world_from_box.at(then_s) * (inverse(box->world_from_box.at(w.time_s)) * w.point_m);
             }
@@ -177,7 +180,7 @@ Scan bin_onto_rays(const RayTable& rays, const Scan& points) {
     for (std::size_t i = 0; i < points.range_m.size(); ++i) {
         const glm::vec3 point = points.point(i);
         const Place place = beams.nearest(point);
-        if (beams.compute_angle_outside(place, point)) continue;
+        if (beams.is_outside_beam_angle(place, point)) continue;
         const std::size_t ray = beams.at(place);
         const float range = glm::distance(point, rays.origin[ray]);
         if (!(range > 0.0f) || (scan.range_m[ray] > 0.0f && scan.range_m[ray] <= range)) continue;

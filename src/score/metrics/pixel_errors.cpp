@@ -80,7 +80,7 @@ Mask make_return_mask(const RangeImage& image, double threshold) {
     return mask;
 }
 
-Mask returned(const RangeImage& image, double threshold) {
+Mask make_positive_range_mask(const RangeImage& image, double threshold) {
     Mask mask = make_return_mask(image, threshold);
     for (std::size_t i = 0; i < mask.size(); ++i) mask[i] = mask[i] && image.range_m[i] > 0.0f;
     return mask;
@@ -99,7 +99,7 @@ Values select_values(const std::vector<float>& values, const Mask& mask, double 
     return result;
 }
 
-double mean_of(const Values& values) {
+double compute_values_mean(const Values& values) {
     double sum = 0.0;
     for (double v : values) sum += v;
     return sum / double(values.size());
@@ -118,7 +118,7 @@ double add_errors(MetricRow& row, const std::string& prefix, const std::string& 
     for (std::size_t i = 0; i < first.size(); ++i) error[i] = std::abs(first[i] - second[i]);
     const double squared = compute_mean_square(error);
     row[prefix + "rmse" + unit] = std::sqrt(squared);
-    row[prefix + "mae" + unit] = mean_of(error);
+    row[prefix + "mae" + unit] = compute_values_mean(error);
     row[prefix + "medae" + unit] = median(std::move(error));
     return squared;
 }

@@ -28,7 +28,7 @@ void check_pair(const RangeImage& rendered, const RangeImage& real);
 Mask make_return_mask(const RangeImage& image, double threshold);
 /// Returns a mask of the pixels that have a return: the drop probability is below the
 /// threshold and the range is above 0. The range 0 means that the ray hit no surface.
-Mask returned(const RangeImage& image, double threshold);
+Mask make_positive_range_mask(const RangeImage& image, double threshold);
 
 /// Returns all pixels, clamped to [1e-6, high]. Pixels outside the mask get the lowest
 /// value.
@@ -36,7 +36,7 @@ Values clamp_masked_values(const std::vector<float>& values, const Mask& mask, d
 /// Returns only the values of pixels in the mask, clamped to [1e-6, high].
 Values select_values(const std::vector<float>& values, const Mask& mask, double high);
 
-double mean_of(const Values& values);
+double compute_values_mean(const Values& values);
 double compute_mean_square(const Values& values);
 
 /// Adds the metrics <prefix>rmse<unit>, <prefix>mae<unit> and <prefix>medae<unit> to the

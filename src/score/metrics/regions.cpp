@@ -38,8 +38,8 @@ Region make_range_band(const RangeImage& real, double low_m, double high_m) {
 Mask find_returns_in_moving_boxes(std::vector<BoxTrack> boxes, const Sequence& sequence, const Frame& frame,
                                   const Pose& sensor_offset) {
     const PoseTrack track = mount_on_track(sequence.world_from_sensor(frame.lidar), sensor_offset);
-    // moves() is expensive, so it is evaluated only once for each box.
-    std::erase_if(boxes, [](const BoxTrack& box) { return !box.moves(); });
+    // is_moving() is expensive, so it is evaluated only once for each box.
+    std::erase_if(boxes, [](const BoxTrack& box) { return !box.is_moving(); });
     Mask moving(frame.scan.range_m.size());
     for (std::size_t ray = 0; ray < moving.size(); ++ray) {
         if (!(frame.scan.range_m[ray] > 0.0f)) continue;
@@ -58,8 +58,8 @@ Mask find_returns_in_moving_boxes(std::vector<BoxTrack> boxes, const Sequence& s
 MetricRow evaluate_regions(const RangeImage& rendered, const RangeImage& real,
                            const std::vector<Region>& regions, const MetricOptions& options) {
     check_pair(rendered, real);
-    const Mask truth = returned(real, kRealDropThreshold),
-               kept = returned(rendered, options.strict_drop_threshold);
+    const Mask truth = make_positive_range_mask(real, kRealDropThreshold),
+               kept = make_positive_range_mask(rendered, options.strict_drop_threshold);
     MetricRow row;
     for (const Region& region : regions) {
         if (region.pixels.size() != truth.size())

@@ -73,7 +73,7 @@ std::vector<double> make_linear_ticks(const Axis& axis, int n_ticks) {
 /// Returns the ticks of a logarithmic axis, usually the powers of ten. If there are too
 /// many powers, returns only some. If there are few, adds ticks at 2 and 5 times each
 /// power.
-std::vector<double> log_ticks(const Axis& axis) {
+std::vector<double> make_log_ticks(const Axis& axis) {
     const int first = int(std::floor(std::log10(axis.low))), last = int(std::ceil(std::log10(axis.high)));
     const int every = std::max(1, (last - first) / 6);
     std::vector<double> ticks;
@@ -176,7 +176,7 @@ std::string draw_path(const ReportCurve& curve, const Axis& x, const Axis& y, co
 
 std::string draw_axes(const Axis& x, const Axis& y) {
     std::string svg;
-    for (double tick : y.logarithmic ? log_ticks(y) : make_linear_ticks(y, 5))
+    for (double tick : y.logarithmic ? make_log_ticks(y) : make_linear_ticks(y, 5))
         svg += fmt::format(
             "<line class=\"grid\" x1=\"{0:.1f}\" x2=\"{1:.1f}\" y1=\"{2:.1f}\" y2=\"{2:.1f}\"/>"
             "<text class=\"axis\" x=\"{3:.1f}\" y=\"{4:.1f}\" text-anchor=\"end\">{5}</text>\n",

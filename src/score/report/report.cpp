@@ -44,7 +44,7 @@ std::string make_folded_section(const std::string& title, const std::string& bod
 }
 
 /// Returns an HTML table that scrolls horizontally on a narrow screen.
-std::string table(const std::string& head, const std::string& rows) {
+std::string make_table_html(const std::string& head, const std::string& rows) {
     return fmt::format(
         "<div class=\"scroll\"><table>\n<thead><tr>{}</tr></thead>\n<tbody>\n{}</tbody></table></div>\n",
         head, rows);
@@ -60,10 +60,10 @@ std::string make_text_table(const ReportTable& texts) {
             cells += fmt::format("<td{}>{}</td>", cells.empty() ? " class=\"name\"" : "", escape_html(cell));
         rows += "<tr>" + cells + "</tr>\n";
     }
-    return table(head, rows) + "<p class=\"note\">" + escape_html(texts.note) + "</p>\n";
+    return make_table_html(head, rows) + "<p class=\"note\">" + escape_html(texts.note) + "</p>\n";
 }
 
-std::string make_facts(const Report& report) {
+std::string make_fact_table(const Report& report) {
     if (report.facts.empty()) return "";
     std::string body;
     for (const auto& [name, value] : report.facts)
@@ -91,7 +91,7 @@ int get_better_direction(const std::string& metric) {
     return 0;
 }
 
-std::optional<double> value_of(const MetricRow& row, const std::string& name) {
+std::optional<double> find_metric_value(const MetricRow& row, const std::string& name) {
     const auto it = row.find(name);
     return it == row.end() ? std::nullopt : std::optional(it->second);
 }
@@ -104,7 +104,7 @@ std::optional<double> find_best_value(const Report& report, const std::string& n
     std::optional<double> best;
     int count = 0;
     for (const auto& [column, row] : report.metrics)
-        if (const auto value = value_of(row, name); value && !std::isnan(*value)) {
+        if (const auto value = find_metric_value(row, name); value && !std::isnan(*value)) {
             ++count;
             if (!best || direction * (*value - *best) > 0.0) best = value;
         }
@@ -115,7 +115,7 @@ std::string make_metric_cells(const Report& report, const std::string& name) {
     const std::optional<double> best = find_best_value(report, name);
     std::string cells;
     for (const auto& [column, row] : report.metrics) {
-        const auto value = value_of(row, name);
+        const auto value = find_metric_value(row, name);
         const char* style = value && best == value ? " class=\"best\"" : "";
         cells += fmt::format("<td{}>{}</td>", style, format_number(value.value_or(NAN)));
     }
@@ -148,7 +148,7 @@ std::string make_metrics(const Report& report) {
             ? fmt::format("<p class=\"note\">{} A dash means that a value is missing or undefined.</p>\n",
                           marks)
             : "";
-    return table(head, rows) + note;
+    return make_table_html(head, rows) + note;
 }
 
 /// Returns a table with the key metrics and their explanations.
@@ -161,7 +161,7 @@ std::string make_key_metrics(const Report& report) {
         rows += fmt::format("<tr><td class=\"key\">{}<small>{}</small></td>{}</tr>\n", escape_html(key.name),
                             escape_html(key.hint), make_metric_cells(report, key.metric));
     }
-    return rows.empty() ? "" : table(head, rows);
+    return rows.empty() ? "" : make_table_html(head, rows);
 }
 
 std::string make_chart(const std::string& title, const std::vector<const ReportCurve*>& curves, int width) {
@@ -224,12 +224,12 @@ std::string make_timing_table(const MetricRow& timings) {
         return (std::isfinite(first.second) ? first.second : -1.0) >
                (std::isfinite(second.second) ? second.second : -1.0);
     });
-    const auto total = value_of(timings, "total");
+    const auto total = find_metric_value(timings, "total");
     const double total_ms = total.value_or(sum);
     std::string body;
     for (const auto& [name, ms] : rows) body += "<tr>" + make_timing_row(name, ms, total_ms, longest);
     body += "<tr class=\"total\">" + make_timing_row(total ? "total" : "sum", total_ms, total_ms, 0.0);
-    return table(
+    return make_table_html(
         "<th style=\"width:26%\">Kernel</th><th style=\"width:12%\">ms</th><th style=\"width:12%\">share</th>"
         "<th>of the longest</th>",
         body);
@@ -279,7 +279,7 @@ std::string make_page(const Report& report) {
     for (const ReportTable& texts : report.tables) html += make_section(texts.title, make_text_table(texts));
     html += make_section("Scores", make_key_metrics(report));
     html += make_folded_section("All metrics", make_metrics(report)) +
-            make_folded_section("The run", make_facts(report)) +
+            make_folded_section("The run", make_fact_table(report)) +
             make_folded_section("Time by kernel", make_timings(report));
     html += "<footer>Written by relidar</footer>\n</main>\n";
     if (!report.views.empty()) html += report_detail::make_view_script();

@@ -35,7 +35,7 @@ std::uint8_t pack_error(float error_m) {
     return static_cast<std::uint8_t>(std::lround(std::min(std::abs(error_m) / kErrorStep_m, 254.0f)));
 }
 
-std::vector<std::uint8_t> pack_cloud(const ReportCloud& cloud, std::size_t max_points) {
+std::vector<std::uint8_t> pack_report_cloud(const ReportCloud& cloud, std::size_t max_points) {
     const std::size_t n = cloud.position_m.size(),
                       step = std::max<std::size_t>(1, (n + max_points - 1) / max_points);
     std::vector<std::uint8_t> bytes;
@@ -82,7 +82,7 @@ std::string make_view_html(const ReportView& view, std::size_t n_views) {
             "aria-label=\"{0}: points in 3D; arrow keys turn, plus and minus zoom\" "
             "data-points=\"{1}\"></canvas>"
             "</figure>\n",
-            name, encode_base64(pack_cloud(cloud, max_points)));
+            name, encode_base64(pack_report_cloud(cloud, max_points)));
     }
     return fmt::format(
         "<div class=\"view3d\">\n<div class=\"pair\">\n{}</div>\n<p class=\"controls\"><label>colour <select>"

@@ -30,7 +30,8 @@ std::string make_asset_name(const BoxTrack& box) {
 
 /// Returns true if a surfel can be visible: its opacity reaches the blending threshold,
 /// and it lies inside the box of its model.
-bool can_show(const Surfels& surfels, std::size_t index, const Model& model, const ImageModel& image) {
+bool can_surfel_be_visible(const Surfels& surfels, std::size_t index, const Model& model,
+                           const ImageModel& image) {
     const glm::vec3 outside = glm::abs(surfels.mean[index]) - model.half_size_m;
     const bool bounded = model.half_size_m.x > 0.0f;
     if (bounded && (outside.x > 0.0f || outside.y > 0.0f || outside.z > 0.0f)) return false;
@@ -39,12 +40,12 @@ bool can_show(const Surfels& surfels, std::size_t index, const Model& model, con
 
 /// Returns the frames of a log in which an actor is present, without their scans and
 /// without other actors.
-Sequence frames_of(const Sequence& log, const BoxTrack& box) {
+Sequence select_actor_frames(const Sequence& log, const BoxTrack& box) {
     Sequence sequence = copy_without_frames(log);
     sequence.boxes = {box};
     sequence.world_from_vehicle = {};
     for (const Frame& frame : log.frames) {
-        if (!box.present(frame.time_s)) continue;
+        if (!box.is_present(frame.time_s)) continue;
         Frame kept;
         kept.index = frame.index, kept.time_s = frame.time_s, kept.lidar = frame.lidar;
         sequence.frames.push_back(std::move(kept));
@@ -98,7 +99,7 @@ Asset make_asset(const Run& run, const std::string& track, const ActorObservatio
     Surfels& surfels = alone.scene.surfels;
     std::vector<std::uint32_t> shown;
     for (std::uint32_t i = 0; i < surfels.size(); ++i)
-        if (can_show(surfels, i, model, run.config.image)) shown.push_back(i);
+        if (can_surfel_be_visible(surfels, i, model, run.config.image)) shown.push_back(i);
     surfels = surfels.reorder(shown);
     if (facts.kind == ObjectKind::vehicle) {
         facts.mirrored = complete_by_symmetry(surfels, surface);
@@ -114,7 +115,7 @@ Asset make_asset(const Run& run, const std::string& track, const ActorObservatio
     alone.scene.instances[1].track = facts.name;
     alone.scene.sensor_drop = {};
     asset.run.config = run.config;
-    asset.run.sequence = frames_of(alone.sequence, named);
+    asset.run.sequence = select_actor_frames(alone.sequence, named);
     for (int i = 0; i < int(asset.run.sequence.frames.size()); ++i) asset.run.split.train.push_back(i);
     asset.run.scene = std::move(alone.scene);
     asset.run.edits = run.edits;

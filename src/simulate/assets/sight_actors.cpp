@@ -35,11 +35,11 @@ std::vector<const BoxTrack*> list_boxes(const Run& run) {
 }
 
 /// Returns the training frames in which any actor is present.
-std::vector<int> choose_frames_to_look_at(const Run& run, const std::vector<const BoxTrack*>& boxes) {
+std::vector<int> list_actor_frames(const Run& run, const std::vector<const BoxTrack*>& boxes) {
     std::vector<int> positions;
     for (const int i : run.split.train) {
         const double time_s = run.sequence.frames[std::size_t(i)].time_s;
-        if (std::ranges::any_of(boxes, [&](const BoxTrack* b) { return b && b->present(time_s); }))
+        if (std::ranges::any_of(boxes, [&](const BoxTrack* b) { return b && b->is_present(time_s); }))
             positions.push_back(i);
     }
     return positions;
@@ -62,7 +62,7 @@ void add_returns(const RenderedScan& scan, const Run& run, const std::vector<con
         // Skips a return from a side of the actor that was completed with mirrored
         // surfels. The log has not observed this side.
         const Model& model = run.scene.models[run.scene.instances[std::size_t(scan.instance[i])].model];
-        if (model.surface && model.surface->completed_side(point_m)) continue;
+        if (model.surface && model.surface->find_completed_side(point_m)) continue;
         ActorObservations& actor = sightings[box->id];
         actor.points_m.push_back(glm::vec3(point_m));
         actor.directions.push_back(glm::vec3(box_from_world.rotation * world_from_firing.rotation *
@@ -76,7 +76,7 @@ void add_returns(const RenderedScan& scan, const Run& run, const std::vector<con
 std::map<std::string, ActorObservations> observe_actors(Device& device, const Run& run,
                                                         const Progress& progress) {
     const std::vector<const BoxTrack*> boxes = list_boxes(run);
-    const std::vector<int> positions = choose_frames_to_look_at(run, boxes);
+    const std::vector<int> positions = list_actor_frames(run, boxes);
     const std::vector<SensorChoice> sensors = list_sensors(run);
     std::map<std::string, ActorObservations> sightings;
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);

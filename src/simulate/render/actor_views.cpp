@@ -53,15 +53,15 @@ std::vector<ActorView> ScanRenderer::Impl::count_first_hits(const RenderedScan& 
     for (const Instance& instance : sweeps.layout().instances) views.push_back({instance.track});
     for (std::size_t ray = 0; ray < scan.instance.size(); ++ray)
         if (scan.instance[ray] >= 0 && scan.weight[ray] >= 0.5f &&
-            returned(scan.image.drop_prob[ray], scan.median_range_m[ray]))
+            is_returned(scan.image.drop_prob[ray], scan.median_range_m[ray]))
             ++views[std::size_t(scan.instance[ray])].n_rays;
     return views;
 }
 
 /// Traces the rays near each actor in a scene that contains only this actor, and counts
 /// their hits. Then removes the entries of the background and of actors without hits.
-void ScanRenderer::Impl::count_hits_alone(const Sweep& sweep, const ScanPlan& plan,
-                                          std::vector<ActorView>& views) {
+void ScanRenderer::Impl::count_isolated_actor_hits(const Sweep& sweep, const ScanPlan& plan,
+                                                   std::vector<ActorView>& views) {
     const std::vector<FiredRay> rays = list_fired_rays(sweep);
     for (std::size_t i = 0; i < views.size() && !rays.empty(); ++i) {
         if (views[i].track.empty() || !sweep.instances[i].present) continue;

@@ -20,20 +20,21 @@ namespace {
 
 /// Copies points that the device computed to the arrays of `Points`. Rounds the
 /// intensities to the steps of the sensor.
-void copy_points(std::span<const shared::ReturnedPoint> from, const IntensityScatter& steps, Points& to) {
+void copy_points(std::span<const shared::ReturnedPoint> returned_points, const IntensityScatter& steps,
+                 Points& points) {
     constexpr std::size_t kTogether = 1 << 13;
     static_assert(std::int32_t(RELIDAR_NO_INSTANCE) == -1);
-    const std::size_t n = from.size();
-    to.position_m.resize(n), to.intensity.resize(n), to.ring.resize(n);
-    to.time_offset_s.resize(n), to.instance.resize(n);
-    for_each_part(n, kTogether, [&](std::size_t begin, std::size_t end) {
+    const std::size_t n = returned_points.size();
+    points.position_m.resize(n), points.intensity.resize(n), points.ring.resize(n);
+    points.time_offset_s.resize(n), points.instance.resize(n);
+    for_each_range_parallel(n, kTogether, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) {
-            const shared::ReturnedPoint& point = from[i];
-            to.position_m[i] = point.position;
-            to.intensity[i] = steps.quantised(point.intensity);
-            to.ring[i] = std::uint16_t(point.ring);
-            to.time_offset_s[i] = point.time_offset_s;
-            to.instance[i] = std::int32_t(point.instance);
+            const shared::ReturnedPoint& point = returned_points[i];
+            points.position_m[i] = point.position;
+            points.intensity[i] = steps.round_to_step(point.intensity);
+            points.ring[i] = std::uint16_t(point.ring);
+            points.time_offset_s[i] = point.time_offset_s;
+            points.instance[i] = std::int32_t(point.instance);
         }
     });
 }
@@ -77,7 +78,7 @@ RenderedPoints ScanRenderer::Impl::collect(PendingPoints& scan, Points memory) {
     if (scan.ready) return std::move(*scan.ready);
     lanes->submit_batch();
     const PointsOnDevice::Gathered gathered = PointsOnDevice::wait(scan.renderer->stream(), *scan.points);
-    if (gathered.n_capped > 0) scan.renderer->check_passes();
+    if (gathered.n_capped > 0) scan.renderer->check_pass_cap();
     const RayTable& rays = scan.rays->table();
     IntensityScatter steps;
     steps.step = scan.step;
@@ -88,7 +89,7 @@ RenderedPoints ScanRenderer::Impl::collect(PendingPoints& scan, Points memory) {
     copy_points(gathered.points, steps, result.points);
     if (settings.coverage.empty()) return result;
     const auto ray_at = [&](std::size_t index) {
-        const std::size_t i = PointsOnDevice::requested_ray(index, rays.size());
+        const std::size_t i = PointsOnDevice::get_sampled_ray(index, rays.size());
         return LookingRay{scan.dataset_from_sensor.at(scan.time_s + double(rays.time_offset_s[i])),
                           glm::dvec3(rays.origin[i]), glm::dvec3(rays.direction[i]),
                           gathered.requested_m[index]};

@@ -126,7 +126,7 @@ constexpr Maker kMakers[] = {
     {"source", nullptr, nullptr, make_source_channel},
 };
 
-Maker find_maker(const ChannelInfo& channel) {
+Maker find_channel_maker(const ChannelInfo& channel) {
     const auto* maker = std::ranges::find(kMakers, channel.name, &Maker::name);
     // A channel without a row in the table gets no values. A test
     // (tests/simulate/render/channels_test.cpp) checks that every channel has a row.
@@ -138,7 +138,7 @@ Maker find_maker(const ChannelInfo& channel) {
 static_assert(1 + int(ObjectKind::vehicle) == int(SurfaceClass::vehicle) &&
               1 + int(ObjectKind::other) == int(SurfaceClass::other_actor));
 
-std::vector<std::int32_t> instance_classes(const Scene& scene, const Sequence& sequence) {
+std::vector<std::int32_t> compute_instance_classes(const Scene& scene, const Sequence& sequence) {
     std::vector<std::int32_t> classes;
     for (const Instance& instance : scene.instances) {
         // A copied actor has no box of its own, but its model has the name of the
@@ -152,14 +152,15 @@ std::vector<std::int32_t> instance_classes(const Scene& scene, const Sequence& s
 }
 
 bool needs_rendering(const std::vector<ChannelInfo>& channels) {
-    return std::ranges::any_of(
-        channels, [](const ChannelInfo& channel) { return find_maker(channel).of_rendering != nullptr; });
+    return std::ranges::any_of(channels, [](const ChannelInfo& channel) {
+        return find_channel_maker(channel).of_rendering != nullptr;
+    });
 }
 
 void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured,
                       const Rendering& rendering, const std::vector<ChannelInfo>& channels) {
     for (const ChannelInfo& channel : channels) {
-        const Maker maker = find_maker(channel);
+        const Maker maker = find_channel_maker(channel);
         if (maker.of_rendering) scan.channels.push_back({channel, maker.of_rendering(rendering, scan)});
         if (maker.of_measured) scan.channels.push_back({channel, maker.of_measured(measured)});
     }
@@ -168,7 +169,7 @@ void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> m
 void add_scan_channels(RenderedScan& scan, const ScanContext& context,
                        const std::vector<ChannelInfo>& channels) {
     for (const ChannelInfo& channel : channels) {
-        const Maker maker = find_maker(channel);
+        const Maker maker = find_channel_maker(channel);
         if (!maker.of_scan) continue;
         ChannelValues values = maker.of_scan(scan, context);
         if (size(values) == scan.image.range_m.size()) scan.channels.push_back({channel, std::move(values)});

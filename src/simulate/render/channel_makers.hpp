@@ -25,7 +25,7 @@ struct ScanContext {
     PoseTrack world_from_sensor;
     /// [instances] poses and motions during the scan
     std::vector<InstancePose> placed;
-    /// [instances] values of the channel "class", see instance_classes()
+    /// [instances] values of the channel "class", see compute_instance_classes()
     std::vector<std::int32_t> classes = {};
     /// classes of the background; null if they are unknown
     const ClassFinder* background = nullptr;
@@ -40,7 +40,7 @@ inline constexpr const char* kIncidence = "incidence";
 /// Returns the class of each instance: 0 for the background, otherwise 1 + ObjectKind. An
 /// actor without a box has the kind `other`.
 /// @return [instances]
-std::vector<std::int32_t> instance_classes(const Scene& scene, const Sequence& sequence);
+std::vector<std::int32_t> compute_instance_classes(const Scene& scene, const Sequence& sequence);
 /// Returns true if any of the channels needs the full rendering result, for example the
 /// normals.
 bool needs_rendering(const std::vector<ChannelInfo>& channels);

@@ -8,9 +8,10 @@ namespace relidar {
 
 /// Returns a scan with these rays but without measurements. Its channels have no values
 /// yet.
-/// @param taken another scan of the same sweep, from which times, poses and channel names
+/// @param source_scan another scan of the same sweep, from which times, poses and channel names
 /// are copied; optional
-inline RenderedScan empty_scan(const RayTable& rays, const RenderedScan& taken = {}) {
+inline RenderedScan make_scan_without_measurements(const RayTable& rays,
+                                                   const RenderedScan& source_scan = {}) {
     RenderedScan scan;
     scan.image.rows = rays.rows;
     scan.image.columns = rays.columns;
@@ -18,12 +19,12 @@ inline RenderedScan empty_scan(const RayTable& rays, const RenderedScan& taken =
     scan.image.direction = to_vector(rays.direction);
     scan.time_offset_s = to_vector(rays.time_offset_s);
     scan.ring = to_vector(rays.channel);
-    scan.world_from_sensor = taken.world_from_sensor;
-    scan.track = taken.track;
-    scan.time_s = taken.time_s;
-    scan.trace_ms = taken.trace_ms;
-    scan.unseen_share = taken.unseen_share;
-    scan.channels = remove_values(taken.channels);
+    scan.world_from_sensor = source_scan.world_from_sensor;
+    scan.track = source_scan.track;
+    scan.time_s = source_scan.time_s;
+    scan.trace_ms = source_scan.trace_ms;
+    scan.unseen_share = source_scan.unseen_share;
+    scan.channels = copy_without_values(source_scan.channels);
     return scan;
 }
 

@@ -18,7 +18,7 @@ namespace {
 constexpr float kDarkest = 1e-3f;
 
 /// Returns two unit vectors that are perpendicular to a direction and to each other.
-std::pair<glm::dvec3, glm::dvec3> across(const glm::dvec3& direction) {
+std::pair<glm::dvec3, glm::dvec3> make_perpendicular_axes(const glm::dvec3& direction) {
     const glm::dvec3 helper = std::abs(direction.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0);
     const glm::dvec3 left = glm::normalize(glm::cross(helper, direction));
     return {left, glm::cross(direction, left)};
@@ -54,8 +54,8 @@ bool are_on_one_plane(const std::vector<std::size_t>& parts, const std::vector<f
 }
 
 /// Joins consecutive groups of sub-rays that lie on the same plane.
-void join_slopes(std::vector<Group>& groups, const std::vector<float>& range_m, std::size_t first,
-                 const std::vector<glm::dvec2>& offsets, double tolerance_m) {
+void join_coplanar_groups(std::vector<Group>& groups, const std::vector<float>& range_m, std::size_t first,
+                          const std::vector<glm::dvec2>& offsets, double tolerance_m) {
     // Tries to join all groups first, then shorter and shorter sequences of groups. A
     // single surface is thus joined in the first try.
     for (std::size_t length = groups.size(); length >= 2; --length) {
@@ -78,7 +78,7 @@ std::vector<Group> group_sub_rays(const RenderedScan& scan, std::size_t first,
     const std::vector<float>& range_m = scan.median_range_m;
     std::vector<std::size_t> hits;
     for (std::size_t i = first; i < first + offsets.size(); ++i)
-        if (returned(scan.image.drop_prob[i], range_m[i])) hits.push_back(i);
+        if (is_returned(scan.image.drop_prob[i], range_m[i])) hits.push_back(i);
     std::ranges::stable_sort(hits, {}, [&](std::size_t index) { return range_m[index]; });
     std::vector<Group> groups;
     for (const std::size_t i : hits) {
@@ -87,12 +87,12 @@ std::vector<Group> group_sub_rays(const RenderedScan& scan, std::size_t first,
         groups.back().parts.push_back(i);
         groups.back().light += std::max(scan.image.intensity[i], kDarkest);
     }
-    join_slopes(groups, range_m, first, offsets, 0.5 * double(separation_m));
+    join_coplanar_groups(groups, range_m, first, offsets, 0.5 * double(separation_m));
     return groups;
 }
 
 /// Returns the mean value of the sub-rays of a group, weighted by intensity.
-float mean_of(const Group& group, const std::vector<float>& values, const RenderedScan& scan) {
+float compute_group_mean(const Group& group, const std::vector<float>& values, const RenderedScan& scan) {
     double sum = 0.0;
     for (const std::size_t i : group.parts)
         sum += double(std::max(scan.image.intensity[i], kDarkest)) * double(values[i]);
@@ -136,7 +136,7 @@ public:
         : parts_(parts),
           offsets_(make_footprint_pattern(config.sub_rays)),
           config_(config),
-          scan_(empty_scan(rays, parts)) {
+          scan_(make_scan_without_measurements(rays, parts)) {
         if (config.returns == 2) scan_.second_returns.resize(1);
     }
 
@@ -153,7 +153,7 @@ public:
                                    std::vector<T>& of_rays) {
                           if constexpr (std::is_same_v<T, float>) {
                               if (channel.join == ChannelJoin::range)
-                                  return of_rays.push_back(mean_of(strongest, of_parts, parts_));
+                                  return of_rays.push_back(compute_group_mean(strongest, of_parts, parts_));
                               if (channel.join == ChannelJoin::drop)
                                   return of_rays.push_back(compute_mean_of_all(of_parts, first, n));
                               if (channel.join == ChannelJoin::intensity)
@@ -168,10 +168,10 @@ public:
                           of_rays.push_back(of_parts[std::ranges::min(strongest.parts)]);
                       });
         if (scan_.second_returns.empty()) return;
-        const bool returns = returned(scan_.image.drop_prob.back(), scan_.median_range_m.back());
+        const bool returns = is_returned(scan_.image.drop_prob.back(), scan_.median_range_m.back());
         const Group* second = returns && groups.size() > 1 ? find_second_return(groups, strongest) : nullptr;
-        scan_.second_returns[0].range_m.push_back(second ? mean_of(*second, parts_.median_range_m, parts_)
-                                                         : 0.0f);
+        scan_.second_returns[0].range_m.push_back(
+            second ? compute_group_mean(*second, parts_.median_range_m, parts_) : 0.0f);
         scan_.second_returns[0].intensity.push_back(
             second ? sum_over_group(*second, parts_.image.intensity) / static_cast<float>(n) : 0.0f);
     }
@@ -194,7 +194,7 @@ RayTable split_rays(const RayTable& rays, int count, double divergence_rad) {
     parts.columns = rays.columns * count;
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const glm::dvec3 direction(rays.direction[i]);
-        const auto [left, up] = across(direction);
+        const auto [left, up] = make_perpendicular_axes(direction);
         const double half_rad = 0.5 * (divergence_rad > 0.0 ? divergence_rad : rays.compute_divergence(i));
         for (const glm::dvec2& offset : offsets) {
             const glm::dvec2 angle = half_rad * offset;
@@ -214,8 +214,8 @@ RenderedScan join_footprints(const RenderedScan& parts, const RayTable& rays, co
     return joiner.take();
 }
 
-std::vector<std::size_t> find_edges(const RenderedScan& parts, const RayTable& rays,
-                                    const SensorConfig& config) {
+std::vector<std::size_t> find_multi_surface_beams(const RenderedScan& parts, const RayTable& rays,
+                                                  const SensorConfig& config) {
     const std::vector<glm::dvec2> offsets = make_footprint_pattern(config.sub_rays);
     std::vector<std::size_t> edges;
     for (std::size_t ray = 0; ray < rays.size(); ++ray)
@@ -226,7 +226,8 @@ std::vector<std::size_t> find_edges(const RenderedScan& parts, const RayTable& r
     return edges;
 }
 
-void replace_rays(RenderedScan& scan, const std::vector<std::size_t>& places, const RenderedScan& better) {
+void replace_scan_rays(RenderedScan& scan, const std::vector<std::size_t>& places,
+                       const RenderedScan& better) {
     const auto replace = [&](const auto& from, auto& to) {
         for (std::size_t i = 0; i < places.size(); ++i) to[places[i]] = from[i];
     };

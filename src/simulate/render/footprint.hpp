@@ -38,10 +38,11 @@ inline constexpr int kEdgeParts = 40;
 
 /// Returns the indices of the beams that hit several surfaces, so that their sub-rays
 /// form more than one return.
-std::vector<std::size_t> find_edges(const RenderedScan& parts, const RayTable& rays,
-                                    const SensorConfig& config);
+std::vector<std::size_t> find_multi_surface_beams(const RenderedScan& parts, const RayTable& rays,
+                                                  const SensorConfig& config);
 /// Replaces some rays of a scan by the rays of a more exact scan.
 /// @param places [rays of `better`] indices of the replaced rays
-void replace_rays(RenderedScan& scan, const std::vector<std::size_t>& places, const RenderedScan& better);
+void replace_scan_rays(RenderedScan& scan, const std::vector<std::size_t>& places,
+                       const RenderedScan& better);
 
 }  // namespace relidar

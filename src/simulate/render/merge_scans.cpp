@@ -14,15 +14,15 @@ namespace relidar {
 namespace {
 
 template <class T>
-void append(std::vector<T>& to, const std::vector<T>& from) {
-    to.insert(to.end(), from.begin(), from.end());
+void append(std::vector<T>& target, const std::vector<T>& source) {
+    target.insert(target.end(), source.begin(), source.end());
 }
 
 /// Adds the channels of a scan to the merged scan. If a channel is new, it gets no value
 /// for the rays that are already merged.
 /// @throws UsageError if a channel has a different type in two scans
 void add_channels(RenderedScan& merged, const RenderedScan& scan) {
-    for (const ScanChannel& channel : remove_values(scan.channels)) {
+    for (const ScanChannel& channel : copy_without_values(scan.channels)) {
         const auto known =
             std::ranges::find(merged.channels, channel.info.name,
                               [](const ScanChannel& c) -> const std::string& { return c.info.name; });
@@ -41,19 +41,19 @@ void add_channels(RenderedScan& merged, const RenderedScan& scan) {
 }
 
 /// Appends the values that a channel has for second returns.
-void append_second_returns(ScanChannel& merged, const ScanChannel& own, std::size_t first_ray) {
+void append_second_returns(ScanChannel& merged, const ScanChannel& source_channel, std::size_t first_ray) {
     const auto add = [&]<class T>(const std::vector<T>& values) {
         if (size(merged.second) == 0) merged.second = std::vector<T>{};
         auto& all = std::get<std::vector<T>>(merged.second);
         all.resize(first_ray, get_missing_value<T>(merged.info));
         append(all, values);
     };
-    std::visit(add, own.second);
+    std::visit(add, source_channel.second);
 }
 
 /// Returns a scan with the poses of the rig (all merged sensors) and the firing times of
 /// one sensor.
-RenderedScan make_rig_firing(const RenderedScan& merged, const RenderedScan& scan) {
+RenderedScan make_rig_sweep(const RenderedScan& merged, const RenderedScan& scan) {
     RenderedScan rig;
     rig.image.rows = scan.image.rows;
     rig.image.columns = scan.image.columns;
@@ -73,7 +73,7 @@ public:
     /// Copies the tracks of the rig, and keeps a reference to the scan of the sensor.
     /// @param scan scan of the sensor; must outlive this object
     RigPoses(const RenderedScan& merged, const RenderedScan& scan)
-        : rig_(make_rig_firing(merged, scan)), world_from_rig_(rig_), world_from_firing_(scan) {}
+        : rig_(make_rig_sweep(merged, scan)), world_from_rig_(rig_), world_from_firing_(scan) {}
     RigPoses(const RigPoses&) = delete;
     RigPoses& operator=(const RigPoses&) = delete;
     Pose get_rig_from_firing(std::size_t ray) {

@@ -27,7 +27,7 @@ std::vector<Return> find_returns(const RenderedScan& scan, const std::vector<flo
     std::vector<Return> returns;
     returns.reserve(range_m.size());
     for (std::size_t ray = 0; ray < range_m.size(); ++ray) {
-        if (selection != PointsOf::rays && !returned(scan.image.drop_prob[ray], range_m[ray])) continue;
+        if (selection != PointsOf::rays && !is_returned(scan.image.drop_prob[ray], range_m[ray])) continue;
         returns.push_back({ray, 1});
         if (selection != PointsOf::returns) continue;
         for (std::size_t k = 0; k < scan.second_returns.size(); ++k)
@@ -71,7 +71,7 @@ Points place_points(const RenderedScan& scan, const Config& config,
                   .ring = std::vector<std::uint16_t>(n),
                   .time_offset_s = std::vector<float>(n),
                   .instance = std::vector<std::int32_t>(n),
-                  .channels = remove_values(scan.channels),
+                  .channels = copy_without_values(scan.channels),
                   .world_from_points = dataset_from_points.value_or(scan.world_from_sensor),
                   .time_s = scan.time_s};
     if (selection == PointsOf::returns && !scan.second_returns.empty()) points.return_number.resize(n);
@@ -90,12 +90,12 @@ Points place_points(const RenderedScan& scan, const Config& config,
         points.instance[index] = second ? -1 : scan.instance[ray];
         if (!points.return_number.empty()) points.return_number[index] = number;
     };
-    for_each_part(n, kPointsTogether, [&](std::size_t begin, std::size_t end) {
+    for_each_range_parallel(n, kPointsTogether, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) place(i);
     });
     for (std::size_t k = 0; k < points.channels.size(); ++k) {
         for (const auto& [ray, number] : returns)
-            append_return(points.channels[k], scan.channels[k], ray, number);
+            append_return_value(points.channels[k], scan.channels[k], ray, number);
         auto* vectors = std::get_if<std::vector<glm::vec3>>(&points.channels[k].values);
         if (!vectors || !scan.channels[k].info.turns || poses.empty()) continue;
         for (std::size_t i = 0; i < n; ++i)

@@ -17,7 +17,7 @@ PointsOnDevice::PointsOnDevice(Device& device)
       count_(device, 1, "number of returned points"),
       asked_(device, kAskedRays, "ranges of some rays") {}
 
-void PointsOnDevice::make_room(Stream& stream, std::size_t n_rays) {
+void PointsOnDevice::reserve_rays(Stream& stream, std::size_t n_rays) {
     if (n_rays <= points_.size()) return;
     stream.finish();
     marks_ = {}, places_ = {}, points_ = {};  // frees the old arrays before allocating larger ones
@@ -31,7 +31,7 @@ std::shared_ptr<PointsOnDevice::Slot> PointsOnDevice::record(Stream& stream, con
                                                              const PointMaking& options,
                                                              const Array<std::uint32_t>& n_capped) {
     const std::size_t n = rays.table().size();
-    make_room(stream, n);
+    reserve_rays(stream, n);
     const std::vector<shared::SensorPose> poses = rays.poses(options.points_from_sensor, options.time_s);
     run(stream, mark_, n,
         {.measured = rays.measured().address(),

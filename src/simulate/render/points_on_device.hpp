@@ -56,7 +56,7 @@ public:
 
     struct Gathered {
         std::span<const shared::ReturnedPoint> points;
-        /// [sampled rays] distance to the surface in metres; requested_ray() returns the
+        /// [sampled rays] distance to the surface in metres; get_sampled_ray() returns the
         /// index of a sampled ray
         std::span<const float> requested_m;
         std::uint32_t n_capped;
@@ -67,7 +67,7 @@ public:
     /// Returns the index of the k-th sampled ray. The distance to its surface is copied
     /// to the host even if the ray has no return.
     /// @param index index below n_requested()
-    static std::size_t requested_ray(std::size_t index, std::size_t n_rays) {
+    static std::size_t get_sampled_ray(std::size_t index, std::size_t n_rays) {
         return index * n_rays / n_requested(n_rays);
     }
     static std::size_t n_requested(std::size_t n_rays) { return std::min(n_rays, kAskedRays); }
@@ -84,7 +84,7 @@ private:
     Array<float, shared::RequestedRanges> asked_;
     std::vector<std::shared_ptr<Slot>> slots_;
 
-    void make_room(Stream& stream, std::size_t n_rays);
+    void reserve_rays(Stream& stream, std::size_t n_rays);
     std::shared_ptr<Slot> read_back(Stream& stream, std::size_t n_rays, const Array<std::uint32_t>& n_capped);
 };
 

@@ -31,11 +31,11 @@ namespace {
 constexpr int kSideBySide = 4;  // number of scans that a GPU renders in parallel
 
 void check_has_normals(const Config& config, const ChannelInfo& channel, const char* action) {
-    if (!channel.needs_normals || kind_of(config.image.primitive).has_normals) return;
+    if (!channel.needs_normals || get_primitive_kind(config.image.primitive).has_normals) return;
     throw UsageError(
         fmt::format("{}: the channel {} needs normals, but image.primitive={} has none; use surfels or other "
                     "channels",
-                    action, channel.name, kind_of(config.image.primitive).name));
+                    action, channel.name, get_primitive_kind(config.image.primitive).name));
 }
 
 TraceOptions make_trace_options(const Config& config) {
@@ -65,7 +65,7 @@ void fill_scan(RenderedScan& scan, std::span<const shared::MeasuredRay> measured
 
 /// Drops beams whose range is outside the sensor's limits. Before, only the ranges of
 /// their sub-rays were compared with the limits.
-void drop_beyond(RenderedScan& scan, const RangeLimits& limits) {
+void drop_out_of_range_beams(RenderedScan& scan, const RangeLimits& limits) {
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
         if (!limits.contains(scan.image.range_m[i]) || !limits.contains(scan.median_range_m[i]))
             scan.image.drop_prob[i] = 1.0f;
@@ -73,7 +73,7 @@ void drop_beyond(RenderedScan& scan, const RangeLimits& limits) {
 
 /// Replaces the drop probabilities of a scan by the output of a network. A probability of
 /// 1 stays, because such a ray hit nothing that the sensor can measure.
-void replace_drops(RenderedScan& scan, std::span<const float> refined) {
+void replace_drop_probabilities(RenderedScan& scan, std::span<const float> refined) {
     std::vector<float>& drop_prob = scan.image.drop_prob;
     for (std::size_t i = 0; i < drop_prob.size(); ++i)
         if (drop_prob[i] < 1.0f) drop_prob[i] = refined[i];
@@ -152,7 +152,7 @@ ScanContext ScanRenderer::Impl::make_scan_context(const Sweep& sweep) {
     ScanContext context{compute_seen_by_log(sweep.sensor), sweeps.log().world_from_sensor(sweep.sensor.lidar),
                         sweep.instances};
     if (!has_channel("class")) return context;
-    context.classes = instance_classes(sweeps.layout(), sweeps.log());
+    context.classes = compute_instance_classes(sweeps.layout(), sweeps.log());
     if (!class_finder && !class_map.empty()) class_finder = std::make_unique<ClassFinder>(class_map);
     context.background = class_finder.get();
     return context;
@@ -175,7 +175,7 @@ std::shared_ptr<SensorRays> ScanRenderer::Impl::record(RenderLane& lane, const S
                                                        const RayTable& rays, bool corrects_drops) try {
     const SensorChoice& sensor = sweep.sensor;
     const std::shared_ptr<SensorRays> recorded = lane.upload(device, sensor, rays, [&](std::size_t index) {
-        return sweeps.get_never_seen_probability(sensor, rays.channel[index], rays.direction[index]);
+        return sweeps.get_permanent_drop_probability(sensor, rays.channel[index], rays.direction[index]);
     });
     Renderer& renderer = lanes->renderer(lane);
     recorded->fire(renderer.stream(), sweep.world_from_sensor, sweep.time_s);
@@ -200,9 +200,9 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace(const Sweep& sweep, con
     const auto start = std::chrono::steady_clock::now();
     const std::shared_ptr<SensorRays> rays = record(lanes->first(), sweep, table, corrects_drops);
     const std::span<const shared::MeasuredRay> measured = rays->wait(renderer.stream());
-    renderer.check_passes();
+    renderer.check_pass_cap();
 
-    RenderedScan scan = empty_scan(table);
+    RenderedScan scan = make_scan_without_measurements(table);
     scan.trace_ms =
         std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
     fill_scan(scan, measured);
@@ -228,20 +228,22 @@ RenderedScan ScanRenderer::Impl::trace_beams(const Sweep& sweep, SensorConfig be
     };
     const RenderedScan parts = trace(sweep, split(rays)).scan;
     RenderedScan scan = join_footprints(parts, rays, beams);
-    const std::vector<std::size_t> edges = find_edges(parts, rays, beams);
+    const std::vector<std::size_t> edges = find_multi_surface_beams(parts, rays, beams);
     if (!edges.empty() && edges.size() * kEdgeParts <= kMaxRays) {
         const RayTable edge_rays = select_rays(rays, edges);
         beams.sub_rays = kEdgeParts;
-        replace_rays(scan, edges, join_footprints(trace(sweep, split(edge_rays)).scan, edge_rays, beams));
+        replace_scan_rays(scan, edges,
+                          join_footprints(trace(sweep, split(edge_rays)).scan, edge_rays, beams));
     }
-    drop_beyond(scan, sweep.sensor.limits);
+    drop_out_of_range_beams(scan, sweep.sensor.limits);
     return scan;
 }
 
 /// Runs the ray-drop network on the host.
 void ScanRenderer::Impl::correct_drops(RenderedScan& scan) {
-    replace_drops(scan, lanes->refiner(lanes->first())
-                            .refine(make_drop_image(scan, lanes->network()->inputs, first_origin_m)));
+    replace_drop_probabilities(scan,
+                               lanes->refiner(lanes->first())
+                                   .refine(make_drop_image(scan, lanes->network()->inputs, first_origin_m)));
 }
 
 /// Converts expected values to measured values. Draws random returns, adds weather, and
@@ -263,14 +265,14 @@ void ScanRenderer::Impl::measure(RenderedScan& scan, const Sweep& sweep,
                            .trace = [this](const WorldRays& rays) { return scene.renderer().forward(rays); },
                            .seed = sample.value_or(0)};
         for (std::size_t i = 0; i < scan.ring.size(); ++i)
-            input.blind.push_back(sweeps.get_never_seen_probability(
+            input.blind.push_back(sweeps.get_permanent_drop_probability(
                                       sensor, scan.ring[i], scan.image.direction[i]) >= kDropThreshold);
         add_weather(scan, input);
     }
     if (!sample || !settings.weather.clear())
-        for (float& intensity : scan.image.intensity) intensity = scatter.quantised(intensity);
+        for (float& intensity : scan.image.intensity) intensity = scatter.round_to_step(intensity);
     for (SecondReturn& echo : scan.second_returns)
-        for (float& intensity : echo.intensity) intensity = scatter.quantised(intensity);
+        for (float& intensity : echo.intensity) intensity = scatter.round_to_step(intensity);
 }
 
 /// Renders the scan of a sweep, from tracing the rays to weather and rounding.
@@ -287,10 +289,10 @@ RenderedScan ScanRenderer::Impl::render(const Sweep& sweep, std::optional<std::u
     std::vector<ActorView> views;
     if (settings.has_views) views = count_first_hits(scan);
     if (plan.network == Network::cells) scan = project_scan(scan, *sensor.grid);
-    if (plan.network == Network::device) replace_drops(scan, drops);
+    if (plan.network == Network::device) replace_drop_probabilities(scan, drops);
     else if (plan.network != Network::none) correct_drops(scan);
     // Traces more rays, so `drops` is invalid afterwards.
-    if (settings.has_views) count_hits_alone(sweep, plan, views);
+    if (settings.has_views) count_isolated_actor_hits(sweep, plan, views);
     if (!has_channel(kIncidence))
         std::erase_if(scan.channels,
                       [](const ScanChannel& channel) { return channel.info.name == kIncidence; });
@@ -305,12 +307,14 @@ ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& con
 ScanRenderer::ScanRenderer(Device& device, const Run& run)
     : ScanRenderer(device, run.scene, run.config, run.sequence) {
     if (run.config.refine.enabled && !run.drop_network.empty()) refine_drops(run.drop_network);
-    compare_with(run.coverage);
+    set_observed_space(run.coverage);
     classify_background(run.classes);
-    scatter_intensities(run.intensity_scatter);
+    set_intensity_scatter(run.intensity_scatter);
 }
 
-void ScanRenderer::show_only(const std::vector<bool>& shown) { impl_->sweeps.show_only(shown); }
+void ScanRenderer::set_visible_instances(const std::vector<bool>& shown) {
+    impl_->sweeps.set_visible_instances(shown);
+}
 
 void ScanRenderer::refine_drops(const DropNetwork& network) {
     // The result is not used. The call throws an error if the network has inputs that
@@ -333,7 +337,7 @@ void ScanRenderer::side_by_side(int count) {
         throw UsageError(fmt::format(
             "cannot render several scans at the same time: found {} scans, expected at least 1", count));
     impl_->finish_pending();
-    impl_->lanes->set_most(count);
+    impl_->lanes->set_max_lanes(count);
 }
 
 int ScanRenderer::choose_max_lanes(const Device& device) {
@@ -344,7 +348,7 @@ int ScanRenderer::side_by_side() const {
     return impl_->sweeps.layout().blocks.empty() ? impl_->lanes->most() : 1;
 }
 
-void ScanRenderer::compute_views(bool enabled) { impl_->settings.has_views = enabled; }
+void ScanRenderer::enable_actor_views(bool enabled) { impl_->settings.has_views = enabled; }
 
 void ScanRenderer::classify_background(const ClassMap& map) {
     impl_->class_map = map;
@@ -353,9 +357,9 @@ void ScanRenderer::classify_background(const ClassMap& map) {
 
 bool ScanRenderer::has_classes() const { return !impl_->class_map.empty(); }
 
-void ScanRenderer::compare_with(const Coverage& coverage) { impl_->settings.coverage = coverage; }
+void ScanRenderer::set_observed_space(const Coverage& coverage) { impl_->settings.coverage = coverage; }
 
-void ScanRenderer::scatter_intensities(const std::vector<IntensityScatter>& scatter) {
+void ScanRenderer::set_intensity_scatter(const std::vector<IntensityScatter>& scatter) {
     impl_->settings.scatter = scatter;
     impl_->settings.scatter.resize(impl_->sweeps.log().lidars.size());
 }

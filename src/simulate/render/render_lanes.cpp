@@ -31,7 +31,7 @@ RenderLane& RenderLanes::next() {
         n_batch_ = 0;
     }
     const std::size_t lane = n_batch_++ % (1 + others_.size());
-    batch_->choose(lane);
+    batch_->select_lane(lane);
     return lane == 0 ? first_ : others_[lane - 1];
 }
 
@@ -54,7 +54,7 @@ DropRefiner& RenderLanes::refiner(RenderLane& lane) {
     return *lane.refiner;
 }
 
-void RenderLanes::set_most(int count) {
+void RenderLanes::set_max_lanes(int count) {
     most_ = count;
     while (std::ssize(others_) >= count) others_.pop_back();
 }

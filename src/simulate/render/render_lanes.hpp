@@ -67,7 +67,7 @@ public:
     /// the first call.
     DropRefiner& refiner(RenderLane& lane);
     int most() const { return most_; }
-    void set_most(int count);
+    void set_max_lanes(int count);
 
 private:
     Device& device_;

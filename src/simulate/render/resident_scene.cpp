@@ -43,7 +43,7 @@ void ResidentScene::load(const std::vector<std::size_t>& blocks) {
 
 /// Returns the blocks (parts of a large scene) that a scan needs, plus other loaded
 /// blocks that fit into memory. Prefers the most recently needed blocks.
-std::vector<std::size_t> ResidentScene::add_kept_blocks(std::vector<std::size_t> blocks) const {
+std::vector<std::size_t> ResidentScene::add_recent_blocks(std::vector<std::size_t> blocks) const {
     double bytes = 0.0;
     for (const std::size_t i : blocks) bytes += scene_.blocks[i].count * bytes_per_surfel_;
     std::vector<std::size_t> others;
@@ -71,7 +71,7 @@ void ResidentScene::make_resident(const glm::vec3& sensor_m, double reach_m) {
         last_needed_[i] = scans_;
     }
     if (!renderer_ || !std::includes(loaded_.begin(), loaded_.end(), needed.begin(), needed.end()))
-        load(add_kept_blocks(std::move(needed)));
+        load(add_recent_blocks(std::move(needed)));
 }
 
 std::unique_ptr<Renderer> ResidentScene::copy() {

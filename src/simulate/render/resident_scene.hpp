@@ -43,7 +43,7 @@ public:
 
 private:
     void load(const std::vector<std::size_t>& blocks);
-    std::vector<std::size_t> add_kept_blocks(std::vector<std::size_t> needed) const;
+    std::vector<std::size_t> add_recent_blocks(std::vector<std::size_t> needed) const;
 
     Device& device_;
     const ImageModel model_;

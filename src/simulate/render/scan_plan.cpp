@@ -55,8 +55,8 @@ bool has_drop_correction(const DropNetwork* network, const std::string& image, i
     return rows >= side && columns >= side;
 }
 
-ScanPlan::Network place_of(const DropNetwork* network, const SensorChoice& sensor, const RayTable& rays,
-                           bool splits_beams) {
+ScanPlan::Network choose_network_stage(const DropNetwork* network, const SensorChoice& sensor,
+                                       const RayTable& rays, bool splits_beams) {
     using enum ScanPlan::Network;
     if (has_drop_correction(network, kNative, rays.rows, rays.columns) ||
         (!sensor.grid && has_drop_correction(network, sensor.name, rays.rows, rays.columns)))
@@ -75,14 +75,14 @@ ScanPlan plan_scan(const SensorChoice& sensor, const RayTable& rays, const Confi
         throw UsageError(
             fmt::format("cannot render {}: this sensor does not spin and defines no rays; use another sensor",
                         sensor.name));
-    plan.network = place_of(network, sensor, rays, plan.splits_beams());
+    plan.network = choose_network_stage(network, sensor, rays, plan.splits_beams());
     plan.points_on_device = !is_sampled && settings.weather.clear() && settings.channels.empty() &&
                             !sensor.grid && !plan.splits_beams() && sensor.rays.size() > 0;
     return plan;
 }
 
 bool is_drop_correction_used(const DropNetwork* network, const SensorChoice& sensor) {
-    return place_of(network, sensor, sensor.rays, false) != ScanPlan::Network::none;
+    return choose_network_stage(network, sensor, sensor.rays, false) != ScanPlan::Network::none;
 }
 
 }  // namespace relidar

@@ -69,7 +69,7 @@ struct ScanRenderer::Impl {
     TracedScan trace(const Sweep& sweep, const RayTable& table, bool corrects_drops = false);
     RenderedScan trace_beams(const Sweep& sweep, SensorConfig beams);
     std::vector<ActorView> count_first_hits(const RenderedScan& scan) const;
-    void count_hits_alone(const Sweep& sweep, const ScanPlan& plan, std::vector<ActorView>& views);
+    void count_isolated_actor_hits(const Sweep& sweep, const ScanPlan& plan, std::vector<ActorView>& views);
     void correct_drops(RenderedScan& scan);
     void measure(RenderedScan& scan, const Sweep& sweep, std::optional<std::uint64_t> sample);
     RenderedScan render(const Sweep& sweep, std::optional<std::uint64_t> sample);

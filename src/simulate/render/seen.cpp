@@ -15,7 +15,7 @@ constexpr float kSeen = 0.5f;
 
 bool is_mostly_unseen(float share) { return share < kSeen; }
 
-LookingRay make_looking_ray(const RenderedScan& scan, std::size_t index) {
+LookingRay make_visibility_ray(const RenderedScan& scan, std::size_t index) {
     return {scan.get_firing_pose(index), glm::dvec3(scan.image.origin[index]),
             glm::dvec3(scan.image.direction[index]), scan.median_range_m[index]};
 }
@@ -43,7 +43,7 @@ std::vector<float> compute_seen_shares(const RenderedScan& scan, const std::vect
                                        const SeenByLog& log) {
     std::vector<float> shares(rays.size());
     for_each_block(rays.size(), [&](std::size_t index) {
-        shares[index] = compute_seen_share(make_looking_ray(scan, rays[index]), log);
+        shares[index] = compute_seen_share(make_visibility_ray(scan, rays[index]), log);
     });
     return shares;
 }
@@ -52,7 +52,7 @@ void set_unseen_share(RenderedScan& scan, const SeenByLog& log) {
     const std::size_t n = scan.median_range_m.size();
     if (log.coverage.empty() || n == 0) return;
     const auto ray_at = [&](std::size_t index) {
-        return make_looking_ray(scan, PointsOnDevice::requested_ray(index, n));
+        return make_visibility_ray(scan, PointsOnDevice::get_sampled_ray(index, n));
     };
     if (const std::vector<float>* shares = find_values<float>(scan.channels, "seen"))
         scan.unseen_share = double(std::ranges::count_if(*shares, is_mostly_unseen)) / double(shares->size());

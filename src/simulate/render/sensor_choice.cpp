@@ -80,10 +80,12 @@ SensorChoice make_grid_choice(const RangeGrid& grid, const Config& config, const
 }
 
 /// Copies all values of a ray to a cell of the grid, except drop probabilities.
-void copy_pixel(const RenderedScan& from, std::size_t source, RenderedScan& to, std::size_t cell) {
-    const glm::vec3 &origin = from.image.origin[source], &direction = from.image.direction[source];
+void copy_pixel(const RenderedScan& source_scan, std::size_t source, RenderedScan& target_scan,
+                std::size_t cell) {
+    const glm::vec3 &origin = source_scan.image.origin[source],
+                    &direction = source_scan.image.direction[source];
     for_each_pair(
-        from, to,
+        source_scan, target_scan,
         [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_rays, std::vector<T>& of_cells) {
             if constexpr (std::is_same_v<T, float>) {
                 if (channel.join == ChannelJoin::drop) return;
@@ -92,14 +94,15 @@ void copy_pixel(const RenderedScan& from, std::size_t source, RenderedScan& to, 
             }
             of_cells[cell] = of_rays[source];
         });
-    to.time_offset_s[cell] = from.time_offset_s[source];
+    target_scan.time_offset_s[cell] = source_scan.time_offset_s[source];
 }
 
 /// Sets the drop probability of a cell to the smallest drop probability of its rays,
 /// because one return is enough to fill the cell.
-void join_drops(const RenderedScan& from, std::size_t source, RenderedScan& to, std::size_t cell) {
+void join_drops(const RenderedScan& source_scan, std::size_t source, RenderedScan& target_scan,
+                std::size_t cell) {
     for_each_pair(
-        from, to,
+        source_scan, target_scan,
         [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_rays, std::vector<T>& of_cells) {
             if constexpr (std::is_same_v<T, float>)
                 if (channel.join == ChannelJoin::drop)
@@ -163,7 +166,7 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
     const RayTable cells = make_rays(grid);
     const std::size_t n = cells.size();
     check_channels(scan.channels, scan.median_range_m.size(), "a scan that is binned");
-    RenderedScan result = empty_scan(cells, scan);
+    RenderedScan result = make_scan_without_measurements(cells, scan);
     for_each_pair(scan, result,
                   [n]<class T>(const ChannelInfo& channel, const std::vector<T>&, std::vector<T>& of_cells) {
                       of_cells.assign(n, get_missing_value<T>(channel));

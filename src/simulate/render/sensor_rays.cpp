@@ -26,7 +26,7 @@ bool are_bytes_equal(const Values& first, const Values& second) {
     if (first.size() != second.size()) return false;
     constexpr std::size_t kPart = 1 << 14;  // number of values in each parallel part
     std::atomic<bool> same{true};
-    for_each_part(first.size(), kPart, [&](std::size_t begin, std::size_t end) {
+    for_each_range_parallel(first.size(), kPart, [&](std::size_t begin, std::size_t end) {
         if (same && std::memcmp(&first[begin], &second[begin], (end - begin) * sizeof(first[0])) != 0)
             same = false;
     });

@@ -49,7 +49,7 @@ Sequence copy_without_scans(const Sequence& sequence) {
     return result;
 }
 
-std::vector<Frame> shift_frames(const Sequence& sequence) {
+std::vector<Frame> shift_frame_times(const Sequence& sequence) {
     std::vector<Frame> frames;
     for (const Frame& frame : sequence.frames)
         if (!frame.azimuth_shift_rad.empty()) frames.push_back(copy_without_scan(frame));
@@ -71,10 +71,10 @@ SweepMaker::SweepMaker(const Config& config, const Scene& scene, const Sequence&
       layout_(copy_layout(scene)),
       log_(copy_without_scans(sequence)),
       log_world_from_vehicle_(sequence.world_from_vehicle),
-      shifted_(shift_frames(sequence)),
+      shifted_(shift_frame_times(sequence)),
       shown_(scene.instances.size(), true) {}
 
-void SweepMaker::show_only(const std::vector<bool>& shown) {
+void SweepMaker::set_visible_instances(const std::vector<bool>& shown) {
     if (shown.size() != shown_.size())
         throw UsageError(
             fmt::format("cannot select the rendered instances: found {} choices, expected {}, one for each "
@@ -103,7 +103,7 @@ Sweep SweepMaker::drive(const SensorChoice& sensor, double time_s, PoseTrack wor
     lidar.pattern = sensor.pattern;
     // The pattern of the sensor determines at which azimuth the sweep starts. Without a
     // pattern, the LiDAR that the sensor replaces determines it.
-    const SweepMoment now{time_s, sensor.lidar, find_start(sensor.rays, lidar)};
+    const SweepMoment now{time_s, sensor.lidar, find_sweep_start(sensor.rays, lidar)};
     Sweep sweep{sensor, time_s, make_changed_rays(sensor, time_s, log_.rolling_shutter),
                 log_.world_from_sensor(sensor.lidar)};
     sweep.pose = sweep.world_from_sensor.at(time_s);
@@ -143,8 +143,8 @@ Sweep SweepMaker::make(const SensorChoice& sensor, const ScanRequest& request) {
                  request.dataset_from_actor ? &world_from_actor : nullptr);
 }
 
-float SweepMaker::get_never_seen_probability(const SensorChoice& sensor, std::uint16_t channel,
-                                             const glm::vec3& direction) const {
+float SweepMaker::get_permanent_drop_probability(const SensorChoice& sensor, std::uint16_t channel,
+                                                 const glm::vec3& direction) const {
     const auto own_beam = sensor.is_own ? log_.find_beam_number(sensor.lidar, channel) : std::nullopt;
     return own_beam ? layout_.sensor_drop.at(*own_beam, direction) : 0.0f;
 }

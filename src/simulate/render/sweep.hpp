@@ -33,7 +33,7 @@ public:
     SweepMaker(const Config& config, const Scene& scene, const Sequence& sequence);
     /// Shows only the selected instances in all following sweeps.
     /// @throws UsageError if the number of instances is wrong
-    void show_only(const std::vector<bool>& shown);
+    void set_visible_instances(const std::vector<bool>& shown);
     /// Returns the sensor with the head azimuths that were measured in the sweep of the
     /// log at `time_s`. See align_sensor_with_sweep().
     SensorChoice align_with_log(const SensorChoice& sensor, double time_s) const;
@@ -51,8 +51,8 @@ public:
     const Scene& layout() const { return layout_; }
     /// Returns the probability that the sensor never gets a return in a direction, for
     /// example because the vehicle blocks the view.
-    float get_never_seen_probability(const SensorChoice& sensor, std::uint16_t channel,
-                                     const glm::vec3& direction) const;
+    float get_permanent_drop_probability(const SensorChoice& sensor, std::uint16_t channel,
+                                         const glm::vec3& direction) const;
     /// Returns the range limits of a sensor. If the sensor has no maximum range, returns
     /// the maximum range of the log.
     RangeLimits get_limits(const SensorChoice& sensor) const;

@@ -61,13 +61,13 @@ struct HollowBox {
     /// @param hits_actor true if the return is a surface of this actor
     void count(const glm::dvec3& ray_origin, const glm::dvec3& ray, double range_m, bool hits_actor) {
         if (hits_actor && range_m > 0.0)
-            if (const auto side = surface->completed_side(ray_origin + range_m * ray))
+            if (const auto side = surface->find_completed_side(ray_origin + range_m * ray))
                 ++n_completed[std::size_t(*side)];
         const auto [enter_m, axis] = find_box_entry(ray_origin, ray, half_m);
         if (!std::isfinite(enter_m) || (range_m > 0.0 && range_m < enter_m)) return;
         for (std::size_t s = 0; s < kBoxSides; ++s)
             if (kSideFrames[s].normal == axis &&
-                -kSideFrames[s].sign * ray[axis] >= least_cosine(BoxSide(s)) && known[s] < kUnseenSide)
+                -kSideFrames[s].sign * ray[axis] >= get_min_side_cosine(BoxSide(s)) && known[s] < kUnseenSide)
                 ++n_through[s];
     }
 };
@@ -81,7 +81,7 @@ std::vector<HollowBox> find_hollow_boxes(const RenderedScan& scan, const Scene& 
         const Instance& instance = scene.instances[i];
         const std::optional<BoxSurface>& surface = scene.models[instance.model].surface;
         const BoxTrack* box = instance.track.empty() ? nullptr : find_box(sequence, instance.track);
-        if (!box || !box->present(scan.time_s) || !surface) continue;
+        if (!box || !box->is_present(scan.time_s) || !surface) continue;
         const SideShares known = surface->known();
         if (list_unseen_sides(known).empty() && !surface->is_completed) continue;
         const glm::dvec3 begin_m = box->world_from_box.at(scan.time_s + double(first_s)).translation,

@@ -177,7 +177,7 @@ std::string make_timestamp(std::uint64_t time_ns) {
     return bytes;
 }
 
-std::string numbers(std::initializer_list<double> values) {
+std::string make_number_message(std::initializer_list<double> values) {
     std::string bytes;
     pbf_writer writer(bytes);
     protozero::pbf_tag_type number = 0;
@@ -185,16 +185,18 @@ std::string numbers(std::initializer_list<double> values) {
     return bytes;
 }
 
-std::string vector(const glm::dvec3& vector) { return numbers({vector.x, vector.y, vector.z}); }
-std::string quaternion(const glm::dquat& quaternion) {
-    return numbers({quaternion.x, quaternion.y, quaternion.z, quaternion.w});
+std::string make_vector_message(const glm::dvec3& vector) {
+    return make_number_message({vector.x, vector.y, vector.z});
+}
+std::string make_quaternion_message(const glm::dquat& quaternion) {
+    return make_number_message({quaternion.x, quaternion.y, quaternion.z, quaternion.w});
 }
 
 std::string make_pose_message(const Pose& pose) {
     std::string bytes;
     pbf_writer writer(bytes);
-    writer.add_message(1, vector(pose.translation));
-    writer.add_message(2, quaternion(pose.rotation));
+    writer.add_message(1, make_vector_message(pose.translation));
+    writer.add_message(2, make_quaternion_message(pose.rotation));
     return bytes;
 }
 
@@ -233,12 +235,12 @@ std::string pack_points(const Points& cloud) {
         append(bytes, cloud.ring[i]);
         append(bytes, cloud.return_number.empty() ? std::uint8_t(1) : cloud.return_number[i]);
         append(bytes, std::uint8_t(0));  // padding to a multiple of 4 bytes
-        append_row(bytes, cloud.channels, i);
+        append_channel_values(bytes, cloud.channels, i);
     }
     return bytes;
 }
 
-std::string points(const Points& cloud, const std::string& frame) {
+std::string make_points_message(const Points& cloud, const std::string& frame) {
     std::string bytes;
     pbf_writer writer(bytes);
     writer.add_message(1, make_timestamp(to_stamp(cloud.time_s)));
@@ -266,8 +268,8 @@ std::string make_frame_transform(std::uint64_t time_ns, const std::string& paren
     writer.add_message(1, make_timestamp(time_ns));
     writer.add_string(2, parent);
     writer.add_string(3, child);
-    writer.add_message(4, vector(parent_from_child.translation));
-    writer.add_message(5, quaternion(parent_from_child.rotation));
+    writer.add_message(4, make_vector_message(parent_from_child.translation));
+    writer.add_message(5, make_quaternion_message(parent_from_child.rotation));
     transforms.add_message(1, bytes);
     return all;
 }
@@ -276,9 +278,9 @@ std::string make_box_message(const RecordedActor& actor) {
     std::string bytes;
     pbf_writer writer(bytes);
     writer.add_message(1, make_pose_message(actor.faced.world_from_box));
-    writer.add_message(2, vector(actor.size_m));
+    writer.add_message(2, make_vector_message(actor.size_m));
     // orange, and translucent so that the points inside the box stay visible
-    writer.add_message(3, numbers({1.0, 0.6, 0.1, 0.3}));
+    writer.add_message(3, make_number_message({1.0, 0.6, 0.1, 0.3}));
     return bytes;
 }
 
@@ -381,7 +383,8 @@ std::vector<RecordedTopic> list_foxglove_topics(const RecordedRig& rig) {
         const std::string frame = rig.world ? kWorldFrame : rig.sensors[s].frame_id;
         topics.push_back(
             {rig.sensors[s].topic, "foxglove.PointCloud", definition, {}, [=](const RecordedMoment& moment) {
-                 return std::vector<RecordedMessage>{{moment.last_ns, points(moment.clouds[s], frame)}};
+                 return std::vector<RecordedMessage>{
+                     {moment.last_ns, make_points_message(moment.clouds[s], frame)}};
              }});
     }
     return topics;

@@ -34,11 +34,11 @@ void add_times(std::vector<double>& times_s, const PoseTrack& track, double firs
 
 /// Merges the actors of several scans with the same time stamp. Sums up the points of an
 /// actor, and keeps the largest visible share.
-void add_actors(std::vector<RecordedActor>& all, std::vector<RecordedActor> actors) {
+void add_actors(std::vector<RecordedActor>& merged_actors, std::vector<RecordedActor> actors) {
     for (RecordedActor& actor : actors) {
-        const auto known = std::ranges::find(all, actor.name, &RecordedActor::name);
-        if (known == all.end()) {
-            all.push_back(std::move(actor));
+        const auto known = std::ranges::find(merged_actors, actor.name, &RecordedActor::name);
+        if (known == merged_actors.end()) {
+            merged_actors.push_back(std::move(actor));
             continue;
         }
         known->n_points += actor.n_points;
@@ -119,8 +119,8 @@ std::vector<RecordedPose> MomentRecorder::poses(const RenderedScan& scan, std::v
 }
 
 Points MomentRecorder::cloud(const RenderedScan& scan, const ScanFormat& format, const Sweep& sweep) const {
-    Points points =
-        place_points(scan, format.config, get_frame_of_points(format, find_sensor_pose(scan, sweep.first_s)));
+    Points points = place_points(scan, format.config,
+                                 compute_output_frame_pose(format, find_sensor_pose(scan, sweep.first_s)));
     for (float& time_s : points.time_offset_s)
         time_s = static_cast<float>(double(time_s) - (sweep.first_s - scan.time_s));
     points.time_s = sweep.first_s + *shift_s_;
@@ -137,7 +137,7 @@ std::vector<RecordedActor> MomentRecorder::actors(const RenderedScan& scan, doub
                             compute_velocity(actor.world_from_box, t_s)};
         };
         const BoxTrack& box = *actor.box;
-        actors.push_back({box.id, box.category, box.size_m, !box.moves(), state(actor.faced_s),
+        actors.push_back({box.id, box.category, box.size_m, !box.is_moving(), state(actor.faced_s),
                           state(stamp_s), actor.n_points, actor.visible_share});
     }
     return actors;

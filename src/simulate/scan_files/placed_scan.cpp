@@ -6,14 +6,14 @@
 #include <relidar/simulate/place_points.hpp>
 
 namespace relidar::scan_files {
-std::optional<Pose> get_frame_of_points(const ScanFormat& format, const Pose& world_from_deskewed) {
+std::optional<Pose> compute_output_frame_pose(const ScanFormat& format, const Pose& world_from_deskewed) {
     if (format.frame == PointFrame::world) return Pose{};
     return format.deskew ? std::optional(world_from_deskewed) : std::nullopt;
 }
 
-PlacedScan place(const RenderedScan& scan, const ScanFormat& format, const Pose& world_from_deskewed,
-                 int frame, FileNotes notes) {
-    const std::optional<Pose> dataset_from_points = get_frame_of_points(format, world_from_deskewed);
+PlacedScan make_placed_scan(const RenderedScan& scan, const ScanFormat& format,
+                            const Pose& world_from_deskewed, int frame, FileNotes notes) {
+    const std::optional<Pose> dataset_from_points = compute_output_frame_pose(format, world_from_deskewed);
     Points ends = place_points(scan, format.config, dataset_from_points, PointsOf::rays);
     PlacedScan placed{.scan = scan,
                       .format = format,
@@ -37,14 +37,14 @@ PlacedScan place(const RenderedScan& scan, const ScanFormat& format, const Pose&
     return placed;
 }
 
-Points points_of(const PlacedScan& placed) {
+Points make_output_points(const PlacedScan& placed) {
     return place_points(placed.scan, placed.format.config, placed.dataset_from_points);
 }
 
 std::size_t count_points(const RenderedScan& scan, const Config& config) {
     const std::vector<float>& range_m = select_point_ranges(scan, config);
     std::size_t n = 0;
-    for (std::size_t i = 0; i < range_m.size(); ++i) n += returned(scan.image.drop_prob[i], range_m[i]);
+    for (std::size_t i = 0; i < range_m.size(); ++i) n += is_returned(scan.image.drop_prob[i], range_m[i]);
     return n;
 }
 

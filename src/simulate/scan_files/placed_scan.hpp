@@ -62,15 +62,15 @@ void for_each_file_channel(const PlacedScan& placed, Visit&& visit) {
 /// @param world_from_deskewed pose of the frame of motion-compensated points
 /// @param notes metadata of the files
 /// @throws DataError if a channel is invalid, as check_channels()
-PlacedScan place(const RenderedScan& scan, const ScanFormat& format, const Pose& world_from_deskewed,
-                 int frame, FileNotes notes = {});
+PlacedScan make_placed_scan(const RenderedScan& scan, const ScanFormat& format,
+                            const Pose& world_from_deskewed, int frame, FileNotes notes = {});
 
 /// Returns the pose of the frame in which the output format stores points. Returns no
 /// value if each point stays in the sensor's frame at its firing time.
 /// @param world_from_deskewed pose of the frame of motion-compensated points
-std::optional<Pose> get_frame_of_points(const ScanFormat& format, const Pose& world_from_deskewed);
+std::optional<Pose> compute_output_frame_pose(const ScanFormat& format, const Pose& world_from_deskewed);
 /// Returns one point for each return of the scan.
-Points points_of(const PlacedScan& placed);
+Points make_output_points(const PlacedScan& placed);
 /// Returns the number of rays that have a return.
 std::size_t count_points(const RenderedScan& scan, const Config& config);
 

@@ -75,7 +75,7 @@ std::string pack_records(const Points& points) {
         append(bytes, points.position_m[i]), append(bytes, points.intensity[i]);
         append_known(points.ring, i), append_known(points.time_offset_s, i);
         append_known(points.instance, i), append_known(points.return_number, i);
-        append_row(bytes, points.channels, i);
+        append_channel_values(bytes, points.channels, i);
     }
     return bytes;
 }

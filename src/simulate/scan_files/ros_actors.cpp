@@ -42,7 +42,7 @@ constexpr Label kLabels[] = {
     {"animal", 8},  {"dog", 8},     {"car", 1},   {"van", 1},           {"vehicle", 1}};
 constexpr std::uint8_t kUnknown = 0;
 
-std::uint8_t label_of(std::string category) {
+std::uint8_t get_object_label(std::string category) {
     std::ranges::transform(category, category.begin(), [](unsigned char character) {
         return static_cast<char>(std::tolower(character));
     });
@@ -81,7 +81,7 @@ std::string make_tracked_objects_message(std::uint64_t stamp_ns, const Actors& a
         add_uuid(cdr, actor.name);
         // existence probability, then one class with its label and probability; both
         // probabilities are 1
-        cdr.add(1.0f).add(std::uint32_t(1)).add(label_of(actor.category)).add(1.0f);
+        cdr.add(1.0f).add(std::uint32_t(1)).add(get_object_label(actor.category)).add(1.0f);
         add_pose(cdr, actor.at_stamp.world_from_box), add_covariance(cdr);
         add_velocity(cdr, actor.at_stamp.velocity);
         add_velocity(cdr, {});  // zero acceleration, because the acceleration is unknown

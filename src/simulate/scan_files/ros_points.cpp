@@ -62,7 +62,7 @@ std::string make_plain_points(const Points& cloud) {
         append(bytes, cloud.position_m[i]), append(bytes, cloud.intensity[i]);
         append(bytes, cloud.time_offset_s[i]), append(bytes, cloud.ring[i]);
         append(bytes, std::uint16_t(0));  // padding to a multiple of 4 bytes
-        append_row(bytes, cloud.channels, i);
+        append_channel_values(bytes, cloud.channels, i);
     }
     return bytes;
 }

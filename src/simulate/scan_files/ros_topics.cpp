@@ -47,7 +47,7 @@ std::string make_odometry_message(const RecordedPose& pose) {
     return cdr.take();
 }
 
-std::string clock(const RecordedPose& pose) {
+std::string make_clock_message(const RecordedPose& pose) {
     Cdr cdr;
     add_time(cdr, pose.time_ns);
     return cdr.take();
@@ -90,7 +90,7 @@ RecordedTopic make_ros_topic(const std::string& name, const std::string& type,
 
 std::vector<RecordedTopic> list_ros_topics(const RecordedRig& rig) {
     std::vector<RecordedTopic> topics{
-        make_pose_topic("/clock", "rosgraph_msgs/msg/Clock", clock), make_mounting_topic(rig),
+        make_pose_topic("/clock", "rosgraph_msgs/msg/Clock", make_clock_message), make_mounting_topic(rig),
         make_pose_topic("/tf", "tf2_msgs/msg/TFMessage", make_transform_message),
         make_pose_topic("/odom", "nav_msgs/msg/Odometry", make_odometry_message)};
     for (RecordedTopic& topic : list_ros_actor_topics()) topics.push_back(std::move(topic));

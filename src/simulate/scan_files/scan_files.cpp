@@ -24,9 +24,9 @@ namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
-using scan_files::place;
+using scan_files::make_output_points;
+using scan_files::make_placed_scan;
 using scan_files::PlacedScan;
-using scan_files::points_of;
 
 constexpr const char* kUnits = "metres, seconds; intensity and drop_prob 0 to 1";
 
@@ -117,12 +117,14 @@ void write_exr_file(const fs::path& path, const PlacedScan& placed) {
 
 void write_npz_file(const fs::path& path, const PlacedScan& placed) { write_npz(path, list_arrays(placed)); }
 void write_ply_file(const fs::path& path, const PlacedScan& placed) {
-    write_ply(path, points_of(placed), placed.notes);
+    write_ply(path, make_output_points(placed), placed.notes);
 }
 void write_pcd_file(const fs::path& path, const PlacedScan& placed) {
-    write_pcd(path, points_of(placed), placed.notes);
+    write_pcd(path, make_output_points(placed), placed.notes);
 }
-void bin(const fs::path& path, const PlacedScan& placed) { write_kitti_bin(path, points_of(placed)); }
+void write_bin_file(const fs::path& path, const PlacedScan& placed) {
+    write_kitti_bin(path, make_output_points(placed));
+}
 void write_png_file(const fs::path& path, const PlacedScan& placed) {
     write_png(path, draw_scan_picture(placed.scan), placed.notes);
 }
@@ -131,12 +133,8 @@ struct Format {
     const char* name;  ///< name of the format, which is also the extension of its files
     void (*write)(const fs::path&, const PlacedScan&);
 };
-constexpr Format kFormats[] = {{"npz", write_npz_file},
-                               {"exr", write_exr_file},
-                               {"ply", write_ply_file},
-                               {"pcd", write_pcd_file},
-                               {"bin", bin},
-                               {"png", write_png_file}};
+constexpr Format kFormats[] = {{"npz", write_npz_file}, {"exr", write_exr_file}, {"ply", write_ply_file},
+                               {"pcd", write_pcd_file}, {"bin", write_bin_file}, {"png", write_png_file}};
 
 }  // namespace
 
@@ -178,19 +176,19 @@ bool is_deskewed(const ScanFormat& format) {
 }
 
 std::vector<NamedArray> make_scan_arrays(const RenderedScan& scan, int frame, const ScanFormat& format) {
-    return list_arrays(place(scan, format, scan.world_from_sensor, frame));
+    return list_arrays(make_placed_scan(scan, format, scan.world_from_sensor, frame));
 }
 
-bool ScanFolder::wants(const std::string& format) const {
+bool ScanFolder::has_scan_format(const std::string& format) const {
     return std::find(format_.formats.begin(), format_.formats.end(), format) != format_.formats.end();
 }
 
 void ScanFolder::write(int frame, const RenderedScan& scan) {
     const PlacedScan placed =
-        place(scan, format_, scan.world_from_sensor, frame, make_notes(format_, frame, scan));
+        make_placed_scan(scan, format_, scan.world_from_sensor, frame, make_notes(format_, frame, scan));
     std::vector<std::string> files;
     for (const Format& format : kFormats) {
-        if (!wants(format.name)) continue;
+        if (!has_scan_format(format.name)) continue;
         files.push_back(fmt::format("frame_{:06}.{}", frame, format.name));
         format.write(folder_ / files.back(), placed);
     }

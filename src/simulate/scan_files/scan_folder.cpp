@@ -29,7 +29,7 @@ constexpr const char* kSummary = "scans.json";
 /// Returns true if a file name is scans.json, the name of a recording or capture, or
 /// frame_<number>.<format>. Only such files are removed, so that files of other programs
 /// stay.
-bool is_of_rendering(const fs::path& name) {
+bool is_output_file_name(const fs::path& name) {
     const auto is_named = [&](const scan_files::RecordingFormat& format) { return name == format.file; };
     if (name == kSummary || scan_files::PacketFiles::is_file(name) ||
         std::ranges::any_of(scan_files::list_recording_formats(), is_named))
@@ -87,7 +87,7 @@ ScanFolder::ScanFolder(fs::path folder, ScanFormat format, Joining)
     channels_ = parse_channels(format_.config.render.channels);
 }
 
-ScanFolder ScanFolder::joining(fs::path folder, ScanFormat format) {
+ScanFolder ScanFolder::open_shared(fs::path folder, ScanFormat format) {
     ScanFolder joined(std::move(folder), std::move(format), Joining{});
     for (const std::string& name : joined.format_.formats)
         if (is_recording(name))
@@ -191,7 +191,7 @@ std::vector<fs::path> list_scan_files(const fs::path& folder) {
     std::vector<fs::path> files;
     std::error_code failed;
     for (const auto& entry : fs::directory_iterator(folder, failed))
-        if (is_of_rendering(entry.path().filename())) files.push_back(entry.path());
+        if (is_output_file_name(entry.path().filename())) files.push_back(entry.path());
     std::sort(files.begin(), files.end());
     return files;
 }

@@ -25,7 +25,7 @@ Scan make_measured_scan(const RenderedScan& scan, const Config& config) {
     measured.intensity = to_scan_array(image.intensity);
     measured.second_returns = scan.second_returns;
     for (std::size_t i = 0; i < measured.range_m.size(); ++i) {
-        if (returned(image.drop_prob[i], measured.range_m[i])) continue;
+        if (is_returned(image.drop_prob[i], measured.range_m[i])) continue;
         measured.range_m[i] = 0.0f;
         measured.intensity[i] = 0.0f;
         for (SecondReturn& second : measured.second_returns) second.range_m[i] = 0.0f;

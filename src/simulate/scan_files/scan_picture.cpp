@@ -26,7 +26,7 @@ std::vector<float> compute_square_roots(std::vector<float> values) {
 std::vector<float> select_returned_pixels(const RangeImage& image) {
     std::vector<float> mask(image.range_m.size());
     for (std::size_t i = 0; i < mask.size(); ++i)
-        mask[i] = returned(image.drop_prob[i], image.range_m[i]) ? 1.0f : 0.0f;
+        mask[i] = is_returned(image.drop_prob[i], image.range_m[i]) ? 1.0f : 0.0f;
     return mask;
 }
 

@@ -54,11 +54,11 @@ std::size_t count_points_on(const RenderedScan& scan, const ScanFormat& format, 
     const std::vector<float>& range_m = select_point_ranges(scan, format.config);
     std::size_t n = 0;
     for (std::size_t i = 0; i < range_m.size(); ++i)
-        n += scan.instance[i] == instance && returned(scan.image.drop_prob[i], range_m[i]);
+        n += scan.instance[i] == instance && is_returned(scan.image.drop_prob[i], range_m[i]);
     return n;
 }
 
-std::optional<double> find_visible_share(const RenderedScan& scan, const std::string& track) {
+std::optional<double> compute_visible_share(const RenderedScan& scan, const std::string& track) {
     const auto view = std::ranges::find(scan.actor_views, track, &ActorView::track);
     if (view == scan.actor_views.end()) return {};
     return std::min(1.0, double(view->n_rays) / double(view->n_rays_alone));
@@ -83,8 +83,8 @@ std::vector<SeenActor> find_actors(const RenderedScan& scan, const ScanFormat& f
     const SampledRays rays(scan);
     std::vector<SeenActor> actors;
     for (const BoxTrack& box : format.actors) {
-        const std::optional<double> visible_share = find_visible_share(scan, box.id);
-        if (!visible_share && !box.present(scan.time_s)) continue;
+        const std::optional<double> visible_share = compute_visible_share(scan, box.id);
+        if (!visible_share && !box.is_present(scan.time_s)) continue;
         const auto world_from_box = [&box, &format](double t_s) {
             const Pose pose = box.world_from_box.at(t_s);
             return Pose{pose.rotation, pose.translation + format.world_offset_m};

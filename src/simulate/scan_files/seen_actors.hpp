@@ -21,7 +21,7 @@ struct SeenActor {
     double faced_s;
     std::size_t n_points;  ///< first returns of the scan on the actor
     /// Rays that hit the actor first, divided by the rays that would hit it if the scene
-    /// contained only this actor. No value if ScanRenderer::compute_views() was not
+    /// contained only this actor. No value if ScanRenderer::enable_actor_views() was not
     /// called, or if no ray would hit the actor.
     std::optional<double> visible_share;
 };

@@ -50,7 +50,7 @@ public:
     void look(std::size_t index, std::uint64_t seed) {
         const bool has_second = !scan_.second_returns.empty();
         RayInAir ray{.index = index};
-        if (returned(scan_.image.drop_prob[index], scan_.median_range_m[index]))
+        if (is_returned(scan_.image.drop_prob[index], scan_.median_range_m[index]))
             ray.strongest = surface(scan_.median_range_m[index], scan_.image.intensity[index]);
         if (has_second)
             ray.second =
@@ -60,8 +60,8 @@ public:
             const bool is_blind = !input_.blind.empty() && input_.blind[index] != 0;
             ray.free_m = is_blind ? 0.0 : free_m(ray);
             seen = air_.look(ray, seed);
-            put(index, ray.strongest, seen.strongest);
-            if (has_second) put(scan_.second_returns[0], index, seen.second);
+            write_echo(index, ray.strongest, seen.strongest);
+            if (has_second) write_echo(scan_.second_returns[0], index, seen.second);
         }
         std::get<Sources>(channel_.values)[index] = std::int32_t(seen.strongest.source);
         if (has_second) std::get<Sources>(channel_.second)[index] = std::int32_t(seen.second.source);
@@ -91,20 +91,20 @@ private:
         if (!is_blocked || !(median_m > 0.0f)) return input_.sensor.max_range_m;
         return std::max(double(median_m), ray.second.range_m);
     }
-    void put(std::size_t ray, const Echo& before, const Echo& echo) {
+    void write_echo(std::size_t ray, const Echo& original_echo, const Echo& echo) {
         RangeImage& image = scan_.image;
         if (echo.source == PointSource::nothing) {
-            if (before.source != PointSource::nothing) image.drop_prob[ray] = 1.0f;
+            if (original_echo.source != PointSource::nothing) image.drop_prob[ray] = 1.0f;
             return;
         }
         image.intensity[ray] = to_intensity(echo);
-        if (echo.source == before.source && echo.range_m == before.range_m) return;
+        if (echo.source == original_echo.source && echo.range_m == original_echo.range_m) return;
         image.drop_prob[ray] = 0.0f;
         image.range_m[ray] = scan_.median_range_m[ray] = scan_.mean_range_m[ray] =
             static_cast<float>(echo.range_m);
         remove_surface(scan_, ray);
     }
-    void put(SecondReturn& second, std::size_t ray, const Echo& echo) const {
+    void write_echo(SecondReturn& second, std::size_t ray, const Echo& echo) const {
         second.range_m[ray] = static_cast<float>(echo.range_m);
         second.intensity[ray] = echo.source == PointSource::nothing ? 0.0f : to_intensity(echo);
     }

@@ -10,7 +10,7 @@ namespace {
 
 /// Returns the second return of a dual-return sensor. Normally, this is the last return.
 /// If the strongest return is also the last, the function returns the second strongest.
-Echo second_of(const Candidates& candidates, const Echo& strongest, double separation_m) {
+Echo select_second_return(const Candidates& candidates, const Echo& strongest, double separation_m) {
     Echo last, next;
     double power = 0.0;
     for (const Candidate& candidate : candidates) {
@@ -35,7 +35,7 @@ std::vector<std::unique_ptr<EffectOnRays>> prepare_effects(const WeatherInput& i
 }  // namespace
 
 double WeatherSensor::threshold(double range_m) const {
-    return std::max(weakest(), weakest_reflectivity / (range_m * range_m));
+    return std::max(compute_min_power(), weakest_reflectivity / (range_m * range_m));
 }
 
 Air::Air(const WeatherInput& input) : Air(input.weather, input.sensor, prepare_effects(input)) {}
@@ -68,10 +68,10 @@ void add_echo(Candidates& candidates, Echo echo, const WeatherSensor& sensor, do
     if (echo.source == PointSource::nothing || echo.range_m > sensor.max_range_m) return;
     const double power = std::max(echo.reflectivity, darkest) * transmission / (echo.range_m * echo.range_m);
     echo.reflectivity *= transmission;
-    if (power >= sensor.weakest()) candidates.push_back({echo, power});
+    if (power >= sensor.compute_min_power()) candidates.push_back({echo, power});
 }
 
-RayEchoes Air::look(RayInAir ray, std::uint64_t seed) const {
+RayEchoes Air::compute_echoes(RayInAir ray, std::uint64_t seed) const {
     Random random(seed);
     Candidates candidates;
     for (const auto& effect : effects_) effect->change_surface(ray);
@@ -80,7 +80,7 @@ RayEchoes Air::look(RayInAir ray, std::uint64_t seed) const {
     for (const auto& effect : effects_) effect->add_returns(candidates, ray, random);
     if (candidates.empty()) return {};
     const Echo strongest = std::ranges::max_element(candidates, {}, &Candidate::power)->echo;
-    return {strongest, second_of(candidates, strongest, sensor_.separation_m)};
+    return {strongest, select_second_return(candidates, strongest, sensor_.separation_m)};
 }
 
 }  // namespace relidar

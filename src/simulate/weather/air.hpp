@@ -27,7 +27,7 @@ inline constexpr double kLight_m_s = 299792458.0;
 inline double compute_nearest_m(const WeatherSensor& sensor) {
     return std::max(kOverlap_m, sensor.min_range_m);
 }
-inline double compute_pulse_m(const WeatherSensor& sensor) { return kLight_m_s * sensor.pulse_s; }
+inline double compute_pulse_length_m(const WeatherSensor& sensor) { return kLight_m_s * sensor.pulse_s; }
 /// Returns the diameter of the laser beam at a given range, in metres.
 inline double compute_beam_diameter_m(const WeatherSensor& sensor, double range_m) {
     return sensor.aperture_m + sensor.divergence_rad * range_m;
@@ -97,7 +97,7 @@ public:
     /// return is the last one. If the strongest return is also the last, the second
     /// return is the second strongest. Both returns are at least `separation_m` apart.
     /// Returns below the detection threshold are left out.
-    RayEchoes look(RayInAir ray, std::uint64_t seed) const;
+    RayEchoes compute_echoes(RayInAir ray, std::uint64_t seed) const;
 
 private:
     const WeatherSensor sensor_;

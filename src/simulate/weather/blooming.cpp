@@ -40,14 +40,14 @@ struct Reflector {
     double range_m, deg2;
 };
 
-std::pair<int, int> find_square(const glm::dvec3& direction) {
+std::pair<int, int> find_image_square(const glm::dvec3& direction) {
     const double row = std::floor(std::asin(std::clamp(direction.z, -1.0, 1.0)) * kPerRad);
     const double around = std::atan2(direction.y, direction.x) * kPerRad * std::cos((row + 0.5) / kPerRad);
     return {int(row), int(std::floor(around))};
 }
 
 bool is_reflector(const RenderedScan& scan, std::size_t ray) {
-    return returned(scan.image.drop_prob[ray], scan.median_range_m[ray]) &&
+    return is_returned(scan.image.drop_prob[ray], scan.median_range_m[ray]) &&
            scan.image.intensity[ray] >= kSaturated;
 }
 
@@ -55,7 +55,7 @@ std::vector<Reflector> find_reflectors(const RenderedScan& scan) {
     std::map<std::pair<int, int>, Square> squares;
     for (std::size_t i = 0; i < scan.image.direction.size(); ++i) {
         const glm::dvec3 direction(scan.image.direction[i]);
-        Square& square = squares[find_square(direction)];
+        Square& square = squares[find_image_square(direction)];
         ++square.rays;
         if (!is_reflector(scan, i)) continue;
         ++square.reflectors, square.direction += direction, square.range_m += double(scan.median_range_m[i]);
@@ -70,7 +70,7 @@ std::vector<Reflector> find_reflectors(const RenderedScan& scan) {
 
 /// Returns the stray light that a ray in this direction receives from all reflectors. It
 /// still has to be multiplied by the random factor X and by the setting `bloom`.
-Echo find_brightest(const std::vector<Reflector>& reflectors, const glm::dvec3& direction) {
+Echo find_brightest_stray_light(const std::vector<Reflector>& reflectors, const glm::dvec3& direction) {
     std::vector<double> share;
     std::size_t most = 0;
     const auto power = [&](std::size_t index) {
@@ -102,7 +102,7 @@ std::vector<Echo> compute_stray_light(const WeatherInput& input) {
     std::vector<Echo> stray(scan.image.direction.size());
     for_each_block(stray.size(), [&](std::size_t ray) {
         if (is_reflector(scan, ray)) return;
-        stray[ray] = find_brightest(reflectors, glm::dvec3(scan.image.direction[ray]));
+        stray[ray] = find_brightest_stray_light(reflectors, glm::dvec3(scan.image.direction[ray]));
         stray[ray].reflectivity *=
             input.weather.bloom *
             std::exp(kSpread * Random(combine_hashes(of_scan, scan.ring[ray])).normal());

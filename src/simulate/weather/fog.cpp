@@ -34,18 +34,18 @@ public:
           alpha_(compute_extinction(input.weather)),
           visibility_m_(input.weather.fog_visibility_m) {
         const double thickest = std::exp(kFogSpread * (kRareFog - 0.5 * kFogSpread)),
-                     rises_to_m = compute_nearest_m(sensor_) + compute_pulse_m(sensor_);
+                     rises_to_m = compute_nearest_m(sensor_) + compute_pulse_length_m(sensor_);
         bool shows = true;
         for (double r = compute_nearest_m(sensor_); shows && r <= sensor_.max_range_m + kFogStep_m;
              r += kFogStep_m) {
             power_.push_back(compute_power(r));
-            shows = r < rises_to_m || power_.back() * thickest > sensor_.weakest();
+            shows = r < rises_to_m || power_.back() * thickest > sensor_.compute_min_power();
         }
     }
 
     void add_returns(Candidates& candidates, const RayInAir& ray, Random& random) const override {
         if (power_.empty()) return;
-        const double stretch_m = 0.5 * compute_pulse_m(sensor_), first_m = compute_nearest_m(sensor_);
+        const double stretch_m = 0.5 * compute_pulse_length_m(sensor_), first_m = compute_nearest_m(sensor_);
         for (double begin_m = first_m; begin_m < ray.free_m; begin_m += stretch_m) {
             const double range_m = begin_m + stretch_m * random.uniform(),
                          place = (range_m - first_m) / kFogStep_m;
@@ -68,7 +68,7 @@ private:
     /// with the midpoint rule.
     double compute_power(double range_m) const {
         constexpr int kParts = 32;
-        const double width_m = compute_pulse_m(sensor_), part_m = width_m / kParts;
+        const double width_m = compute_pulse_length_m(sensor_), part_m = width_m / kParts;
         double sum = 0.0;
         for (int i = 0; i < kParts; ++i) {
             const double x = -0.5 * width_m + (i + 0.5) * part_m, r = range_m + x,

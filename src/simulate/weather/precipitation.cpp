@@ -42,7 +42,7 @@ Particles make_snow_flakes(const Weather& weather) {
 }
 
 template <Particles (*particles_of)(const Weather&)>
-double shadows(const Weather& weather) {
+double compute_particle_extinction(const Weather& weather) {
     const Particles p = particles_of(weather);
     return kPi * p.per_m3_mm * 1e-6 * p.widening * p.widening / std::pow(p.slope_per_mm, 3);
 }
@@ -119,7 +119,7 @@ const WeatherEffect kRain{.name = "rain",
                           .expected = "0 to 500 mm/h",
                           .examples = "rain=5 rain=25",
                           .numbers = kRainNumbers,
-                          .extinction = shadows<make_rain_drops>,
+                          .extinction = compute_particle_extinction<make_rain_drops>,
                           .prepare = prepare_particles<make_rain_drops>};
 const WeatherEffect kSnow{.name = "snow",
                           .form = "snow=MM_PER_H",
@@ -127,7 +127,7 @@ const WeatherEffect kSnow{.name = "snow",
                           .expected = "0 to 100 mm/h of melted snow",
                           .examples = "snow=1 snow=4",
                           .numbers = kSnowNumbers,
-                          .extinction = shadows<make_snow_flakes>,
+                          .extinction = compute_particle_extinction<make_snow_flakes>,
                           .prepare = prepare_particles<make_snow_flakes>};
 
 }  // namespace relidar

@@ -75,13 +75,13 @@ public:
         const double albedo = meets_surface ? std::min(ray.strongest.reflectivity, 1.0) : 0.0;
         const double sigma = compute_sun_noise(sun_, sensor_, double(angles_rad_[ray.index]), albedo,
                                                !meets_surface && ray.free_m >= sensor_.max_range_m);
-        const double per_m = compute_false_return_rate(sensor_, sensor_.weakest() / sigma);
+        const double per_m = compute_false_return_rate(sensor_, sensor_.compute_min_power() / sigma);
         const auto waiting = [&random] { return -std::log(1.0 - random.uniform()); };
         if (!(per_m > 0.0)) return;
         for (double range_m = compute_nearest_m(sensor_) + waiting() / per_m; range_m < sensor_.max_range_m;
              range_m += waiting() / per_m) {
-            const double power =
-                std::sqrt(sensor_.weakest() * sensor_.weakest() + 2.0 * sigma * sigma * waiting());
+            const double power = std::sqrt(sensor_.compute_min_power() * sensor_.compute_min_power() +
+                                           2.0 * sigma * sigma * waiting());
             if (power >= sensor_.threshold(range_m))
                 candidates.push_back({{range_m, power * range_m * range_m, PointSource::noise}, power});
         }

@@ -43,12 +43,12 @@ std::string get_word(const WeatherEffect& effect, const Weather& weather) {
     return fmt::format("{}={}", effect.name, fmt::join(values, ":"));
 }
 
-[[noreturn]] void refuse(const std::string& word, const std::string_view expected) {
+[[noreturn]] void throw_weather_error(const std::string& word, const std::string_view expected) {
     throw UsageError(fmt::format("weather: found {}, expected {}", word, expected));
 }
 
 /// Returns a text that lists the syntax of all weather effects.
-std::string forms() {
+std::string list_effect_forms() {
     std::vector<std::string_view> words;
     for (const WeatherEffect* effect : kWeatherEffects) words.push_back(effect->form);
     return fmt::format("{}, or several of them", fmt::join(words, ", "));
@@ -71,18 +71,18 @@ std::vector<double> read_numbers(std::string_view text) {
 }
 
 /// Parses the text of one weather effect, for example "rain=5".
-void read_word(Weather& weather, std::string_view word) {
+void parse_weather_word(Weather& weather, std::string_view word) {
     const std::size_t equals = std::min(word.find('='), word.size());
     const auto* row = std::ranges::find(kWeatherEffects, word.substr(0, equals), &WeatherEffect::name);
     if (row == std::end(kWeatherEffects) || (equals == word.size() && (*row)->n_required > 0))
-        refuse(fmt::format("\"{}\"", make_excerpt(word)), forms());
+        throw_weather_error(fmt::format("\"{}\"", make_excerpt(word)), list_effect_forms());
     const WeatherEffect& effect = **row;
     if (effect.is_in(weather))
         throw UsageError(fmt::format("weather: {} occurs twice, expected it once", effect.name));
     const std::vector<double> values = read_numbers(word.substr(std::min(equals + 1, word.size())));
     const std::size_t fewest = equals < word.size() ? std::max<std::size_t>(effect.n_required, 1) : 0;
     if (values.size() < fewest || values.size() > effect.numbers.size() || !are_values_valid(effect, values))
-        refuse(make_excerpt(word), effect.expected);
+        throw_weather_error(make_excerpt(word), effect.expected);
     for (std::size_t k = 0; k < effect.numbers.size(); ++k)
         effect.numbers[k].of(weather) = k < values.size() ? values[k] : effect.numbers[k].usual;
 }
@@ -96,7 +96,7 @@ bool WeatherEffect::is_in(const Weather& weather) const {
 Weather parse_weather(const std::string& text) {
     Weather weather;
     if (text == "clear") return weather;
-    for (const std::string& word : split_words(text)) read_word(weather, word);
+    for (const std::string& word : split_words(text)) parse_weather_word(weather, word);
     check_weather(weather);
     return weather;
 }
@@ -111,7 +111,7 @@ std::string to_text(const Weather& weather) {
 void check_weather(const Weather& weather) {
     for (const WeatherEffect* effect : kWeatherEffects)
         if (effect->is_in(weather) && !are_values_valid(*effect, get_effect_numbers(*effect, weather)))
-            refuse(get_word(*effect, weather), effect->expected);
+            throw_weather_error(get_word(*effect, weather), effect->expected);
     if (weather.rain_mm_h > 0.0 && weather.snow_mm_h > 0.0)
         throw UsageError(fmt::format("weather: found rain={} and snow={}, expected only one of them",
                                      weather.rain_mm_h, weather.snow_mm_h));

@@ -53,7 +53,9 @@ struct Cell {
 };
 using Cells = std::unordered_map<std::uint64_t, Cell>;
 
-std::uint64_t key_of(const glm::dvec3& point) { return make_cell_key({point.x, point.y, 0.0}, kCell_m); }
+std::uint64_t make_ground_cell_key(const glm::dvec3& point) {
+    return make_cell_key({point.x, point.y, 0.0}, kCell_m);
+}
 
 /// Plane of the ground: z = height + slope . (x, y).
 struct GroundPlane {
@@ -88,7 +90,8 @@ std::vector<glm::dvec3> collect_points_below(const RenderedScan& scan) {
     const glm::dvec3 none(std::numeric_limits<double>::quiet_NaN());
     std::vector<glm::dvec3> points(scan.median_range_m.size(), none);
     for_each_block(points.size(), [&](std::size_t ray) {
-        if (scan.instance[ray] != 0 || !returned(scan.image.drop_prob[ray], scan.median_range_m[ray])) return;
+        if (scan.instance[ray] != 0 || !is_returned(scan.image.drop_prob[ray], scan.median_range_m[ray]))
+            return;
         const glm::dvec3 of_sensor(scan.image.origin[ray] +
                                    scan.median_range_m[ray] * scan.image.direction[ray]);
         const glm::dvec3 p = scan.get_firing_pose(ray) * of_sensor - scan.world_from_sensor.translation;
@@ -101,12 +104,12 @@ Cells fill_cells(const std::vector<glm::dvec3>& points) {
     Cells cells;
     for (const glm::dvec3& p : points)
         if (!std::isnan(p.x)) {
-            double& lowest_m = cells[key_of(p)].lowest_m;
+            double& lowest_m = cells[make_ground_cell_key(p)].lowest_m;
             lowest_m = std::min(lowest_m, p.z);
         }
     for (const glm::dvec3& p : points)
         if (!std::isnan(p.x))
-            if (Cell& cell = cells[key_of(p)]; p.z < cell.lowest_m + kLayer_m) cell.add(p);
+            if (Cell& cell = cells[make_ground_cell_key(p)]; p.z < cell.lowest_m + kLayer_m) cell.add(p);
     return cells;
 }
 
@@ -115,7 +118,7 @@ GroundPlane fit_plane_at(const Cells& cells, const glm::dvec3& point) {
     Cell together;
     for (int dx = -1; dx <= 1; ++dx)
         for (int dy = -1; dy <= 1; ++dy)
-            if (const auto cell = cells.find(key_of(point + kCell_m * glm::dvec3(dx, dy, 0)));
+            if (const auto cell = cells.find(make_ground_cell_key(point + kCell_m * glm::dvec3(dx, dy, 0)));
                 cell != cells.end())
                 together.add(cell->second);
     return fit_plane(together);
@@ -135,7 +138,7 @@ std::vector<glm::dvec3> estimate_level_ground(const RenderedScan& scan) {
     for (std::size_t ray = 0; ray < points.size(); ++ray) {
         const glm::dvec3& p = points[ray];
         if (std::isnan(p.x)) continue;
-        const auto [plane, is_new] = planes.try_emplace(key_of(p));
+        const auto [plane, is_new] = planes.try_emplace(make_ground_cell_key(p));
         if (is_new) plane->second = fit_plane_at(cells, p);
         if (plane->second.is_ground && std::abs(plane->second.above(p)) < kLayer_m)
             normals[ray] = glm::normalize(glm::dvec3(-plane->second.slope, 1.0));

@@ -63,7 +63,7 @@ CheckpointKeeper::CheckpointKeeper(const Sequence& sequence, const Split& split,
         });
 }
 
-bool CheckpointKeeper::due(int step) const {
+bool CheckpointKeeper::should_save(int step) const {
     if (!folder_.wanted()) return false;
     const std::chrono::duration<double> since_last = Clock::now() - last_;
     const bool by_count = config_.checkpoint_every > 0 && step % config_.checkpoint_every == 0;

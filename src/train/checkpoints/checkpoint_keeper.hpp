@@ -54,7 +54,7 @@ public:
     /// Returns true if a checkpoint must be written after this iteration. Checkpoints are
     /// written after a fixed number of iterations or minutes. If the folder already has a
     /// checkpoint, the last iteration also gets one.
-    bool due(int step) const;
+    bool should_save(int step) const;
     /// Writes the state after result.iterations to a checkpoint. If the disk is full, it
     /// prints a note and training continues.
     /// @throws DataError if the state contains NaN or infinity, because training could

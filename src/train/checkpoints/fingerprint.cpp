@@ -122,12 +122,14 @@ std::vector<Mark> list_marks(const Sequence& sequence, const Split& split) {
             {"log/boxes", "the log's boxes", hash_boxes(sequence)}};
 }
 
-Mark mark_of(const Scene& scene) { return {"scene", "the scene", hash_scene(scene)}; }
+Mark hash_scene_surfels(const Scene& scene) { return {"scene", "the scene", hash_scene(scene)}; }
 
-void put(const ConfigKey& setting, std::map<std::string, std::string>& texts) {
+void add_checkpoint_text(const ConfigKey& setting, std::map<std::string, std::string>& texts) {
     texts[kSetting + setting.key] = setting.value;
 }
-void put(const Mark& mark, std::map<std::string, std::string>& texts) { texts[mark.key] = mark.value; }
+void add_checkpoint_text(const Mark& mark, std::map<std::string, std::string>& texts) {
+    texts[mark.key] = mark.value;
+}
 
 void check_same(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint,
                 const std::string& action) {

@@ -27,11 +27,11 @@ struct Mark {
 std::vector<Mark> list_marks(const Sequence& sequence, const Split& split);
 /// Returns a hash of all surfels of a scene, including its blocks.
 /// @throws DataError if the file of a block is invalid
-Mark mark_of(const Scene& scene);
+Mark hash_scene_surfels(const Scene& scene);
 
 /// Adds a setting or a hash to the key-value texts of a checkpoint.
-void put(const ConfigKey& setting, std::map<std::string, std::string>& texts);
-void put(const Mark& mark, std::map<std::string, std::string>& texts);
+void add_checkpoint_text(const ConfigKey& setting, std::map<std::string, std::string>& texts);
+void add_checkpoint_text(const Mark& mark, std::map<std::string, std::string>& texts);
 /// Compares settings or a hash with the values in a checkpoint.
 /// @param action  start of the error message
 /// @throws UsageError if a setting has another value

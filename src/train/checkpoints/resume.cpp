@@ -77,8 +77,8 @@ TrainProgress make_progress_line(int step, const Config& config, double seconds,
 std::map<std::string, std::string> make_training_texts(const Sequence& sequence, const Split& split,
                                                        const Config& config) {
     std::map<std::string, std::string> texts;
-    for (const ConfigKey& key : list_config_keys(config)) put(key, texts);
-    for (const Mark& mark : list_marks(sequence, split)) put(mark, texts);
+    for (const ConfigKey& key : list_config_keys(config)) add_checkpoint_text(key, texts);
+    for (const Mark& mark : list_marks(sequence, split)) add_checkpoint_text(mark, texts);
     return texts;
 }
 

@@ -27,7 +27,7 @@ bool uses_grid(const Config& config) {
 
 /// Returns the rays of a frame's LiDAR. If the network corrects grid images (refine.image
 /// = grid), returns one ray for each grid cell.
-SensorChoice rays_of(const Config& config, const Sequence& sequence, const Frame& frame) {
+SensorChoice make_training_sensor(const Config& config, const Sequence& sequence, const Frame& frame) {
     if (!uses_grid(config)) return make_nominal_rays_of_frame(config, sequence, frame);
     SensorChoice sensor = make_configured_sensor(config, sequence, frame.lidar);
     // uses the rolling shutter of the log, because the network learns from the scans of
@@ -40,7 +40,7 @@ SensorChoice rays_of(const Config& config, const Sequence& sequence, const Frame
 /// scene fits the original rays unusually well, because it was trained with them. Images
 /// along the rotated rays are as accurate as images of frames that were not used for
 /// training.
-RayTable rotate_rays(RayTable rays, float share) {
+RayTable rotate_rays_by_column_fraction(RayTable rays, float share) {
     const RayTable original = rays;
     // Minimum cosine of the angle between neighbouring columns. It excludes the pair of
     // last and first column if the field of view is not a full turn.
@@ -58,7 +58,7 @@ RayTable rotate_rays(RayTable rays, float share) {
 
 /// Converts the measured drops of rays to drops of the grid cells: 0 returned, 1 dropped,
 /// -1 unknown. A cell is unknown if one of its returns is unknown.
-std::vector<float> compute_cell_drops(const Config& config, const Frame& frame,
+std::vector<float> compute_grid_drops(const Config& config, const Frame& frame,
                                       const std::vector<float>& dropped) {
     std::vector<float> cells = make_real_image(config, frame.scan).drop_prob;
     const RangeGrid grid = find_grid(config.sensor.grid);
@@ -90,8 +90,8 @@ std::vector<int> make_images_of_frames(const Config& config, const Sequence& seq
 /// with the measured drops. Returns nothing if the user stopped the program.
 std::vector<DropImage> make_training_images(Device& device, const Run& run, const Config& config,
                                             const RefineSession& session) {
-    const std::vector<int> positions =
-        spread(make_images_of_frames(run.config, run.sequence, run.split.train), run.config.refine.frames);
+    const std::vector<int> positions = select_evenly_spaced(
+        make_images_of_frames(run.config, run.sequence, run.split.train), run.config.refine.frames);
     if (positions.empty())
         throw DataError(
             fmt::format("cannot train the ray-drop network of {}: no training frame has its rays in rows and "
@@ -100,20 +100,20 @@ std::vector<DropImage> make_training_images(Device& device, const Run& run, cons
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     const Unknown masks = make_masks(config, run.scene);
     const std::vector<std::string> channels = list_drop_channels(config.refine);
-    if (kind_of(config.image.primitive).has_normals) renderer.enable_channels("incidence");
+    if (get_primitive_kind(config.image.primitive).has_normals) renderer.enable_channels("incidence");
     std::vector<DropImage> images;
     for (const int position : positions) {
         if (session.progress)
             session.progress("rendering training frames", double(images.size()) / double(positions.size()));
         const Frame& frame = run.sequence.frames[std::size_t(position)];
-        SensorChoice sensor = rays_of(config, run.sequence, frame);
+        SensorChoice sensor = make_training_sensor(config, run.sequence, frame);
         const bool parted = config.refine.network == "pixel" && !sensor.grid;
         const Stripes stripes(parted ? compute_stripe_share(sensor.rays) : 1, sensor.rays, images.size());
-        sensor.rays = stripes.rays(rotate_rays(std::move(sensor.rays), 0.5f));
+        sensor.rays = stripes.rays(rotate_rays_by_column_fraction(std::move(sensor.rays), 0.5f));
         const RenderedScan scan = renderer.render(sensor, frame.time_s);
         images.push_back(make_drop_image(scan, channels, get_first_origin(run.sequence)));
         std::vector<float> dropped = find_measured_drops(run.sequence, frame, masks);
-        if (uses_grid(config)) dropped = compute_cell_drops(config, frame, dropped);
+        if (uses_grid(config)) dropped = compute_grid_drops(config, frame, dropped);
         images.back().dropped = stripes.values(dropped);
         for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
             // Excludes rays that always drop, because the output of the network does not
@@ -137,7 +137,7 @@ DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& se
     if (images.empty()) return {};
     RefineKeeper checkpoints(run, session);
     const std::optional<RefineState> start =
-        session.start ? std::optional(refine_state(*session.start)) : std::nullopt;
+        session.start ? std::optional(read_refine_state(*session.start)) : std::nullopt;
     bool stopped = false;
     const auto after_step = [&](const RefineProgress& progress, const std::function<RefineState()>& state) {
         if (session.step) session.step(progress);

@@ -15,7 +15,7 @@ namespace relidar {
 namespace {
 
 /// Returns true if a setting changes the rendered images or the network.
-bool has_effect(const std::string& key) {
+bool affects_refinement(const std::string& key) {
     constexpr std::array kGroups{"refine.", "image.", "sensor.", "init.", "render.range", "train.seed"};
     return key != "refine.enabled" &&
            std::ranges::any_of(kGroups, [&](const char* group) { return key.starts_with(group); });
@@ -23,7 +23,7 @@ bool has_effect(const std::string& key) {
 
 std::vector<Mark> list_marks(const Run& run) {
     std::vector<Mark> marks = list_marks(run.sequence, run.split);
-    marks.push_back(mark_of(run.scene));
+    marks.push_back(hash_scene_surfels(run.scene));
     return marks;
 }
 
@@ -31,8 +31,8 @@ std::vector<Mark> list_marks(const Run& run) {
 std::map<std::string, std::string> make_texts(const Run& run) {
     std::map<std::string, std::string> texts;
     for (const ConfigKey& key : list_config_keys(run.config))
-        if (has_effect(key.key)) put(key, texts);
-    for (const Mark& mark : list_marks(run)) put(mark, texts);
+        if (affects_refinement(key.key)) add_checkpoint_text(key, texts);
+    for (const Mark& mark : list_marks(run)) add_checkpoint_text(mark, texts);
     return texts;
 }
 
@@ -58,7 +58,7 @@ void RefineKeeper::after_step(const RefineProgress& progress, bool stops,
                  [&](Checkpoint& checkpoint) { state().visit_state(StateWriter(checkpoint)); });
 }
 
-RefineState refine_state(const Checkpoint& checkpoint) {
+RefineState read_refine_state(const Checkpoint& checkpoint) {
     RefineState state;
     state.visit_state(StateReader(checkpoint));
     return state;
@@ -68,14 +68,14 @@ void check_refine_resumable(const Checkpoint& checkpoint, const Run& run) {
     const std::string doing =
         fmt::format("cannot resume the ray-drop network from step {}", checkpoint.iteration);
     std::vector<ConfigKey> settings = list_config_keys(run.config);
-    std::erase_if(settings, [](const ConfigKey& key) { return !has_effect(key.key); });
+    std::erase_if(settings, [](const ConfigKey& key) { return !affects_refinement(key.key); });
     check_same(settings, checkpoint, doing);
     for (const Mark& mark : list_marks(run)) check_same(checkpoint, mark, doing);
-    refine_state(checkpoint);  // throws an error if the state is incomplete
+    read_refine_state(checkpoint);  // throws an error if the state is incomplete
 }
 
 void restore_refine_settings(const Checkpoint& checkpoint, Config& config) {
-    for (const auto& [key, value] : read_settings(checkpoint)) set_key(config, key, value);
+    for (const auto& [key, value] : read_settings(checkpoint)) set_config_value(config, key, value);
 }
 
 }  // namespace relidar

@@ -38,6 +38,6 @@ private:
 
 /// Returns the state of the network training that a checkpoint stores.
 /// @throws DataError if the checkpoint is not from the training of a network
-RefineState refine_state(const Checkpoint& checkpoint);
+RefineState read_refine_state(const Checkpoint& checkpoint);
 
 }  // namespace relidar

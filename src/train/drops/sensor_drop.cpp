@@ -52,7 +52,7 @@ void for_each_sector(int bins, const Condition& is_in, const Visit& visit) {
 
 /// Returns how much the azimuth offsets of a LiDAR's beams differ: largest minus
 /// smallest, in bins.
-int compute_bin_spread(const SpinningSensor& sensor, int bins) {
+int compute_azimuth_spread_bins(const SpinningSensor& sensor, int bins) {
     const auto [least, most] = std::ranges::minmax(sensor.beams, {}, &Beam::azimuth_offset_rad);
     return int(std::ceil((most.azimuth_offset_rad - least.azimuth_offset_rad) / (2.0 * kPi) * bins));
 }
@@ -83,10 +83,10 @@ DropTable DropCounts::estimate_persistent_rate() const {
             std::uint32_t rays = 0, drops = 0;
             int end = first;
             for (; end < first + index_.bins && rays < kCertainRays; ++end)
-                rays += rays_[slot(channel, end)], drops += drops_[slot(channel, end)];
+                rays += rays_[get_bin_index(channel, end)], drops += drops_[get_bin_index(channel, end)];
             if (rays < kCertainRays) continue;
             for (int bin = first; bin < end; ++bin) {
-                const std::size_t i = slot(channel, bin);
+                const std::size_t i = get_bin_index(channel, bin);
                 const float bin_share = rays_[i] > 0 ? share(drops_[i], rays_[i]) : 1.0f;
                 table.probability[i] =
                     std::max(table.probability[i], std::min(bin_share, share(drops, rays)));
@@ -98,16 +98,17 @@ DropTable DropCounts::estimate_persistent_rate() const {
 
 void DropCounts::add_skipped_sectors(DropTable& table, int channel) const {
     for_each_sector(
-        index_.bins, [&](int bin) { return rays_[slot(channel, bin)] == 0; },
+        index_.bins, [&](int bin) { return rays_[get_bin_index(channel, bin)] == 0; },
         [&](int first, int count) {
-            for (int bin = first; bin < first + count; ++bin) table.probability[slot(channel, bin)] = 1.0f;
+            for (int bin = first; bin < first + count; ++bin)
+                table.probability[get_bin_index(channel, bin)] = 1.0f;
         });
 }
 
-double DropCounts::expected(int channel, int bin) const {
+double DropCounts::estimate_bin_drop_rate(int channel, int bin) const {
     double rays = kPriorRays, drops = 0.0;
     for (int b = bin - kNeighbours; b <= bin + kNeighbours; ++b) {
-        const std::size_t i = slot(channel, b);
+        const std::size_t i = get_bin_index(channel, b);
         rays += double(rays_[i]);
         drops += double(drops_[i]);
     }
@@ -118,8 +119,8 @@ DropTable DropCounts::estimate_drop_rate() const {
     DropTable table = index_;
     for (int channel = 0; channel < index_.channels; ++channel)
         for (int bin = 0; bin < index_.bins; ++bin) {
-            const std::size_t i = slot(channel, bin);
-            const double drops = double(drops_[i]) + kPriorRays * expected(channel, bin);
+            const std::size_t i = get_bin_index(channel, bin);
+            const double drops = double(drops_[i]) + kPriorRays * estimate_bin_drop_rate(channel, bin);
             table.probability.push_back(static_cast<float>(drops / (double(rays_[i]) + kPriorRays)));
         }
     return table;
@@ -146,7 +147,7 @@ void add_unseen_sectors(DropTable& drops, const DropTable& observed, const Seque
         const auto is_blind_at = [&](std::size_t row, int bin) {
             return observed.probability[row + std::size_t((bin + bins) % bins)] >= kBlindFrequency;
         };
-        const int spread = compute_bin_spread(sensor, bins);
+        const int spread = compute_azimuth_spread_bins(sensor, bins);
         for_each_sector(
             bins,
             [&](int bin) {

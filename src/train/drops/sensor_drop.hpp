@@ -42,7 +42,7 @@ private:
 
     /// Returns the array index of a bin. Bins before the first and after the last wrap
     /// around the circle.
-    std::size_t slot(int channel, int bin) const {
+    std::size_t get_bin_index(int channel, int bin) const {
         return std::size_t(channel) * std::size_t(index_.bins) +
                std::size_t((bin + index_.bins) % index_.bins);
     }
@@ -50,7 +50,7 @@ private:
     void add_skipped_sectors(DropTable& table, int channel) const;
     /// Returns the drop rate of a bin and its neighbours together. Adds a fixed number of
     /// returned rays, so that bins with few rays get a low rate.
-    double expected(int channel, int bin) const;
+    double estimate_bin_drop_rate(int channel, int bin) const;
 };
 
 /// Returns the share of dropped rays for each beam and azimuth in the given frames. Uses

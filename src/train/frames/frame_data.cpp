@@ -37,10 +37,10 @@ struct MaskedBox {
 std::vector<MaskedBox> list_masked_boxes_in_sweep(const Sequence& sequence, const SweepMoment& sweep,
                                                   const Unknown& masks) {
     std::vector<MaskedBox> result;
-    for (const BoxTrack& box : separate_boxes(sequence, masks.moving)) {
+    for (const BoxTrack& box : list_foreground_boxes(sequence, masks.moving)) {
         const bool is_actor =
             std::find(masks.actors.begin(), masks.actors.end(), box.id) != masks.actors.end();
-        if (is_actor || !box.present(sweep.time_s)) continue;
+        if (is_actor || !box.is_present(sweep.time_s)) continue;
         const glm::dvec3 half_size_m = 0.5 * box.size_m + kMoverMargin_m;
         const InstancePose placed = compute_pose_in_sweep(sequence, box.world_from_box, half_size_m, sweep);
         const double driven_length_m = glm::length(placed.motion.velocity_mps) * placed.motion.half_span_s;

@@ -31,7 +31,7 @@ std::vector<float> find_measured_drops(const Sequence& sequence, const Frame& fr
     return dropped;
 }
 
-std::vector<int> spread(const std::vector<int>& positions, int count) {
+std::vector<int> select_evenly_spaced(const std::vector<int>& positions, int count) {
     if (count <= 0 || positions.size() <= std::size_t(count)) return positions;
     std::vector<int> chosen;
     for (std::size_t i = 0; i < std::size_t(count); ++i)

@@ -28,6 +28,6 @@ std::vector<float> find_measured_drops(const Sequence& sequence, const Frame& fr
 
 /// Returns at most `count` of the frame positions, evenly spaced. Returns all positions
 /// if `count` is 0.
-std::vector<int> spread(const std::vector<int>& positions, int count);
+std::vector<int> select_evenly_spaced(const std::vector<int>& positions, int count);
 
 }  // namespace relidar

@@ -22,7 +22,7 @@ namespace {
 // Number of frames that are prepared in parallel in host memory before their upload.
 constexpr std::size_t kPreparedAtOnce = 32;
 
-double firing_time(const Sequence& sequence, const Frame& frame, float offset_s) {
+double compute_absolute_firing_time(const Sequence& sequence, const Frame& frame, float offset_s) {
     return frame.time_s + (sequence.rolling_shutter ? double(offset_s) : 0.0);
 }
 
@@ -38,7 +38,7 @@ struct TrainedFrame {
           frame(binned ? *binned : sequence.frames[std::size_t(position)]) {}
 };
 
-FrameData describe(const Sequence& sequence, int position, const std::optional<RangeGrid>& grid) {
+FrameData make_frame_data(const Sequence& sequence, int position, const std::optional<RangeGrid>& grid) {
     const TrainedFrame trained(sequence, position, grid);
     const Frame& frame = trained.frame;
     const RayTable& table = frame.scan.rays;
@@ -55,16 +55,16 @@ FrameData describe(const Sequence& sequence, int position, const std::optional<R
                       spins};
     const PoseTrack& track = sequence.world_from_vehicle;
     const auto [first, last] = std::minmax_element(table.time_offset_s.begin(), table.time_offset_s.end());
-    data.first_knot = track.place(firing_time(sequence, frame, *first)).left;
-    const std::size_t last_knot =
-        std::min(track.place(firing_time(sequence, frame, *last)).left + 1, track.pose.size() - 1);
+    data.first_knot = track.place(compute_absolute_firing_time(sequence, frame, *first)).left;
+    const std::size_t last_knot = std::min(
+        track.place(compute_absolute_firing_time(sequence, frame, *last)).left + 1, track.pose.size() - 1);
     data.n_knots = static_cast<std::uint32_t>(last_knot + 1 - data.first_knot);
     data.sensor_position_m =
         glm::vec3(track.at(frame.time_s, sequence.get_lidar(frame).vehicle_from_sensor).translation);
     return data;
 }
 
-void count(FrameData& data, const std::vector<DeviceTarget>& targets) {
+void count_target_rays(FrameData& data, const std::vector<DeviceTarget>& targets) {
     data.n_known = data.n_returned = 0.0;
     for (const DeviceTarget& t : targets) {
         data.n_known += t.weight > 0.0f;
@@ -73,8 +73,8 @@ void count(FrameData& data, const std::vector<DeviceTarget>& targets) {
 }
 
 template <class T>
-void write(Stream& stream, const Array<T>& to, const std::vector<T>& values) {
-    stream.impl().write(to.buffer(), values.data(), values.size() * sizeof(T));
+void upload_values(Stream& stream, const Array<T>& target, const std::vector<T>& values) {
+    stream.impl().write(target.buffer(), values.data(), values.size() * sizeof(T));
 }
 
 }  // namespace
@@ -86,7 +86,7 @@ std::size_t TrainingFrames::count_bytes_per_ray() const {
 TrainingFrames::TrainingFrames(Device& device, const Sequence& sequence, const std::vector<int>& positions,
                                FrameUse use)
     : sequence_(sequence), use_(std::move(use)) {
-    for (const int position : positions) frames_.push_back(describe(sequence, position, use_.grid));
+    for (const int position : positions) frames_.push_back(make_frame_data(sequence, position, use_.grid));
     std::uint64_t bytes = 0;
     for (const FrameData& frame : frames_) {
         bytes += std::uint64_t(frame.n_rays) * count_bytes_per_ray();
@@ -115,7 +115,7 @@ void TrainingFrames::keep_on_device(Device& device) {
                 FrameArrays{{device, std::span<const DeviceRay>(batch[k].rays), "training rays"},
                             {device, std::span<const DeviceTarget>(batch[k].targets), "training targets"},
                             {device, std::span<const shared::RayPlace>(batch[k].places), "places of rays"}});
-            count(frame, batch[k].targets);
+            count_target_rays(frame, batch[k].targets);
         }
     }
 }
@@ -129,7 +129,7 @@ TrainingFrames::HostFrame TrainingFrames::prepare(std::size_t index) const {
     if (use_.moves_rays)
         for (const float offset_s : frame.scan.rays.time_offset_s) {
             const TrackPosition place =
-                sequence_.world_from_vehicle.place(firing_time(sequence_, frame, offset_s));
+                sequence_.world_from_vehicle.place(compute_absolute_firing_time(sequence_, frame, offset_s));
             host.places.push_back(
                 {static_cast<std::uint32_t>(place.left - data.first_knot), static_cast<float>(place.s)});
         }
@@ -148,10 +148,10 @@ FrameData& TrainingFrames::make_resident(Stream& stream, std::size_t index) {
     FrameData& frame = frames_[index];
     if (index < n_staying_) return frame;
     const HostFrame host = take(index);
-    write(stream, frame.arrays->rays, host.rays);
-    write(stream, frame.arrays->targets, host.targets);
-    write(stream, frame.arrays->places, host.places);
-    count(frame, host.targets);
+    upload_values(stream, frame.arrays->rays, host.rays);
+    upload_values(stream, frame.arrays->targets, host.targets);
+    upload_values(stream, frame.arrays->places, host.places);
+    count_target_rays(frame, host.targets);
     return frame;
 }
 

@@ -25,10 +25,10 @@ constexpr float kFewestWeight = 0.5f;
 class RunView {
 public:
     RunView(Device& device, const Run& run)
-        : run_(run), renderer_(device, run.scene, view_config(run.config), run.sequence) {}
+        : run_(run), renderer_(device, run.scene, make_view_config(run.config), run.sequence) {}
 
-    std::vector<VisibleSurface> look(int position, const std::vector<std::size_t>& rays,
-                                     const PoseTrack& world_from_vehicle) {
+    std::vector<VisibleSurface> render_visible_surfaces(int position, const std::vector<std::size_t>& rays,
+                                                        const PoseTrack& world_from_vehicle) {
         const Frame& frame = run_.sequence.frames[std::size_t(position)];
         SensorChoice sensor;
         sensor.rays = select_rays(frame.scan.rays, rays), sensor.follows_sweeps = false;
@@ -58,7 +58,7 @@ private:
     const Run& run_;
     ScanRenderer renderer_;
 
-    static Config view_config(Config config) {
+    static Config make_view_config(Config config) {
         config.render.channels = "normal";
         config.sensor.sub_rays = config.sensor.returns = 1;
         return config;
@@ -71,11 +71,11 @@ HeldOutPlacement place_held_out(Device& device, Run& run, const PlaceSession& se
     HeldOutPlacement result;
     const Config& config = run.config;
     if (!config.train.place_held_out || !should_register_sensor(config.train) ||
-        !kind_of(config.image.primitive).has_normals) {
+        !get_primitive_kind(config.image.primitive).has_normals) {
         run.held_out_placed = true;
         return result;
     }
-    const RegisterOptions options = register_options(run.sequence, config);
+    const RegisterOptions options = make_register_options(run.sequence, config);
     RunView view(device, run);
     PoseTrack track = run.sequence.world_from_vehicle;
     std::vector<double> moved_m;
@@ -91,7 +91,7 @@ HeldOutPlacement place_held_out(Device& device, Run& run, const PlaceSession& se
         const ScanPlacement placed = place_scan(
             run.sequence, pose,
             [&](int position, const std::vector<std::size_t>& rays, const PoseTrack& from) {
-                return view.look(position, rays, from);
+                return view.render_visible_surfaces(position, rays, from);
             },
             options);
         ++result.scans;

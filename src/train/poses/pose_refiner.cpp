@@ -42,14 +42,14 @@ Sequence copy_without_scans(const Sequence& sequence) {
 
 /// Allocates host buffers for an array that is copied in each iteration, one per pending
 /// iteration.
-void make_room(std::vector<Readback>& readbacks, Device& device, std::size_t n_floats,
-               const char* description) {
+void allocate_readbacks(std::vector<Readback>& readbacks, Device& device, std::size_t n_floats,
+                        const char* description) {
     while (readbacks.size() < kReadbackLag)
         readbacks.emplace_back(device, n_floats * sizeof(float), description);
 }
 
 template <class T>
-void drop_first(std::vector<T>& values, std::size_t count) {
+void remove_first_values(std::vector<T>& values, std::size_t count) {
     values.erase(values.begin(), values.begin() + std::ptrdiff_t(count));
 }
 
@@ -71,7 +71,7 @@ PoseRefiner::PoseRefiner(Device& device, const Sequence& sequence, const Scene& 
         sensor_.emplace(sequence.world_from_vehicle);
         rays_ = std::make_unique<MovedRays>(device, frames.all());
         floats_of_rays_ = rays_->gradient_rows().size();
-        make_room(of_rays_, device, floats_of_rays_, "pose gradients of rays");
+        allocate_readbacks(of_rays_, device, floats_of_rays_, "pose gradients of rays");
     }
     if (!config.refines("actors")) return;
     for (std::size_t i = 0; i < layout_.instances.size(); ++i) {
@@ -81,7 +81,7 @@ PoseRefiner::PoseRefiner(Device& device, const Sequence& sequence, const Scene& 
     }
     if (actors_.empty()) return;
     floats_of_instances_ = 6 * layout_.instances.size();
-    make_room(of_instances_, device, floats_of_instances_, "pose gradients of instances");
+    allocate_readbacks(of_instances_, device, floats_of_instances_, "pose gradients of instances");
 }
 
 PoseRefiner::~PoseRefiner() = default;
@@ -158,10 +158,10 @@ void PoseRefiner::apply_oldest_step(Stream& stream) {
             actors_[k].correction.add_gradient(coming_.actor_time_s[2 * k + end], twist);
         actors_[k].correction.step(compute_pose_step(config_, kBoxFactor * config_.pose_rate_m, step));
     }
-    drop_first(coming_.step, 1);
-    drop_first(coming_.frame, 1);
-    drop_first(coming_.actor_time_s, 2 * actors_.size());
-    drop_first(coming_.gradient, floats_of_rays_ + floats_of_instances_);
+    remove_first_values(coming_.step, 1);
+    remove_first_values(coming_.frame, 1);
+    remove_first_values(coming_.actor_time_s, 2 * actors_.size());
+    remove_first_values(coming_.gradient, floats_of_rays_ + floats_of_instances_);
 }
 
 void PoseRefiner::apply_steps(Stream& stream, int last) {

@@ -13,6 +13,6 @@ inline bool should_register_sensor(const TrainConfig& config) {
 
 /// Returns the registration options that follow from the settings. The caller must set
 /// `stop`, `progress` and `group`.
-RegisterOptions register_options(const Sequence& sequence, const Config& config);
+RegisterOptions make_register_options(const Sequence& sequence, const Config& config);
 
 }  // namespace relidar

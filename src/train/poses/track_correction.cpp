@@ -12,7 +12,7 @@ namespace {
 
 constexpr double kBeta1 = 0.9, kBeta2 = 0.99, kEpsilon = 1e-15;
 
-glm::dvec3 vector(const Twist& twist, std::size_t first) {
+glm::dvec3 get_twist_part(const Twist& twist, std::size_t first) {
     return {twist[first], twist[first + 1], twist[first + 2]};
 }
 
@@ -50,7 +50,7 @@ Twist TrackCorrection::at(std::size_t pose) const {
 
 PoseTrack TrackCorrection::make_corrected_track() const {
     PoseTrack result = track_;
-    for (std::size_t k = 0; k < result.pose.size(); ++k) result.pose[k] = moved(track_.pose[k], at(k));
+    for (std::size_t k = 0; k < result.pose.size(); ++k) result.pose[k] = apply_twist(track_.pose[k], at(k));
     return result;
 }
 
@@ -90,8 +90,8 @@ void TrackCorrection::remove_common_motion() {
     glm::dvec3 centre(0.0), v(0.0), w(0.0);
     for (std::size_t k = 0; k < track_.pose.size(); ++k) {
         centre += track_.pose[k].translation / n;
-        v += vector(value(k), 0) / n;
-        w += vector(value(k), 3) / n;
+        v += get_twist_part(value(k), 0) / n;
+        w += get_twist_part(value(k), 3) / n;
     }
     for (std::size_t k = 0; k < track_.pose.size(); ++k) {
         const glm::dvec3 carried = v + glm::cross(w, track_.pose[k].translation - centre);

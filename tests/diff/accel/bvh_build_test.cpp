@@ -75,7 +75,7 @@ protected:
             return bvh.download();
         }
         double cost() {
-            bvh.record_cost(stream);
+            bvh.record_cost_measurement(stream);
             stream.submit();
             return bvh.read_cost(stream).value();
         }

@@ -46,23 +46,23 @@ TEST_F(Rebuild, WhenTheTreeHasOutgrownItsBuild) {
     DeviceScene scene(device(), make_background_scene(surfels_));
     Accel accel(device(), scene, {});
     count_refits_after(stream, scene, accel);
-    accel.check_growth(stream);
+    accel.measure_tree_cost(stream);
     EXPECT_EQ(count_refits_after(stream, scene, accel), 1) << "nothing has moved";
-    accel.check_growth(stream);
+    accel.measure_tree_cost(stream);
     Surfels scattered = surfels_;  // neighbours in the tree are now far apart
     for (std::size_t i = 0; i < scattered.size(); ++i)
         scattered.mean[i] = surfels_.mean[(i * 157) % surfels_.size()];
     scene.parameters().upload(scattered);
     EXPECT_EQ(count_refits_after(stream, scene, accel), 2);
-    accel.check_growth(stream);
+    accel.measure_tree_cost(stream);
     EXPECT_EQ(count_refits_after(stream, scene, accel), 3)
         << "growth is measured by one check and seen by the next";
-    accel.check_growth(stream);
+    accel.measure_tree_cost(stream);
     // Drivers do not report the cost of a structure.
     const bool measured = device().traversal() == Traversal::software;
     EXPECT_EQ(count_refits_after(stream, scene, accel), measured ? 0 : 4);
     for (const int refits : {1, 2, 3}) {
-        accel.check_growth(stream);
+        accel.measure_tree_cost(stream);
         EXPECT_EQ(count_refits_after(stream, scene, accel), measured ? refits : 4 + refits)
             << "a new build is its own measure";
     }

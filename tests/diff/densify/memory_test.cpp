@@ -44,12 +44,12 @@ struct Growing {
         adam.moment2().upload(scene.surfels);
     }
     /// @param share share of the surfels that should grow
-    DensifyReport grow(int step, double share, double others_bytes = 0.0) {
+    DensifyReport grow(int step, double share, double other_allocation_bytes = 0.0) {
         std::vector<float> sum(device_scene.size(), 0.0f);
         for (std::size_t i = 0; i < std::size_t(share * double(sum.size())); ++i) sum[i] = 1.0f;
         densifier.statistics().gradient_sum.upload(sum);
         densifier.statistics().n_seen.upload(std::vector<std::uint32_t>(sum.size(), 1u));
-        return densifier.run(stream, device_scene, adam, step, others_bytes);
+        return densifier.run(stream, device_scene, adam, step, other_allocation_bytes);
     }
     /// Checks that every surfel is a copy of an original surfel, in the original order.
     /// Its Adam moments must be equal to the original moments or zero.

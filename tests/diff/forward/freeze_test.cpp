@@ -75,7 +75,7 @@ TEST_F(Freeze, RendersAsThePlacedScene) {
             std::vector<InstancePose> placed = make_some_poses();
             for (const bool one_is_absent : {false, true}) {
                 placed[2].present = !one_is_absent;
-                const Surfels frozen = freeze(scene, placed);
+                const Surfels frozen = bake_instances(scene, placed);
                 EXPECT_EQ(frozen.size(), one_is_absent ? 1300u : 1500u);
                 EXPECT_FALSE(frozen.bends);
                 const glm::vec3 view(0.2f, -0.1f, 0.3f);
@@ -84,14 +84,15 @@ TEST_F(Freeze, RendersAsThePlacedScene) {
                 moving.place(placed, view);
                 still.place(view);
                 expect_equal(moving.forward(rays), still.forward(rays),
-                             std::string(kind_of(primitive).name) +
+                             std::string(get_primitive_kind(primitive).name) +
                                  (direction == ShDirection::ray ? ", a ray" : ", a surfel"));
             }
         }
 }
 
 TEST_F(Freeze, WantsAPoseForEachInstance) {
-    EXPECT_THROW(freeze(make_some_actors(Primitive::surfel), std::vector<InstancePose>(3)), DataError);
+    EXPECT_THROW(bake_instances(make_some_actors(Primitive::surfel), std::vector<InstancePose>(3)),
+                 DataError);
 }
 
 }  // namespace

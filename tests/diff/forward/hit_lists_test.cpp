@@ -80,9 +80,9 @@ struct Placed {
         const Array<std::uint32_t, shared::PassCapCount> pass_cap(device, std::vector<std::uint32_t>{0u},
                                                                   "pass cap count");
         HitLists lists(device, get_traversal_variant(device),
-                       trace_constants(device, accel.proxy(), {}, model), capacity);
+                       make_trace_constants(device, accel.proxy(), {}, model), capacity);
         shared::ForwardParams params = {
-            .scene = trace_scene(scene, accel, batch(), model, {}, pass_cap.address()),
+            .scene = make_trace_scene(scene, accel, batch(), model, {}, pass_cap.address()),
             .lists = {},
             .rendered = rendered.address(),
             .kept = {},
@@ -257,14 +257,15 @@ TEST_F(Lists, Grow) {
     const std::uint32_t most = std::ranges::max(expected, {}, &shared::RenderedRay::n_hits).n_hits;
     const Array<std::uint32_t, shared::PassCapCount> pass_cap(device(), std::vector<std::uint32_t>{0u},
                                                               "pass cap count");
-    const std::vector<Constant> constants = trace_constants(device(), placed.accel.proxy(), {}, placed.model);
+    const std::vector<Constant> constants =
+        make_trace_constants(device(), placed.accel.proxy(), {}, placed.model);
     const Kernel<shared::ForwardParams> trace(device(), "diff/forward/trace", get_traversal_variant(device()),
                                               constants);
     HitLists lists(device(), get_traversal_variant(device()), constants, 3);
     for (int i = 0; i < 30; ++i) {
         const Array<shared::RenderedRay> rendered(device(), c.rays.size(), "rendered rays");
-        const shared::TraceScene traced =
-            trace_scene(placed.scene, placed.accel, placed.batch(), placed.model, {}, pass_cap.address());
+        const shared::TraceScene traced = make_trace_scene(placed.scene, placed.accel, placed.batch(),
+                                                           placed.model, {}, pass_cap.address());
         shared::ForwardParams params = {.scene = traced,
                                         .lists = {},
                                         .rendered = rendered.address(),
@@ -275,7 +276,7 @@ TEST_F(Lists, Grow) {
                                         .kept_in_lists = 0,
                                         .surface_gap_m = 0.0f};
         lists.run(placed.stream, placed.batch(), params);
-        run(placed.stream, trace, trace_threads(placed.batch()), params);
+        run(placed.stream, trace, count_trace_threads(placed.batch()), params);
         placed.stream.finish();
         EXPECT_EQ(count_differences(rendered.download(), expected), 0u) << "room " << lists.room();
     }

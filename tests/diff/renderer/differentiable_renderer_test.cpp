@@ -230,10 +230,11 @@ protected:
     void SetUp() override {
         test::DeviceTest::SetUp();
         if (IsSkipped() || HasFatalFailure()) return;
-        options = from_environment({.index = device().info().index, .traversal = device().traversal()});
+        options =
+            apply_environment_variables({.index = device().info().index, .traversal = device().traversal()});
     }
     void TearDown() override {
-        gpu::set_faults("");
+        gpu::set_injected_faults("");
         set_first_use({});
         test::DeviceTest::TearDown();
     }
@@ -247,7 +248,7 @@ TEST_F(FirstUseTest, FindsWhatIsWrong) {
     EXPECT_TRUE(right.float_atomics && right.float_swaps);
     EXPECT_EQ(right.subgroup_size, 0);
     EXPECT_EQ(right.ray_query, unforced);
-    gpu::set_faults("float_atomics,float_swaps,ray_query");
+    gpu::set_injected_faults("float_atomics,float_swaps,ray_query");
     const DeviceTrust wrong = check_device_at_first_use(options);
     EXPECT_EQ(wrong.float_atomics, !device().info().float_atomics);
     EXPECT_FALSE(wrong.float_swaps);
@@ -263,7 +264,7 @@ TEST_F(FirstUseTest, ChoosesAnotherSubgroupSize) {
     if (!device().info().software) GTEST_SKIP() << "no subgroups of a known size";
     const std::vector<int> sizes = list_subgroup_sizes(device());
     const int size = device().info().subgroup_size;
-    gpu::set_faults("subgroups:" + std::to_string(size));
+    gpu::set_injected_faults("subgroups:" + std::to_string(size));
     if (sizes.size() == 1) {
         EXPECT_THROW(check_device_at_first_use(options), DeviceError);
         return;
@@ -275,7 +276,7 @@ TEST_F(FirstUseTest, ChoosesAnotherSubgroupSize) {
 TEST_F(FirstUseTest, WrongAtomicsLeadToGatheredGradients) {
     std::vector<std::string> notes;
     set_first_use({check_device_at_first_use, [&](const std::string& text) { notes.push_back(text); }});
-    gpu::set_faults("float_atomics");
+    gpu::set_injected_faults("float_atomics");
     Device opened(options);
     const ImageModel model{.sh_direction = ShDirection::surfel};
     Surfels surfels;

@@ -81,8 +81,8 @@ protected:
 
     CollectedHits collect(const DeviceScene& scene, const Accel& accel, const TraceOptions& options) {
         return test::collect(device(), get_traversal_variant(device()),
-                             trace_constants(device(), accel.proxy(), options, model_),
-                             trace_scene(scene, accel.addresses(), model_), case_.rays, 64);
+                             make_trace_constants(device(), accel.proxy(), options, model_),
+                             make_trace_scene(scene, accel.addresses(), model_), case_.rays, 64);
     }
 
     void expect_agreement(const DeviceScene& scene, const Accel& accel, const std::string& state) {

@@ -25,7 +25,7 @@ protected:
         stream.finish();
         const test::HostBvh bvh(device(), scene);
         const shared::TraceScene trace =
-            trace_scene(scene, {.tlas = {}, .proxy_reach = {}, .bvh = bvh.pointers()}, model);
+            make_trace_scene(scene, {.tlas = {}, .proxy_reach = {}, .bvh = bvh.pointers()}, model);
         const auto primitive = static_cast<std::uint32_t>(test_case.surfels.primitive);
         const std::vector<Constant> constants{
             {ConstantId::CHUNK, chunk}, {ConstantId::TOGETHER, packet}, {ConstantId::PRIMITIVE, primitive}};

@@ -159,7 +159,7 @@ TEST(DroppedRays, MarkTheMaximumRangeOfTheSensor) {
             scan.rays.channel[i] = std::uint16_t(i % 16);
             if (i % 10 == 0) scan.range_m[i] = marker_m * (1.0f + 1e-7f * float(i % 3));
         }
-        drop_far_marker(sequence);
+        drop_max_range_markers(sequence);
         return scan.count_returns();
     };
     EXPECT_EQ(n_returns(100.0f), 1800u);

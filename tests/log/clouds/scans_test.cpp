@@ -89,13 +89,13 @@ void expect_same_rays(const Scan& actual, const Scan& truth, float late_s) {
 TEST(SpinningScan, PointsFindTheirRaysAndTheRestIsDropped) {
     Truth truth(sensor());
     truth.points.time_offset_s.clear();
-    expect_same_rays(make_spinning_scan(truth.points, sensor(), make_even_sweep(truth.points, sensor())),
+    expect_same_rays(make_spinning_scan(truth.points, sensor(), make_uniform_sweep(truth.points, sensor())),
                      truth.scan, 0.0f);
 }
 
 TEST(SpinningScan, RaysTakeTheTimesOfTheirPoints) {
     const Truth truth(sensor());
-    expect_same_rays(make_spinning_scan(truth.points, sensor(), make_even_sweep(truth.points, sensor())),
+    expect_same_rays(make_spinning_scan(truth.points, sensor(), make_uniform_sweep(truth.points, sensor())),
                      truth.scan, 0.004f);
 }
 
@@ -104,13 +104,14 @@ TEST(SpinningScan, CounterClockwiseHeadsRunTheOtherWay) {
     other.clockwise = false;
     Truth truth(other);
     truth.points.time_offset_s.clear();
-    expect_same_rays(make_spinning_scan(truth.points, other, make_even_sweep(truth.points, other)),
+    expect_same_rays(make_spinning_scan(truth.points, other, make_uniform_sweep(truth.points, other)),
                      truth.scan, 0.0f);
 }
 
 TEST(SpinningScan, KeepsSecondReturns) {
     const Truth truth(sensor(), true);
-    const Scan actual = make_spinning_scan(truth.points, sensor(), make_even_sweep(truth.points, sensor()));
+    const Scan actual =
+        make_spinning_scan(truth.points, sensor(), make_uniform_sweep(truth.points, sensor()));
     ASSERT_EQ(actual.second_returns.size(), 1u);
     for (std::size_t i = 0; i < truth.scan.rays.size(); ++i) {
         EXPECT_NEAR(actual.range_m[i], truth.scan.range_m[i], 1e-4f);
@@ -131,7 +132,7 @@ TEST(SpinningScan, FarPointsAreDroppedAndCrowdsThinned) {
     for (const double range : {10.0, 12.0, 14.0, 11.0, 9.0, 200.0})
         points.position_m.emplace_back(ray.origin_m + range * ray.direction),
             points.intensity.push_back(2.0f), points.ring.push_back(0);
-    const Scan scan = make_spinning_scan(points, s, make_even_sweep(points, s));
+    const Scan scan = make_spinning_scan(points, s, make_uniform_sweep(points, s));
     EXPECT_EQ(scan.count_returns(), 3u) << "its own ray and those beside it";
     EXPECT_NEAR(*std::max_element(scan.range_m.begin(), scan.range_m.end()), 14.0f, 1e-3f);
     EXPECT_EQ(std::count(scan.intensity.begin(), scan.intensity.end(), 1.0f), 3) << "intensities are cut";
@@ -225,7 +226,7 @@ TEST(UndoCompensation, BringsPointsBackToTheirOwnTimes) {
         points.position_m.emplace_back(compensate * glm::dvec4(glm::dvec3(measured.back()), 1.0));
     }
     EXPECT_GT(glm::distance(points.position_m[0], measured[0]), 0.01f);
-    undo_compensation(points, track, 0.4);
+    undo_motion_compensation(points, track, 0.4);
     for (std::size_t i = 0; i < measured.size(); ++i)
         EXPECT_LT(glm::distance(points.position_m[i], measured[i]), 2e-5f);
 }

@@ -95,8 +95,8 @@ TEST(PlaceScan, FindsThePoseOfOneSweepAmongOthersThatStay) {
     for (const std::size_t position : {0u, 1u, 2u}) {
         Sequence log = exact;
         Pose& pose = log.world_from_vehicle.pose[position];
-        pose = moved(pose, {metres(random), metres(random), metres(random), radians(random), radians(random),
-                            radians(random)});
+        pose = apply_twist(pose, {metres(random), metres(random), metres(random), radians(random),
+                                  radians(random), radians(random)});
         const ScanPlacement found = placed(log, position);
         const Pose& truth = exact.world_from_vehicle.pose[position];
         ASSERT_TRUE(found.found);
@@ -156,7 +156,7 @@ TEST(PlaceScan, LidarsThatSweepTogetherArePlacedTogether) {
     const Sequence exact = make_drive_of_two();
     Sequence log = exact;
     Pose& pose = log.world_from_vehicle.pose[1];
-    pose = moved(pose, {0.02, -0.03, 0.02, 2e-3, -1e-3, 2e-3});
+    pose = apply_twist(pose, {0.02, -0.03, 0.02, 2e-3, -1e-3, 2e-3});
     const Pose& truth = exact.world_from_vehicle.pose[1];
     const ScanPlacement both = placed(log, 1);
     ASSERT_TRUE(both.found);

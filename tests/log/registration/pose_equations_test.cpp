@@ -76,7 +76,7 @@ DenseEquations make_dense_equations(const Problem& problem, double prior) {
     Eigen::VectorXd g = Eigen::VectorXd::Zero(m);
     for (std::size_t c = 0; c < problem.planes.size(); ++c)
         for (const std::uint32_t i : problem.members[c]) {
-            const Row row = row_of(problem.placed[i], problem.planes[c], problem.scale_m);
+            const Row row = make_plane_residual_row(problem.placed[i], problem.planes[c], problem.scale_m);
             const ThinPoint& point = problem.points[i];
             const glm::dvec3 d = problem.placed[i].point_m - problem.planes[c].point_m;
             Eigen::VectorXd all = Eigen::VectorXd::Zero(m);
@@ -105,7 +105,7 @@ TEST(PoseEquations, StepIsThatOfTheWholeProblem) {
         const Problem p = make_random_problem(seed);
         PoseEquations equations(kPoses + 1);
         for (std::size_t c = 0; c < p.planes.size(); ++c)
-            equations.add_cell(p.points, p.placed, p.members[c], p.planes[c], p.scale_m);
+            equations.add_cell_residuals(p.points, p.placed, p.members[c], p.planes[c], p.scale_m);
         constexpr double kPrior = 1e-4;
         const Eigen::VectorXd actual =
             equations.solve(p.track, Eigen::VectorXd::Zero(6 * (kPoses + 1)), kPrior);

@@ -97,10 +97,10 @@ TEST(RegisterActors, FindsStandingCarsWithDriftingLabels) {
     for (std::size_t k = 0; k < poses.size(); ++k)
         poses[k] =
             poses[k] * Pose{{1.0, 0.0, 0.0, 0.0}, {2.5 * double(k) / double(poses.size()) - 1.25, 0.0, 0.0}};
-    ASSERT_TRUE(box.moves());
+    ASSERT_TRUE(box.is_moving());
     const ActorRegistration registration = register_actors(street, split_frames(street, 0).train);
     EXPECT_EQ(registration.n_standing, 1u);
-    EXPECT_FALSE(box.moves());
+    EXPECT_FALSE(box.is_moving());
 }
 
 }  // namespace

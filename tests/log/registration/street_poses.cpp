@@ -26,7 +26,7 @@ PoseTrack perturb_track(PoseTrack track, double sigma_m, double sigma_rad, std::
     for (Pose& pose : track.pose) {
         Twist twist;
         for (std::size_t i = 0; i < 6; ++i) twist[i] = (i < 3 ? sigma_m : sigma_rad) * normal(random);
-        pose = moved(pose, twist);
+        pose = apply_twist(pose, twist);
     }
     return track;
 }
@@ -36,8 +36,8 @@ PoseTrack add_drift(PoseTrack track, double amplitude_m, double amplitude_rad) {
         const double x = 2.0 * kPi * double(k) / double(track.pose.size());
         const double m = amplitude_m, w = amplitude_rad;
         track.pose[k] =
-            moved(track.pose[k], {m * std::sin(x), m * std::cos(1.3 * x), 0.5 * m * std::sin(0.7 * x),
-                                  0.4 * w * std::sin(x), 0.5 * w * std::cos(x), w * std::sin(1.1 * x)});
+            apply_twist(track.pose[k], {m * std::sin(x), m * std::cos(1.3 * x), 0.5 * m * std::sin(0.7 * x),
+                                        0.4 * w * std::sin(x), 0.5 * w * std::cos(x), w * std::sin(1.1 * x)});
     }
     return track;
 }
@@ -72,7 +72,7 @@ PoseTrack align_track(PoseTrack track, const PoseTrack& exact, const std::vector
         v += glm::dvec3(twist[0], twist[1], twist[2]) / double(positions.size());
         w += glm::dvec3(twist[3], twist[4], twist[5]) / double(positions.size());
     }
-    const glm::dquat turn = moved(Pose{}, {0, 0, 0, -w.x, -w.y, -w.z}).rotation;
+    const glm::dquat turn = apply_twist(Pose{}, {0, 0, 0, -w.x, -w.y, -w.z}).rotation;
     for (Pose& pose : track.pose)
         pose = {glm::normalize(turn * pose.rotation), centre - v + turn * (pose.translation - centre)};
     return track;

@@ -49,7 +49,7 @@ TEST(ChannelList, NumbersAndRowsAgree) {
     EXPECT_THAT(names, ElementsAre("way.x", "way.y", "way.z", "label", "share"));
     EXPECT_THAT(integers, ElementsAre(false, false, false, true, false));
     std::string bytes;
-    append_row(bytes, channels, 1);
+    append_channel_values(bytes, channels, 1);
     ASSERT_EQ(bytes.size(), 20u);
     float z, share;
     std::int32_t label;

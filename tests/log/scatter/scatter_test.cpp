@@ -121,7 +121,7 @@ double grain(double rendered, double before, Random& random) {
 TEST(Scatter, IsCorrelatedAlongABeam) {
     const IntensityScatter scatter = fit_scatter(make_scans(100, grain));
     EXPECT_EQ(scatter.step, 0.0) << "a continuous log stays continuous";
-    EXPECT_EQ(scatter.quantised(0.123456f), 0.123456f);
+    EXPECT_EQ(scatter.round_to_step(0.123456f), 0.123456f);
     const RenderedIntensities image = make_panels();
     std::array<double, 4> products{};
     double n = 0.0;
@@ -234,24 +234,24 @@ TEST(Scatter, FindsTheStepOfALog) {
         for (int k = 0; k < count; ++k) values.push_back(static_cast<float>(step * double(7 * k % count)));
         return values;
     };
-    EXPECT_NEAR(find_step(multiples(0.01, 100)), 0.01, 1e-8);
-    EXPECT_NEAR(find_step(multiples(1.0 / 255.0, 256)), 1.0 / 255.0, 1e-8);
-    EXPECT_NEAR(find_step(multiples(1.0 / 65535.0, 65536)), 1.0 / 65535.0, 1e-10);
-    EXPECT_NEAR(find_step({0.06f, 0.1f, 0.14f, 0.22f, 0.3f, 0.42f, 0.6f, 0.66f}), 0.02, 1e-8)
+    EXPECT_NEAR(find_quantisation_step(multiples(0.01, 100)), 0.01, 1e-8);
+    EXPECT_NEAR(find_quantisation_step(multiples(1.0 / 255.0, 256)), 1.0 / 255.0, 1e-8);
+    EXPECT_NEAR(find_quantisation_step(multiples(1.0 / 65535.0, 65536)), 1.0 / 65535.0, 1e-10);
+    EXPECT_NEAR(find_quantisation_step({0.06f, 0.1f, 0.14f, 0.22f, 0.3f, 0.42f, 0.6f, 0.66f}), 0.02, 1e-8)
         << "their divisor, though none lies so near";
-    EXPECT_EQ(find_step({0.0f, 0.5f, 1.0f}), 0.0) << "too few to tell";
-    EXPECT_EQ(find_step({}), 0.0);
+    EXPECT_EQ(find_quantisation_step({0.0f, 0.5f, 1.0f}), 0.0) << "too few to tell";
+    EXPECT_EQ(find_quantisation_step({}), 0.0);
     std::vector<float> almost = multiples(0.01, 100);
     almost.push_back(0.12345678f);
-    EXPECT_EQ(find_step(almost), 0.0);
+    EXPECT_EQ(find_quantisation_step(almost), 0.0);
     std::vector<float> continuous;
     Random random(3);
     for (int k = 0; k < 5000; ++k) continuous.push_back(static_cast<float>(random.uniform()));
-    EXPECT_EQ(find_step(continuous), 0.0);
+    EXPECT_EQ(find_quantisation_step(continuous), 0.0);
     IntensityScatter scatter;
     scatter.step = 0.01;
-    EXPECT_EQ(scatter.quantised(0.3749f), 0.37f);
-    EXPECT_EQ(scatter.quantised(0.0f), 0.0f);
+    EXPECT_EQ(scatter.round_to_step(0.3749f), 0.37f);
+    EXPECT_EQ(scatter.round_to_step(0.0f), 0.0f);
 }
 
 }  // namespace

@@ -59,7 +59,7 @@ TEST(ScanMemory, ProcessesOfAMachineShareTheDefault) {
         limit_scan_memory(0, fs::temp_directory_path());
         const ScanArray<float> alone(1 << 18, 1.0f);
         EXPECT_EQ(get_scan_memory_use().in_file, 0u);
-        share_scan_memory(10'000'000);  // each may use some kilobytes
+        set_scan_process_count(10'000'000);  // each may use some kilobytes
         limit_scan_memory(0, fs::temp_directory_path());
         const ScanArray<float> one_of_many(1 << 18, 1.0f);
         EXPECT_EQ(get_scan_memory_use().in_file, 1u << 20);

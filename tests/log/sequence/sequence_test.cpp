@@ -129,20 +129,20 @@ BoxTrack driven(int count, double speed_mps, double step_s = 0.1) {
 }
 
 TEST(MovingBox, IsNoneThatDriftsNoFasterThanPosesDo) {
-    EXPECT_FALSE(BoxTrack{}.moves());
-    for (const int n : {1, 2, 95}) EXPECT_FALSE(driven(n, 0.0).moves()) << n;
-    EXPECT_FALSE(driven(95, 0.18).moves()) << "1.7 m of drift while it is seen";
-    EXPECT_TRUE(driven(95, 0.3).moves()) << "2.5 m are more than drift";
-    EXPECT_TRUE(driven(30, 8.0).moves());
-    EXPECT_TRUE(driven(2, 8.0).moves()) << "seen twice";
+    EXPECT_FALSE(BoxTrack{}.is_moving());
+    for (const int n : {1, 2, 95}) EXPECT_FALSE(driven(n, 0.0).is_moving()) << n;
+    EXPECT_FALSE(driven(95, 0.18).is_moving()) << "1.7 m of drift while it is seen";
+    EXPECT_TRUE(driven(95, 0.3).is_moving()) << "2.5 m are more than drift";
+    EXPECT_TRUE(driven(30, 8.0).is_moving());
+    EXPECT_TRUE(driven(2, 8.0).is_moving()) << "seen twice";
     BoxTrack starts = driven(95, 0.0);  // a car that waits, then moves 1.6 m in the last second
     for (std::size_t i = 85; i < 95; ++i)
         starts.world_from_box.pose[i].translation.x += 0.02 * double((i - 85) * (i - 85));
-    EXPECT_TRUE(starts.moves());
+    EXPECT_TRUE(starts.is_moving());
     BoxTrack walker = driven(95, 0.1), hurried = driven(6, 1.2);
     walker.size_m = hurried.size_m = {0.7, 0.6, 1.8};
-    EXPECT_TRUE(walker.moves()) << "0.9 m are more than its size, however slow";
-    EXPECT_TRUE(hurried.moves()) << "for half a second";
+    EXPECT_TRUE(walker.is_moving()) << "0.9 m are more than its size, however slow";
+    EXPECT_TRUE(hurried.is_moving()) << "for half a second";
 }
 
 /// A parked car whose labels are interpolated must not count as moving. As in nuScenes,
@@ -167,8 +167,8 @@ TEST(MovingBox, IsNoneThatJittersHoweverOftenItIsLabelled) {
             }
             driving.world_from_box.pose.back().translation.x += 2.0 * 0.05 * i;
         }
-        EXPECT_FALSE(parked.moves()) << n << " keyframes";
-        EXPECT_TRUE(driving.moves()) << n << " keyframes";
+        EXPECT_FALSE(parked.is_moving()) << n << " keyframes";
+        EXPECT_TRUE(driving.is_moving()) << n << " keyframes";
     }
 }
 
@@ -211,7 +211,7 @@ TEST(SweepStart, AHeadFacesAThingWhenItsRayIsFired) {
         for (const double from_rad : {-2.5, 0.3, 2.0}) {
             for (const double from_s : {-0.05, -0.099, 0.003}) {
                 const RayTable rays = make_turning_rays(sensor, from_rad, from_s, 500);
-                const auto start = find_start(rays, sensor);
+                const auto start = find_sweep_start(rays, sensor);
                 ASSERT_TRUE(start.has_value());
                 // skips the first ray, which is as close to the end of the turn as to its
                 // start
@@ -242,7 +242,7 @@ TEST(SweepStart, AWindowFacesAThingWhenItsColumnIsFired) {
     for (const float later_s : {0.0f, 0.04f, -0.1f}) {
         RayTable rays = make_rays(window);
         for (float& t : rays.time_offset_s) t += later_s;
-        const auto start = find_start(rays, sequence.lidars[0]);
+        const auto start = find_sweep_start(rays, sequence.lidars[0]);
         EXPECT_EQ(start.has_value(), later_s != 0.0f);
         for (std::size_t i = 0; i < rays.size(); ++i)
             ASSERT_NEAR(compute_facing_time(sequence, 5.0 * glm::dvec3(rays.direction[i]), {7.0, 0, start}),
@@ -261,13 +261,13 @@ TEST(SweepStart, AWindowFacesAThingWhenItsColumnIsFired) {
 
 TEST(SweepStart, TheUsualOneIsNoneAndNothingIsMadeUp) {
     SpinningSensor sensor;
-    EXPECT_FALSE(find_start(make_turning_rays(sensor, kPi, -0.05, 500), sensor).has_value());
-    EXPECT_TRUE(find_start(make_turning_rays(sensor, kPi, 0.0, 500), sensor).has_value());
+    EXPECT_FALSE(find_sweep_start(make_turning_rays(sensor, kPi, -0.05, 500), sensor).has_value());
+    EXPECT_TRUE(find_sweep_start(make_turning_rays(sensor, kPi, 0.0, 500), sensor).has_value());
     RayTable at_once = make_turning_rays(sensor, 0.0, 0.0, 500);
     for (float& t : at_once.time_offset_s) t = 0.0f;
-    EXPECT_FALSE(find_start(at_once, sensor).has_value()) << "all rays of one moment";
+    EXPECT_FALSE(find_sweep_start(at_once, sensor).has_value()) << "all rays of one moment";
     sensor.period_s = 0.0;
-    EXPECT_FALSE(find_start(at_once, sensor).has_value());
+    EXPECT_FALSE(find_sweep_start(at_once, sensor).has_value());
 }
 
 TEST(Split, EveryTenthOfFiftyButTheFirst) {

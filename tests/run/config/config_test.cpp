@@ -27,7 +27,7 @@ std::string get_usage_error_message(const Call& call) {
 std::string set_error(const std::string& key, const std::string& value) {
     return get_usage_error_message([&] {
         Config config;
-        set_key(config, key, value);
+        set_config_value(config, key, value);
     });
 }
 
@@ -61,7 +61,7 @@ bool change(Config& config, const std::string& key) {
           "none",       "removed",  "range",     "clamp", "a \"b\" \\c"}) {
         if (value == before) continue;
         try {
-            set_key(config, key, value);
+            set_config_value(config, key, value);
             return true;
         } catch (const UsageError&) {}
     }
@@ -141,20 +141,20 @@ TEST_F(ConfigFile, ShortFormReadsBackToTheSame) {
         Config config = make_preset(name);
         config.loss.box = 0.25f;
         config.train.iterations = 17;
-        put(folder / "short.toml", to_short_toml(config));
+        put(folder / "short.toml", to_toml_without_defaults(config));
         Config read;
         load_config(read, folder / "short.toml");
         expect_equal(read, config);
-        EXPECT_EQ(to_short_toml(config).find("keep_hits"), std::string::npos);
-        EXPECT_LT(to_short_toml(config).size(), to_toml(config).size() / 2 + 2000);
+        EXPECT_EQ(to_toml_without_defaults(config).find("keep_hits"), std::string::npos);
+        EXPECT_LT(to_toml_without_defaults(config).size(), to_toml(config).size() / 2 + 2000);
     }
 }
 
 TEST(Config, ChannelsAreAList) {
     Config config;
-    set_key(config, "render.channels", "normal, seen");
+    set_config_value(config, "render.channels", "normal, seen");
     EXPECT_EQ(parse_channels(config.render.channels).size(), 2u);
-    set_key(config, "render.channels", "");
+    set_config_value(config, "render.channels", "");
     EXPECT_NE(
         set_error("render.channels", "normal,sean").find("found \"normal,sean\", expected some of normal, "),
         std::string::npos);
@@ -167,7 +167,7 @@ TEST(Config, KeysAreUniqueAndExplained) {
         EXPECT_GT(entry.help.size(), 10u) << entry.key;
         if (entry.key == "preset") continue;
         Config config;
-        EXPECT_NO_THROW(set_key(config, entry.key, entry.value))
+        EXPECT_NO_THROW(set_config_value(config, entry.key, entry.value))
             << entry.key << ": the default is not accepted";
     }
     EXPECT_GT(seen.size(), 45u);
@@ -212,14 +212,14 @@ TEST(Config, BadValuesGetOneClearLine) {
 
 TEST(Config, FailedSetChangesNothing) {
     Config config;
-    EXPECT_THROW(set_key(config, "image.sh_degree", "9"), UsageError);
+    EXPECT_THROW(set_config_value(config, "image.sh_degree", "9"), UsageError);
     expect_equal(config, Config{});
 }
 
 TEST(Config, PresetReplacesEverything) {
     Config config;
-    set_key(config, "loss.depth", "5");
-    set_key(config, "preset", "paper");
+    set_config_value(config, "loss.depth", "5");
+    set_config_value(config, "preset", "paper");
     expect_equal(config, make_preset("paper"));
     EXPECT_NE(get_usage_error_message([] { make_preset("papr"); }).find("did you mean 'paper'"),
               std::string::npos);
@@ -246,7 +246,7 @@ TEST(Config, PaperIsThePaper) {
     EXPECT_FALSE(c.loss.normalised_depth);
     EXPECT_EQ(c.image.sh_direction, ShDirection::ray);
     EXPECT_EQ(c.render.range, "expected");
-    EXPECT_EQ(trace_options(c).chunk, 16);
+    EXPECT_EQ(make_base_trace_options(c).chunk, 16);
     EXPECT_EQ(c.densify.strategy, DensifyStrategy::adaptive);
     EXPECT_EQ(c.densify.gradient_threshold, 2e-4);
     EXPECT_EQ(c.densify.clone_extent_share, 2e-4);
@@ -271,10 +271,10 @@ TEST(Config, ReleasedDiffersFromThePaperInThreeLosses) {
 TEST(Config, EnumFieldsReachTheirStages) {
     Config config;
     EXPECT_EQ(make_backward_options(config).reduction, Reduction::automatic);
-    set_key(config, "train.deterministic", "true");
+    set_config_value(config, "train.deterministic", "true");
     EXPECT_EQ(make_backward_options(config).reduction, Reduction::gather);
-    set_key(config, "trace.chunk", "8");
-    EXPECT_EQ(trace_options(config).chunk, 8);
+    set_config_value(config, "trace.chunk", "8");
+    EXPECT_EQ(make_base_trace_options(config).chunk, 8);
 }
 
 /// Training must render the values that the losses need. Rendering must omit these
@@ -282,17 +282,17 @@ TEST(Config, EnumFieldsReachTheirStages) {
 TEST(Config, LossesReachTheTraceOfTraining) {
     Config config;
     EXPECT_FALSE(make_training_trace_options(config).likelihood);
-    set_key(config, "loss.likelihood", "0.1");
+    set_config_value(config, "loss.likelihood", "0.1");
     config.loss.likelihood_scale_m = 0.2f;
     const TraceOptions likelihood = make_training_trace_options(config);
     EXPECT_FALSE(likelihood.has_surfaces());
     ASSERT_TRUE(likelihood.likelihood);
     EXPECT_EQ(likelihood.likelihood->scale_m, 0.2f);
     EXPECT_TRUE(make_rendering_trace_options(config).normals);
-    set_key(config, "image.primitive", "gaussian");
+    set_config_value(config, "image.primitive", "gaussian");
     EXPECT_FALSE(make_rendering_trace_options(config).has_surfaces());
-    set_key(config, "render.range", "mode");
-    set_key(config, "sensor.return_separation_m", "0.7");
+    set_config_value(config, "render.range", "mode");
+    set_config_value(config, "sensor.return_separation_m", "0.7");
     EXPECT_EQ(make_rendering_trace_options(config).mode_gap_m, 0.7f);
     EXPECT_FALSE(make_training_trace_options(config).mode_gap_m);
 }
@@ -342,7 +342,7 @@ TEST_F(ConfigFile, FileStartsFromItsPresetAndFailsWhole) {
     Config config;
     // without a preset, other settings stay unchanged
     put(folder / "c.toml", "[train]\niterations = 5\n[loss]\ndepth = 1\n");
-    set_key(config, "train.seed", "42");
+    set_config_value(config, "train.seed", "42");
     load_config(config, folder / "c.toml");
     EXPECT_EQ(config.train.iterations, 5);
     EXPECT_EQ(config.train.seed, 42u);

@@ -123,10 +123,10 @@ TEST(Edit, RetimedActorsDoTheSameLaterAndAreAbsentOutside) {
     const DrivingScene before = example(), after = retime_track(example(), "van", 0.4);
     for (const double t : {0.45, 0.6, 0.93})
         expect_near(box(after, "van").world_from_box.at(t), box(before, "van").world_from_box.at(t - 0.4));
-    EXPECT_FALSE(box(after, "van").present(0.3));
-    EXPECT_TRUE(box(after, "van").present(0.4));
-    EXPECT_TRUE(box(after, "van").present(1.3));
-    EXPECT_FALSE(box(after, "van").present(1.4));
+    EXPECT_FALSE(box(after, "van").is_present(0.3));
+    EXPECT_TRUE(box(after, "van").is_present(0.4));
+    EXPECT_TRUE(box(after, "van").is_present(1.3));
+    EXPECT_FALSE(box(after, "van").is_present(1.4));
 }
 
 TEST(Edit, TrajectoriesAreInterpolatedAndEndWithTheirTimes) {
@@ -137,8 +137,8 @@ TEST(Edit, TrajectoriesAreInterpolatedAndEndWithTheirTimes) {
     const BoxTrack& car = box(d, "car");
     expect_near(car.world_from_box.at(0.2), {glm::dquat(1, 0, 0, 0), {10, 0, 0}});
     expect_near(car.world_from_box.at(0.3), {glm::angleAxis(0.2, glm::dvec3(0, 0, 1)), {12, 1, 0}}, 1e-9);
-    EXPECT_TRUE(car.present(0.2) && car.present(0.7));
-    EXPECT_FALSE(car.present(0.1) || car.present(0.8))
+    EXPECT_TRUE(car.is_present(0.2) && car.is_present(0.7));
+    EXPECT_FALSE(car.is_present(0.1) || car.is_present(0.8))
         << "half a sweep beside the ends, no more, however sparse the entries";
     track.time_s[1] = 0.2;
     EXPECT_THROW(replace_trajectory(example(), "car", track), DataError);

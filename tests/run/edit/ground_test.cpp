@@ -66,8 +66,8 @@ DrivingScene make_slope() {
 }
 
 Start place_on_ground(const DrivingScene& driving, const GroundPlace& place, const std::string& track) {
-    return start_on_ground({driving.scene, driving.sequence}, place, {driving.scene, driving.sequence},
-                           track);
+    return compute_start_on_ground({driving.scene, driving.sequence}, place,
+                                   {driving.scene, driving.sequence}, track);
 }
 
 /// Returns the pose of the van in relidar's world after it is placed at a position.
@@ -139,7 +139,7 @@ TEST(Ground, IsAsFarBelowAnActorAsItIsKnownToBe) {
         GroundPlace place{{6.0 + kWorldOffset_m.x, 3.0 + kWorldOffset_m.y}, 0.0};
         place.clearance_m = clearance_m;
         const Start start =
-            start_on_ground({d.scene, d.sequence}, place, {alone.scene, alone.sequence}, "van");
+            compute_start_on_ground({d.scene, d.sequence}, place, {alone.scene, alone.sequence}, "van");
         const glm::dvec3 above = start.dataset_from_box.translation - kWorldOffset_m -
                                  glm::dvec3(6.0, 3.0, compute_slope_height(6.0, 3.0));
         EXPECT_NEAR(glm::dot(kSlopeNormal, above), 0.8 + clearance_m, 0.02);

@@ -131,7 +131,7 @@ TEST_F(ModelFile, EveryPrimitiveComesBack) {
         write_safetensors(path, read_safetensors(path, &metadata), metadata);
         EXPECT_EQ(metadata.at("primitive"), kind.name);
         Config config;
-        set_key(config, "image.primitive", kind.name);
+        set_config_value(config, "image.primitive", kind.name);
         EXPECT_EQ(config.image.primitive, kind.primitive);
     }
 }

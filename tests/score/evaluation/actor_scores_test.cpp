@@ -96,7 +96,7 @@ TEST_F(ActorScoresOf, APointWhereACarWasIsInItsTail) {
                              box.world_from_box.pose.front().translation);
     };
     for (const BoxTrack& box : street.boxes)
-        if (box.present(last.time_s) && (!fastest || path_m(box) > path_m(*fastest))) fastest = &box;
+        if (box.is_present(last.time_s) && (!fastest || path_m(box) > path_m(*fastest))) fastest = &box;
     ASSERT_TRUE(fastest);
     ASSERT_GT(path_m(*fastest), 0.5 * fastest->size_m.x + 0.5) << "it must have left the place";
     const Pose sensor_from_world =
@@ -140,7 +140,7 @@ TEST_F(ActorScoresOf, TakePointsAtTheMomentOfTheirFiring) {
     for (Pose& pose : world_from_sensor.pose) pose = pose * mounted;
     std::size_t n_people = 0;
     for (const BoxTrack& box : street.boxes) {
-        if (parse_object_kind(box.category) != ObjectKind::person || !box.present(frame.time_s)) continue;
+        if (parse_object_kind(box.category) != ObjectKind::person || !box.is_present(frame.time_s)) continue;
         ++n_people;
         std::size_t expected = 0;
         const glm::dvec3 half = 0.5 * box.size_m + 0.1;

@@ -142,7 +142,7 @@ TEST(Channels, ABeamHasThemOfTheSubRayNearestToItsMiddle) {
             for (auto& [info, values, second] : old.channels)
                 std::visit([](auto& v) { v.assign(1, {}); }, values);
             old.weight = {0.0f}, old.instance = {-1};
-            replace_rays(old, {0}, joined);
+            replace_scan_rays(old, {0}, joined);
             joined = old;
         }
         EXPECT_EQ(joined.weight[0], 6.0f);
@@ -172,7 +172,7 @@ protected:
     }
     RenderedScan scan(const std::string& sensor = "native") {
         ScanRenderer renderer(device(), scene, config, log);
-        renderer.compare_with(
+        renderer.set_observed_space(
             find_coverage(log, log.world_from_vehicle, {0, 1, 2, 3}, config.dataset.max_range_m));
         return renderer.render(choose_sensor(sensor, config, log), log.frames[1].time_s);
     }

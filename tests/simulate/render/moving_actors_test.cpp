@@ -200,7 +200,7 @@ TEST_F(MovingActors, AWallHidesHalfOfTheVan) {
         config.render.channels = "class";
         ScanRenderer renderer(device(), scene, config, log);
         EXPECT_TRUE(renderer.render(make_configured_sensor(config, log), 0.5).actor_views.empty());
-        renderer.compute_views();
+        renderer.enable_actor_views();
         const RenderedScan scan = renderer.render(make_configured_sensor(config, log), 0.5);
         ASSERT_EQ(scan.actor_views.size(), 1u);
         const ActorView& view = scan.actor_views[0];

@@ -48,7 +48,7 @@ protected:
     SensorChoice sensor(const std::string& name) const { return choose_sensor(name, config, log); }
     void make_renderer() {
         renderer.emplace(device(), scene, config, log);
-        renderer->compare_with(
+        renderer->set_observed_space(
             find_coverage(log, log.world_from_vehicle, {0, 2, 4}, config.dataset.max_range_m));
     }
     void TearDown() override {
@@ -363,7 +363,7 @@ TEST_F(PointsOfScans, HaveTheStepsOfTheLog) {
     const double step = 1.0 / 64.0;
     IntensityScatter scatter;
     scatter.step = step;
-    renderer->scatter_intensities({scatter});
+    renderer->set_intensity_scatter({scatter});
     const RenderedPoints expected = on_host(wish);
     ask(wish);
     const RenderedPoints found = renderer->wait_for_points();

@@ -507,7 +507,7 @@ TEST_F(Render, OnlyVisibleActorsAreHit) {
                       behind = find_ray_towards(sensor.rays, {-1, 0, 0}),
                       right = find_ray_towards(sensor.rays, {0, -1, 0});
     const auto labels = [&](const std::vector<std::string>& names) {
-        renderer.show_only(select_instances(scene, names));
+        renderer.set_visible_instances(select_instances(scene, names));
         const RenderedScan scan = renderer.render(sensor, 0.0);
         return std::vector<int>{scan.instance[ahead], scan.instance[behind], scan.instance[right]};
     };
@@ -516,7 +516,7 @@ TEST_F(Render, OnlyVisibleActorsAreHit) {
     EXPECT_EQ(labels({"behind"}), (std::vector<int>{-1, 2, -1}));
     EXPECT_EQ(labels({"behind", "background"}), (std::vector<int>{-1, 2, 0}));
     EXPECT_THROW(select_instances(scene, {"ahed"}), UsageError);
-    EXPECT_THROW(renderer.show_only({true}), UsageError);
+    EXPECT_THROW(renderer.set_visible_instances({true}), UsageError);
 }
 
 }  // namespace

@@ -24,7 +24,7 @@ protected:
     }
     RenderedScan scan(const Pose& offset, const Config& settings, const std::string& sensor = "native") {
         ScanRenderer renderer(device(), scene, settings, log);
-        renderer.compare_with(
+        renderer.set_observed_space(
             find_coverage(log, log.world_from_vehicle, split.train, settings.dataset.max_range_m));
         return renderer.render(choose_sensor(sensor, settings, log),
                                log.frames[std::size_t(split.test[0])].time_s, offset);

@@ -17,7 +17,8 @@ Scene make_van_scene(double rear_y_m) {
     scene.models = {{"background", 0, 0, {}}, {"van", 0, 0, {2.0f, 1.0f, 0.8f}}};
     BoxSurface surface({4.0, 2.0, 1.6});
     for (std::size_t s = 0; s < kBoxSides; ++s)
-        surface.set_patches(BoxSide(s), std::string(surface.patches(BoxSide(s)).size(), s == 1 ? '0' : '1'));
+        surface.parse_patches(BoxSide(s),
+                              std::string(surface.patches(BoxSide(s)).size(), s == 1 ? '0' : '1'));
     for (double y = rear_y_m + 0.05; y < 1.0; y += 0.1)
         for (double z = -0.75; z < 0.8; z += 0.1) surface.add({-2.0, y, z}, {1.0, 0.0, 0.0});
     scene.models[1].surface = surface;

@@ -158,7 +158,7 @@ TEST(WeatherOnScans, SecondReturnsSayWhyTheyAreThere) {
         ASSERT_TRUE(second[i] != kSurface || range_m == 20.0f || range_m == 22.0f);
         behind_fog += get_sources(scan)[i] == kFog && second[i] == kSurface && range_m == 22.0f;
         ScanChannel of_points{scan.channels.back().info, std::vector<std::int32_t>{}};
-        append_return(of_points, scan.channels.back(), i, 2);
+        append_return_value(of_points, scan.channels.back(), i, 2);
         ASSERT_EQ(std::get<std::vector<std::int32_t>>(of_points.values)[0], second[i]);
     }
     EXPECT_GT(behind_fog, kRays / 2);
@@ -214,11 +214,11 @@ protected:
 TEST_F(RenderedWeather, NeedsALogWithIntensities) {
     ScanRenderer renderer(device(), scene, config, log);
     IntensityScatter scatter{.nodes = {{.first = 0, .count = 2}}, .values = {0.0f, 0.0f}};
-    renderer.scatter_intensities({scatter});
+    renderer.set_intensity_scatter({scatter});
     EXPECT_THROW(renderer.set_weather({.fog_visibility_m = 30.0}), UsageError);
     EXPECT_NO_THROW(renderer.set_weather({}));
     scatter.values.back() = 0.1f;
-    renderer.scatter_intensities({scatter});
+    renderer.set_intensity_scatter({scatter});
     EXPECT_NO_THROW(renderer.set_weather({.fog_visibility_m = 30.0}));
 }
 
@@ -238,7 +238,8 @@ TEST_F(RenderedWeather, IsThatOfTheNextScan) {
     for (const RenderedScan* scan : {&fog, &sample, &grid})
         EXPECT_GT(std::ranges::count(get_sources(*scan), kFog), 100);
     for (std::size_t i = 0; i < fog.image.range_m.size(); ++i) {
-        ASSERT_EQ(get_sources(fog)[i] == kNothing, !returned(fog.image.drop_prob[i], fog.image.range_m[i]));
+        ASSERT_EQ(get_sources(fog)[i] == kNothing,
+                  !is_returned(fog.image.drop_prob[i], fog.image.range_m[i]));
         ASSERT_TRUE(get_sources(fog)[i] != kSurface || fog.image.intensity[i] <= clear.image.intensity[i]);
     }
     renderer.set_weather({});
@@ -249,7 +250,7 @@ TEST_F(RenderedWeather, IsThatOfTheNextScan) {
     expect_same(said, clear);
     for (std::size_t i = 0; i < said.image.range_m.size(); ++i)
         ASSERT_EQ(get_sources(said)[i],
-                  returned(said.image.drop_prob[i], said.image.range_m[i]) ? kSurface : kNothing);
+                  is_returned(said.image.drop_prob[i], said.image.range_m[i]) ? kSurface : kNothing);
 }
 
 }  // namespace

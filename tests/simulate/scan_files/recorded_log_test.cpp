@@ -156,7 +156,7 @@ void expect_actors(const Sequence& log, const glm::dvec3& moved_m) {
         ASSERT_NE(found, nullptr) << wanted.id;
         EXPECT_EQ(found->category, wanted.category);
         EXPECT_LT(glm::distance(found->size_m, wanted.size_m), 1e-9);
-        EXPECT_EQ(found->moves(), wanted.moves());
+        EXPECT_EQ(found->is_moving(), wanted.is_moving());
         EXPECT_EQ(found->world_from_box.time_s.size(), wanted.id == "bin" ? kFrames : kFrames - 1);
         for (std::size_t k = 0; k < found->world_from_box.time_s.size(); ++k) {
             const double at_s = found->world_from_box.time_s[k] + kFirst_s;

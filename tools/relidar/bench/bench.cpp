@@ -64,7 +64,7 @@ BenchTimes measure(Device& device, const BenchCase& bench) {
                                   .keep_hits = static_cast<std::uint32_t>(bench.config.trace.keep_hits)};
     const auto rendered = [&] {
         Renderer image(device, bench.scene, bench.config.image,
-                       {.trace = trace_options(bench.config), .n_rays = n_rays});
+                       {.trace = make_base_trace_options(bench.config), .n_rays = n_rays});
         image.place(bench.placed, bench.view_origin_m);
         return image.forward(bench.rays);
     };

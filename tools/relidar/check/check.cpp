@@ -63,9 +63,9 @@ CheckRow run_check(const Check& check, CheckedDevice& checked, bool& is_lost) {
         row.finding = check.run(checked);
     } catch (const DeviceLost& error) {
         is_lost = true;
-        row.finding = report_wrong(join_lines(error.what()));
+        row.finding = make_wrong_finding(join_lines(error.what()));
     } catch (const DeviceError& error) {
-        row.finding = report_wrong(join_lines(error.what()));
+        row.finding = make_wrong_finding(join_lines(error.what()));
     }
     row.seconds = std::chrono::duration<double>(Clock::now() - start).count();
     return row;

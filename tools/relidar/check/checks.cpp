@@ -38,8 +38,8 @@ Finding judge(double error, double tolerance) {
                 : fmt::format("found an error of {:.1e}, expected at most {:.0e}", error, tolerance)};
 }
 
-Finding report_wrong(const std::string& text) { return {Finding::Kind::wrong, text}; }
-Finding report_unsupported(const std::string& why) { return {Finding::Kind::unsupported, why}; }
+Finding make_wrong_finding(const std::string& text) { return {Finding::Kind::wrong, text}; }
+Finding make_unsupported_finding(const std::string& why) { return {Finding::Kind::unsupported, why}; }
 
 CheckedDevice::CheckedDevice(const DeviceOptions& options)
     : options_(options), default_(std::make_unique<Device>(options)) {

@@ -25,8 +25,8 @@ struct Finding {
 };
 /// Returns the result "right" if the error is at most the tolerance, otherwise "wrong".
 Finding judge(double error, double tolerance);
-Finding report_wrong(const std::string& text);
-Finding report_unsupported(const std::string& why);
+Finding make_wrong_finding(const std::string& text);
+Finding make_unsupported_finding(const std::string& why);
 /// Returns the reason why a device cannot use a method to trace rays. The text is empty
 /// if the device can use it.
 std::string explain_unsupported(const DeviceInfo& info, Traversal traversal);

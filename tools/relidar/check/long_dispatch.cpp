@@ -19,7 +19,7 @@ Finding check_long_dispatch(CheckedDevice& checked) {
         double seconds = 0.0;
         const double error = measure_sum_error_of_kernel(checked.device(), n_threads, seconds);
         if (error != 0.0)
-            return report_wrong(
+            return make_wrong_finding(
                 fmt::format("after {:.2f} s, the sums have an error of {:.1e}", seconds, error));
         if (seconds >= kLong_s) return {Finding::Kind::right, fmt::format("{:.2f} s", seconds)};
     }

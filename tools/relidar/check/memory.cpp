@@ -43,13 +43,13 @@ Finding check_large_buffer(CheckedDevice& checked) {
     Device& device = checked.device();
     const std::uint64_t limit = device.impl().largest_buffer.n_bytes,
                         n_bytes = std::min(limit, compute_allowed_bytes(device)) / 64 * 64;
-    if (n_bytes < kMiB) return report_unsupported("less than 1 MiB of device memory is free");
+    if (n_bytes < kMiB) return make_unsupported_finding("less than 1 MiB of device memory is free");
     const Buffer buffer(device, n_bytes, "the largest buffer");
     Stream stream(device);
     stream.fill(buffer, 0x5a5a1234u);
     stream.finish();
     if (!holds(buffer, 0x5a5a1234u))
-        return report_wrong(
+        return make_wrong_finding(
             fmt::format("a buffer of {} contains other values than were written", format_byte_size(n_bytes)));
     return {Finding::Kind::right,
             fmt::format("{}{}", format_byte_size(n_bytes),
@@ -68,10 +68,10 @@ Finding check_memory(CheckedDevice& checked) {
         stream.fill(*pieces.back(), static_cast<std::uint32_t>(pieces.size()));
     }
     stream.finish();
-    if (pieces.empty()) return report_unsupported("less than 256 MiB of device memory may be used");
+    if (pieces.empty()) return make_unsupported_finding("less than 256 MiB of device memory may be used");
     for (std::size_t i = 0; i < pieces.size(); ++i)
         if (!holds(*pieces[i], static_cast<std::uint32_t>(i + 1)))
-            return report_wrong(
+            return make_wrong_finding(
                 fmt::format("buffer {} of {} contains other values than were written", i + 1, pieces.size()));
     return {Finding::Kind::right,
             fmt::format("{} of the memory budget of {}", format_byte_size(pieces.size() * kPiece),

@@ -83,7 +83,7 @@ double measure_convolution_error(Device& device, int taps) {
 Finding check_network(CheckedDevice& checked) {
     Device& device = checked.device();
     if (const std::string missing = list_missing_for_networks(device); !missing.empty())
-        return report_unsupported("missing " + missing);
+        return make_unsupported_finding("missing " + missing);
     return judge(std::max(measure_convolution_error(device, 1), measure_convolution_error(device, 9)), 1e-5);
 }
 

@@ -65,7 +65,7 @@ Finding check_prefix_sum(CheckedDevice& checked) {
         prefix_sum.run(stream, {in.address()}, out.address(), n);
         stream.finish();
         std::exclusive_scan(counts.begin(), counts.end(), counts.begin(), 0u);
-        if (out.download() != counts) return report_wrong(fmt::format("{} counts", n));
+        if (out.download() != counts) return make_wrong_finding(fmt::format("{} counts", n));
     }
     return {Finding::Kind::right, "exact"};
 }
@@ -73,11 +73,12 @@ Finding check_prefix_sum(CheckedDevice& checked) {
 Finding check_sort(CheckedDevice& checked) {
     Device& device = checked.device();
     if (!device.info().has_known_subgroups)
-        return report_unsupported("the device does not report its subgroup size");
+        return make_unsupported_finding("the device does not report its subgroup size");
     const std::uint32_t most = device.info().type == "CPU" ? 1'000'000u : 10'000'000u;
     for (const auto& [n_keys, capacity] :
          {std::pair{0u, 10u}, {1u, 1u}, {4097u, 4097u}, {12'345u, 30'000u}, {most, most}})
-        if (!is_sort_correct(device, n_keys, capacity)) return report_wrong(fmt::format("{} keys", n_keys));
+        if (!is_sort_correct(device, n_keys, capacity))
+            return make_wrong_finding(fmt::format("{} keys", n_keys));
     return {Finding::Kind::right, fmt::format("exact results for up to {} keys", most)};
 }
 

@@ -14,7 +14,7 @@ namespace relidar::cli {
 
 Finding check_points(CheckedDevice& checked) {
     const DeviceInfo& info = checked.device().info();
-    if (!info.software && !info.ray_query) return report_unsupported("no traversal");
+    if (!info.software && !info.ray_query) return make_unsupported_finding("no traversal");
     const Sequence log = make_synthetic_street({.n_frames = 3, .rows = 16, .columns = 128});
     const Scene scene = initialise_scene(log, {0, 1, 2}, {});
     const Config config;
@@ -26,7 +26,7 @@ Finding check_points(CheckedDevice& checked) {
     const Points actual = renderer.wait_for_points().points;
     const Points expected = place_points(renderer.render(sensor, {time_s, track}), config, track.at(time_s));
     if (actual.size() != expected.size() || actual.size() == 0)
-        return report_wrong(
+        return make_wrong_finding(
             fmt::format("found {} points, expected {} points", actual.size(), expected.size()));
     double error_m = 0.0;
     for (std::size_t i = 0; i < actual.size(); ++i) {

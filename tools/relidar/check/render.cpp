@@ -62,9 +62,9 @@ Pass run_pass(Device& device) {
 }
 
 template <class Vector>
-std::vector<double> numbers(const Vector& v, int count) {
+std::vector<double> convert_to_doubles(const Vector& values, int count) {
     std::vector<double> row;
-    for (int k = 0; k < count; ++k) row.push_back(v[k]);
+    for (int k = 0; k < count; ++k) row.push_back(values[k]);
     return row;
 }
 
@@ -77,11 +77,14 @@ double measure_gradient_error(const Pass& pass, const reference::BruteForce& bru
     const Surfels& actual = pass.gradients;
     for (std::size_t i = 0; i < expected.surfels.size(); ++i) {
         const reference::Surfel& s = expected.surfels[i];
-        rows.add_row("mean", numbers(s.mean, 3), numbers(actual.mean[i], 3));
-        rows.add_row("rotation", numbers(s.rotation, 4), numbers(actual.rotation[i], 4));
-        rows.add_row("log_scale", numbers(s.log_scale, 2), numbers(actual.log_scale[i], 2));
+        rows.add_row("mean", convert_to_doubles(s.mean, 3), convert_to_doubles(actual.mean[i], 3));
+        rows.add_row("rotation", convert_to_doubles(s.rotation, 4),
+                     convert_to_doubles(actual.rotation[i], 4));
+        rows.add_row("log_scale", convert_to_doubles(s.log_scale, 2),
+                     convert_to_doubles(actual.log_scale[i], 2));
         rows.add_row("opacity_logit", {s.opacity_logit}, {actual.opacity_logit[i]});
-        rows.add_row("sh", numbers(s.sh, kShFloats), numbers(actual.sh.data() + i * kShFloats, kShFloats));
+        rows.add_row("sh", convert_to_doubles(s.sh, kShFloats),
+                     convert_to_doubles(actual.sh.data() + i * kShFloats, kShFloats));
     }
     return rows.compute_worst_error();
 }
@@ -111,11 +114,11 @@ std::string explain_unsupported(const DeviceInfo& info, Traversal traversal) {
 
 Finding check_tree(CheckedDevice& checked, Traversal traversal) {
     const std::string missing = explain_unsupported(checked.device().info(), traversal);
-    if (!missing.empty()) return report_unsupported("missing " + missing);
+    if (!missing.empty()) return make_unsupported_finding("missing " + missing);
     const int n_built = count_wrong_rays(checked.with(traversal), TreeState::built),
               n_refitted = count_wrong_rays(checked.with(traversal), TreeState::refitted);
     if (n_built + n_refitted == 0) return {Finding::Kind::right, "all rays find the same surfels"};
-    return report_wrong(
+    return make_wrong_finding(
         fmt::format("{} of 256 rays find other surfels after a build of the tree, and {} after a "
                     "refit",
                     n_built, n_refitted));
@@ -123,7 +126,7 @@ Finding check_tree(CheckedDevice& checked, Traversal traversal) {
 
 Finding check_render(CheckedDevice& checked, Traversal traversal) {
     const std::string missing = explain_unsupported(checked.device().info(), traversal);
-    if (!missing.empty()) return report_unsupported("missing " + missing);
+    if (!missing.empty()) return make_unsupported_finding("missing " + missing);
     const Pass pass = run_pass(checked.with(traversal));
     const reference::BruteForce brute(pass.scene.world, pass.settings.image,
                                       reference::Precision::double_record);

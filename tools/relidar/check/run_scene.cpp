@@ -96,10 +96,10 @@ double measure_difference(const Rendering& rendering, std::size_t ray, const ref
 
 Finding check_run(CheckedDevice& checked, Traversal traversal, const BenchCase& bench) {
     const std::string missing = explain_unsupported(checked.device().info(), traversal);
-    if (!missing.empty()) return report_unsupported("missing " + missing);
+    if (!missing.empty()) return make_unsupported_finding("missing " + missing);
     const WorldRays rays = select_rays(bench.rays);
     Renderer renderer(checked.with(traversal), bench.scene, bench.config.image,
-                      {.trace = trace_options(bench.config), .n_rays = std::uint32_t(rays.size())});
+                      {.trace = make_base_trace_options(bench.config), .n_rays = std::uint32_t(rays.size())});
     renderer.place(bench.placed, bench.view_origin_m);
     const Rendering rendering = renderer.forward(rays);
 

@@ -15,13 +15,14 @@ namespace {
 /// which are exact in float.
 Finding judge_sum_error(double error) {
     if (error == 0.0) return {Finding::Kind::right, "exact"};
-    return report_wrong(fmt::format("a sum has a relative error of {:.3g}", error));
+    return make_wrong_finding(fmt::format("a sum has a relative error of {:.3g}", error));
 }
 
 }  // namespace
 
 Finding check_float_atomics(CheckedDevice& checked) {
-    if (!checked.device().info().float_atomics) return report_unsupported("no VK_EXT_shader_atomic_float");
+    if (!checked.device().info().float_atomics)
+        return make_unsupported_finding("no VK_EXT_shader_atomic_float");
     return judge_sum_error(compute_sum_error(checked.device(), false));
 }
 
@@ -31,13 +32,14 @@ Finding check_float_swaps(CheckedDevice& checked) {
 
 Finding check_subgroups(CheckedDevice& checked) {
     const DeviceInfo& info = checked.device().info();
-    if (!info.has_known_subgroups) return report_unsupported("the device does not report its subgroup size");
+    if (!info.has_known_subgroups)
+        return make_unsupported_finding("the device does not report its subgroup size");
     const std::vector<int> sizes = list_subgroup_sizes(checked.device());
     for (const int lanes : sizes) {
         const Trusting trusting(DeviceTrust{.subgroup_size = lanes});
         Device device(checked.options());
         const std::string text = find_wrong_subgroups(device);
-        if (!text.empty()) return report_wrong(fmt::format("{} lanes, {}", lanes, text));
+        if (!text.empty()) return make_wrong_finding(fmt::format("{} lanes, {}", lanes, text));
     }
     return {Finding::Kind::right, fmt::format("{} lanes", fmt::join(sizes, ", "))};
 }

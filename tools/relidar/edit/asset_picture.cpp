@@ -103,7 +103,7 @@ void draw(Image& canvas, int row, int column, const RenderedScan& scan, const st
 Image draw_asset_picture(Device& device, const Asset& asset, const BoxSurface& surface) {
     const Run& run = asset.run;
     Config config = run.config;
-    config.render.channels = kind_of(run.scene.surfels.primitive).has_normals ? "normal" : "";
+    config.render.channels = get_primitive_kind(run.scene.surfels.primitive).has_normals ? "normal" : "";
     config.sensor.sub_rays = config.sensor.returns = 1;
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     const BoxTrack& box = run.sequence.boxes.front();

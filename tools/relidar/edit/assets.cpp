@@ -33,7 +33,7 @@ struct AssetOptions {
 
 /// Checks that the output folder is new or empty.
 /// @throws UsageError if the folder exists and is not empty
-void check_new(const std::string& out) {
+void require_new_output_folder(const std::string& out) {
     std::error_code failed;
     if (fs::exists(out, failed) && !fs::is_empty(out, failed))
         throw UsageError(
@@ -85,7 +85,7 @@ void make_unique(Asset& asset, std::set<std::string>& used_names) {
         asset.run.sequence.boxes[0].id = name;
 }
 
-std::vector<std::string> row_of(const AssetFacts& facts) {
+std::vector<std::string> make_asset_row(const AssetFacts& facts) {
     std::vector<std::string> row{facts.name, facts.category, fmt::format("{:.2f}", facts.score())};
     for (const double side : facts.seen_sides) row.push_back(fmt::format("{:.2f}", side));
     for (const double value : {facts.completed, facts.nearest_m}) row.push_back(fmt::format("{:.2f}", value));
@@ -96,7 +96,7 @@ std::vector<std::string> row_of(const AssetFacts& facts) {
 void run_assets(const AssetOptions& options) {
     if (!(options.least >= 0.0 && options.least <= 1.0))
         throw UsageError(fmt::format("--least: found {}; expected a number from 0 to 1", options.least));
-    check_new(options.out);
+    require_new_output_folder(options.out);
     const StagedFolder folder(options.out);
     const Run run = load_run(options.run);
     const std::vector<std::string> tracks = list_actors(run);
@@ -123,7 +123,7 @@ void run_assets(const AssetOptions& options) {
         const Image views =
             draw_asset_picture(device, asset, compute_visible_surface(asset.facts.size_m, actor_sightings));
         write_png(folder.path() / asset.facts.name / "views.png", views);
-        rows.push_back(row_of(asset.facts));
+        rows.push_back(make_asset_row(asset.facts));
     }
     end_progress_line();
     if (rows.size() == 1)
@@ -131,7 +131,7 @@ void run_assets(const AssetOptions& options) {
             fmt::format("no actor of run {} has a sufficient score: {}", options.run, join_lines(skipped)));
     folder.finish();
     if (options.quiet) return;
-    print(table(rows) + skipped +
+    print(format_table(rows) + skipped +
           fmt::format("saved {} of {} actors in {}\n", rows.size() - 1, tracks.size(), options.out));
 }
 

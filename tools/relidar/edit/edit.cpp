@@ -45,11 +45,11 @@ bool is_same(const PoseTrack& first, const PoseTrack& second) {
 }
 
 /// Returns the track names of the actors that an edit has added or moved.
-std::vector<std::string> list_new_tracks(const DrivingScene& driving, const Sequence& before) {
+std::vector<std::string> list_new_tracks(const DrivingScene& driving, const Sequence& original_log) {
     std::vector<std::string> placed;
     for (const Instance& instance : driving.scene.instances) {
         const BoxTrack *now = find_box(driving.sequence, instance.track),
-                       *then = find_box(before, instance.track);
+                       *then = find_box(original_log, instance.track);
         if (now && (!then || !is_same(now->world_from_box, then->world_from_box)))
             placed.push_back(instance.track);
     }
@@ -58,9 +58,9 @@ std::vector<std::string> list_new_tracks(const DrivingScene& driving, const Sequ
 
 /// Returns a warning line for each added or moved actor that has too few surfels. An
 /// actor needs more surfels if it is closer to the sensor.
-std::string describe_sparse_actors(const DrivingScene& driving, const Sequence& before) {
+std::string describe_sparse_actors(const DrivingScene& driving, const Sequence& original_log) {
     std::string text;
-    for (const std::string& track : list_new_tracks(driving, before)) {
+    for (const std::string& track : list_new_tracks(driving, original_log)) {
         const ActorDetail detail = measure_actor_detail(driving, track);
         if (!detail.is_sparse()) continue;
         text += fmt::format(

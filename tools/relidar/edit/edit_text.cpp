@@ -24,7 +24,7 @@ namespace {
 // Maximum offset or speed. A larger value is probably a typing error, so it is rejected.
 constexpr double kFarOff_m = 1e6;
 
-[[noreturn]] void refuse(const TypedEdit& edit, const std::string& expected) {
+[[noreturn]] void throw_edit_error(const TypedEdit& edit, const std::string& expected) {
     throw UsageError(fmt::format("{}: found \"{}\", expected {}", edit.option, edit.value, expected));
 }
 
@@ -37,19 +37,19 @@ const char* get_form(const TypedEdit& edit) {
 
 /// Splits a text at `position` and leaves out the character there. Throws an error if a
 /// part is empty.
-std::pair<std::string, std::string> cut(const TypedEdit& edit, const std::string& text,
-                                        std::size_t position) {
+std::pair<std::string, std::string> split_at(const TypedEdit& edit, const std::string& text,
+                                             std::size_t position) {
     if (position == std::string::npos || position == 0 || position + 1 == text.size())
-        refuse(edit, get_form(edit));
+        throw_edit_error(edit, get_form(edit));
     return {text.substr(0, position), text.substr(position + 1)};
 }
 
-std::vector<double> numbers(const TypedEdit& edit, const std::string& text, std::size_t min_count,
-                            std::size_t max_count) {
+std::vector<double> parse_edit_numbers(const TypedEdit& edit, const std::string& text, std::size_t min_count,
+                                       std::size_t max_count) {
     const std::vector<double> values = parse_list(edit.option, text);
-    if (values.size() < min_count || values.size() > max_count) refuse(edit, get_form(edit));
+    if (values.size() < min_count || values.size() > max_count) throw_edit_error(edit, get_form(edit));
     for (const double v : values)
-        if (std::abs(v) > 1e9) refuse(edit, "numbers below 1e9");
+        if (std::abs(v) > 1e9) throw_edit_error(edit, "numbers below 1e9");
     return values;
 }
 
@@ -68,11 +68,11 @@ std::optional<GroundPlace> parse_ground_place(const TypedEdit& edit, const std::
     constexpr std::string_view kWord = ",ground";
     const std::size_t at = text.find(kWord);
     if (at == std::string::npos) return {};
-    const std::vector<double> xy = numbers(edit, text.substr(0, at), 2, 2);
+    const std::vector<double> xy = parse_edit_numbers(edit, text.substr(0, at), 2, 2);
     GroundPlace place{{xy[0], xy[1]}};
     const std::string rest = text.substr(at + kWord.size());
-    if (!rest.empty() && rest[0] != ',') refuse(edit, get_form(edit));
-    if (!rest.empty()) place.yaw_rad = numbers(edit, rest.substr(1), 1, 1)[0] * kPi / 180.0;
+    if (!rest.empty() && rest[0] != ',') throw_edit_error(edit, get_form(edit));
+    if (!rest.empty()) place.yaw_rad = parse_edit_numbers(edit, rest.substr(1), 1, 1)[0] * kPi / 180.0;
     return place;
 }
 
@@ -86,27 +86,27 @@ struct SourceActor {
 
 /// Parses a start pose with an optional speed. The text is
 /// "x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed]" or "x,y,ground[,yaw_deg][:speed]".
-Start start_of(const TypedEdit& edit, const std::string& text, const DrivingScene& driving,
-               const SourceActor& actor) {
+Start parse_start_pose(const TypedEdit& edit, const std::string& text, const DrivingScene& driving,
+                       const SourceActor& actor) {
     const std::size_t colon = text.find(':');
     const double speed_mps =
-        colon == std::string::npos ? 0.0 : numbers(edit, text.substr(colon + 1), 1, 1)[0];
-    if (std::abs(speed_mps) > kFarOff_m) refuse(edit, "a speed in m/s");
+        colon == std::string::npos ? 0.0 : parse_edit_numbers(edit, text.substr(colon + 1), 1, 1)[0];
+    if (std::abs(speed_mps) > kFarOff_m) throw_edit_error(edit, "a speed in m/s");
     const std::string place = text.substr(0, colon);
     if (std::optional<GroundPlace> ground = parse_ground_place(edit, place)) {
         ground->speed_mps = speed_mps;
         ground->clearance_m = actor.clearance_m;
-        return start_on_ground({driving.scene, driving.sequence}, *ground,
-                               {actor.owner.scene, actor.owner.sequence}, actor.track);
+        return compute_start_on_ground({driving.scene, driving.sequence}, *ground,
+                                       {actor.owner.scene, actor.owner.sequence}, actor.track);
     }
-    const std::vector<double> pose = numbers(edit, place, 4, 6);
-    if (pose.size() == 5) refuse(edit, get_form(edit));
+    const std::vector<double> pose = parse_edit_numbers(edit, place, 4, 6);
+    if (pose.size() == 5) throw_edit_error(edit, get_form(edit));
     return {make_pose(pose), speed_mps};
 }
 
 /// Describes height and tilt of an actor that was placed on the ground, because the
 /// program computed them. Returns an empty text for other actors.
-std::string standing(const Start& start, const std::string& typed) {
+std::string describe_ground_contact(const Start& start, const std::string& typed) {
     if (typed.find(",ground") == std::string::npos) return "";
     const glm::dvec3& p = start.dataset_from_box.translation;
     const double tilt_deg =
@@ -166,9 +166,9 @@ AppliedEdit remove_one(DrivingScene driving, const TypedEdit& edit) {
     return {remove_track(std::move(driving), edit.value), "removed " + edit.value, ""};
 }
 
-AppliedEdit move(DrivingScene driving, const TypedEdit& edit) {
-    const auto [track, offset] = cut(edit, edit.value, edit.value.rfind(':'));
-    driving = move_track(std::move(driving), track, make_pose(numbers(edit, offset, 3, 4)));
+AppliedEdit apply_move(DrivingScene driving, const TypedEdit& edit) {
+    const auto [track, offset] = split_at(edit, edit.value, edit.value.rfind(':'));
+    driving = move_track(std::move(driving), track, make_pose(parse_edit_numbers(edit, offset, 3, 4)));
     const std::string note = describe_unseen_sides(driving, track);
     return {std::move(driving), "moved " + track, note};
 }
@@ -177,20 +177,21 @@ AppliedEdit move(DrivingScene driving, const TypedEdit& edit) {
 bool is_present_in_any_frame(const DrivingScene& driving, const std::string& track) {
     const BoxTrack* box = find_box(driving.sequence, track);
     return box && std::ranges::any_of(driving.sequence.frames,
-                                      [&](const Frame& f) { return box->present(f.time_s); });
+                                      [&](const Frame& f) { return box->is_present(f.time_s); });
 }
 
 /// Returns a warning if an edit removes an actor from frames of the log, for example
 /// because its motion is delayed.
-/// @param before track of the actor before the edit; null for a new actor
-std::string describe_absence(const DrivingScene& driving, const std::string& track, const BoxTrack* before) {
+/// @param original_box track of the actor before the edit; null for a new actor
+std::string describe_absence(const DrivingScene& driving, const std::string& track,
+                             const BoxTrack* original_box) {
     if (!is_present_in_any_frame(driving, track))
         return fmt::format(
             "track {} is not visible in any frame, because all its times are outside the log's time", track);
-    return before ? describe_lost_frames(*before, driving.sequence) : "";
+    return original_box ? describe_lost_frames(*original_box, driving.sequence) : "";
 }
 
-BoxTrack copy_of_box(const DrivingScene& driving, const std::string& track) {
+BoxTrack copy_actor_box(const DrivingScene& driving, const std::string& track) {
     const BoxTrack* box = find_box(driving.sequence, track);
     // Returns an empty track if the actor is unknown. The edit itself reports this error
     // later.
@@ -198,28 +199,30 @@ BoxTrack copy_of_box(const DrivingScene& driving, const std::string& track) {
 }
 
 AppliedEdit apply_retime(DrivingScene driving, const TypedEdit& edit) {
-    const auto [track, seconds] = cut(edit, edit.value, edit.value.rfind(':'));
-    const BoxTrack before = copy_of_box(driving, track);
-    driving = retime_track(std::move(driving), track, numbers(edit, seconds, 1, 1)[0]);
+    const auto [track, seconds] = split_at(edit, edit.value, edit.value.rfind(':'));
+    const BoxTrack before = copy_actor_box(driving, track);
+    driving = retime_track(std::move(driving), track, parse_edit_numbers(edit, seconds, 1, 1)[0]);
     const std::string note =
         join_notes({describe_absence(driving, track, &before), describe_unseen_sides(driving, track)});
     return {std::move(driving), fmt::format("delayed the motion of {} by {} s", track, seconds), note};
 }
 
 AppliedEdit apply_trajectory(DrivingScene driving, const TypedEdit& edit) {
-    const auto [track, file] = cut(edit, edit.value, edit.value.find(':'));
-    const BoxTrack before = copy_of_box(driving, track);
+    const auto [track, file] = split_at(edit, edit.value, edit.value.find(':'));
+    const BoxTrack before = copy_actor_box(driving, track);
     driving = replace_trajectory(std::move(driving), track, read_trajectory(file));
     const std::string note =
         join_notes({describe_absence(driving, track, &before), describe_unseen_sides(driving, track)});
     return {std::move(driving), fmt::format("{} follows {}", track, file), note};
 }
 
-AppliedEdit copy(DrivingScene driving, const TypedEdit& edit) {
-    const auto [track, place] = cut(edit, edit.value, edit.value.rfind('@'));
-    const Start start = start_of(edit, place, driving, {driving, track, {}});
+AppliedEdit apply_copy(DrivingScene driving, const TypedEdit& edit) {
+    const auto [track, place] = split_at(edit, edit.value, edit.value.rfind('@'));
+    const Start start = parse_start_pose(edit, place, driving, {driving, track, {}});
     driving = copy_track(std::move(driving), track, start);
-    return {driving, fmt::format("copied {} as {}{}", track, get_last_track(driving), standing(start, place)),
+    return {driving,
+            fmt::format("copied {} as {}{}", track, get_last_track(driving),
+                        describe_ground_contact(start, place)),
             join_notes({describe_unseen_ground(start, get_last_track(driving)),
                         describe_unseen_sides(driving, get_last_track(driving))})};
 }
@@ -235,7 +238,7 @@ struct ExternalActor {
 ExternalActor load_external_actor(const TypedEdit& edit, const std::string& description) {
     const bool named = description.find('#') != std::string::npos;
     const auto [folder, named_track] =
-        named ? cut(edit, description, description.rfind('#')) : std::pair(description, std::string());
+        named ? split_at(edit, description, description.rfind('#')) : std::pair(description, std::string());
     Run run = load_run(folder);
     const std::string track = named ? named_track : find_only_track(run);
     DrivingScene owner = run.driving();
@@ -256,16 +259,16 @@ std::string describe_sensor_of_actor(const ExternalActor& actor, const DrivingSc
         actor.track);
 }
 
-AppliedEdit insert(DrivingScene driving, const TypedEdit& edit) {
-    const auto [what, place] = cut(edit, edit.value, edit.value.rfind('@'));
+AppliedEdit apply_insert(DrivingScene driving, const TypedEdit& edit) {
+    const auto [what, place] = split_at(edit, edit.value, edit.value.rfind('@'));
     const ExternalActor actor = load_external_actor(edit, what);
-    const Start start =
-        start_of(edit, place, driving, {actor.owner, actor.track, measure_asset_clearance(actor.run)});
+    const Start start = parse_start_pose(edit, place, driving,
+                                         {actor.owner, actor.track, measure_asset_clearance(actor.run)});
     const std::string sensor = describe_sensor_of_actor(actor, driving);
     driving = insert_track(std::move(driving), actor.owner, actor.track, start);
     const std::string note = join_notes({sensor, describe_unseen_ground(start, get_last_track(driving)),
                                          describe_unseen_sides(driving, get_last_track(driving))});
-    const std::string placed = standing(start, place);
+    const std::string placed = describe_ground_contact(start, place);
     return {
         driving,
         fmt::format("inserted {} of {} as {}{}", actor.track, actor.folder, get_last_track(driving), placed),
@@ -288,29 +291,29 @@ std::map<std::string, std::string> parse_roles(const TypedEdit& edit, const std:
     std::map<std::string, std::string> roles;
     std::istringstream words(text);
     for (std::string word; std::getline(words, word, ',');) {
-        auto [entity, actor] = cut(edit, word, word.find('='));
-        if (!roles.emplace(entity, actor).second) refuse(edit, fmt::format("{} once", entity));
+        auto [entity, actor] = split_at(edit, word, word.find('='));
+        if (!roles.emplace(entity, actor).second) throw_edit_error(edit, fmt::format("{} once", entity));
     }
     return roles;
 }
 
-void join_note(std::string& note, const std::string& more) {
+void append_note(std::string& note, const std::string& more) {
     if (!more.empty()) note += (note.empty() ? "" : "; ") + more;
 }
 
 /// Moves an actor along the trajectory of an entity of an OpenSCENARIO file. If the run
 /// does not contain the actor, inserts it from another run or an asset.
-void follow(const TypedEdit& edit, const ScenarioEntity& entity, const std::string& description,
-            AppliedEdit& applied) {
+void apply_entity_trajectory(const TypedEdit& edit, const ScenarioEntity& entity,
+                             const std::string& description, AppliedEdit& applied) {
     DrivingScene& driving = applied.driving;
     std::string track = description;
     const bool is_known = has_track(driving, description);
-    const BoxTrack before = copy_of_box(driving, description);
+    const BoxTrack before = copy_actor_box(driving, description);
     if (!is_known) {
         if (description.find('#') == std::string::npos && !std::filesystem::exists(description))
-            refuse(edit, fmt::format("{}=TRACK of the run, RUN#TRACK or ASSET", entity.name));
+            throw_edit_error(edit, fmt::format("{}=TRACK of the run, RUN#TRACK or ASSET", entity.name));
         const ExternalActor actor = load_external_actor(edit, description);
-        join_note(applied.note, describe_sensor_of_actor(actor, driving));
+        append_note(applied.note, describe_sensor_of_actor(actor, driving));
         driving = insert_track(std::move(driving), actor.owner, actor.track, {});
         track = get_last_track(driving);
     }
@@ -319,18 +322,18 @@ void follow(const TypedEdit& edit, const ScenarioEntity& entity, const std::stri
                                  make_box_track(entity, begin_s, get_size_of_track(driving, track)));
     applied.said += fmt::format("{}{} follows {} of {}", applied.said.empty() ? "" : "\n", track, entity.name,
                                 edit.value.substr(0, edit.value.find('@')));
-    join_note(applied.note, describe_absence(driving, track, is_known ? &before : nullptr));
-    join_note(applied.note, describe_unseen_sides(driving, track));
+    append_note(applied.note, describe_absence(driving, track, is_known ? &before : nullptr));
+    append_note(applied.note, describe_unseen_sides(driving, track));
     if (!entity.ignored.empty())
-        join_note(applied.note, fmt::format("the element {} of entity {} is not supported and is ignored",
-                                            fmt::join(entity.ignored, ", "), entity.name));
+        append_note(applied.note, fmt::format("the element {} of entity {} is not supported and is ignored",
+                                              fmt::join(entity.ignored, ", "), entity.name));
 }
 
 AppliedEdit apply_scenario(DrivingScene driving, const TypedEdit& edit) {
     const std::size_t at = edit.value.find('@');
     const std::string file = edit.value.substr(0, at);
     std::map<std::string, std::string> roles;
-    if (at != std::string::npos) roles = parse_roles(edit, cut(edit, edit.value, at).second);
+    if (at != std::string::npos) roles = parse_roles(edit, split_at(edit, edit.value, at).second);
     AppliedEdit applied{std::move(driving), "", ""};
     for (const ScenarioEntity& entity : read_scenario(file)) {
         const auto role = roles.extract(entity.name);
@@ -339,27 +342,31 @@ AppliedEdit apply_scenario(DrivingScene driving, const TypedEdit& edit) {
                                  : has_track(applied.driving, entity.name) ? entity.name
                                                                            : "";
         if (role && what != "-" && !follows)
-            refuse(edit, fmt::format("an entity with a trajectory, but {} has no trajectory", entity.name));
+            throw_edit_error(
+                edit, fmt::format("an entity with a trajectory, but {} has no trajectory", entity.name));
         if (what.empty() && follows)
-            refuse(edit, fmt::format("also {0}=TRACK, {0}=RUN#TRACK, {0}=ASSET or {0}=-, because the run has "
-                                     "no actor of that name",
-                                     entity.name));
-        if (follows && what != "-") follow(edit, entity, what, applied);
+            throw_edit_error(
+                edit, fmt::format("also {0}=TRACK, {0}=RUN#TRACK, {0}=ASSET or {0}=-, because the run has "
+                                  "no actor of that name",
+                                  entity.name));
+        if (follows && what != "-") apply_entity_trajectory(edit, entity, what, applied);
         else
-            join_note(applied.note,
-                      fmt::format("{} {}", entity.name, follows ? "is ignored" : "has no trajectory"));
+            append_note(applied.note,
+                        fmt::format("{} {}", entity.name, follows ? "is ignored" : "has no trajectory"));
     }
     if (!roles.empty())
-        refuse(edit, fmt::format("entities of the file; {} is not in the file", roles.begin()->first));
-    if (applied.said.empty()) refuse(edit, "a scenario with at least one entity that follows a trajectory");
+        throw_edit_error(edit,
+                         fmt::format("entities of the file; {} is not in the file", roles.begin()->first));
+    if (applied.said.empty())
+        throw_edit_error(edit, "a scenario with at least one entity that follows a trajectory");
     return applied;
 }
 
-AppliedEdit keep(DrivingScene driving, const TypedEdit& edit) {
+AppliedEdit apply_keep(DrivingScene driving, const TypedEdit& edit) {
     if (edit.value == "background")
         return {keep_background(std::move(driving)), "kept only the background", ""};
     if (edit.value == "actors") return {keep_actors(std::move(driving)), "kept only the actors", ""};
-    refuse(edit, "background or actors");
+    throw_edit_error(edit, "background or actors");
 }
 
 }  // namespace
@@ -391,9 +398,9 @@ const std::vector<EditOption>& list_edit_options() {
 AppliedEdit apply(DrivingScene driving, const TypedEdit& edit) {
     using Apply = AppliedEdit (*)(DrivingScene, const TypedEdit&);
     static const std::vector<std::pair<std::string, Apply>> functions{
-        {"--remove", remove_one},           {"--move", move}, {"--retime", apply_retime},
-        {"--trajectory", apply_trajectory}, {"--copy", copy}, {"--insert", insert},
-        {"--scenario", apply_scenario},     {"--keep", keep}};
+        {"--remove", remove_one},           {"--move", apply_move}, {"--retime", apply_retime},
+        {"--trajectory", apply_trajectory}, {"--copy", apply_copy}, {"--insert", apply_insert},
+        {"--scenario", apply_scenario},     {"--keep", apply_keep}};
     const auto function = std::find_if(functions.begin(), functions.end(),
                                        [&](const auto& f) { return f.first == edit.option; });
     try {

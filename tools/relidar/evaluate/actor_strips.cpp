@@ -43,10 +43,10 @@ Scan make_rays_about_box(const Run& run, const Frame& frame, const BoxTrack& box
 
 /// Returns the frames of the first LiDAR that have a scan and in which the box is
 /// present.
-std::vector<const Frame*> frames_of(const Run& run, const BoxTrack& box) {
+std::vector<const Frame*> list_box_frames(const Run& run, const BoxTrack& box) {
     std::vector<const Frame*> frames;
     for (const Frame& frame : run.sequence.frames)
-        if (frame.lidar == 0 && frame.scan.range_m.size() > 0 && box.present(frame.time_s))
+        if (frame.lidar == 0 && frame.scan.range_m.size() > 0 && box.is_present(frame.time_s))
             frames.push_back(&frame);
     return frames;
 }
@@ -70,7 +70,7 @@ Walk find_nearest_walk(const Run& run) {
     for (const Instance& instance : run.scene.instances) {
         const BoxTrack* box = find_box(run.sequence, instance.track);
         if (!box || !(run.scene.models[std::size_t(instance.model)].stride_m > 0.0f)) continue;
-        const std::vector<const Frame*> frames = frames_of(run, *box);
+        const std::vector<const Frame*> frames = list_box_frames(run, *box);
         for (std::size_t first = 0; first + kFrames <= frames.size(); ++first) {
             const std::vector<const Frame*> some(frames.begin() + std::ptrdiff_t(first),
                                                  frames.begin() + std::ptrdiff_t(first + kFrames));
@@ -113,7 +113,8 @@ Image draw_panels(const std::vector<std::vector<Dot>>& panels, const glm::dvec2&
 
 /// Returns the dots of points in the frame of a box, seen along a horizontal direction.
 /// The value of a dot is the distance from the box centre along the direction.
-std::vector<Dot> dots_of(const std::vector<glm::dvec3>& points_m, const glm::dvec2& direction) {
+std::vector<Dot> project_points_to_dots(const std::vector<glm::dvec3>& points_m,
+                                        const glm::dvec2& direction) {
     std::vector<Dot> dots;
     for (const glm::dvec3& p : points_m)
         dots.push_back(
@@ -146,7 +147,7 @@ Config make_picture_config(const Run& run) {
 }
 
 /// Sets the value of each simulated dot to the distance from the nearest real point.
-void set_errors(std::vector<Dot>& dots, const BoxPoints& points) {
+void set_dot_errors(std::vector<Dot>& dots, const BoxPoints& points) {
     for (std::size_t i = 0; i < dots.size(); ++i) {
         double nearest_m = std::numeric_limits<double>::max();
         for (const glm::dvec3& real_m : points.real_m)
@@ -157,25 +158,25 @@ void set_errors(std::vector<Dot>& dots, const BoxPoints& points) {
 
 /// Draws an actor in some frames, as the sensor sees it. Returns nothing if it has too
 /// few real points.
-std::optional<ReportFigure> sensor_strip(ScanRenderer& renderer, const Run& run, const Config& config,
-                                         const ActorScore& actor) {
+std::optional<ReportFigure> draw_sensor_strip(ScanRenderer& renderer, const Run& run, const Config& config,
+                                              const ActorScore& actor) {
     const BoxTrack* box = find_box(run.sequence, actor.track);
     if (!box) return std::nullopt;
     std::vector<std::vector<Dot>> real, simulated, errors;
     std::size_t n = 0;
     for (const int position : run.split.test) {
         const Frame& frame = run.sequence.frames[std::size_t(position)];
-        if (real.size() == kFrames || frame.scan.range_m.empty() || !box->present(frame.time_s)) continue;
+        if (real.size() == kFrames || frame.scan.range_m.empty() || !box->is_present(frame.time_s)) continue;
         const BoxPoints points = collect_box_points(renderer, run, config, frame, *box);
         if (points.real_m.empty() && points.simulated_m.empty()) continue;
         const glm::dvec3 sensor_m = run.sequence.world_from_sensor(frame.lidar).at(frame.time_s).translation;
         const glm::dvec2 seen_from(inverse(box->world_from_box.at(frame.time_s)) * sensor_m);
         const glm::dvec2 direction = -seen_from / std::max(glm::length(seen_from), 1e-6);
         n += points.real_m.size();
-        real.push_back(dots_of(points.real_m, direction));
-        simulated.push_back(dots_of(points.simulated_m, direction));
+        real.push_back(project_points_to_dots(points.real_m, direction));
+        simulated.push_back(project_points_to_dots(points.simulated_m, direction));
         errors.push_back(simulated.back());
-        set_errors(errors.back(), points);
+        set_dot_errors(errors.back(), points);
     }
     if (real.empty() || n < real.size() * kFewestPoints) return std::nullopt;
     const double radius_m = 0.5 * std::hypot(box->size_m.x, box->size_m.y);
@@ -203,8 +204,8 @@ std::optional<ReportFigure> draw_walking_strip(Device& device, const Run& run) {
     for (const Frame* frame : walk.frames) {
         const BoxPoints points = collect_box_points(renderer, run, config, *frame, *walk.box);
         n += points.real_m.size();
-        real.push_back(dots_of(points.real_m, to_the_left));
-        simulated.push_back(dots_of(points.simulated_m, to_the_left));
+        real.push_back(project_points_to_dots(points.real_m, to_the_left));
+        simulated.push_back(project_points_to_dots(points.simulated_m, to_the_left));
     }
     if (n < kFrames * kFewestPoints) return std::nullopt;
     const glm::dvec2 half_m(0.5 * walk.box->size_m.x, 0.5 * walk.box->size_m.z);
@@ -219,14 +220,15 @@ std::optional<ReportFigure> draw_walking_strip(Device& device, const Run& run) {
          {"simulated", draw_panels(simulated, half_m, -half, half, "turbo")}}};
 }
 
-std::vector<ReportFigure> worst_actor_strips(Device& device, const Run& run, const Evaluation& evaluation) {
+std::vector<ReportFigure> draw_worst_actor_strips(Device& device, const Run& run,
+                                                  const Evaluation& evaluation) {
     constexpr std::size_t kMost = 3;
     const Config config = make_picture_config(run);
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     std::vector<ReportFigure> figures;
     for (const ActorScore& actor : evaluation.actors) {
         if (figures.size() == kMost) break;
-        if (std::optional<ReportFigure> figure = sensor_strip(renderer, run, config, actor))
+        if (std::optional<ReportFigure> figure = draw_sensor_strip(renderer, run, config, actor))
             figures.push_back(std::move(*figure));
     }
     return figures;
@@ -238,7 +240,8 @@ void write_actor_strips(const std::filesystem::path& folder, Device& device, con
     const Config config = make_picture_config(run);
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     for (std::size_t i = 0; i < std::min(kMost, evaluation.actors.size()); ++i) {
-        const std::optional<ReportFigure> figure = sensor_strip(renderer, run, config, evaluation.actors[i]);
+        const std::optional<ReportFigure> figure =
+            draw_sensor_strip(renderer, run, config, evaluation.actors[i]);
         if (!figure) continue;
         std::vector<Image> images;
         for (const auto& [caption, image] : figure->images) images.push_back(image);

@@ -27,9 +27,10 @@ std::optional<ReportFigure> draw_walking_strip(Device& device, const Run& run);
 /// from the nearest real point. Actors with fewer than 20 real points per frame are left
 /// out.
 /// @param run run whose log is loaded with the scans of the held-out frames
-std::vector<ReportFigure> worst_actor_strips(Device& device, const Run& run, const Evaluation& evaluation);
+std::vector<ReportFigure> draw_worst_actor_strips(Device& device, const Run& run,
+                                                  const Evaluation& evaluation);
 
-/// Writes the figures of worst_actor_strips() for at most 20 actors as
+/// Writes the figures of draw_worst_actor_strips() for at most 20 actors as
 /// FOLDER/actor_TRACK.png.
 void write_actor_strips(const std::filesystem::path& folder, Device& device, const Run& run,
                         const Evaluation& evaluation);

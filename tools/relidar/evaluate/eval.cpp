@@ -105,7 +105,7 @@ void open_page(const std::filesystem::path& page, const Report& report, bool qui
 /// Returns a note that explains what the scores of an edited run mean.
 std::string describe_edits(const Run& run) {
     if (run.edits.empty()) return "";
-    if (is_recastable(run))
+    if (can_recast_scans(run))
         return "note: the synthetic street was rendered again with the run's edits and without noise; "
                "the scores edited/* use only the pixels that the edits change\n";
     return "note: the run is edited, but the log shows the scene before the edits; the scores of changed "
@@ -113,15 +113,16 @@ std::string describe_edits(const Run& run) {
 }
 
 /// Adds scores of only those pixels that an edit has changed.
-/// @param before exact scan of the street without the edit
-void add_edited_scores(ScoredFrame& frame, const Config& config, const Scan& before) {
-    frame.metrics.merge(evaluate_regions(frame.rendered.image, frame.real,
-                                         {find_edited_region(frame.real, make_real_image(config, before))}));
+/// @param original_scan exact scan of the street without the edit
+void add_edited_scores(ScoredFrame& frame, const Config& config, const Scan& original_scan) {
+    frame.metrics.merge(
+        evaluate_regions(frame.rendered.image, frame.real,
+                         {find_edited_region(frame.real, make_real_image(config, original_scan))}));
 }
 
 /// Keeps only the frames that this process scores. The other MPI processes score the
 /// remaining frames.
-void keep_rank_share(std::vector<int>& positions, const Ranks& ranks) {
+void select_rank_positions(std::vector<int>& positions, const Ranks& ranks) {
     const ProcessGroup::Share share = ranks.group().share(positions.size());
     positions = {positions.begin() + std::ptrdiff_t(share.begin),
                  positions.begin() + std::ptrdiff_t(share.end)};
@@ -131,7 +132,7 @@ void keep_rank_share(std::vector<int>& positions, const Ranks& ranks) {
 /// scans exactly.
 /// @return exact scans of the street before the edits; empty for other logs
 std::vector<Scan> attach_test_scans(Run& run, const Sequence& log) {
-    if (is_recastable(run)) return attach_recast(run);
+    if (can_recast_scans(run)) return attach_exact_scans(run);
     attach_scans(run, run.split.test, log);
     return {};
 }
@@ -143,7 +144,7 @@ void score_run(const EvalOptions& options, const Ranks& ranks, const std::string
     if (ranks.is_first() && options.out.empty() && is_run(options.target)) lock.emplace(options.target);
     std::vector<std::string> used = list_rendering_settings();
     used.insert(used.end(), {"dataset."});
-    check_sets(options.sets, used, "eval");
+    check_setting_names(options.sets, used, "eval");
     Run run = load_run(options.target);
     apply_options(run.config, options);
     run.config = use_farthest_return(std::move(run.config), run.sequence);
@@ -153,7 +154,7 @@ void score_run(const EvalOptions& options, const Ranks& ranks, const std::string
         options.pictures, ranks);
     check_held_out(run.split, run.folder.string());
     const std::vector<int> all_test = run.split.test;
-    keep_rank_share(run.split.test, ranks);
+    select_rank_positions(run.split.test, ranks);
     Device device(make_device_options(options.device));
     const Sequence log = load_dataset(run.config, options.quiet);
     const std::vector<Scan> before = attach_test_scans(run, log);
@@ -164,16 +165,16 @@ void score_run(const EvalOptions& options, const Ranks& ranks, const std::string
     Progress progress(options.quiet);
     std::optional<Evaluation> baseline;
     if (!options.baseline.empty())
-        baseline = joined(evaluate_baseline(options.baseline, run.config, run.sequence, run.split,
-                                            stop_on_interrupt(progress)),
-                          ranks);
+        baseline = gather_evaluation(evaluate_baseline(options.baseline, run.config, run.sequence, run.split,
+                                                       stop_on_interrupt(progress)),
+                                     ranks);
     ScanRenderer renderer(device, run);
     std::size_t n_seen = 0;
     const auto see = [&](ScoredFrame& frame) {
         if (!before.empty()) add_edited_scores(frame, run.config, before[n_seen++]);
         output.draw(frame, run.config);
     };
-    Evaluation evaluation = joined(
+    Evaluation evaluation = gather_evaluation(
         evaluate_frames(renderer, run.config, run.sequence, run.split.test, stop_on_interrupt(progress), see),
         ranks);
     if (!ranks.is_first()) return;
@@ -189,7 +190,7 @@ void score_run(const EvalOptions& options, const Ranks& ranks, const std::string
     }
     if (!options.open) return;
     Report report = make_evaluation_report(run, evaluation, device, command_line);
-    for (ReportFigure& strip : worst_actor_strips(device, run, evaluation))
+    for (ReportFigure& strip : draw_worst_actor_strips(device, run, evaluation))
         report.figures.push_back(std::move(strip));
     open_page(output.file.parent_path() / "evaluation.html", report, options.quiet);
 }
@@ -203,7 +204,7 @@ const std::vector<std::string> kBaselineSettings = {
 
 /// Scores a baseline on a log. A baseline needs neither a trained run nor a GPU.
 void score_log(const EvalOptions& options, const Ranks& ranks) {
-    check_sets(options.sets, kBaselineSettings, "eval LOG --baseline");
+    check_setting_names(options.sets, kBaselineSettings, "eval LOG --baseline");
     Config config = make_preset("default");
     apply_options(config, options);
     config.dataset.path = make_dataset_absolute(options.target);
@@ -215,13 +216,13 @@ void score_log(const EvalOptions& options, const Ranks& ranks) {
     config = use_farthest_return(std::move(config), log);
     Split split = split_frames(log, config.dataset.test_every, config.dataset.test_frames);
     check_held_out(split, options.target);
-    keep_rank_share(split.test, ranks);
+    select_rank_positions(split.test, ranks);
 
     catch_interrupts();
     const auto start = std::chrono::steady_clock::now();
     Progress progress(options.quiet);
     const auto see = [&](const ScoredFrame& frame) { output.draw(frame, config); };
-    const Evaluation evaluation = joined(
+    const Evaluation evaluation = gather_evaluation(
         evaluate_baseline(options.baseline, config, log, split, stop_on_interrupt(progress), see), ranks);
     if (ranks.is_first())
         write_results(output, evaluation, config, {"", "none", 0, measure_seconds_since(start)},

@@ -32,7 +32,7 @@ std::string format_metric_table(const Evaluation& evaluation, const Evaluation* 
 /// Collects the scores of all MPI processes in the first process.
 /// @return in the first process, the scores of all frames, without the images of other
 /// processes; in the other processes, `local`
-Evaluation joined(const Evaluation& local, const Ranks& ranks);
+Evaluation gather_evaluation(const Evaluation& local, const Ranks& ranks);
 
 /// Returns the scored frames as JSON objects. Each object contains the frame number,
 /// LiDAR, time, number of rays, render time, metrics, and the scores of each moving box.

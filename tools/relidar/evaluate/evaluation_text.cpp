@@ -76,7 +76,7 @@ Json make_protocol_json(const Config& config) {
         {"drop_threshold", {{"peer", 0.4}, {"strict", 0.5}, {"regions", 0.5}}}};
 }
 
-bool is_of_protocol(const std::string& name) {
+bool is_protocol_metric(const std::string& name) {
     return name.starts_with("peer/") || name.starts_with("strict/") || name.starts_with("points/") ||
            name.starts_with("actors/") || name.starts_with("classes/");
 }
@@ -102,7 +102,7 @@ Json make_actors_json(const std::vector<ActorScore>& actors) {
 }
 
 std::string format_cell(const MetricRow& row, const std::string& name) {
-    return row.contains(name) ? number(row.at(name)) : "-";
+    return row.contains(name) ? format_short_number(row.at(name)) : "-";
 }
 
 Rows make_protocol_rows(const Evaluation& evaluation, const Evaluation* baseline) {
@@ -111,10 +111,11 @@ Rows make_protocol_rows(const Evaluation& evaluation, const Evaluation* baseline
     if (spread) rows.back().insert(rows.back().end(), {"lowest", "highest"});
     if (baseline) rows.back().push_back(baseline->title);
     for (const auto& [name, mean_value] : evaluation.mean) {
-        if (!is_of_protocol(name)) continue;
-        rows.push_back({name, number(mean_value)});
+        if (!is_protocol_metric(name)) continue;
+        rows.push_back({name, format_short_number(mean_value)});
         const auto [low, high] = find_spread(evaluation, name);
-        if (spread) rows.back().insert(rows.back().end(), {number(low), number(high)});
+        if (spread)
+            rows.back().insert(rows.back().end(), {format_short_number(low), format_short_number(high)});
         if (baseline) rows.back().push_back(format_cell(baseline->mean, name));
     }
     return rows;
@@ -125,7 +126,7 @@ Rows make_region_rows(const Evaluation& evaluation) {
     for (const char* column : kColumns) rows.back().emplace_back(column);
     std::set<std::string> regions;
     for (const auto& [name, value] : evaluation.mean)
-        if (!is_of_protocol(name)) regions.insert(name.substr(0, name.find('/')));
+        if (!is_protocol_metric(name)) regions.insert(name.substr(0, name.find('/')));
     for (const std::string& region : regions) {
         rows.push_back({region});
         for (const char* column : kColumns)
@@ -192,10 +193,11 @@ std::string format_metric_table(const Evaluation& evaluation, const Evaluation* 
             rows.push_back({name, "no weights"});
             rows.back().resize(rows.front().size());
         }
-    std::string text =
-        format_score_summary(evaluation) + "\n" + table(rows) + "\n" + table(make_region_rows(evaluation));
-    if (baseline) text += "\n" + table(make_region_rows(*baseline));
-    if (const Rows actors = make_actor_rows(evaluation); actors.size() > 1) text += "\n" + table(actors);
+    std::string text = format_score_summary(evaluation) + "\n" + format_table(rows) + "\n" +
+                       format_table(make_region_rows(evaluation));
+    if (baseline) text += "\n" + format_table(make_region_rows(*baseline));
+    if (const Rows actors = make_actor_rows(evaluation); actors.size() > 1)
+        text += "\n" + format_table(actors);
     return text + fmt::format("\npeer     {}\nstrict   {}\npoints   {}\nregions  {}\nactors   {}\n", kPeer,
                               kStrict, kPoints, kRegions, kActors);
 }

@@ -30,7 +30,7 @@ void add_frames(std::vector<ScoredFrame>& frames, const std::string& text) {
 
 }  // namespace
 
-Evaluation joined(const Evaluation& local, const Ranks& ranks) {
+Evaluation gather_evaluation(const Evaluation& local, const Ranks& ranks) {
     if (ranks.size() == 1) return local;
     const std::vector<std::string> all = ranks.gather(make_frames_json(local).dump());
     if (!ranks.is_first()) return local;

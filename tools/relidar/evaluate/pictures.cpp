@@ -23,7 +23,8 @@ std::vector<float> combine_values(std::vector<float> first, const std::vector<fl
     return first;
 }
 
-std::vector<float> distance(const std::vector<float>& first, const std::vector<float>& second) {
+std::vector<float> compute_absolute_differences(const std::vector<float>& first,
+                                                const std::vector<float>& second) {
     std::vector<float> result(first.size());
     for (std::size_t i = 0; i < first.size(); ++i) result[i] = std::abs(first[i] - second[i]);
     return result;
@@ -39,7 +40,8 @@ std::vector<ReportFigure> make_comparison_figures(const ScoredFrame& frame, cons
         combine_values(select_returned_pixels(real), select_returned_pixels(rendered));
     const auto error = [&](const std::vector<float>& first, const std::vector<float>& second, float scale,
                            const std::vector<float>& shown) {
-        return apply_colour_map(distance(first, second), real.rows, real.columns, 0.0f, scale, "heat", shown);
+        return apply_colour_map(compute_absolute_differences(first, second), real.rows, real.columns, 0.0f,
+                                scale, "heat", shown);
     };
     ReportFigure drops{title + ": ray drop", {{real_caption + ", white: dropped", draw_drop_picture(real)}}};
     if (const auto* of_surfels = find_values<float>(frame.rendered.channels, "surfel_drop_prob")) {

@@ -19,7 +19,7 @@ ReportView compare_points(const ScoredFrame& frame, const Config& config, const 
     ReportCloud measured{real_name, {}, {}, {}}, simulated{"simulated", {}, {}, {}};
     for (std::size_t i = 0; i < range_m.size(); ++i) {
         const bool has_real = real.range_m[i] > 0.0f,
-                   has_simulated = returned(rendered.drop_prob[i], range_m[i]);
+                   has_simulated = is_returned(rendered.drop_prob[i], range_m[i]);
         const Pose& sensor_from_firing = sensor.at(i);
         const float error_m = has_real && has_simulated ? range_m[i] - real.range_m[i]
                                                         : std::numeric_limits<float>::quiet_NaN();

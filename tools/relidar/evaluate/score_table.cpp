@@ -107,7 +107,7 @@ std::string format_markdown(const std::vector<ScoredRun>& runs) {
     const std::vector<std::string> metrics = list_table_metrics(mean_row);
     const auto line = [&](Cells cells, const MetricRow& values) {
         for (const std::string& name : metrics)
-            cells.push_back(values.contains(name) ? number(values.at(name)) : "-");
+            cells.push_back(values.contains(name) ? format_short_number(values.at(name)) : "-");
         return format_markdown_line(cells);
     };
     Cells head{"run", "log", "held-out frames", "training s"}, rule{"---", "---", "--:", "--:"};
@@ -115,10 +115,10 @@ std::string format_markdown(const std::vector<ScoredRun>& runs) {
     rule.resize(head.size(), "--:");
     std::string text = format_markdown_line(head) + format_markdown_line(rule);
     for (const ScoredRun& run : runs)
-        text += run.mean.empty()
-                    ? line({run.name, "no scores", "-", number(run.training_s)}, {})
-                    : line({run.name, run.log, fmt::format("{}", run.n_frames), number(run.training_s)},
-                           run.mean);
+        text += run.mean.empty() ? line({run.name, "no scores", "-", format_short_number(run.training_s)}, {})
+                                 : line({run.name, run.log, fmt::format("{}", run.n_frames),
+                                         format_short_number(run.training_s)},
+                                        run.mean);
     if (rows.size() > 1) text += line({fmt::format("mean of {} runs", rows.size()), "", "", ""}, mean_row);
     const std::string note = make_protocol_note(runs);
     return note.empty() ? text : text + "\n" + note + "\n";

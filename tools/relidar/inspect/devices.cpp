@@ -67,7 +67,7 @@ void print_table(const std::vector<DeviceInfo>& devices) {
         if (d.why_not_usable.empty() && !d.float_atomics)
             notes += "\n   no float atomics: gradients are added with compare-and-swap, which is slower";
     }
-    print(table(rows) + notes + "\n");
+    print(format_table(rows) + notes + "\n");
 }
 
 }  // namespace

@@ -25,14 +25,14 @@ struct InfoOptions {
     bool all = false;
 };
 
-void show_run(const InfoOptions& options) {
+void print_run_info(const InfoOptions& options) {
     const RunSummary summary = summarise(load_run(options.path));
     print(options.json ? to_json(summary) : to_text(summary));
 }
 
 /// Prints how many training iterations are finished, if the run has not saved a scene
 /// yet.
-void show_unfinished(const std::filesystem::path& folder) {
+void print_unfinished_run_info(const std::filesystem::path& folder) {
     const Config config = load_saved_config(folder / "config.toml");
     print(fmt::format(
         "{}: {}, at iteration {} of {}; no scene has been saved yet; log {}\n", folder.string(),
@@ -42,11 +42,11 @@ void show_unfinished(const std::filesystem::path& folder) {
         print(fmt::format("continue with: relidar train --resume {}\n", quote_shell_word(folder.string())));
 }
 
-void show_log(const InfoOptions& options) {
+void print_log_info(const InfoOptions& options) {
     // Maximum number of scans to read per LiDAR, because a bag of one hour has 36,000
     // scans.
     constexpr std::size_t kMostScans = 64;
-    Config config = resolve(options.settings);
+    Config config = resolve_settings(options.settings);
     config.dataset.path = options.path;
     apply_log_part(config, options.part);
     LogSummary summary =
@@ -78,13 +78,14 @@ void add_info(CLI::App& app, Call& call) {
     command->callback([&call, options] {
         call.run = [options] {
             const bool is_of_run = is_run(options->path) || contains_run(options->path);
-            check_sets(options->settings.sets,
-                       is_of_run ? std::vector<std::string>{}
-                                 : std::vector<std::string>{"dataset.", "sensor.rolling_shutter", "init."},
-                       is_of_run ? "info RUN" : "info");
-            if (is_run(options->path)) show_run(*options);
-            else if (contains_run(options->path)) show_unfinished(options->path);
-            else show_log(*options);
+            check_setting_names(options->settings.sets,
+                                is_of_run
+                                    ? std::vector<std::string>{}
+                                    : std::vector<std::string>{"dataset.", "sensor.rolling_shutter", "init."},
+                                is_of_run ? "info RUN" : "info");
+            if (is_run(options->path)) print_run_info(*options);
+            else if (contains_run(options->path)) print_unfinished_run_info(options->path);
+            else print_log_info(*options);
         };
     });
 }

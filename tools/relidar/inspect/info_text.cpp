@@ -64,11 +64,11 @@ std::string format_box_notes(const std::vector<BoxSummary>& boxes) {
     return text;
 }
 
-std::string format_box_table(const std::vector<BoxSummary>& boxes, bool of_run) {
+std::string format_box_table(const std::vector<BoxSummary>& boxes, bool is_run) {
     if (boxes.empty()) return "";
     std::vector<std::vector<std::string>> rows{
         {"track", "class", "length", "width", "height", "frames", "path", "speed", "start x,y,z,yaw_deg"}};
-    if (of_run) rows[0].insert(rows[0].end(), {"instance", "surfels"});
+    if (is_run) rows[0].insert(rows[0].end(), {"instance", "surfels"});
     for (const BoxSummary& b : boxes) {
         rows.push_back({b.id, format_class(b), fmt::format("{:.2f} m", b.size_m.x),
                         fmt::format("{:.2f} m", b.size_m.y), fmt::format("{:.2f} m", b.size_m.z),
@@ -77,11 +77,11 @@ std::string format_box_table(const std::vector<BoxSummary>& boxes, bool of_run) 
                         b.moves ? fmt::format("{:.1f} m/s", b.mean_speed_mps) : "parked",
                         fmt::format("{:.2f},{:.2f},{:.2f},{:.1f}", b.start_m.x, b.start_m.y, b.start_m.z,
                                     b.start_yaw_deg)});
-        if (of_run)
+        if (is_run)
             rows.back().insert(rows.back().end(), {b.instance ? fmt::format("{}", *b.instance) : "-",
                                                    b.instance ? fmt::format("{}", b.n_surfels) : "-"});
     }
-    return "\n" + table(rows) + format_box_notes(boxes);
+    return "\n" + format_table(rows) + format_box_notes(boxes);
 }
 
 Json json_of(const BoxSummary& box) {
@@ -147,7 +147,7 @@ BoxSummary summarise(const Sequence& sequence, const BoxTrack& box) {
     summary.size_guess = box.size_guess;
     summary.n_unlabelled_frames = box.n_before + box.n_after;
     for (const Frame& frame : sequence.frames) {
-        if (!box.present(frame.time_s)) continue;
+        if (!box.is_present(frame.time_s)) continue;
         if (summary.n_frames++ == 0) summary.first_frame = frame.index;
         summary.last_frame = frame.index;
     }
@@ -156,15 +156,15 @@ BoxSummary summarise(const Sequence& sequence, const BoxTrack& box) {
     if (track.pose.empty()) return summary;
     const double seconds = track.time_s.back() - track.time_s.front();
     summary.mean_speed_mps = seconds > 0.0 ? summary.path_m / seconds : 0.0;
-    summary.moves = box.moves();
+    summary.moves = box.is_moving();
     const glm::dvec3 forward = track.pose.front().rotation * glm::dvec3(1, 0, 0);
     summary.start_m = track.pose.front().translation + sequence.world_offset_m;
     summary.start_yaw_deg = std::atan2(forward.y, forward.x) * 180.0 / kPi;
     return summary;
 }
 
-LidarSummary summarise(const Sequence& sequence, int which) {
-    const Lidar& lidar = sequence.lidars[std::size_t(which)];
+LidarSummary summarise(const Sequence& sequence, int lidar_index) {
+    const Lidar& lidar = sequence.lidars[std::size_t(lidar_index)];
     const SpinningSensor& sensor = lidar.sensor;
     LidarSummary l{lidar.name,
                    sensor.name,
@@ -190,7 +190,7 @@ LidarSummary summarise(const Sequence& sequence, int which) {
         l.top_deg = std::asin(double(highest.z)) * 180.0 / kPi;
     }
     for (const Frame& frame : sequence.frames) {
-        if (frame.lidar != which) continue;
+        if (frame.lidar != lidar_index) continue;
         ++l.n_frames;
         for (const SecondReturn& f : frame.scan.second_returns)
             l.n_second_returns += std::size_t(
@@ -199,7 +199,7 @@ LidarSummary summarise(const Sequence& sequence, int which) {
     return l;
 }
 
-std::string text_of(const LidarSummary& summary) {
+std::string format_summary_text(const LidarSummary& summary) {
     const std::string name =
         summary.name.empty() ? "" : fmt::format("{}, {} frames, ", summary.name, summary.n_frames);
     const std::string second =
@@ -214,12 +214,13 @@ std::string text_of(const LidarSummary& summary) {
         summary.period_s, summary.max_range_m, second);
 }
 
-std::string text_of(const LogSummary& log, bool of_run) {
+std::string format_summary_text(const LogSummary& log, bool is_run) {
     std::string text = format_line("log", log.name) + format_line("source", log.source) +
                        format_line("conventions", log.conventions);
     for (const std::string& note : log.notes) text += format_line("note", note);
     const char* shutter = log.rolling_shutter ? ", rolling shutter" : ", no rolling shutter";
-    for (const LidarSummary& lidar : log.lidars) text += format_line("sensor", text_of(lidar) + shutter);
+    for (const LidarSummary& lidar : log.lidars)
+        text += format_line("sensor", format_summary_text(lidar) + shutter);
     text += format_line("frames", fmt::format("{} ({} to {}), {:.1f} s, {:.1f} m driven", log.n_frames,
                                               log.first_frame, log.last_frame, log.seconds, log.path_m));
     if (log.returns_share)
@@ -233,7 +234,7 @@ std::string text_of(const LogSummary& log, bool of_run) {
     text += format_line("boxes", fmt::format("{}: {} moving, {} parked", log.boxes.size(), n_moving,
                                              std::ssize(log.boxes) - n_moving));
     text += format_line("masked", log.masked);
-    return text + format_box_table(log.boxes, of_run);
+    return text + format_box_table(log.boxes, is_run);
 }
 
 }  // namespace
@@ -298,11 +299,12 @@ RunSummary summarise(const Run& run) {
     return summary;
 }
 
-std::string to_text(const LogSummary& log) { return text_of(log, false); }
+std::string to_text(const LogSummary& log) { return format_summary_text(log, false); }
 
 std::string to_text(const RunSummary& run) {
-    const std::string other =
-        run.primitive == ImageModel{}.primitive ? "" : fmt::format(" {}", kind_of(run.primitive).label);
+    const std::string other = run.primitive == ImageModel{}.primitive
+                                  ? ""
+                                  : fmt::format(" {}", get_primitive_kind(run.primitive).label);
     std::string text = format_line("surfels", fmt::format("{}{}", run.n_surfels, other));
     if (run.n_blocks > 0)
         text += format_line(
@@ -322,14 +324,14 @@ std::string to_text(const RunSummary& run) {
                                              run.test_frames.size(), fmt::join(run.test_frames, ", ")));
     std::vector<std::vector<std::string>> rows{{"file", "size"}};
     for (const auto& [name, size] : run.files) rows.push_back({name, format_byte_size(size)});
-    return text + text_of(run.log, true) + "\n" + table(rows);
+    return text + format_summary_text(run.log, true) + "\n" + format_table(rows);
 }
 
 std::string to_json(const LogSummary& log) { return dump_json(json_of(log)); }
 
 std::string to_json(const RunSummary& run) {
     Json json = {{"preset", run.preset},           {"iterations", run.iterations},
-                 {"surfels", run.n_surfels},       {"primitive", kind_of(run.primitive).name},
+                 {"surfels", run.n_surfels},       {"primitive", get_primitive_kind(run.primitive).name},
                  {"models", Json::array()},        {"train_frames", run.n_train},
                  {"test_frames", run.test_frames}, {"files", Json::object()},
                  {"log", json_of(run.log)}};

@@ -18,7 +18,7 @@ struct BoxSummary {
     std::size_t n_frames = 0;  ///< Number of frames of the log in which the box is present.
     int first_frame = 0, last_frame = 0;
     double path_m = 0.0, mean_speed_mps = 0.0;
-    bool moves = false;  ///< See BoxTrack::moves().
+    bool moves = false;  ///< See BoxTrack::is_moving().
     /// Position of the box centre when the box first appears. It is given in the world
     /// frame of the dataset.
     glm::dvec3 start_m{0.0};

@@ -74,7 +74,8 @@ void list_sensors() {
              rays.divergence_rad > 0.0f ? fmt::format("{:.1f} mrad", 1e3 * double(rays.divergence_rad)) : "-",
              sensor.about});
     }
-    print(table(rows) + "\nAngles are in degrees; left and up are positive. A divergence of - is unknown.\n");
+    print(format_table(rows) +
+          "\nAngles are in degrees; left and up are positive. A divergence of - is unknown.\n");
 }
 
 void describe_sensor(const SensorsOptions& options) {
@@ -99,7 +100,7 @@ void describe_sensor(const SensorsOptions& options) {
                             fmt::format("{:.4f} m", beam.origin_up_m),
                             fmt::format("{:.4f} m", beam.origin_left_m)});
         }
-        print("\n" + table(rows));
+        print("\n" + format_table(rows));
     }
     if (!options.out.empty()) {
         write_png(options.out, draw_ray_picture(rays), {{"relidar", fmt::format("rays of {}", sensor.name)}});

@@ -25,7 +25,8 @@ void add_setting_list(CLI::App& list, Call& call) {
         "mine.toml");
     command->callback([&call, settings, all] {
         call.run = [settings, all] {
-            print(*all ? to_toml(resolve(*settings)) : to_short_toml(resolve(*settings)));
+            print(*all ? to_toml(resolve_settings(*settings))
+                       : to_toml_without_defaults(resolve_settings(*settings)));
         };
     });
 }

@@ -63,12 +63,12 @@ void convert_to_packets(const Sequence& sequence, const ConvertOptions& options)
 }
 
 void run_convert(const ConvertOptions& options) {
-    check_sets(options.settings.sets, {"dataset.", "sensor.rolling_shutter"}, "convert");
+    check_setting_names(options.settings.sets, {"dataset.", "sensor.rolling_shutter"}, "convert");
     check_packet_target(options.packets);
     const bool writes_packets = std::filesystem::path(options.out).extension() == ".pcap";
     if (!options.packets.address.empty() && !writes_packets)
         throw UsageError(fmt::format("--udp: found --out {}; expected --out FILE.pcap", options.out));
-    Config config = resolve(options.settings);
+    Config config = resolve_settings(options.settings);
     config.dataset.path = options.dataset;
     if (!options.frames.empty()) {
         const FrameRange range = parse_frames(options.frames);

@@ -28,7 +28,7 @@ struct ExportOptions {
     bool quiet = false;
 };
 
-std::string sizes(const Scene& scene) {
+std::string format_scene_sizes(const Scene& scene) {
     return fmt::format("{} surfels, {} model{}", count_surfels(scene), scene.models.size(),
                        scene.models.size() == 1 ? "" : "s");
 }
@@ -52,7 +52,8 @@ void export_frames(const ExportOptions& options) {
         stop_if_interrupted();
         progress.count("writing scenes", done, positions.size());
         const Frame& frame = run.sequence.frames[std::size_t(positions[done])];
-        const Surfels surfels = freeze(scene, place_instances(scene, run.sequence, get_sweep_moment(frame)));
+        const Surfels surfels =
+            bake_instances(scene, place_instances(scene, run.sequence, get_sweep_moment(frame)));
         write_surfel_ply(folder.path() / fmt::format("{:06}.ply", frame.index), surfels,
                          {{"time_s", fmt::format("{}", frame.time_s)},
                           {"add_to_positions_m", fmt::format("{} {} {}", offset.x, offset.y, offset.z)}});
@@ -86,7 +87,7 @@ void run_export(const ExportOptions& options) {
     if (*format == ".ply") write_surfel_ply(out, load_all_blocks(run.scene));
     else write_trajectory(out, make_sensor_path(run.sequence));
     const std::string written = *format == ".ply"
-                                    ? sizes(run.scene)
+                                    ? format_scene_sizes(run.scene)
                                     : fmt::format("{} poses", run.sequence.world_from_vehicle.pose.size());
     if (!options.quiet) print(fmt::format("{}: {}\n", make_absolute_path(options.out), written));
 }

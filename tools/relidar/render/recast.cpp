@@ -48,13 +48,13 @@ std::vector<StreetCar> list_cars(const Run& run) {
 
 }  // namespace
 
-bool is_recastable(const Run& run) {
+bool can_recast_scans(const Run& run) {
     if (run.edits.empty()) return false;
     const std::string& path = run.config.dataset.path;
     return path.starts_with(kKind) || std::filesystem::exists(get_street_folder(run) / "street.toml");
 }
 
-std::vector<Scan> attach_recast(Run& run) {
+std::vector<Scan> attach_exact_scans(Run& run) {
     const SyntheticOptions street = read_synthetic(get_street_folder(run));
     const std::vector<StreetCar> cars = list_cars(run);
     const RayTable rays = make_rays(run.sequence.lidars[0].sensor);
@@ -71,10 +71,10 @@ std::vector<Scan> attach_recast(Run& run) {
     return before;
 }
 
-Region find_edited_region(const RangeImage& edited, const RangeImage& before) {
+Region find_edited_region(const RangeImage& edited, const RangeImage& original) {
     Region region{"edited", std::vector<bool>(edited.range_m.size())};
     for (std::size_t i = 0; i < region.pixels.size(); ++i)
-        region.pixels[i] = std::abs(edited.range_m[i] - before.range_m[i]) > kSameRange_m;
+        region.pixels[i] = std::abs(edited.range_m[i] - original.range_m[i]) > kSameRange_m;
     return region;
 }
 

@@ -91,7 +91,7 @@ Pose parse_offset(const std::string& text) {
 std::vector<std::string> parse_formats(const std::string& list) {
     const std::vector<std::string> known_formats = list_scan_formats();
     std::vector<std::string> formats;
-    for (const std::string& word : split(list, ',')) {
+    for (const std::string& word : split_text(list, ',')) {
         const std::string name = remove_blanks(word);
         const std::optional<std::string> format = find_known_name(name, known_formats);
         if (!format)
@@ -253,7 +253,7 @@ Output make_output(const RenderOptions& options, const Run& run, const std::vect
     std::vector<ScanFormat> sensors;
     if (!ranks.is_first()) ranks.wait_for_all();
     const auto add = [&](const std::filesystem::path& folder, const ScanFormat& format) {
-        if (!ranks.is_first()) return output.folders.push_back(ScanFolder::joining(folder, format));
+        if (!ranks.is_first()) return output.folders.push_back(ScanFolder::open_shared(folder, format));
         if (folder != options.out) check_empty(folder, options), std::filesystem::create_directories(folder);
         output.folders.emplace_back(folder, format);
     };
@@ -274,7 +274,7 @@ Output make_output(const RenderOptions& options, const Run& run, const std::vect
 }
 
 /// Writes the list of scans of all MPI processes, and completes the recordings.
-void finish(Output& output, const Ranks& ranks, bool quiet) {
+void finish_rendering(Output& output, const Ranks& ranks, bool quiet) {
     if (output.recordings) output.recordings->finish();
     if (output.sender) {
         const std::string sent = output.sender->finish();
@@ -284,10 +284,10 @@ void finish(Output& output, const Ranks& ranks, bool quiet) {
         std::vector<std::string> entries;
         for (const std::string& of_one : ranks.gather(fmt::format("{}", fmt::join(folder.entries(), "\n"))))
             if (!of_one.empty())
-                for (const std::string& entry : split(of_one, '\n')) entries.push_back(entry);
+                for (const std::string& entry : split_text(of_one, '\n')) entries.push_back(entry);
         folder.set_entries(std::move(entries));
         if (ranks.is_first()) folder.finish();
-        if (!quiet) note_unseen(folder.entries(), folder.path().string());
+        if (!quiet) note_unseen_regions(folder.entries(), folder.path().string());
     }
 }
 
@@ -354,7 +354,7 @@ private:
 
     void count(const RenderedScan& scan) {
         for (std::size_t i = 0; i < scan.image.range_m.size(); ++i)
-            n_returns_ += returned(scan.image.drop_prob[i], scan.image.range_m[i]);
+            n_returns_ += is_returned(scan.image.drop_prob[i], scan.image.range_m[i]);
         if (!scan.unseen_share) return;
         has_seen_share_ = true;
         n_unseen_ += *scan.unseen_share * double(scan.image.range_m.size());
@@ -376,11 +376,11 @@ void run_render(const RenderOptions& typed_options) {
     // Only the first MPI process locks the folder, because the destructor may remove the
     // folder.
     if (ranks.is_first()) folder.emplace(options.out);
-    check_sets(options.sets, list_rendering_settings(), "render");
+    check_setting_names(options.sets, list_rendering_settings(), "render");
     Run run = load_run(options.run);
     apply_setting_texts(run.config, options.sets);
     run.config = use_farthest_return(std::move(run.config), run.sequence);
-    if (options.channels) set_key(run.config, "render.channels", *options.channels);
+    if (options.channels) set_config_value(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;
     const int lidar = find_lidar(run.sequence, options.lidar);
     const std::vector<Sweep> sweeps =
@@ -389,18 +389,19 @@ void run_render(const RenderOptions& typed_options) {
     const std::vector<bool> shown = select_instances(run.scene, options.only);
     Device device(make_device_options(options.device));
     ScanRenderer renderer(device, run);
-    if (!options.only.empty()) renderer.show_only(shown);
-    if (options.boxes) renderer.compute_views();
+    if (!options.only.empty()) renderer.set_visible_instances(shown);
+    if (options.boxes) renderer.enable_actor_views();
     renderer.set_weather(parse_weather(options.weather));
     Output output = make_output(options, run, targets, offset, ranks);
 
     if (options.sample && run.sequence.lidars[std::size_t(lidar)].range_noise.sigma_m.empty() &&
         !options.quiet)
         note(fmt::format("{} has no range noise: sampled ranges are exact", run.folder.string()));
-    if (options.sample && !options.quiet) note_unscattered(run, lidar);
+    if (options.sample && !options.quiet) note_unscattered_intensities(run, lidar);
     if (!options.quiet) note_weather(parse_weather(options.weather));
     for (const TargetSensor& w : targets)
-        if (!options.quiet) note_compensated(run, w.sensor), note_unrefined(run, renderer, w.sensor);
+        if (!options.quiet)
+            note_compensated_rays(run, w.sensor), note_unrefined_drops(run, renderer, w.sensor);
     catch_interrupts();
     Progress progress(options.quiet);
     SweepRenderer sweep_renderer(renderer, run, options, targets, offset, refine_turns(track));
@@ -411,7 +412,7 @@ void run_render(const RenderOptions& typed_options) {
                        i + 1 - share.begin, share.end - share.begin);
     }
     end_progress_line();
-    finish(output, ranks, options.quiet);
+    finish_rendering(output, ranks, options.quiet);
     if (!options.quiet) print(sweep_renderer.summary(share.end - share.begin, sweeps.size(), ranks.size()));
 }
 
@@ -512,7 +513,7 @@ void add_render(CLI::App& app, Call& call) {
     command->add_flag("--no-refine", options->no_refine,
                       "use the ray-drop of the surfels, without the run's network");
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer(files_help() + make_channels_help() + make_sensor_file_help() +
+    command->footer(make_files_help() + make_channels_help() + make_sensor_file_help() +
                     "\n"
                     "Examples:\n"
                     "  relidar render run --out scans\n"

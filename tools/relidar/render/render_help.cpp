@@ -7,7 +7,7 @@
 
 namespace relidar::cli {
 
-std::string files_help() {
+std::string make_files_help() {
     return R"(Files are named DIR/frame_000123.npz and so on, by the dataset's frame number; with --trajectory
 they are counted from 0. DIR/scans.json holds run, sensor, offset, poses, times and settings, and
 `unseen`: the share of rays that cross mainly space that the log has not seen. `unseen_sides`: sides

@@ -7,7 +7,7 @@
 namespace relidar::cli {
 
 /// Returns the description of the output files.
-std::string files_help();
+std::string make_files_help();
 /// Returns the help text of the option --channels.
 std::string make_channels_help();
 

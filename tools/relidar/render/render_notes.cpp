@@ -11,7 +11,7 @@
 
 namespace relidar::cli {
 
-void note_compensated(const Run& run, const SensorChoice& sensor) {
+void note_compensated_rays(const Run& run, const SensorChoice& sensor) {
     if (run.config.sensor.rolling_shutter != RollingShutter::automatic ||
         has_rolling_shutter(sensor, run.config))
         return;
@@ -21,7 +21,7 @@ void note_compensated(const Run& run, const SensorChoice& sensor) {
                     sensor.name));
 }
 
-void note_unrefined(const Run& run, const ScanRenderer& renderer, const SensorChoice& sensor) {
+void note_unrefined_drops(const Run& run, const ScanRenderer& renderer, const SensorChoice& sensor) {
     if (!run.config.refine.enabled || run.drop_network.empty() || renderer.refines(sensor)) return;
     note(
         fmt::format("the ray-drop network of {} needs {} images of at least {} x {} pixels; scans of {} "
@@ -30,7 +30,7 @@ void note_unrefined(const Run& run, const ScanRenderer& renderer, const SensorCh
                     run.drop_network.smallest_side(), sensor.name));
 }
 
-void note_unscattered(const Run& run, int lidar) {
+void note_unscattered_intensities(const Run& run, int lidar) {
     const auto at = std::size_t(lidar);
     if (at < run.intensity_scatter.size() && !run.intensity_scatter[at].empty()) return;
     note(fmt::format("{} has no intensity noise: sampled intensities are the most likely values",
@@ -73,7 +73,7 @@ void note_sides(const std::vector<nlohmann::json>& scans, const std::string& fol
 
 }  // namespace
 
-void note_unseen(const std::vector<std::string>& entries, const std::string& folder) {
+void note_unseen_regions(const std::vector<std::string>& entries, const std::string& folder) {
     std::vector<nlohmann::json> scans;
     for (const std::string& entry : entries) scans.push_back(nlohmann::json::parse(entry));
     note_sides(scans, folder, "unseen_sides", "pass through them");

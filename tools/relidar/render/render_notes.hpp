@@ -12,14 +12,14 @@ namespace relidar::cli {
 
 /// Prints a note if the log is motion-compensated. In this case, scans of the log's
 /// sensor are rendered without rolling shutter.
-void note_compensated(const Run& run, const SensorChoice& sensor);
+void note_compensated_rays(const Run& run, const SensorChoice& sensor);
 
 /// Prints a note if the ray-drop network of the run cannot process scans of this sensor.
-void note_unrefined(const Run& run, const ScanRenderer& renderer, const SensorChoice& sensor);
+void note_unrefined_drops(const Run& run, const ScanRenderer& renderer, const SensorChoice& sensor);
 
 /// Prints a note if the rendered intensities have no noise, because the noise of this
 /// LiDAR's intensities was not measured.
-void note_unscattered(const Run& run, int lidar);
+void note_unscattered_intensities(const Run& run, int lidar);
 
 /// Prints a note with the sensor properties that the weather simulation assumes.
 void note_weather(const Weather& weather);
@@ -28,6 +28,6 @@ void note_weather(const Weather& weather);
 /// observed. Prints another note about rays that hit a side of an actor that the log has
 /// not observed.
 /// @param entries entries of scans.json
-void note_unseen(const std::vector<std::string>& entries, const std::string& folder);
+void note_unseen_regions(const std::vector<std::string>& entries, const std::string& folder);
 
 }  // namespace relidar::cli

@@ -27,7 +27,7 @@ struct Steps {
 };
 
 Steps parse_times(const std::string& text) {
-    const std::vector<std::string> words = split(text, ':');
+    const std::vector<std::string> words = split_text(text, ':');
     if (words.size() != 3)
         throw UsageError(fmt::format(
             "--times: found \"{}\"; expected FIRST:LAST:STEP in seconds, for example 2:4:0.05", text));

@@ -82,11 +82,11 @@ void run_view(const ViewOptions& options) {
     // Checks the address of the server before the run is loaded, because loading takes a
     // long time.
     const view::ServerOptions server_settings = make_server_options(options);
-    check_sets(options.sets, list_rendering_settings(), "view");
+    check_setting_names(options.sets, list_rendering_settings(), "view");
     Run run = load_run(options.run);
     apply_setting_texts(run.config, options.sets);
     run.config = use_farthest_return(std::move(run.config), run.sequence);
-    if (options.channels) set_key(run.config, "render.channels", *options.channels);
+    if (options.channels) set_config_value(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;
     std::optional<OutputFolder> made;  // Removes the folder at exit if it is still empty.
     if (!options.save_to.empty()) made.emplace(options.save_to);

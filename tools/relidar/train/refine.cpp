@@ -32,7 +32,7 @@ struct RefineOptions {
 
 /// Loads the checkpoint from which training resumes.
 /// @return no value if training starts from the beginning
-std::optional<Checkpoint> find_start(const RefineOptions& options) {
+std::optional<Checkpoint> load_resume_checkpoint(const RefineOptions& options) {
     const std::filesystem::path folder = get_network_checkpoint_folder(options.run);
     if (!options.resume) {
         if (!list_checkpoints(folder).empty())
@@ -75,7 +75,7 @@ void train_network(Device& device, Run& run, const RefineOptions& options, const
 
 /// Renders and scores the held-out frames of a run.
 /// @param refined if true, applies the ray-drop network
-Evaluation score(Device& device, Run run, bool refined, bool quiet) {
+Evaluation score_held_out_frames(Device& device, Run run, bool refined, bool quiet) {
     run.config.refine.enabled = refined;
     ScanRenderer renderer(device, run);
     Progress progress(quiet);
@@ -85,8 +85,8 @@ Evaluation score(Device& device, Run run, bool refined, bool quiet) {
 /// Scores the run without and with the ray-drop network. Prints both scores and writes
 /// the scores with the network to metrics.json.
 void score_with_and_without_network(Device& device, const Run& run, const RefineOptions& options) {
-    const Evaluation before = score(device, run, false, options.quiet),
-                     after = score(device, run, true, options.quiet);
+    const Evaluation before = score_held_out_frames(device, run, false, options.quiet),
+                     after = score_held_out_frames(device, run, true, options.quiet);
     end_progress_line();
     write_text(run.folder / "metrics.json",
                make_metrics_json(
@@ -100,11 +100,11 @@ void run_refine(const RefineOptions& options) {
     std::optional<FolderLock> lock;
     if (is_run(options.run)) lock.emplace(options.run);
     Run run = load_run(options.run);
-    const std::optional<Checkpoint> start = find_start(options);
+    const std::optional<Checkpoint> start = load_resume_checkpoint(options);
     if (start) restore_refine_settings(*start, run.config);
     std::vector<std::string> used = list_rendering_settings();
     used.insert(used.end(), {"dataset.", "refine.", "train.seed", "train.checkpoint_minutes"});
-    check_sets(options.sets, used, "refine");
+    check_setting_names(options.sets, used, "refine");
     apply_setting_texts(run.config, options.sets);
     run.config = use_farthest_return(std::move(run.config), run.sequence);
     run.config.refine.enabled = true;

@@ -75,16 +75,16 @@ TrainOptions resolve_options(TrainOptions options) {
 
 /// Returns the settings of a training. A resumed training uses its saved settings, unless
 /// --preset or --config is given.
-Config start_settings(const TrainOptions& options) {
+Config make_start_config(const TrainOptions& options) {
     const fs::path saved = fs::path(options.out) / kConfigFile;
-    if (!options.resume || options.from_preset || !is_file(saved)) return resolve(options.settings);
+    if (!options.resume || options.from_preset || !is_file(saved)) return resolve_settings(options.settings);
     Config config = load_saved_config(saved);
     apply_setting_texts(config, options.settings.sets);
     return config;
 }
 
-Config config_of(const TrainOptions& options) {
-    Config config = start_settings(options);
+Config make_training_config(const TrainOptions& options) {
+    Config config = make_start_config(options);
     if (const fs::path saved = fs::path(options.out) / kConfigFile;
         options.resume && config.dataset.max_range_m == 0.0 && is_file(saved))
         // A maximum range of 0 means automatic. The resumed training uses the range that
@@ -95,9 +95,9 @@ Config config_of(const TrainOptions& options) {
     apply_log_part(config, options.part);
     if (std::string length = options.blocks; !length.empty()) {
         if (length.ends_with('m')) length.pop_back();
-        set_key(config, "blocks.length_m", length);
+        set_config_value(config, "blocks.length_m", length);
     }
-    if (!options.seed.empty()) set_key(config, "train.seed", options.seed);
+    if (!options.seed.empty()) set_config_value(config, "train.seed", options.seed);
     return config;
 }
 
@@ -148,7 +148,7 @@ bool has_scene(const fs::path& folder, const Config& config) {
 
 /// Loads the checkpoint from which training resumes.
 /// @return no value if training starts from the beginning
-std::optional<Checkpoint> find_start(const TrainOptions& options) {
+std::optional<Checkpoint> load_resume_checkpoint(const TrainOptions& options) {
     const fs::path folder = options.out;
     std::optional<Checkpoint> start = load_newest_checkpoint(get_checkpoint_folder(folder), note);
     if (start) return start;
@@ -161,7 +161,8 @@ std::optional<Checkpoint> find_start(const TrainOptions& options) {
     return std::nullopt;
 }
 
-void announce(const Sequence& sequence, const Split& split, const Device& device, const Checkpoint* start) {
+void report_training_start(const Sequence& sequence, const Split& split, const Device& device,
+                           const Checkpoint* start) {
     print(fmt::format("log     {}: {} frames, {} for training, {} held out\ndevice  {} ({})\n", sequence.name,
                       sequence.frames.size(), split.train.size(), split.test.size(), device.info().name,
                       device.traversal() == Traversal::software ? "software traversal" : "ray query"));
@@ -213,7 +214,7 @@ void complete_with_hint(Device& device, Run& run, const TrainOptions& options, S
 
 /// Scores the held-out frames and writes the scores to metrics.json.
 /// @return an empty evaluation if the log has no held-out frames
-Evaluation score(Device& device, const Run& run, const TrainOptions& options) {
+Evaluation score_held_out_frames(Device& device, const Run& run, const TrainOptions& options) {
     if (run.split.test.empty() || options.no_eval) return {};
     ScanRenderer renderer(device, run);
     Progress progress(options.quiet);
@@ -236,8 +237,8 @@ Evaluation score(Device& device, const Run& run, const TrainOptions& options) {
 
 /// Writes the report. If the training was not interrupted, also computes the scores and
 /// writes them.
-void finish(Device& device, const Run& run, const TrainResult& result, const TrainOptions& options,
-            const std::string& command_line, StageTimes& stages) {
+void finish_training(Device& device, const Run& run, const TrainResult& result, const TrainOptions& options,
+                     const std::string& command_line, StageTimes& stages) {
     stages.begin("report");
     Report report = make_report(run, result, device, command_line);
     if (result.interrupted) {
@@ -251,10 +252,10 @@ void finish(Device& device, const Run& run, const TrainResult& result, const Tra
                 make_resume_command(options)));
     }
     stages.begin("evaluate");
-    const Evaluation evaluation = score(device, run, options);
+    const Evaluation evaluation = score_held_out_frames(device, run, options);
     stages.begin("report");
     add_evaluation(report, evaluation, run, {"held out", "real"});
-    for (ReportFigure& strip : worst_actor_strips(device, run, evaluation))
+    for (ReportFigure& strip : draw_worst_actor_strips(device, run, evaluation))
         report.figures.push_back(std::move(strip));
     if (std::optional<ReportFigure> strip = draw_walking_strip(device, run))
         report.figures.push_back(std::move(*strip));
@@ -340,7 +341,7 @@ void finish_scene(const TrainOptions& options, const Config& config, const std::
     attach_scans(run, run.split.train, log);
     attach_scans(run, run.split.test, log);
     if (!options.quiet) {
-        announce(run.sequence, run.split, device, nullptr);
+        report_training_start(run.sequence, run.split, device, nullptr);
         print("resume  after the last iteration\n");
     }
     catch_interrupts();
@@ -351,7 +352,7 @@ void finish_scene(const TrainOptions& options, const Config& config, const std::
     else if (config.refine.enabled) refine_with_hint(device, run, options, stages);
     TrainResult result = read_logged_result(run.folder);
     result.peak_device_bytes = device.peak_bytes();
-    finish(device, run, result, options, command_line, stages);
+    finish_training(device, run, result, options, command_line, stages);
 }
 
 /// Removes old files from the folder of a run before its training starts or resumes.
@@ -378,7 +379,7 @@ void run_train(const TrainOptions& typed_options, const std::string& command_lin
     TrainOptions options = resolve_options(typed_options);
     options.quiet = options.quiet || !ranks.is_first();
     options.device = ranks.device(options.device);
-    Config config = config_of(options);
+    Config config = make_training_config(options);
     if (options.resume && !options.force && is_finished(options.out, config)) {
         check_unchanged(options.out, config);
         if (!options.quiet)
@@ -402,14 +403,14 @@ void run_train(const TrainOptions& typed_options, const std::string& command_lin
                                     : options.force ? Existing::replace
                                                     : Existing::refuse);
     if (resume && in_blocks) check_trained_blocks(options.out, config);
-    std::optional<Checkpoint> start = resume && !in_blocks ? find_start(options) : std::nullopt;
+    std::optional<Checkpoint> start = resume && !in_blocks ? load_resume_checkpoint(options) : std::nullopt;
     Device device(make_device_options(options.device));
     StageTimes stages;
     stages.begin("read");
     Sequence sequence = load_dataset(config, options.quiet);
     config = use_farthest_return(std::move(config), sequence);
     const Split split = split_frames(sequence, config.dataset.test_every, config.dataset.test_frames);
-    if (!options.quiet) announce(sequence, split, device, start ? &*start : nullptr);
+    if (!options.quiet) report_training_start(sequence, split, device, start ? &*start : nullptr);
 
     catch_interrupts();
     prepare_log_with_progress(sequence, split, config, options.quiet, ranks.group(), &stages);
@@ -424,12 +425,12 @@ void run_train(const TrainOptions& typed_options, const std::string& command_lin
     if (!ranks.is_first()) return;
     end_progress_line();
     start.reset();
-    if (!in_blocks) move_result(run, result);
+    if (!in_blocks) move_result_into_run(run, result);
     stages.begin("save");
     save_run(run);
     if (!result.interrupted) complete_with_hint(device, run, options, stages);
     if (config.refine.enabled && !result.interrupted) refine_with_hint(device, run, options, stages);
-    finish(device, run, result, options, command_line, stages);
+    finish_training(device, run, result, options, command_line, stages);
 }
 
 void add_resume_option(CLI::App& command, const std::shared_ptr<TrainOptions>& options) {

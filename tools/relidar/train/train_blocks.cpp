@@ -161,7 +161,7 @@ private:
             remove_checkpoints(get_checkpoint_folder(folder));
             return false;
         }
-        tell(index, log);
+        report_block(index, log);
         const auto start = Clock::now();
         try {
             TrainResult result = train(log, folder);
@@ -169,7 +169,7 @@ private:
             total_.add(result);
             save(index, std::move(log), folder, result);
         } catch (const Error& error) {
-            throw Error(error.code(), kept(fmt::format("{}: {}", get_name(index), error.what())));
+            throw Error(error.code(), add_resume_hint(fmt::format("{}: {}", get_name(index), error.what())));
         }
         seconds_ += std::chrono::duration<double>(Clock::now() - start).count();
         ++trained_;
@@ -191,13 +191,13 @@ private:
                 throw Error(ExitCode::interrupted,
                             "interrupted while actors were trained in front of the joined background");
         } catch (const Error& error) {
-            throw Error(error.code(), kept(error.what()));
+            throw Error(error.code(), add_resume_hint(error.what()));
         }
         end_progress_line();
     }
 
     /// Appends the command that resumes the training to an error message.
-    std::string kept(const std::string& description) const {
+    std::string add_resume_hint(const std::string& description) const {
         return fmt::format("{}; the trained blocks are kept; continue with: {}", description, how_.resume);
     }
 
@@ -207,7 +207,7 @@ private:
 
     void save(std::size_t index, BlockLog log, const fs::path& folder, TrainResult& result) const {
         Run part{folder, log.config, std::move(log.sequence), log.split, {}, {}};
-        move_result(part, result);
+        move_result_into_run(part, result);
         remove_overlap_surfels(part.scene, run_.sequence, blocks_, index);
         save_run(part);
         remove_checkpoints(get_checkpoint_folder(folder));
@@ -224,7 +224,7 @@ private:
                                                        result.iterations, log.config.train.iterations));
     }
 
-    void tell(std::size_t index, const BlockLog& log) const {
+    void report_block(std::size_t index, const BlockLog& log) const {
         if (how_.quiet) return;
         const double left_s =
             trained_ > 0 ? seconds_ / double(trained_) * double(blocks_.size() - index) : 0.0;

@@ -56,10 +56,10 @@ public:
             "without it",
             path_.string()));
     }
-    void finish(const std::vector<TrainProgress>& all) {
+    void finish(const std::vector<TrainProgress>& lines) {
         if (!lost_) return;
         try {
-            write_text(path_, log_text(all));
+            write_text(path_, log_text(lines));
         } catch (const DataError& error) {
             note(error.what());
         }

@@ -171,8 +171,8 @@ SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Li
     std::optional<std::array<int, 2>> halves;
     for (std::size_t at = 0; at < files.size() && !halves; ++at)
         broken.attempt(at, [&] {
-            halves = find_halves(read_sweep(files[at].path),
-                                 {lidars[0].vehicle_from_sensor, lidars[1].vehicle_from_sensor});
+            halves = find_laser_halves(read_sweep(files[at].path),
+                                       {lidars[0].vehicle_from_sensor, lidars[1].vehicle_from_sensor});
         });
     std::array<PoseTrack, 2> ways;
     for (std::size_t l = 0; l < 2; ++l) ways[l] = mount_on_track(track, lidars[l].vehicle_from_sensor);
@@ -191,7 +191,7 @@ SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Li
 /// in the sweep.
 void add_sweeps(Sequence& sequence, const std::vector<SweepFile>& files, const PoseTrack& poses,
                 SweepPairs sweeps, const Progress& progress, const BrokenScans& broken) {
-    broken.tell(sequence, files.size());
+    broken.add_broken_scan_notes(sequence, files.size());
     std::vector<LidarSweep*> of_frame;
     std::size_t missing = 0;
     for (std::size_t at = 0; at < files.size(); ++at) {

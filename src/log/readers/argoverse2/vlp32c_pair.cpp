@@ -27,7 +27,7 @@ constexpr std::array<int, kLasers> kNumbers = {31, 13, 1,  17, 29, 9, 3,  21, 27
 
 double to_radians(double degrees) { return degrees * kPi / 180.0; }
 
-std::vector<Beam> nominal_beams() {
+std::vector<Beam> make_nominal_beams() {
     return std::get<SpinningSensor>(find_built_in_sensor(kName, 1, kRate_hz)->pattern).beams;
 }
 
@@ -39,8 +39,8 @@ struct LaserPlace {
 };
 std::array<LaserPlace, kLasers> make_laser_table() {
     std::array<LaserPlace, kLasers> places;
-    const std::vector<BeamFiring> firings = find_beam_firings(kName);
-    const std::vector<Beam> beams = nominal_beams();
+    const std::vector<BeamFiring> firings = get_beam_firings(kName);
+    const std::vector<Beam> beams = make_nominal_beams();
     for (std::size_t row = 0; row < firings.size(); ++row)
         places[std::size_t(kNumbers[std::size_t(firings[row].channel)])] = {
             std::uint16_t(row), 1e3 * firings[row].offset_us, beams[row].elevation_rad};
@@ -83,14 +83,14 @@ SpinningSensor make_vlp32c(bool clockwise) {
     sensor.name = "VLP-32C";
     sensor.clockwise = clockwise;
     sensor.period_s = 1.0 / kRate_hz;
-    sensor.beams = nominal_beams();  // of a head that rotates clockwise
-    const std::vector<BeamFiring> firings = find_beam_firings(kName);
+    sensor.beams = make_nominal_beams();  // of a head that rotates clockwise
+    const std::vector<BeamFiring> firings = get_beam_firings(kName);
     for (std::size_t row = 0; row < firings.size() && !clockwise; ++row)
         sensor.beams[row].azimuth_offset_rad += 2.0 * 2.0 * kPi * kRate_hz * 1e-6 * firings[row].offset_us;
     return sensor;
 }
 
-std::array<int, 2> find_halves(const RawSweep& sweep, const std::array<Pose, 2>& vehicle_from_lidar) {
+std::array<int, 2> find_laser_halves(const RawSweep& sweep, const std::array<Pose, 2>& vehicle_from_lidar) {
     const double straight =
         compute_misfit(sweep, 0, vehicle_from_lidar[0]) + compute_misfit(sweep, 1, vehicle_from_lidar[1]);
     const double crossed =
@@ -114,7 +114,7 @@ LidarSweep make_lidar_sweep(const RawSweep& raw, int half, const Lidar& lidar,
         first_pair_ns.push_back(double(raw.offset_ns[i]) - laser.after_first_ns);
     }
     if (result.points.size() == 0) return result;
-    undo_compensation(result.points, world_from_sensor, time_s);
+    undo_motion_compensation(result.points, world_from_sensor, time_s);
     const double step_rad = (lidar.sensor.clockwise ? -2.0 : 2.0) * kPi * kRate_hz * kCycle_ns * 1e-9;
     result.sweep =
         arrange_firings(result.points, compute_firing_numbers(first_pair_ns), lidar.sensor, step_rad);

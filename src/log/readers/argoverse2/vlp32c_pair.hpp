@@ -29,7 +29,7 @@ SpinningSensor make_vlp32c(bool clockwise);
 /// Finds out which LiDAR has the laser numbers 0 to 31. Returns {0, 1} for the first
 /// LiDAR and {1, 0} for the second. Compares the elevations of points with those of the
 /// lasers in both cases.
-std::array<int, 2> find_halves(const RawSweep& sweep, const std::array<Pose, 2>& vehicle_from_lidar);
+std::array<int, 2> find_laser_halves(const RawSweep& sweep, const std::array<Pose, 2>& vehicle_from_lidar);
 
 /// The points that one LiDAR measured in a sweep.
 struct LidarSweep {

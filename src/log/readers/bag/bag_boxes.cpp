@@ -49,7 +49,7 @@ private:
 
 /// Sorts box labels by time. Removes repeated labels of an object at the same time.
 /// @return number of removed labels
-std::size_t sort_labels(std::vector<BoxLabel>& labels) {
+std::size_t sort_unique_labels(std::vector<BoxLabel>& labels) {
     std::ranges::stable_sort(labels, {}, &BoxLabel::time_s);
     std::map<std::string, double> last_s;
     return std::erase_if(labels, [&](const BoxLabel& label) {
@@ -60,7 +60,7 @@ std::size_t sort_labels(std::vector<BoxLabel>& labels) {
 
 /// Gives all labels of an object its most frequent category and its median size, because
 /// object trackers change both over time.
-void unify_labels(std::vector<BoxLabel>& labels) {
+void unify_label_properties(std::vector<BoxLabel>& labels) {
     std::map<std::string, std::vector<const BoxLabel*>> things;
     for (const BoxLabel& label : labels) things[label.id].push_back(&label);
     std::map<std::string, std::pair<glm::dvec3, std::string>> settled;
@@ -93,7 +93,7 @@ public:
         return 1e-9 * double((is_recorded ? log_ns : stamp_ns) - places_.poses.zero_ns);
     }
 
-    void take(const BoxList& list, std::int64_t log_ns) {
+    void add_box_list(const BoxList& list, std::int64_t log_ns) {
         for (const Box& box : list.boxes) {
             const double t_s = seconds(box.header.stamp_ns, log_ns);
             if (box.id.empty() || !is_wanted(t_s)) continue;
@@ -115,12 +115,12 @@ public:
                 "{} boxes are skipped, because the pose of the frame '{}' in the frame '{}' is unknown at "
                 "their times",
                 n_unplaced_, make_excerpt(*unplaced_.begin()), places_.vehicle));
-        if (const std::size_t n = sort_labels(labels_); n > 0)
+        if (const std::size_t n = sort_unique_labels(labels_); n > 0)
             result.notes.push_back(
                 fmt::format("{} boxes are skipped, because another box has the same track id and the same "
                             "time",
                             n));
-        unify_labels(labels_);
+        unify_label_properties(labels_);
         result.tracks = build_tracks(labels_);
         return result;
     }
@@ -142,7 +142,8 @@ BoxTracks read_tracks(const Bag& bag, const BoxTopic& boxes, const BoxPlaces& pl
     LabelReader reader(places, times_s.front() - step_s, times_s.back() + step_s);
     for (const BoxEntry& entry : boxes.lists)
         if (reader.is_wanted(reader.seconds(entry.stamp_ns, entry.log_ns)))
-            reader.take(read_boxes(bag.topics()[boxes.topic], bag.read(entry.place).bytes), entry.log_ns);
+            reader.add_box_list(read_boxes(bag.topics()[boxes.topic], bag.read(entry.place).bytes),
+                                entry.log_ns);
     return reader.tracks();
 }
 

@@ -20,13 +20,13 @@ constexpr const char* kMetadata = "metadata.yaml";
 constexpr std::int64_t kLatest_ns = 4294967296000000000;  // latest time stamp that ROS 1 can represent
 constexpr std::array kEndings = {".mcap", ".db3", ".bag"};
 
-bool is_capture(const fs::path& file) {
-    const std::string ending = unpacked_name(file).extension().string();
+bool is_capture_file(const fs::path& file) {
+    const std::string ending = get_unpacked_name(file).extension().string();
     return ending == ".pcap" || ending == ".pcapng";
 }
 
 bool is_part(const fs::path& file) {
-    return is_capture(file) || std::ranges::find(kEndings, file.extension().string()) != kEndings.end();
+    return is_capture_file(file) || std::ranges::find(kEndings, file.extension().string()) != kEndings.end();
 }
 
 /// The fields of rosbag2's metadata.yaml that describe the files. The parser reads line
@@ -112,7 +112,7 @@ Bag::Bag(const fs::path& path, bool skip_broken) {
                 fmt::format("{}: rosbag2 has compressed this file; unpack it with `zstd -d {}` and remove "
                             ".zstd from its name in {}",
                             file.string(), file.filename().string(), kMetadata));
-        if (is_capture(file)) files_.push_back(open_pcap(file));
+        if (is_capture_file(file)) files_.push_back(open_pcap(file));
         else if (ending == ".bag") files_.push_back(open_ros1(file, skip_broken));
         else if (ending == ".db3")
             files_.push_back(open_sqlite(file, metadata.mode == "message" && metadata.compression == "zstd"));
@@ -130,7 +130,7 @@ void Bag::note(const std::string& text) {
     if (std::ranges::find(notes_, text) == notes_.end()) notes_.push_back(text);
 }
 
-void Bag::each(const Wanted& filter, const Take& callback, const Progress& progress) {
+void Bag::for_each_message(const Wanted& filter, const Take& callback, const Progress& progress) {
     for (std::size_t f = 0; f < files_.size(); ++f) {
         double told = -1.0;
         const auto done = [&](double share) {
@@ -146,7 +146,8 @@ void Bag::each(const Wanted& filter, const Take& callback, const Progress& progr
             message.place.file = std::uint32_t(f);
             callback(message);
         };
-        files_[f]->each(topics_, {filter, of_file, [&](const std::string& text) { note(text); }, done});
+        files_[f]->for_each_message(topics_,
+                                    {filter, of_file, [&](const std::string& text) { note(text); }, done});
     }
 }
 

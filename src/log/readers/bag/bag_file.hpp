@@ -69,7 +69,7 @@ private:
 class BagFile {
 public:
     virtual ~BagFile() = default;
-    /// Callbacks of each().
+    /// Callbacks of for_each_message().
     struct Pass {
         const Wanted& wanted;
         const Take& take;
@@ -78,11 +78,11 @@ public:
     };
     /// Reads all messages in file order and passes each one to `pass.take`.
     /// @throws DataError with the problem and its byte offset
-    virtual void each(TopicTable& topics, const Pass& pass) = 0;
+    virtual void for_each_message(TopicTable& topics, const Pass& pass) = 0;
     /// Reads the bytes of one message. Thread-safe.
     virtual SharedBytes read(const Place& place) const = 0;
     /// If relidar wrote the bag, returns the name of the coordinate frame of its points.
-    /// Otherwise returns an empty string. Call each() first.
+    /// Otherwise returns an empty string. Call for_each_message() first.
     virtual std::string points_in() const { return ""; }
 };
 
@@ -109,11 +109,11 @@ public:
     const std::vector<std::string>& notes() const { return notes_; }  ///< problems of the files
     const std::vector<std::filesystem::path>& files() const { return paths_; }
     /// If relidar wrote the bag, returns the name of the coordinate frame of its points.
-    /// Otherwise returns an empty string. Call each() first.
+    /// Otherwise returns an empty string. Call for_each_message() first.
     std::string points_in() const;
 
     /// Reads the messages of all files in order and passes each one to `callback`.
-    void each(const Wanted& filter, const Take& callback, const Progress& progress = {});
+    void for_each_message(const Wanted& filter, const Take& callback, const Progress& progress = {});
     /// Reads the bytes of one message. Thread-safe.
     SharedBytes read(const Place& place) const;
 

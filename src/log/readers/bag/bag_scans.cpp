@@ -118,7 +118,7 @@ Scan BagScans::rays(std::size_t frame) const {
     return clouds.packets.scan(turn, packets, lidars_[at.lidar].sensor, turn.forward_ns + shift_ns);
 }
 
-LidarTopic sample_topic(const Bag& bag, const CloudTopic& clouds, double step_s) {
+LidarTopic sample_cloud_topic(const Bag& bag, const CloudTopic& clouds, double step_s) {
     LidarTopic topic{&clouds};
     if (!clouds.packets.empty()) return topic;
     std::vector<folder::PointTable> samples;

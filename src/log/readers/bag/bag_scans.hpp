@@ -35,7 +35,7 @@ struct LidarTopic {
 };
 /// Reads a few clouds of a topic and estimates the units of their values.
 /// @param step_s  time between clouds in seconds
-LidarTopic sample_topic(const Bag& bag, const CloudTopic& clouds, double step_s);
+LidarTopic sample_cloud_topic(const Bag& bag, const CloudTopic& clouds, double step_s);
 
 /// Function that returns the pose of a LiDAR in the world frame at a time of the log.
 using LidarPose = std::function<Pose(std::size_t lidar, double time_s)>;

@@ -21,7 +21,7 @@ constexpr std::size_t kCovariance = 36, kTwist = 6 + kCovariance;  // number of 
 // maximum number of padding bytes that CDR appends after the last field
 constexpr std::size_t kPadding = 3;
 
-void pass_numbers(MessageReader& reader, std::size_t count) {
+void skip_numbers(MessageReader& reader, std::size_t count) {
     for (std::size_t i = 0; i < count; ++i) reader.number<double>();
 }
 
@@ -78,7 +78,7 @@ std::string read_class(MessageReader& reader, const DetectionLayout& layout) {
         const std::string name = layout.has_text ? std::string(reader.text())
                                                  : fmt::format("class {}", reader.number<std::int64_t>());
         const auto score = reader.number<double>();
-        pass_numbers(reader, std::tuple_size_v<PoseNumbers> + kCovariance);
+        skip_numbers(reader, std::tuple_size_v<PoseNumbers> + kCovariance);
         if (best.empty() || score > best_score) best = name, best_score = score;
     }
     return best;
@@ -187,9 +187,9 @@ BoxList read_objects(MessageReader& reader, bool is_auto) {
         reader.number<float>();  // skips the existence probability
         box.category = read_label(reader);
         box.pose = read_pose_numbers(reader);
-        pass_numbers(reader, kCovariance);
+        skip_numbers(reader, kCovariance);
         if (is_auto) reader.number<std::uint8_t>();
-        pass_numbers(reader, 2 * kTwist);  // skips twist and acceleration
+        skip_numbers(reader, 2 * kTwist);  // skips twist and acceleration
         if (!is_auto) reader.number<std::uint8_t>();
         reader.number<std::uint8_t>();  // skips the flag is_stationary
         read_shape(reader, box);

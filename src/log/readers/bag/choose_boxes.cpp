@@ -36,7 +36,7 @@ BoxChoice choose_box_topic(const Bag& bag, const Survey& survey) {
                             boxes.n_boxes));
     }
     for (const Topic& topic : bag.topics())
-        if (use_of(topic) == Use::nameless_boxes)
+        if (get_topic_use(topic) == Use::nameless_boxes)
             choice.notes.push_back(
                 fmt::format("the boxes of {} are ignored, because messages of type {} have no track ids",
                             make_excerpt(topic.name), make_excerpt(topic.type)));

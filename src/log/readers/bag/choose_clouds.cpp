@@ -75,7 +75,7 @@ std::string format_broken_topics(const Bag& bag, const Survey& survey) {
 /// Returns a score that is higher for raw measurements of a LiDAR: highest for packets,
 /// then for clouds with times, rings and return numbers, then for clouds with many
 /// points.
-double compute_rawness(const CloudTopic& clouds) {
+double score_raw_topic(const CloudTopic& clouds) {
     if (!clouds.packets.empty()) return 200.0;
     const bool timed = clouds.has_field(folder::PointValue::time);
     const bool ringed = clouds.has_field(folder::PointValue::ring);
@@ -95,7 +95,9 @@ bool is_in(const CloudTopic& clouds, const std::array<const char*, N>& frames) {
 
 /// Returns true if the clouds are in the frame of a single sensor. Clouds in the vehicle
 /// frame are usually merged from several sensors, and clouds in a world frame are maps.
-bool is_of_sensor(const CloudTopic& clouds) { return !is_in(clouds, kOfWorld) && !is_in(clouds, kOfVehicle); }
+bool is_in_sensor_frame(const CloudTopic& clouds) {
+    return !is_in(clouds, kOfWorld) && !is_in(clouds, kOfVehicle);
+}
 
 /// Throws if the frame of a topic shows that it does not contain LiDAR scans. If this is
 /// only probable, adds a note for the user.
@@ -150,16 +152,16 @@ const std::string& get_sensor(const Survey& survey, const CloudTopic& clouds) {
 }
 
 /// Selects one topic for each LiDAR: the one with the highest score for raw measurements.
-std::vector<std::size_t> guess_clouds(const Survey& survey) {
+std::vector<std::size_t> select_lidar_topics(const Survey& survey) {
     const auto has_clouds = [](const CloudTopic& c) { return !c.clouds.empty(); };
     const bool any_of_sensor = std::ranges::any_of(
-        survey.clouds, [&](const CloudTopic& c) { return has_clouds(c) && is_of_sensor(c); });
+        survey.clouds, [&](const CloudTopic& c) { return has_clouds(c) && is_in_sensor_frame(c); });
     std::map<std::string, std::size_t> best;
     for (std::size_t c = 0; c < survey.clouds.size(); ++c) {
         const CloudTopic& clouds = survey.clouds[c];
-        if (!has_clouds(clouds) || (any_of_sensor && !is_of_sensor(clouds))) continue;
+        if (!has_clouds(clouds) || (any_of_sensor && !is_in_sensor_frame(clouds))) continue;
         const auto [at, is_new] = best.try_emplace(get_sensor(survey, clouds), c);
-        if (!is_new && compute_rawness(clouds) > compute_rawness(survey.clouds[at->second])) at->second = c;
+        if (!is_new && score_raw_topic(clouds) > score_raw_topic(survey.clouds[at->second])) at->second = c;
     }
     std::vector<std::size_t> lidars;
     for (const auto& [frame, c] : best) lidars.push_back(c);
@@ -170,7 +172,7 @@ std::vector<std::size_t> guess_clouds(const Survey& survey) {
 std::size_t choose_main_lidar(const Survey& survey, const std::vector<std::size_t>& lidars) {
     const auto most = std::ranges::max_element(lidars, {}, [&](std::size_t c) {
         const CloudTopic& clouds = survey.clouds[c];
-        return std::pair(compute_rawness(clouds) >= 100.0,
+        return std::pair(score_raw_topic(clouds) >= 100.0,
                          double(clouds.compute_median_points()) * double(clouds.clouds.size()));
     });
     return std::size_t(most - lidars.begin());
@@ -180,7 +182,7 @@ std::size_t choose_main_lidar(const Survey& survey, const std::vector<std::size_
 
 CloudChoice choose_clouds(const Bag& bag, const Survey& survey, const std::vector<std::string>& topics) {
     CloudChoice choice;
-    choice.lidars = topics.empty() ? guess_clouds(survey) : find_clouds_of_topics(bag, survey, topics);
+    choice.lidars = topics.empty() ? select_lidar_topics(survey) : find_clouds_of_topics(bag, survey, topics);
     if (choice.lidars.empty())
         throw DataError(
             fmt::format("{}: the recording has no point clouds{}, expected a topic of "
@@ -194,7 +196,7 @@ CloudChoice choose_clouds(const Bag& bag, const Survey& survey, const std::vecto
         const std::string& name = bag.topics()[clouds.topic].name;
         const double rate = estimate_rate(survey, clouds) / std::max(estimate_rate(survey, main), 1e-9);
         std::string why;
-        if (&clouds != &main && !survey.frames.fixed(main.frame, clouds.frame))
+        if (&clouds != &main && !survey.frames.find_constant_pose(main.frame, clouds.frame))
             why = fmt::format("/tf_static has no transform between its frame '{}' and the frame '{}'",
                               clouds.frame, main.frame);
         else if (&clouds != &main && !(rate >= kLeastRate && rate <= kMostRate))

@@ -29,7 +29,7 @@ std::string find_vehicle_frame(const FrameTree& frames, const std::vector<std::s
                                const std::string& outer) {
     for (const std::string& frame : chain) {
         if (frame == outer) break;
-        if (frames.moves(frame)) return frame;
+        if (frames.is_moving(frame)) return frame;
     }
     return chain.front();
 }
@@ -37,7 +37,7 @@ std::string find_vehicle_frame(const FrameTree& frames, const std::vector<std::s
 bool has_moving_transform_between(const FrameTree& frames, const std::vector<std::string>& chain,
                                   const std::string& outer) {
     const auto end = std::ranges::find(chain, outer);
-    return std::any_of(chain.begin(), end, [&](const std::string& frame) { return frames.moves(frame); });
+    return std::any_of(chain.begin(), end, [&](const std::string& frame) { return frames.is_moving(frame); });
 }
 
 PoseSource make_frame_source(const FrameTree& frames, const std::vector<std::string>& chain,
@@ -55,7 +55,7 @@ PoseSource make_topic_source(const Bag& bag, const FrameTree& frames, const Pose
                              const std::string& lidar, std::vector<std::string>& notes) {
     PoseSource source{topic.parent, &topic, topic.child.empty() ? "base_link" : topic.child, {}};
     const std::string& name = bag.topics()[topic.topic].name;
-    if (!frames.fixed(source.vehicle, lidar)) {
+    if (!frames.find_constant_pose(source.vehicle, lidar)) {
         notes.push_back(
             fmt::format("/tf_static has no transform between '{}' and '{}', so the poses of {} are used as "
                         "poses of the LiDAR",
@@ -95,9 +95,9 @@ std::optional<PoseSource> find_named_source(const Bag& bag, const Survey& survey
         known.empty() ? "the recording has no poses" : fmt::format("{}", fmt::join(known, ", "))));
 }
 
-std::optional<PoseSource> guess_source(const Bag& bag, const Survey& survey,
-                                       const std::vector<std::string>& chain,
-                                       std::vector<std::string>& notes) {
+std::optional<PoseSource> select_pose_source(const Bag& bag, const Survey& survey,
+                                             const std::vector<std::string>& chain,
+                                             std::vector<std::string>& notes) {
     const std::string outer = std::ranges::find(chain, "map") != chain.end() ? "map" : chain.back();
     if (has_moving_transform_between(survey.frames, chain, outer))
         return make_frame_source(survey.frames, chain, outer);
@@ -115,7 +115,8 @@ PosePath make_path(const Survey& survey, const PoseSource& source, Clock clock, 
     return path;
 }
 
-std::size_t count_covered(const CloudTopic& clouds, const PosePath& path, Clock clock, std::int64_t zero_ns) {
+std::size_t count_clouds_with_pose(const CloudTopic& clouds, const PosePath& path, Clock clock,
+                                   std::int64_t zero_ns) {
     return std::size_t(std::ranges::count_if(clouds.clouds, [&](const CloudEntry& cloud) {
         return path.covers(1e-9 * double(cloud.time_ns(clock) - zero_ns));
     }));
@@ -134,7 +135,7 @@ PoseChoice choose_poses(const Bag& bag, const Survey& survey, const CloudTopic& 
     PoseChoice choice;
     const std::vector<std::string> way = survey.frames.find_path_to_root(main.frame);
     std::optional<PoseSource> source = find_named_source(bag, survey, way, make_pose_topic, choice.notes);
-    if (!source) source = guess_source(bag, survey, way, choice.notes);
+    if (!source) source = select_pose_source(bag, survey, way, choice.notes);
     const bool has_stamps =
         std::ranges::any_of(main.clouds, [](const CloudEntry& cloud) { return cloud.stamp_ns != 0; });
     if (!has_stamps) {
@@ -148,11 +149,11 @@ PoseChoice choose_poses(const Bag& bag, const Survey& survey, const CloudTopic& 
     choice.world = source->outer;
     choice.vehicle = source->vehicle;
     choice.about = source->about;
-    const std::size_t n = count_covered(main, *choice.path, choice.clock, choice.zero_ns);
+    const std::size_t n = count_clouds_with_pose(main, *choice.path, choice.clock, choice.zero_ns);
     if (choice.clock == Clock::recorder || 2 * n >= main.clouds.size()) return choice;
     const std::int64_t zero_ns = get_first_time(main, Clock::recorder);
     PosePath recorded = make_path(survey, *source, Clock::recorder, zero_ns);
-    const std::size_t n_recorded = count_covered(main, recorded, Clock::recorder, zero_ns);
+    const std::size_t n_recorded = count_clouds_with_pose(main, recorded, Clock::recorder, zero_ns);
     if (n_recorded <= n) return choice;
     choice.notes.push_back(
         fmt::format("the stamps of clouds and poses come from different clocks (only {} of {} clouds have "

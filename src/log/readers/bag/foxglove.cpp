@@ -134,7 +134,7 @@ Cloud read_cloud_message(std::string_view bytes) {
     return cloud;
 }
 
-Transform transform_of(pbf_reader reader) {
+Transform read_frame_transform(pbf_reader reader) {
     Transform transform;
     glm::dvec4 translation(0.0), rotation(0.0, 0.0, 0.0, 1.0);
     while (reader.next()) {
@@ -191,14 +191,14 @@ Cube read_cube(pbf_reader reader) {
 
 /// Reads a foxglove.KeyValuePair. Returns its value, or an empty string if it has another
 /// key.
-std::string value_of(pbf_reader reader, std::string_view wanted) {
+std::string read_value_of_key(pbf_reader reader, std::string_view wanted_key) {
     std::string key, value;
     while (reader.next()) {
         if (reader.tag_and_type() == tag_and_type(1, kBytes)) key = reader.get_string();
         else if (reader.tag_and_type() == tag_and_type(2, kBytes)) value = reader.get_string();
         else reader.skip();
     }
-    return key == wanted ? value : "";
+    return key == wanted_key ? value : "";
 }
 
 /// Reads a scene entity. If it consists of exactly one cube, adds it to the list as a
@@ -218,7 +218,7 @@ void add_entity(BoxList& list, pbf_reader reader) {
                 box.id = reader.get_string();
                 break;
             case tag_and_type(6, kBytes):
-                if (const std::string category = value_of(reader.get_message(), "category");
+                if (const std::string category = read_value_of_key(reader.get_message(), "category");
                     !category.empty())
                     box.category = category;
                 break;
@@ -268,7 +268,7 @@ std::vector<Transform> read_foxglove_transforms(std::string_view bytes) {
         std::vector<Transform> transforms;
         pbf_reader reader(bytes.data(), bytes.size());
         while (reader.next(1, protozero::pbf_wire_type::length_delimited))
-            transforms.push_back(transform_of(reader.get_message()));
+            transforms.push_back(read_frame_transform(reader.get_message()));
         return transforms;
     } catch (const protozero::exception& error) {
         throw DataError(fmt::format("{}, expected foxglove.FrameTransforms in protobuf", error.what()));

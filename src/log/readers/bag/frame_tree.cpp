@@ -49,7 +49,7 @@ bool PosePath::covers(double t_s) const {
     });
 }
 
-bool PosePath::moves() const {
+bool PosePath::is_moving() const {
     return std::ranges::any_of(links_, [](const PoseTrack& link) { return link.pose.size() > 1; });
 }
 
@@ -64,7 +64,8 @@ void FrameTree::add(const Transform& transform, std::int64_t log_ns, bool is_sta
     link.samples.push_back({transform.header.stamp_ns, log_ns, transform.parent_from_child});
 }
 
-const std::pair<const std::string, FrameTree::Link>* FrameTree::link(const std::string& frame) const {
+const std::pair<const std::string, FrameTree::Link>* FrameTree::find_parent_link(
+    const std::string& frame) const {
     const auto known = parents_.find(frame);
     if (known == parents_.end()) return nullptr;
     return &*std::ranges::max_element(known->second, {},
@@ -74,20 +75,22 @@ const std::pair<const std::string, FrameTree::Link>* FrameTree::link(const std::
 std::vector<std::string> FrameTree::find_path_to_root(const std::string& frame) const {
     std::vector<std::string> way{frame};
     while (way.size() < kDeepest) {
-        const auto* up = link(way.back());
+        const auto* up = find_parent_link(way.back());
         if (!up || std::ranges::find(way, up->first) != way.end()) break;
         way.push_back(up->first);
     }
     return way;
 }
 
-bool FrameTree::moves(const std::string& frame) const {
-    const auto* up = link(frame);
+bool FrameTree::is_moving(const std::string& frame) const {
+    const auto* up = find_parent_link(frame);
     return up && !up->second.is_static && up->second.changes;
 }
 
-std::optional<Pose> FrameTree::fixed(const std::string& to, const std::string& from) const {
-    const std::vector<std::string> way_to = find_path_to_root(to), way_from = find_path_to_root(from);
+std::optional<Pose> FrameTree::find_constant_pose(const std::string& target_frame,
+                                                  const std::string& source_frame) const {
+    const std::vector<std::string> way_to = find_path_to_root(target_frame),
+                                   way_from = find_path_to_root(source_frame);
     const auto common = std::ranges::find_first_of(way_from, way_to);
     if (common == way_from.end()) return std::nullopt;
     // Multiplies the transforms from a frame up to the common ancestor of both frames.
@@ -96,8 +99,8 @@ std::optional<Pose> FrameTree::fixed(const std::string& to, const std::string& f
         Pose pose;
         for (const std::string& frame : way) {
             if (frame == *common) return pose;
-            if (moves(frame)) return std::nullopt;
-            pose = link(frame)->second.samples.back().pose * pose;
+            if (is_moving(frame)) return std::nullopt;
+            pose = find_parent_link(frame)->second.samples.back().pose * pose;
         }
         return std::nullopt;
     };
@@ -111,19 +114,22 @@ PosePath FrameTree::path(const std::string& outer, const std::string& frame, Clo
     const std::vector<std::string> way = find_path_to_root(frame);
     PosePath path;
     for (std::size_t k = std::size_t(std::ranges::find(way, outer) - way.begin()); k-- > 0;) {
-        const Link& up = link(way[k])->second;
-        if (moves(way[k])) path.add(up.samples, clock, zero_ns);
+        const Link& up = find_parent_link(way[k])->second;
+        if (is_moving(way[k])) path.add(up.samples, clock, zero_ns);
         else path.add(up.samples.back().pose);
     }
     return path;
 }
 
-std::optional<FramesApart> FrameTree::find_relative_poses(const std::string& to, const std::string& from,
-                                                          Clock clock, std::int64_t zero_ns) const {
-    const std::vector<std::string> way_to = find_path_to_root(to), way_from = find_path_to_root(from);
+std::optional<FramesApart> FrameTree::find_relative_poses(const std::string& target_frame,
+                                                          const std::string& source_frame, Clock clock,
+                                                          std::int64_t zero_ns) const {
+    const std::vector<std::string> way_to = find_path_to_root(target_frame),
+                                   way_from = find_path_to_root(source_frame);
     const auto common = std::ranges::find_first_of(way_from, way_to);
     if (common == way_from.end()) return std::nullopt;
-    return FramesApart{path(*common, to, clock, zero_ns), path(*common, from, clock, zero_ns)};
+    return FramesApart{path(*common, target_frame, clock, zero_ns),
+                       path(*common, source_frame, clock, zero_ns)};
 }
 
 std::vector<std::string> FrameTree::list_disputed_frames() const {

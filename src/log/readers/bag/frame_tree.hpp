@@ -43,7 +43,7 @@ public:
     /// Returns true if all changing transforms have samples at a time. Times up to 0.1 s
     /// before the first or after the last sample are included.
     bool covers(double t_s) const;
-    bool moves() const;
+    bool is_moving() const;
 
 private:
     /// Transforms along the path in the tree, from the ancestor frame down. A constant
@@ -67,17 +67,19 @@ public:
     /// Returns the names of a frame and of all its ancestors, up to the root of the tree.
     std::vector<std::string> find_path_to_root(const std::string& frame) const;
     /// Returns true if the pose of a frame in its parent frame changes over time.
-    bool moves(const std::string& frame) const;
-    /// Returns the pose of frame `from` in frame `to`, if it is constant. Returns nothing
+    bool is_moving(const std::string& frame) const;
+    /// Returns the pose of frame `source_frame` in frame `target_frame`, if it is constant. Returns nothing
     /// if a transform between the frames is missing or changes over time.
-    std::optional<Pose> fixed(const std::string& to, const std::string& from) const;
+    std::optional<Pose> find_constant_pose(const std::string& target_frame,
+                                           const std::string& source_frame) const;
     /// Returns the pose of a frame in its ancestor frame `outer` as a function of time.
     PosePath path(const std::string& outer, const std::string& frame, Clock clock,
                   std::int64_t zero_ns) const;
-    /// Returns the pose of frame `from` in frame `to` as a function of time. Returns
+    /// Returns the pose of frame `source_frame` in frame `target_frame` as a function of time. Returns
     /// nothing if no transforms connect the two frames.
-    std::optional<FramesApart> find_relative_poses(const std::string& to, const std::string& from,
-                                                   Clock clock, std::int64_t zero_ns) const;
+    std::optional<FramesApart> find_relative_poses(const std::string& target_frame,
+                                                   const std::string& source_frame, Clock clock,
+                                                   std::int64_t zero_ns) const;
     /// Returns the frames for which the bag has several parent frames. The tree uses the
     /// parent with the most transforms.
     std::vector<std::string> list_disputed_frames() const;
@@ -92,7 +94,7 @@ private:
     };
     std::map<std::string, std::map<std::string, Link>> parents_;  ///< by frame, then by parent
 
-    const std::pair<const std::string, Link>* link(const std::string& frame) const;
+    const std::pair<const std::string, Link>* find_parent_link(const std::string& frame) const;
 };
 
 }  // namespace relidar::bag

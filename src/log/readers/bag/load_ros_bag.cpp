@@ -69,7 +69,8 @@ public:
             deskewed_by = [&](std::size_t lidar, double t_s) { return compute_lidar_pose(lidar, t_s); };
         folder::read_scans(sequence_, head, BagScans(bag_, lidars_, frames_, poses_.clock, deskewed_by),
                            options);
-        if (has_poses_) note(place_rays(sequence_, [&](double t_s) { return compute_recentred_pose(t_s); }));
+        if (has_poses_)
+            note(correct_ray_motion(sequence_, [&](double t_s) { return compute_recentred_pose(t_s); }));
         return std::move(sequence_);
     }
 
@@ -107,7 +108,7 @@ private:
         for (const std::size_t c : clouds_.lidars) used[survey_.clouds[c].topic] = true;
         for (std::size_t t = 0; t < used.size(); ++t)
             if (has_poses_ && !used[t])
-                used[t] = use_of(bag_.topics()[t]) == Use::transforms ||
+                used[t] = get_topic_use(bag_.topics()[t]) == Use::transforms ||
                           poses_.about.ends_with(" " + bag_.topics()[t].name);
         if (boxes_.topic) used[boxes_.topic->topic] = true;
         for (const std::string& text : bag_.notes()) note(text);
@@ -152,21 +153,22 @@ private:
         std::ranges::stable_sort(all, [](const FrameCloud& first, const FrameCloud& second) {
             return first.number != second.number ? first.number < second.number : first.lidar < second.lidar;
         });
-        remove_unselected(all);
-        find_units_of(step_s);
+        remove_unselected_clouds(all);
+        estimate_point_units(step_s);
     }
 
-    void add_nearby_scans(std::vector<FrameCloud>& all, const std::vector<FrameCloud>& sweeps,
-                          std::size_t lidar, double most_s) {
+    void add_nearby_scans(std::vector<FrameCloud>& all_clouds, const std::vector<FrameCloud>& sweeps,
+                          std::size_t lidar, double max_difference_s) {
         const std::vector<CloudEntry>& clouds = get_topic(lidar).clouds;
         std::vector<double> main_s, other_s;
         for (const FrameCloud& sweep : sweeps) main_s.push_back(sweep.time_s);
         for (const CloudEntry& entry : clouds) other_s.push_back(seconds(entry));
-        const auto beside = match_sweeps(main_s, other_s, most_s);
+        const auto beside = match_sweeps(main_s, other_s, max_difference_s);
         std::size_t n_left = clouds.size();
         for (std::size_t k = 0; k < sweeps.size(); ++k) {
             if (!beside[k]) continue;
-            all.push_back({sweeps[k].number, main_s[k], other_s[*beside[k]], lidar, clouds[*beside[k]]});
+            all_clouds.push_back(
+                {sweeps[k].number, main_s[k], other_s[*beside[k]], lidar, clouds[*beside[k]]});
             --n_left;
         }
         if (n_left > 0)
@@ -174,9 +176,9 @@ private:
                              get_name(get_topic(lidar)), n_left, get_name(main())));
     }
 
-    void remove_unselected(const std::vector<FrameCloud>& all) {
+    void remove_unselected_clouds(const std::vector<FrameCloud>& all_clouds) {
         std::size_t n_unplaced = 0;
-        for (const FrameCloud& cloud : all) {
+        for (const FrameCloud& cloud : all_clouds) {
             if (cloud.number < options_.frames.begin ||
                 (options_.frames.end >= 0 && cloud.number >= options_.frames.end))
                 continue;
@@ -197,12 +199,12 @@ private:
             note(fmt::format("{} clouds are skipped, because there are no poses at their times", n_unplaced));
     }
 
-    void find_units_of(double step_s) {
+    void estimate_point_units(double step_s) {
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l) {
             const CloudTopic& clouds = get_topic(l);
             const std::size_t n_parts =
                 clouds.clouds.empty() ? 1 : std::max<std::size_t>(clouds.clouds[0].parts.size(), 1);
-            lidars_.push_back(sample_topic(bag_, clouds, step_s / double(n_parts)));
+            lidars_.push_back(sample_cloud_topic(bag_, clouds, step_s / double(n_parts)));
             if (!clouds.packets.empty()) lidars_.back().sensor = clouds.packets.sensor();
             if (!clouds.parts_about.empty()) note(get_name(clouds) + ": " + clouds.parts_about);
             if (!lidars_.back().units.about.empty())
@@ -228,7 +230,8 @@ private:
             if (lidar.sensor.beams.empty()) lidar.sensor.max_range_m = options_.max_range_m;
             if (!is_one || !options_.lidars.empty()) lidar.name = get_name(get_topic(l));
             if (!is_one)
-                lidar.vehicle_from_sensor = *survey_.frames.fixed(poses_.vehicle, get_topic(l).frame);
+                lidar.vehicle_from_sensor =
+                    *survey_.frames.find_constant_pose(poses_.vehicle, get_topic(l).frame);
             sequence_.lidars.push_back(std::move(lidar));
         }
     }
@@ -236,7 +239,7 @@ private:
     Pose read_pose_from_bag(double t_s) const {
         const Pose world_from_vehicle = poses_.path->at(t_s);
         if (clouds_.lidars.size() > 1) return world_from_vehicle;
-        return world_from_vehicle * *survey_.frames.fixed(poses_.vehicle, main().frame);
+        return world_from_vehicle * *survey_.frames.find_constant_pose(poses_.vehicle, main().frame);
     }
 
     Pose compute_lidar_pose(std::size_t lidar, double t_s) const {

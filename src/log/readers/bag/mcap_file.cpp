@@ -75,7 +75,7 @@ public:
             throw DataError(fmt::format("{}: the file does not begin like an MCAP file", file_.name()));
     }
 
-    void each(TopicTable& topics, const Pass& pass) override {
+    void for_each_message(TopicTable& topics, const Pass& pass) override {
         schemas_.clear(), channels_.clear();
         points_in_.clear();
         std::uint64_t at = kMcapMagic.size();
@@ -136,13 +136,14 @@ private:
         constexpr std::array kRead = {kMcapSchema, kMcapChannel, kMcapMessage, kMcapChunk, kMcapMetadata};
         if (std::ranges::find(kRead, code) == kRead.end()) return;
         SharedBytes body = file_.part(offset + kRecordHead, length);
-        if (code != kMcapChunk) return take({code, body.bytes}, {offset, Place::kNoChunk}, topics, pass);
+        if (code != kMcapChunk)
+            return process_mcap_record({code, body.bytes}, {offset, Place::kNoChunk}, topics, pass);
         const SharedBytes records = unpack_records_of_chunk(body);
         body = {};
         ByteReader reader(records.bytes);
         while (reader.left() > 0) {
             const std::uint64_t in_chunk = reader.at();
-            take(read_next_record(reader), {offset, in_chunk}, topics, pass);
+            process_mcap_record(read_next_record(reader), {offset, in_chunk}, topics, pass);
         }
     }
 
@@ -156,7 +157,8 @@ private:
         }
     }
 
-    void take(const McapRecord& record, const Place& place, TopicTable& topics, const Pass& pass) {
+    void process_mcap_record(const McapRecord& record, const Place& place, TopicTable& topics,
+                             const Pass& pass) {
         ByteReader reader(record.body);
         if (record.code == kMcapSchema) {
             const auto id = reader.number<std::uint16_t>();

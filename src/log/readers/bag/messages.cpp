@@ -172,7 +172,7 @@ Cloud read_point_cloud(MessageReader& reader) {
     return cloud;
 }
 
-Use use_of(const Topic& topic) {
+Use get_topic_use(const Topic& topic) {
     if (packets::has_packets(topic)) return Use::packets;
     const bool is_protobuf = topic.encoding == "protobuf";
     if (!is_protobuf && topic.encoding != "cdr" && topic.encoding != "ros1") return Use::nothing;
@@ -197,7 +197,7 @@ std::vector<Transform> read_transforms(const Topic& topic, std::string_view byte
     if (topic.encoding == "protobuf") return read_foxglove_transforms(bytes);
     MessageReader reader = make_reader(topic, bytes);
     std::vector<Transform> transforms;
-    if (use_of(topic) == Use::transforms) {
+    if (get_topic_use(topic) == Use::transforms) {
         const std::size_t n = reader.length(72);
         for (std::size_t i = 0; i < n; ++i) transforms.push_back(read_transform(reader));
     } else if (topic.type == "nav_msgs/Odometry" || topic.type == "geometry_msgs/TransformStamped") {

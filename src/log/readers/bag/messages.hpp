@@ -65,7 +65,7 @@ struct BoxList {
 /// What the messages of a topic are used for. Boxes without a track id (nameless_boxes)
 /// are not loaded, because they cannot be joined to tracks.
 enum class Use { nothing, cloud, packets, metadata, transforms, pose, boxes, nameless_boxes };
-Use use_of(const Topic& topic);
+Use get_topic_use(const Topic& topic);
 
 class MessageReader;
 /// Reads a ROS time and converts it to nanoseconds.

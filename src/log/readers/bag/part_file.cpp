@@ -37,13 +37,14 @@ void unpack_bz2(std::string_view source, std::span<char> target) {
             fmt::format("the bz2 data is damaged, expected {} bytes after unpacking", target.size()));
 }
 
-std::string reason() { return std::error_code(errno, std::generic_category()).message(); }
+std::string get_system_error_text() { return std::error_code(errno, std::generic_category()).message(); }
 
 }  // namespace
 
 PartFile::PartFile(const std::filesystem::path& path) : name_(path.string()) {
     handle_ = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
-    if (handle_ < 0) throw DataError(fmt::format("{}: cannot open the file: {}", name_, reason()));
+    if (handle_ < 0)
+        throw DataError(fmt::format("{}: cannot open the file: {}", name_, get_system_error_text()));
     struct stat status {};
     if (::fstat(handle_, &status) != 0 || !S_ISREG(status.st_mode)) {
         ::close(handle_);
@@ -66,7 +67,7 @@ SharedBytes PartFile::part(std::uint64_t offset, std::uint64_t count) const {
             if (k < 0 && errno == EINTR) continue;
             if (k <= 0)
                 throw DataError(fmt::format("cannot read {} bytes from byte {} on: {}", count, offset,
-                                            k < 0 ? reason() : "the file ends before them"));
+                                            k < 0 ? get_system_error_text() : "the file ends before them"));
             got += std::size_t(k);
         }
     });

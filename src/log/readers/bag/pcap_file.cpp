@@ -204,10 +204,10 @@ public:
         begin_ = position();
     }
 
-    void each(TopicTable& topics, const Pass& pass) override {
+    void for_each_message(TopicTable& topics, const Pass& pass) override {
         const std::lock_guard guard(lock_);
         std::vector<std::string> broken;
-        ousters_ = packets::find_ouster_metadata(unpacked_name(path_), broken);
+        ousters_ = packets::find_ouster_metadata(get_unpacked_name(path_), broken);
         if (!problem_.empty()) pass.note(problem_);
         for (const std::string& text : broken) pass.note(text);
         streams_.clear();
@@ -218,18 +218,19 @@ public:
             Stream* stream = find_stream(*datagram, topics);
             if (!stream) continue;
             pass.done(bytes_ > 0 ? double(datagram->at) / double(bytes_) : 0.0);
-            if (is_pause(*stream, stream->n, datagram->stamp_ns - stream->log_ns)) flush(*stream, pass);
+            if (is_after_pause(*stream, stream->n, datagram->stamp_ns - stream->log_ns)) flush(*stream, pass);
             if (stream->n++ == 0) stream->begin_run(*datagram);
             stream->at = std::min(stream->at, datagram->at);
-            if (stream->product) append_to(stream->run, *datagram);
+            if (stream->product) append_datagram(stream->run, *datagram);
             if (!stream->product && stream->n_of_bytes.size() < kMostPending)
                 ++stream->n_of_bytes[payload(*datagram).size()];
-            if (!stream->product || is_full(*stream, stream->n, datagram->stamp_ns - stream->log_ns))
+            if (!stream->product ||
+                is_message_complete(*stream, stream->n, datagram->stamp_ns - stream->log_ns))
                 flush(*stream, pass);
         }
         for (auto& [key, stream] : streams_)
             if (stream.n > 0) flush(stream, pass);
-        if (broken.empty() || !ousters_.empty()) note_unread_ousters(pass);
+        if (broken.empty() || !ousters_.empty()) note_undecoded_ouster_packets(pass);
         if (n_cut_ > 0)
             pass.note(fmt::format("{}: {} packets were truncated during the capture; their data is missing",
                                   path_.string(), n_cut_));
@@ -251,10 +252,10 @@ public:
         std::int64_t first_ns = 0;
         for (std::size_t n = 0; const auto datagram = next(fragments, nullptr);) {
             if (key_of(*datagram) != stream->first || (n == 0 && datagram->at != first_at)) continue;
-            if (is_pause(stream->second, n, datagram->stamp_ns - first_ns)) break;
+            if (is_after_pause(stream->second, n, datagram->stamp_ns - first_ns)) break;
             if (n++ == 0) first_ns = datagram->stamp_ns;
-            append_to(run, *datagram);
-            if (is_full(stream->second, n, datagram->stamp_ns - first_ns)) break;
+            append_datagram(run, *datagram);
+            if (is_message_complete(stream->second, n, datagram->stamp_ns - first_ns)) break;
         }
         return share_bytes(make_message(stream->second, std::move(run)));
     }
@@ -300,7 +301,7 @@ private:
     static std::string_view payload(const Datagram& datagram) {
         return std::string_view(datagram.bytes).substr(8);
     }
-    static void append_to(std::string& run, const Datagram& datagram) {
+    static void append_datagram(std::string& run, const Datagram& datagram) {
         append(run, datagram.stamp_ns);
         append(run, std::uint32_t(datagram.bytes.size() - 8));
         run.append(payload(datagram));
@@ -348,7 +349,7 @@ private:
     }
 
     std::shared_ptr<const packets::OusterFormat> find_ouster_format(const Datagram& datagram) const {
-        return packets::format_of(ousters_, datagram.source, payload(datagram));
+        return packets::match_ouster_format(ousters_, datagram.source, payload(datagram));
     }
     Key key_of(const Datagram& datagram) const {
         const auto ouster = find_ouster_format(datagram);
@@ -357,7 +358,7 @@ private:
 
     /// Adds notes for the user about packets that look like Ouster packets by their size
     /// but cannot be decoded. Also adds a note if two senders match the same metadata.
-    void note_unread_ousters(const Pass& pass) const {
+    void note_undecoded_ouster_packets(const Pass& pass) const {
         std::map<const packets::OusterFormat*, std::string> senders;
         for (const auto& [key, stream] : streams_) {
             for (const auto& [size, n] : stream.n_of_bytes) {
@@ -365,7 +366,7 @@ private:
                 const std::size_t bytes = size;
                 const bool is_told = std::ranges::any_of(
                     ousters_, [&](const auto& format) { return format->packet_bytes == bytes; });
-                if (n > 1 && (is_told || packets::is_ouster_size(bytes)))
+                if (n > 1 && (is_told || packets::is_ouster_packet_size(bytes)))
                     pass.note(fmt::format(
                         "{}: {}", path_.string(),
                         packets::describe_ouster_packet(ousters_, path_, std::get<0>(key), bytes)));
@@ -407,7 +408,7 @@ private:
     /// Returns true if no more datagrams fit into the current message of a stream.
     /// @param count  number of datagrams in the message
     /// @param passed_ns  time from the first to the last datagram of the message
-    static bool is_full(const Stream& stream, std::size_t count, std::int64_t passed_ns) {
+    static bool is_message_complete(const Stream& stream, std::size_t count, std::int64_t passed_ns) {
         return stream.livox_frame.empty()
                    ? count == kRun
                    : passed_ns >= packets::kLivoxCloud_ns || count == packets::kMostLivoxPackets;
@@ -416,7 +417,7 @@ private:
     /// new message. Only for Livox sensors.
     /// @param count  number of datagrams in the message so far
     /// @param passed_ns  time from the first datagram of the message to this datagram
-    static bool is_pause(const Stream& stream, std::size_t count, std::int64_t passed_ns) {
+    static bool is_after_pause(const Stream& stream, std::size_t count, std::int64_t passed_ns) {
         return count > 0 && !stream.livox_frame.empty() && passed_ns >= 2 * packets::kLivoxCloud_ns;
     }
     /// Encodes datagrams as one message of the stream's topic.

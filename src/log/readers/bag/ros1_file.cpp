@@ -65,7 +65,7 @@ public:
                 fmt::format("{}: the file does not begin like a ROS 1 bag of format 2.0", file_.name()));
     }
 
-    void each(TopicTable& topics, const Pass& pass) override {
+    void for_each_message(TopicTable& topics, const Pass& pass) override {
         connections_.clear();
         std::uint64_t at = kRos1Magic.size();
         while (at < file_.size()) {
@@ -153,16 +153,16 @@ private:
             while (reader.left() > 0) {
                 const std::uint64_t in_chunk = reader.at();
                 const Ros1Record part = read_next_ros1_record(reader);
-                take(Ros1Header(part.header), part.data, {offset, in_chunk}, topics, pass);
+                process_ros1_record(Ros1Header(part.header), part.data, {offset, in_chunk}, topics, pass);
             }
         } else if (op == kRos1Connection || op == kRos1Message) {
-            take(header, file_.part(record.data_at, record.data_bytes).bytes, {offset, Place::kNoChunk},
-                 topics, pass);
+            process_ros1_record(header, file_.part(record.data_at, record.data_bytes).bytes,
+                                {offset, Place::kNoChunk}, topics, pass);
         }
     }
 
-    void take(const Ros1Header& header, std::string_view data, const Place& place, TopicTable& topics,
-              const Pass& pass) {
+    void process_ros1_record(const Ros1Header& header, std::string_view data, const Place& place,
+                             TopicTable& topics, const Pass& pass) {
         const auto op = header.number<std::uint8_t>("op");
         if (op != kRos1Connection && op != kRos1Message) return;
         const auto id = header.number<std::uint32_t>("conn");

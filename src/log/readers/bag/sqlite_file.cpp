@@ -70,7 +70,7 @@ public:
         for (const char* table : {"topics", "messages"}) check_table(table);
     }
 
-    void each(TopicTable& topics, const Pass& pass) override {
+    void for_each_message(TopicTable& topics, const Pass& pass) override {
         const std::lock_guard guard(lock_);
         std::map<std::int64_t, std::size_t> topic_of;
         const Statement topic_rows =

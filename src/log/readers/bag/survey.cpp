@@ -22,7 +22,7 @@ class Surveyor {
 public:
     Surveyor(const Bag& bag, Survey& survey) : bag_(bag), survey_(survey) {}
 
-    void take(const Message& message) {
+    void process_message(const Message& message) {
         if (survey_.facts.size() <= message.topic) survey_.facts.resize(message.topic + 1);
         TopicFacts& facts = survey_.facts[message.topic];
         if (facts.n++ == 0) facts.first_ns = facts.last_ns = message.log_ns;
@@ -30,7 +30,7 @@ public:
         facts.last_ns = std::max(facts.last_ns, message.log_ns);
         try {
             const Topic& topic = bag_.topics()[message.topic];
-            const Use use = use_of(topic);
+            const Use use = get_topic_use(topic);
             if (use == Use::cloud) add_cloud(topic, message);
             if (use == Use::packets) add_packets(topic, message);
             if (use == Use::metadata) add_metadata(topic, message);
@@ -61,7 +61,7 @@ public:
         has_read_metadata_ = true;
         std::vector<std::string> broken;
         for (const std::filesystem::path& file : bag_.files())
-            for (const auto& format : packets::find_ouster_metadata(unpacked_name(file), broken))
+            for (const auto& format : packets::find_ouster_metadata(get_unpacked_name(file), broken))
                 ousters_.push_back(format);
         for (const std::string& text : broken) broken_metadata_ += fmt::format(" ({})", text);
     }
@@ -79,7 +79,7 @@ private:
     void read_corrections() {
         corrections_.emplace();  // a file with an error is read only once
         std::vector<std::filesystem::path> names;
-        for (const std::filesystem::path& file : bag_.files()) names.push_back(unpacked_name(file));
+        for (const std::filesystem::path& file : bag_.files()) names.push_back(get_unpacked_name(file));
         corrections_ = packets::find_corrections(names);
     }
 
@@ -93,7 +93,7 @@ private:
         }
         const auto n = std::uint32_t(std::min<std::size_t>(cloud.size(), UINT32_MAX));
         clouds.clouds.push_back({cloud.header.stamp_ns, message.log_ns, n, message.place});
-        if (const std::optional<Arc> arc = compute_arc(cloud))
+        if (const std::optional<Arc> arc = compute_azimuth_range(cloud))
             clouds.arcs.push_back({cloud.header.stamp_ns, message.log_ns, message.place, n, *arc});
     }
 
@@ -105,7 +105,7 @@ private:
         if (!corrections_) read_corrections();
         packets::Calibration calibration{*corrections_};
         if (topic.encoding == packets::kDatagrams) read_nearby_metadata();
-        calibration.ouster = packets::format_of(ousters_, topic.name, views.front().bytes);
+        calibration.ouster = packets::match_ouster_format(ousters_, topic.name, views.front().bytes);
         if (packets::has_ouster_packets(topic)) {
             if (!has_read_metadata_ && (late_.contains(message.topic) || !calibration.ouster))
                 return void(late_.insert(message.topic));
@@ -165,7 +165,7 @@ private:
 
 /// Adds missing transforms of Ouster LiDARs, whose packets do not name a frame. Uses the
 /// frames of Ouster's driver, rotated by 180 degrees to relidar's sensor frame.
-void place_ousters(const Bag& bag, Survey& survey) {
+void add_ouster_transforms(const Bag& bag, Survey& survey) {
     std::vector<CloudTopic*> ousters;
     for (CloudTopic& clouds : survey.clouds)
         if (packets::has_ouster_packets(bag.topics()[clouds.topic]) && !clouds.packets.empty())
@@ -225,19 +225,19 @@ std::size_t CloudTopic::compute_median_points() const {
 Survey survey_bag(Bag& bag, const Progress& progress) {
     Survey survey;
     Surveyor surveyor(bag, survey);
-    bag.each([](const Topic& topic) { return use_of(topic) != Use::nothing; },
-             [&](const Message& message) { surveyor.take(message); }, progress);
+    bag.for_each_message([](const Topic& topic) { return get_topic_use(topic) != Use::nothing; },
+                         [&](const Message& message) { surveyor.process_message(message); }, progress);
     survey.facts.resize(bag.topics().size());
     if (surveyor.needs_late_packets()) {
         surveyor.read_nearby_metadata();
         std::vector<bool> is_late;
         for (std::size_t t = 0; t < bag.topics().size(); ++t) is_late.push_back(surveyor.is_late(t));
-        bag.each([&](const Topic& topic) { return packets::has_ouster_packets(topic); },
-                 [&](const Message& message) {
-                     if (message.topic < is_late.size() && is_late[message.topic])
-                         surveyor.add_late_packet(message);
-                 },
-                 progress);
+        bag.for_each_message([&](const Topic& topic) { return packets::has_ouster_packets(topic); },
+                             [&](const Message& message) {
+                                 if (message.topic < is_late.size() && is_late[message.topic])
+                                     surveyor.add_late_packet(message);
+                             },
+                             progress);
     }
     for (CloudTopic& clouds : survey.clouds) {
         clouds.packets.finish();
@@ -249,7 +249,7 @@ Survey survey_bag(Bag& bag, const Progress& progress) {
         }
     }
     for (CloudTopic& clouds : survey.clouds) join_parts(clouds);
-    place_ousters(bag, survey);
+    add_ouster_transforms(bag, survey);
     return survey;
 }
 

@@ -31,7 +31,7 @@ constexpr double kPause = 1.6;
 constexpr double kDegrees = 180.0 / kPi;
 
 /// Returns the value of a float or double field of a point, in either byte order.
-double number_at(const Cloud& cloud, const Cloud::Field& field, std::size_t point) {
+double read_field_number(const Cloud& cloud, const Cloud::Field& field, std::size_t point) {
     const std::size_t row = point / cloud.width * (cloud.height > 1 ? cloud.row_step : 0);
     char raw[8] = {};
     std::memcpy(raw, cloud.data.data() + row + point % cloud.width * cloud.point_step + field.offset,
@@ -44,7 +44,7 @@ double number_at(const Cloud& cloud, const Cloud::Field& field, std::size_t poin
     return field.size == sizeof narrow ? double(narrow) : wide;
 }
 
-const Cloud::Field* find_real(const Cloud& cloud, const char* name) {
+const Cloud::Field* find_float_field(const Cloud& cloud, const char* name) {
     const auto field = std::ranges::find(cloud.fields, name, &Cloud::Field::name);
     return field == cloud.fields.end() || field->kind != 'F' ? nullptr : &*field;
 }
@@ -62,7 +62,7 @@ std::optional<Arc> compute_arc_of_bins(const std::array<bool, kBins>& is_covered
     return Arc{float(std::remainder(bin * double(end) - kPi + 0.5 * extent, 2.0 * kPi)), float(extent)};
 }
 
-double compute_gap_of_all(const std::vector<TurnPart>& clouds) {
+double compute_common_gap(const std::vector<TurnPart>& clouds) {
     std::array<bool, kBins> seen{};
     for (const TurnPart& cloud : clouds)
         for (double a = -0.5; a <= 0.5; a += 0.01) {
@@ -86,7 +86,7 @@ struct Parts {
     double cut_rad;
 };
 
-std::optional<Parts> select_parts(const std::vector<TurnPart>& clouds) {
+std::optional<Parts> select_turn_parts(const std::vector<TurnPart>& clouds) {
     if (clouds.size() < 4) return std::nullopt;
     std::vector<float> extents;
     std::vector<std::int64_t> steps_ns;
@@ -100,7 +100,7 @@ std::optional<Parts> select_parts(const std::vector<TurnPart>& clouds) {
     const double extent = compute_median(extents), step = std::abs(std::arg(sum));
     if (extent > kMostOfPart || std::abs(sum) < kTogether * double(clouds.size() - 1)) return std::nullopt;
     if (std::abs(step - std::min(extent, 2.0 * kPi - extent)) > kAbut * step ||
-        compute_gap_of_all(clouds) > kLeastGap_rad)
+        compute_common_gap(clouds) > kLeastGap_rad)
         return std::nullopt;
     const double n = std::round(2.0 * kPi / step);
     std::complex<double> phase = 0.0;
@@ -112,14 +112,14 @@ std::optional<Parts> select_parts(const std::vector<TurnPart>& clouds) {
 
 }  // namespace
 
-std::optional<Arc> compute_arc(const Cloud& cloud) {
-    const Cloud::Field *x = find_real(cloud, "x"), *y = find_real(cloud, "y");
+std::optional<Arc> compute_azimuth_range(const Cloud& cloud) {
+    const Cloud::Field *x = find_float_field(cloud, "x"), *y = find_float_field(cloud, "y");
     if (!x || !y) return std::nullopt;
     std::array<bool, kBins> seen{};
     const std::size_t n = std::min(kSamples, cloud.size());
     for (std::size_t k = 0; k < n; ++k) {
         const std::size_t point = k * cloud.size() / n;
-        const double px = number_at(cloud, *x, point), py = number_at(cloud, *y, point);
+        const double px = read_field_number(cloud, *x, point), py = read_field_number(cloud, *y, point);
         if (!std::isfinite(px) || !std::isfinite(py) || (px == 0.0 && py == 0.0)) continue;
         seen[std::size_t((std::atan2(py, px) / (2.0 * kPi) + 0.5) * kBins) % kBins] = true;
     }
@@ -128,7 +128,7 @@ std::optional<Arc> compute_arc(const Cloud& cloud) {
 
 JoinedTurns join_turns(std::vector<TurnPart> clouds) {
     std::ranges::stable_sort(clouds, {}, &TurnPart::stamp_ns);
-    const std::optional<Parts> parts = select_parts(clouds);
+    const std::optional<Parts> parts = select_turn_parts(clouds);
     JoinedTurns joined;
     if (!parts) return joined;
     // Returns the rotation from the start of the revolution to a part, 0 to 2 pi.

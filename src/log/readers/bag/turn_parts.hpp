@@ -18,7 +18,7 @@ struct Arc {
 };
 /// Computes the azimuth range of a cloud, in steps of 6 degrees, from about 256 of its
 /// points. Returns nothing if the cloud has no field x or y.
-std::optional<Arc> compute_arc(const Cloud& cloud);
+std::optional<Arc> compute_azimuth_range(const Cloud& cloud);
 
 /// A cloud that is a part of a revolution.
 struct TurnPart {

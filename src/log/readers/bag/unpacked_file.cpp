@@ -25,7 +25,7 @@ struct CloseFile {
 using File = std::unique_ptr<std::FILE, CloseFile>;
 
 /// Creates an empty file without a name, for reading and writing.
-File temporary_file() {
+File open_temporary_file() {
     std::error_code failed;
     std::string name = (std::filesystem::temp_directory_path(failed) / "relidar-XXXXXX").string();
     const int descriptor = failed ? -1 : mkstemp(name.data());
@@ -37,7 +37,7 @@ File temporary_file() {
 
 }  // namespace
 
-std::filesystem::path unpacked_name(const std::filesystem::path& file) {
+std::filesystem::path get_unpacked_name(const std::filesystem::path& file) {
     return file.extension() == ".gz" ? std::filesystem::path(file).replace_extension() : file;
 }
 
@@ -49,7 +49,7 @@ UnpackedFile open_unpacked(const std::filesystem::path& path) {
     if (first != 0x1f || second != 0x8b) return {packed.release(), ""};
     const std::unique_ptr<gzFile_s, int (*)(gzFile)> reader(gzopen(path.c_str(), "rb"), gzclose);
     if (!reader) throw DataError(fmt::format("cannot read {}", path.string()));
-    File unpacked = temporary_file();
+    File unpacked = open_temporary_file();
     const auto write = [&](const char* bytes, std::size_t n_bytes) {
         if (std::fwrite(bytes, 1, n_bytes, unpacked.get()) != n_bytes ||
             (n_bytes == 0 && std::fflush(unpacked.get()) != 0))

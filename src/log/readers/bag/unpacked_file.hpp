@@ -9,7 +9,7 @@
 namespace relidar::bag {
 
 /// Returns the path of a file without the extension ".gz" of a compressed file.
-std::filesystem::path unpacked_name(const std::filesystem::path& file);
+std::filesystem::path get_unpacked_name(const std::filesystem::path& file);
 
 /// A file that is open for reading. The caller must close it.
 struct UnpackedFile {

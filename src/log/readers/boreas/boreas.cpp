@@ -110,7 +110,7 @@ PoseTrack read_boreas_poses(const fs::path& file, const stamped::StampedLog& log
     stamped::Driving of_best;
     for (const AngleOrder& order : kAngleOrders) {
         PoseTrack track = make_pose_track(rows, log, order);
-        const stamped::Driving driving = stamped::find_driving(track);
+        const stamped::Driving driving = stamped::estimate_driving_direction(track);
         const double gain =
             score_forward_direction(driving, forward) - score_forward_direction(of_best, forward);
         const bool is_leveler =
@@ -123,12 +123,13 @@ PoseTrack read_boreas_poses(const fs::path& file, const stamped::StampedLog& log
             fmt::format("the angles of poses are read as {}, which differs from the documentation of Boreas, "
                         "because only then the vehicle drives forward along the road",
                         taken->name));
-    if (of_best.n_steps > 0) stamped::warn_unless_forward(notes, score_forward_direction(of_best, forward));
+    if (of_best.n_steps > 0)
+        stamped::warn_unless_facing_forward(notes, score_forward_direction(of_best, forward));
     return best;
 }
 
 /// Rotates the sensor frame of all poses so that its x axis points forward.
-void rotate_to_front(PoseTrack& track, double forward_rad) {
+void rotate_x_axis_forward(PoseTrack& track, double forward_rad) {
     const Pose lidar_from_turned{make_rotation(forward_rad, 0.0, 0.0), {}};
     for (Pose& pose : track.pose) pose = pose * lidar_from_turned;
 }
@@ -152,13 +153,13 @@ Sequence load_boreas(const fs::path& log_folder, const DatasetOptions& options) 
     Forward forward = read_forward(folder / "calib/T_applanix_lidar.txt");
     if (does_path_exist(log.poses_file)) {
         log.world_from_vehicle = read_boreas_poses(log.poses_file, log, forward, sequence.notes);
-        const glm::dvec3 driven = stamped::find_driving(log.world_from_vehicle).mean;
+        const glm::dvec3 driven = stamped::estimate_driving_direction(log.world_from_vehicle).mean;
         if (!forward.is_known && driven != glm::dvec3(0.0)) forward = {driven, true};
     }
     if (!forward.is_known)
         sequence.notes.push_back(
             "the forward direction of the vehicle is unknown; the x axis of the LiDAR is used");
-    rotate_to_front(log.world_from_vehicle, forward.azimuth_rad());
+    rotate_x_axis_forward(log.world_from_vehicle, forward.azimuth_rad());
     sequence.conventions = fmt::format(
         "LiDAR frame: x forward, y left, z up, in metres (rotated about z by {:.2f} degrees relative to "
         "Boreas). Times are seconds after the first scan. The time of a frame is the middle of its sweep. "

@@ -139,7 +139,7 @@ PoseRows read_rows(const std::vector<std::string>& lines, const std::string& fil
 /// Converts the rows of a pose file to a track.
 /// @param rotation_of_row  function that returns the rotation in a row
 template <class RotationOf>
-PoseTrack track_of(const PoseRows& rows, const RotationOf& rotation_of_row) {
+PoseTrack make_pose_track_of_rows(const PoseRows& rows, const RotationOf& rotation_of_row) {
     PoseTrack track;
     for (const std::vector<double>& row : rows.rows) {
         track.time_s.push_back(row[0]);
@@ -155,7 +155,7 @@ PoseTrack invert_track(PoseTrack track) {
 
 /// Adds the inverse poses to a list of possible interpretations, because a pose file may
 /// contain sensor-from-world poses.
-std::vector<PoseReading> add_inverses(std::vector<PoseReading> readings) {
+std::vector<PoseReading> add_inverse_readings(std::vector<PoseReading> readings) {
     const std::size_t n = readings.size();
     for (std::size_t k = 0; k < n; ++k)
         readings.push_back({readings[k].about + ", from the world to the sensor",
@@ -165,7 +165,7 @@ std::vector<PoseReading> add_inverses(std::vector<PoseReading> readings) {
 
 /// Returns all possible interpretations of a pose file, for example with another order of
 /// the quaternion. The documented one is first.
-std::vector<PoseReading> list_readings(const PoseRows& rows) {
+std::vector<PoseReading> list_pose_readings(const PoseRows& rows) {
     using Row = std::vector<double>;
     const auto angles = [](const Row& row, double unit) {
         return make_rotation(unit * row[6], unit * row[5], unit * row[4]);
@@ -173,19 +173,21 @@ std::vector<PoseReading> list_readings(const PoseRows& rows) {
     std::vector<PoseReading> readings;
     if (rows.rows[0].size() == 8) {
         const std::string named = "columns with the meaning of their names";
-        readings.push_back({rows.has_names ? named : "qw qx qy qz",
-                            track_of(rows, [](const Row& r) { return glm::dquat(r[4], r[5], r[6], r[7]); })});
+        readings.push_back(
+            {rows.has_names ? named : "qw qx qy qz",
+             make_pose_track_of_rows(rows, [](const Row& r) { return glm::dquat(r[4], r[5], r[6], r[7]); })});
         if (!rows.has_names)
-            readings.push_back({"qx qy qz qw", track_of(rows, [](const Row& r) {
+            readings.push_back({"qx qy qz qw", make_pose_track_of_rows(rows, [](const Row& r) {
                                     return glm::dquat(r[7], r[4], r[5], r[6]);
                                 })});
     } else {
+        readings.push_back({"roll, pitch and yaw in radians",
+                            make_pose_track_of_rows(rows, [&](const Row& r) { return angles(r, 1.0); })});
         readings.push_back(
-            {"roll, pitch and yaw in radians", track_of(rows, [&](const Row& r) { return angles(r, 1.0); })});
-        readings.push_back({"roll, pitch and yaw in degrees",
-                            track_of(rows, [&](const Row& r) { return angles(r, kPi / 180.0); })});
+            {"roll, pitch and yaw in degrees",
+             make_pose_track_of_rows(rows, [&](const Row& r) { return angles(r, kPi / 180.0); })});
     }
-    return add_inverses(std::move(readings));
+    return add_inverse_readings(std::move(readings));
 }
 
 std::vector<Pose> interpolate_track(const PoseTrack& track, const std::vector<HeadFrame>& frames,
@@ -202,12 +204,12 @@ std::vector<Pose> interpolate_track(const PoseTrack& track, const std::vector<He
     return poses;
 }
 
-double find_label_time(const JsonField& label, const std::vector<HeadFrame>& all) {
+double find_label_time(const JsonField& label, const std::vector<HeadFrame>& all_frames) {
     if (label.has("time_s")) return label.at("time_s").number(-kLargestOfTrack, kLargestOfTrack);
     const std::int64_t number = label.at("frame").integer(0, 99999999);
-    const auto frame =
-        std::find_if(all.begin(), all.end(), [&](const HeadFrame& f) { return f.number == number; });
-    if (frame == all.end())
+    const auto frame = std::find_if(all_frames.begin(), all_frames.end(),
+                                    [&](const HeadFrame& f) { return f.number == number; });
+    if (frame == all_frames.end())
         label.at("frame").fail(fmt::format("found {}", number), "expected the number of a frame");
     return frame->time_s;
 }
@@ -223,14 +225,14 @@ Pose read_label_pose(const JsonField& label) {
     return {glm::dquat(q[0], q[1], q[2], q[3]), position};
 }
 
-BoxLabel read_label(const JsonField& label, const std::vector<HeadFrame>& all) {
+BoxLabel read_label(const JsonField& label, const std::vector<HeadFrame>& all_frames) {
     label.check_members(
         {"track", "category", "time_s", "frame", "size", "position", "yaw_deg", "quaternion"});
     const auto size = label.at("size").numbers<3>();
     return {label.at("track").text(kLongestName),
             label.at("category").text(kLongestName),
             {size[0], size[1], size[2]},
-            find_label_time(label, all),
+            find_label_time(label, all_frames),
             read_label_pose(label)};
 }
 
@@ -250,12 +252,12 @@ std::optional<std::vector<Pose>> read_poses(const fs::path& file, const std::vec
         if (rows.rows.empty())
             throw DataError(
                 fmt::format("{}: the file has no pose, expected lines of 12 or 8 numbers", file.string()));
-        const std::vector<PoseReading> readings = list_readings(rows);
+        const std::vector<PoseReading> readings = list_pose_readings(rows);
         // Only relidar writes these column names, so the meaning of the numbers is
         // certain.
         if (rows.has_names && lines[0].find(kPoseNames[0]) != std::string::npos)
             return interpolate_track(readings[0].world_from_vehicle, frames, file.string());
-        const std::size_t k = choose_reading(readings, read_pairs, file.string(), notes);
+        const std::size_t k = choose_pose_reading(readings, read_pairs, file.string(), notes);
         return interpolate_track(readings[k].world_from_vehicle, frames, file.string());
     }
     std::vector<int> numbers;
@@ -267,14 +269,14 @@ std::optional<std::vector<Pose>> read_poses(const fs::path& file, const std::vec
         track.time_s.push_back(frames[i].time_s);
         track.pose.push_back(poses[i]);
     }
-    const std::vector<PoseReading> readings = add_inverses({{"matrices", std::move(track)}});
-    if (choose_reading(readings, read_pairs, file.string(), notes) > 0)
+    const std::vector<PoseReading> readings = add_inverse_readings({{"matrices", std::move(track)}});
+    if (choose_pose_reading(readings, read_pairs, file.string(), notes) > 0)
         for (Pose& pose : poses) pose = inverse(pose);
     return poses;
 }
 
 std::vector<BoxTrack> read_boxes(const fs::path& path, const std::vector<HeadFrame>& frames,
-                                 const std::vector<HeadFrame>& all) {
+                                 const std::vector<HeadFrame>& all_frames) {
     if (!does_path_exist(path)) return {};
     const std::string file = path.string();
     const nlohmann::json json = parse_json(read_text(file), file);
@@ -282,10 +284,10 @@ std::vector<BoxTrack> read_boxes(const fs::path& path, const std::vector<HeadFra
     root.check_members({"boxes"});
     const JsonField boxes = root.at("boxes");
     const double first_s = frames.front().time_s, last_s = frames.back().time_s;
-    const bool from_start = first_s == all.front().time_s, to_end = last_s == all.back().time_s;
+    const bool from_start = first_s == all_frames.front().time_s, to_end = last_s == all_frames.back().time_s;
     std::vector<BoxLabel> labels;
     for (std::size_t i = 0; i < boxes.size(); ++i) {
-        const BoxLabel label = read_label(boxes.at(i), all);
+        const BoxLabel label = read_label(boxes.at(i), all_frames);
         if ((from_start || label.time_s >= first_s) && (to_end || label.time_s <= last_s))
             labels.push_back(label);
     }

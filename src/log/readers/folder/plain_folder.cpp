@@ -93,8 +93,8 @@ std::vector<Pose> read_scan_poses(const fs::path& folder, const folder::Head& he
 
 /// Replaces the vehicle poses of the log by poses from a file. Boxes keep their positions
 /// relative to the vehicle.
-void replace_poses(Sequence& sequence, const folder::Head& head, const std::vector<HeadFrame>& frames,
-                   const fs::path& file) {
+void replace_vehicle_poses(Sequence& sequence, const folder::Head& head, const std::vector<HeadFrame>& frames,
+                           const fs::path& file) {
     PoseTrack track{sequence.world_from_vehicle.time_s, {}};
     if (file == kNoPoses) {
         track.pose.resize(track.time_s.size());
@@ -135,7 +135,7 @@ Sequence load_plain_folder(const fs::path& log_folder, const DatasetOptions& opt
         files.push_back(frames[i].scan);
     }
     sequence.boxes = folder::read_boxes(folder / folder::kBoxesFile, frames, head.frames);
-    if (!options.poses_file.empty()) replace_poses(sequence, head, frames, options.poses_file);
+    if (!options.poses_file.empty()) replace_vehicle_poses(sequence, head, frames, options.poses_file);
     if (head.world_offset_m && options.poses_file.empty()) recentre_sequence(sequence, *head.world_offset_m);
     else recentre_sequence(sequence);
     folder::read_scans(sequence, head, files, options);

@@ -109,8 +109,8 @@ void check_target_folder(const fs::path& folder, bool overwrite) {
 
 }  // namespace
 
-void save_folder(const Sequence& sequence, const fs::path& given, const FolderOptions& options) {
-    const fs::path wanted = (fs::absolute(given) / "").lexically_normal().parent_path();
+void save_folder(const Sequence& sequence, const fs::path& target_folder, const FolderOptions& options) {
+    const fs::path wanted = (fs::absolute(target_folder) / "").lexically_normal().parent_path();
     check_target_folder(wanted, options.overwrite);
     const StagedFolder staged(wanted);
     fs::create_directory(staged.path() / "scans");

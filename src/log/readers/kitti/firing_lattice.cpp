@@ -34,7 +34,7 @@ struct Polar {
     std::vector<double> azimuth_rad, inverse_rho;
 };
 
-std::array<Polar, kRings> to_polar(const std::vector<const RawScan*>& scans) {
+std::array<Polar, kRings> convert_to_polar_rings(const std::vector<const RawScan*>& scans) {
     std::array<Polar, kRings> polar;
     for (const RawScan* scan : scans) {
         for (std::size_t i = 0; i < scan->points.size(); ++i) {
@@ -69,7 +69,7 @@ struct Phase {
 
 /// Improves the fit of a beam to the grid of encoder ticks by least squares: azimuth
 /// residual = phase + left / rho.
-void refine(Phase& phase, const Polar& polar, double tick_rad) {
+void refine_phase(Phase& phase, const Polar& polar, double tick_rad) {
     double n = 0, su = 0, se = 0, suu = 0, sue = 0;
     for (std::size_t i = 0; i < polar.azimuth_rad.size(); ++i) {
         const double u = polar.inverse_rho[i];
@@ -99,7 +99,7 @@ Phase find_azimuth_phase(const Polar& polar, double tick_rad) {
     const std::complex<double> none = compute_mean_phase(polar, tick_rad, 0.0, stride);
     if (std::abs(none) > best.concentration - 0.02)
         best = {0.0, std::arg(none) * tick_rad / (2.0 * kPi), std::abs(none)};
-    if (best.left_m != 0.0) refine(best, polar, tick_rad);
+    if (best.left_m != 0.0) refine_phase(best, polar, tick_rad);
     return best;
 }
 
@@ -208,7 +208,7 @@ int find_best_shift(const std::vector<Ticks>& ticks, std::size_t ring,
     return most > at_zero + n / 100 ? best : 0;
 }
 
-std::vector<int> find_shifts(const std::vector<Ticks>& ticks, int n_ticks) {
+std::vector<int> find_ring_shifts(const std::vector<Ticks>& ticks, int n_ticks) {
     const int reach = std::min(static_cast<int>(kMaxOffset_rad / (2.0 * kPi) * n_ticks), n_ticks / 2 - 1);
     std::size_t fullest = 0;
     for (std::size_t k = 1; k < kRings; ++k) {
@@ -236,7 +236,7 @@ std::vector<int> find_shifts(const std::vector<Ticks>& ticks, int n_ticks) {
 
 /// Shifts the azimuth offsets of all beams so that their mean is 0. The head then faces
 /// the mean direction of the beams.
-void centre_lattice(FiringLattice& lattice) {
+void centre_azimuth_offsets(FiringLattice& lattice) {
     const double mean = std::accumulate(lattice.offset_rad.begin(), lattice.offset_rad.end(), 0.0) / kRings;
     for (double& offset : lattice.offset_rad) offset -= mean;
     lattice.head.zero_rad += mean;
@@ -257,7 +257,7 @@ FiringLattice fit_lattice(const std::vector<const RawScan*>& scans) {
     // Minimum mean concentration of azimuths at the encoder ticks for a valid fit. It is
     // 0.98 on KITTI, and near 0 for evenly distributed azimuths.
     constexpr double kFound = 0.8;
-    const std::array<Polar, kRings> polar = to_polar(scans);
+    const std::array<Polar, kRings> polar = convert_to_polar_rings(scans);
     FiringLattice lattice;
     lattice.head.n_ticks = kEncoderTicks;
     Phases phases = find_phases(polar, 2.0 * kPi / kEncoderTicks);
@@ -275,10 +275,10 @@ FiringLattice fit_lattice(const std::vector<const RawScan*>& scans) {
     if (!lattice.every_tick) {
         std::vector<Ticks> ticks;
         for (const RawScan* scan : scans) ticks.push_back(compute_ticks(*scan, lattice));
-        const std::vector<int> shift = find_shifts(ticks, lattice.head.n_ticks);
+        const std::vector<int> shift = find_ring_shifts(ticks, lattice.head.n_ticks);
         for (std::size_t k = 0; k < kRings; ++k) lattice.offset_rad[k] += shift[k] * lattice.head.tick_rad();
     }
-    centre_lattice(lattice);
+    centre_azimuth_offsets(lattice);
     return lattice;
 }
 

@@ -62,7 +62,7 @@ struct BlockLine {
     double at(double tan_el) const { return mean_z0 + slope * (tan_el - mean_tan); }
 };
 
-BlockLine fit_block(const Cones& cones, const std::vector<std::size_t>& good) {
+BlockLine fit_laser_block(const Cones& cones, const std::vector<std::size_t>& good) {
     BlockLine line;
     double tt = 0.0, tz = 0.0;
     for (const std::size_t k : good) {
@@ -103,7 +103,7 @@ void fill_gaps(Cones& cones, const std::array<std::vector<Sample>, kRings>& samp
             throw DataError(location +
                             ": fewer than two of 32 beams have enough returns, expected a log of an HDL-64E");
         }
-        const BlockLine line = fit_block(cones, good);
+        const BlockLine line = fit_laser_block(cones, good);
         for (std::size_t k = first; k < first + kRings / 2; ++k) {
             if (cones[k].n > 0) continue;
             const auto next = std::lower_bound(good.begin() + 1, good.end() - 1, k);
@@ -138,7 +138,7 @@ int find_nearest_ring(const RawScan& scan, std::size_t begin, std::size_t end, c
 
 }  // namespace
 
-RawScan split_rings(std::vector<glm::vec4> points) {
+RawScan split_points_into_rings(std::vector<glm::vec4> points) {
     RawScan scan;
     scan.points = std::move(points);
     scan.ring.resize(scan.points.size());
@@ -179,7 +179,7 @@ Cones fit_cones(const std::vector<const RawScan*>& scans, const std::string& loc
     return cones;
 }
 
-void correct_rings(RawScan& scan, const Cones& cones) {
+void correct_ring_numbers(RawScan& scan, const Cones& cones) {
     const std::size_t n = scan.points.size();
     if (scan.n_rings != kRings && scan.n_rings != kRings + 1) {
         for (std::size_t begin = 0; begin < n;) {

@@ -37,7 +37,7 @@ using Cones = std::array<Cone, kRings>;
 /// Splits the points of a KITTI scan into rings. The file stores ring after ring, and
 /// each ring starts at the forward direction. A new ring begins where the azimuth steps
 /// from the 4th to the 1st quadrant. Ring numbers are limited to 63.
-RawScan split_rings(std::vector<glm::vec4> points);
+RawScan split_points_into_rings(std::vector<glm::vec4> points);
 
 /// Fits the cone of each ring to several scans by robust least squares.
 /// @param location  name of the log, for error messages
@@ -47,6 +47,6 @@ Cones fit_cones(const std::vector<const RawScan*>& scans, const std::string& loc
 /// Corrects ring numbers by the distances of points from the cones. The order of the
 /// points gives wrong numbers if a beam has no returns. It also does so if the last point
 /// of a ring was rounded to azimuth 0.
-void correct_rings(RawScan& scan, const Cones& cones);
+void correct_ring_numbers(RawScan& scan, const Cones& cones);
 
 }  // namespace relidar::kitti

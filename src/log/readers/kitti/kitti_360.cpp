@@ -111,16 +111,16 @@ void add_posed_frames(Sequence& sequence, const std::vector<int>& frames, const 
     if (!between.empty())
         sequence.notes.push_back(fmt::format(
             "poses of these frames are interpolated, because data_poses does not contain them: {}",
-            list_text(between)));
+            format_number_list(between)));
     if (!without.empty())
-        sequence.notes.push_back(
-            fmt::format("frames that are skipped, because they have no pose: {}", list_text(without)));
+        sequence.notes.push_back(fmt::format("frames that are skipped, because they have no pose: {}",
+                                             format_number_list(without)));
 }
 
 /// Returns the file with the box labels of a drive. The folder train_full has priority
 /// over the smaller folder train.
 /// @return empty path if neither folder contains the file
-fs::path find_boxes(const fs::path& folder, const std::string& drive) {
+fs::path find_box_label_file(const fs::path& folder, const std::string& drive) {
     for (const char* set : {"train_full", "train"}) {
         const fs::path file = folder / "data_3d_bboxes" / set / (drive + ".xml");
         if (does_path_exist(file)) return file;
@@ -130,13 +130,13 @@ fs::path find_boxes(const fs::path& folder, const std::string& drive) {
 
 /// Adds frames, poses and boxes to the log. The boxes are labelled in the dataset's world
 /// frame, so they are left out if the poses come from another file.
-void read_world(Sequence& sequence, const fs::path& folder, const Drive& drive,
-                const std::vector<int>& frames, const fs::path& poses_file) {
+void read_poses_and_boxes(Sequence& sequence, const fs::path& folder, const Drive& drive,
+                          const std::vector<int>& frames, const fs::path& poses_file) {
     const std::vector<double> time_s =
         read_times(folder / "data_3d_raw" / drive.name / "velodyne_points/timestamps.txt", frames);
     if (poses_file.empty() || does_path_exist(folder / "data_poses" / drive.name)) {
         add_posed_frames(sequence, frames, time_s, read_velo_poses(folder, drive.name));
-        const fs::path labels = find_boxes(folder, drive.name);
+        const fs::path labels = find_box_label_file(folder, drive.name);
         if (labels.empty())
             sequence.notes.push_back(
                 "data_3d_bboxes is missing, so this drive has no "
@@ -166,13 +166,13 @@ Sequence load_kitti_360(const fs::path& log_folder, const DatasetOptions& option
         "(Mercator). Scans are not motion-compensated.";
     sequence.notes = drive.notes;
     sequence.test_frames = drive.test_frames;
-    const std::string gaps = note_gaps(points / "data", frames, options.allow_missing_scans);
+    const std::string gaps = format_frame_gaps(points / "data", frames, options.allow_missing_scans);
     if (!gaps.empty()) sequence.notes.push_back(gaps);
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     sensor.name = "HDL-64E fitted to " + sequence.name;
     sensor.period_s = read_step(points / "timestamps.txt");
     sensor.max_range_m = options.max_range_m;
-    read_world(sequence, folder, drive, frames, options.poses_file);
+    read_poses_and_boxes(sequence, folder, drive, frames, options.poses_file);
     use_pose_file(sequence, options.poses_file);
     recentre_sequence(sequence);
     read_sweeps(sequence, points / "data", 10, options);

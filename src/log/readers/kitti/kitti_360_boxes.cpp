@@ -63,7 +63,7 @@ const MovableClass* find_movable_class(const pugi::xml_node& object, const std::
 
 /// Reads the 4x4 transform of an object from a unit box to the world. It contains the
 /// pose and the size of the object.
-glm::dmat4 transform_of(const pugi::xml_node& object, const std::string& location) {
+glm::dmat4 read_box_transform(const pugi::xml_node& object, const std::string& location) {
     const pugi::xml_node matrix = object.child("transform");
     const int rows = read_integer_field(matrix, "rows", {}, location + ": transform"),
               cols = read_integer_field(matrix, "cols", {}, location + ": transform");
@@ -89,7 +89,7 @@ glm::dmat4 transform_of(const pugi::xml_node& object, const std::string& locatio
 /// Computes the size and the pose of a box from its transform. A transform with a
 /// reflection is no pose, so the width axis is then flipped, which does not change the
 /// box.
-void place(BoxLabel& label, const glm::dmat4& matrix, const std::string& location) {
+void set_label_pose(BoxLabel& label, const glm::dmat4& matrix, const std::string& location) {
     glm::dmat3 axes(matrix);
     label.size_m = {glm::length(axes[0]), glm::length(axes[1]), glm::length(axes[2])};
     constexpr double kSmallest_m = 1e-3;
@@ -105,8 +105,8 @@ void place(BoxLabel& label, const glm::dmat4& matrix, const std::string& locatio
 
 /// Returns the track id of an object: semanticId * 1000 + instanceId. Objects of drive
 /// 0004 lack these numbers, so their id consists of class, "moving" and index.
-std::string track_of(const pugi::xml_node& object, const MovableClass& movable_class, bool moves,
-                     const std::string& location) {
+std::string get_kitti_track_id(const pugi::xml_node& object, const MovableClass& movable_class, bool moves,
+                               const std::string& location) {
     if (object.child("instanceId").empty())
         return fmt::format("{}-{}{}", movable_class.name, moves ? "moving-" : "",
                            read_integer_field(object, moves ? "dynamicSeq" : "index", {}, location));
@@ -123,8 +123,8 @@ void add_object(const pugi::xml_node& object, const std::vector<Frame>& frames,
     const int at = read_integer_field(object, "timestamp", -1, location);
     const int first = at < 0 ? read_integer_field(object, "start_frame", {}, location) : at;
     const int last = at < 0 ? read_integer_field(object, "end_frame", {}, location) : at;
-    BoxLabel label{track_of(object, *known, at >= 0, location), known->name, {}, 0.0, {}};
-    place(label, transform_of(object, location), location);
+    BoxLabel label{get_kitti_track_id(object, *known, at >= 0, location), known->name, {}, 0.0, {}};
+    set_label_pose(label, read_box_transform(object, location), location);
     auto frame = std::lower_bound(frames.begin(), frames.end(), first,
                                   [](const Frame& f, int number) { return f.index < number; });
     for (; frame != frames.end() && frame->index <= last; ++frame) {

@@ -38,7 +38,7 @@ std::vector<double> read_seconds(const fs::path& file, const std::vector<int>& f
 
 /// Returns the pose file of a sequence: poses.txt in its folder (SemanticKITTI), or
 /// ../../poses/NN.txt (KITTI). Sequences 11 to 21 have no published poses.
-fs::path find_poses(const fs::path& folder) {
+fs::path find_odometry_pose_file(const fs::path& folder) {
     const fs::path here = folder / "poses.txt", beside = folder.parent_path().parent_path() / "poses" /
                                                          (folder.filename().string() + ".txt");
     if (does_path_exist(here)) return here;
@@ -56,7 +56,7 @@ std::vector<Pose> read_odometry_poses(const fs::path& folder, const std::vector<
     if (poses_file == kNoPoses) return std::vector<Pose>(frames.size());
     if (!poses_file.empty()) return kitti::read_user_poses(poses_file, frames, time_s, notes);
     const Pose cam_from_velo = kitti::read_transform(folder / "calib.txt", "Tr");
-    std::vector<Pose> poses = kitti::read_pose_file(find_poses(folder), frames);
+    std::vector<Pose> poses = kitti::read_pose_file(find_odometry_pose_file(folder), frames);
     for (Pose& pose : poses) pose = inverse(cam_from_velo) * pose * cam_from_velo;
     return poses;
 }

@@ -37,7 +37,8 @@ std::string describe_poses(const fs::path& poses_file) {
 std::vector<std::string> collect_notes(const fs::path& drive, const std::vector<int>& frames,
                                        const DatasetOptions& options) {
     std::vector<std::string> notes;
-    const std::string gaps = note_gaps(drive / "velodyne_points/data", frames, options.allow_missing_scans);
+    const std::string gaps =
+        format_frame_gaps(drive / "velodyne_points/data", frames, options.allow_missing_scans);
     if (!gaps.empty()) notes.push_back(gaps);
     if (!does_path_exist(drive / "tracklet_labels.xml"))
         notes.push_back("tracklet_labels.xml is missing, so this drive has no labels");
@@ -50,7 +51,7 @@ std::vector<std::string> collect_notes(const fs::path& drive, const std::vector<
 Sequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
     check_folder(folder, "a KITTI raw drive (velodyne_points/)");
     if (!does_path_exist(folder / "velodyne_points")) {
-        const std::string stranger = describe_stranger(folder, "velodyne_points");
+        const std::string stranger = describe_unknown_folder(folder, "velodyne_points");
         if (!stranger.empty())
             throw DataError(fmt::format("{} is not a KITTI raw drive: {}", folder.string(), stranger));
     }

@@ -26,7 +26,7 @@ namespace {
 // accurate than the coordinates in the files, which are rounded to millimetres.
 constexpr std::size_t kFitScans = 6, kLatticeScans = 3;
 
-std::vector<const RawScan*> spread(const std::vector<RawScan>& scans, std::size_t count) {
+std::vector<const RawScan*> select_evenly_spaced_scans(const std::vector<RawScan>& scans, std::size_t count) {
     std::vector<const RawScan*> some;
     count = std::min(count, scans.size());
     for (std::size_t i = 0; i < count; ++i) some.push_back(&scans[i * scans.size() / count]);
@@ -38,7 +38,7 @@ std::vector<const RawScan*> spread(const std::vector<RawScan>& scans, std::size_
 RawScan read_raw_scan(const std::filesystem::path& file, const std::filesystem::path& labels) {
     ScanPoints scan =
         read_scan(file, labels.empty() ? labels : labels / file.filename().replace_extension(".label"));
-    RawScan raw = split_rings(std::move(scan.points));
+    RawScan raw = split_points_into_rings(std::move(scan.points));
     raw.classes = std::move(scan.classes);
     return raw;
 }
@@ -53,7 +53,7 @@ Points make_points(const RawScan& raw) {
 
 /// Returns the azimuth of the last point of a scan, from 0 to 360 degrees. Azimuths
 /// increase from 0 in each ring, so a complete scan ends near 360.
-double end_azimuth_deg(const RawScan& scan) {
+double get_last_azimuth_deg(const RawScan& scan) {
     if (scan.points.empty()) return 0.0;
     // The scan is complete: a stray point after its last ring has started another ring.
     if (scan.n_rings > kRings) return 360.0;
@@ -70,7 +70,7 @@ public:
         for (const RawScan& scan : raw) {
             n_points_.push_back(scan.points.size());
             n_rings_.push_back(scan.n_rings);
-            end_deg_.push_back(end_azimuth_deg(scan));
+            end_deg_.push_back(get_last_azimuth_deg(scan));
         }
     }
 
@@ -126,7 +126,7 @@ private:
 /// Scales intensities of 0 to 255 to the range 0 to 1.
 /// @return a note for the user; empty if the intensities are already in the range 0 to 1
 /// @throws DataError if the intensities are in neither range
-std::string scale_intensities(std::vector<RawScan>& raw, const std::string& folder) {
+std::string normalise_intensities(std::vector<RawScan>& raw, const std::string& folder) {
     constexpr float kBytes = 255.0f;
     // Fractional intensities up to this value could be percentages, so they are rejected.
     constexpr float kPercent = 100.0f;
@@ -186,17 +186,17 @@ void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int di
                 broken.has(at) ? "" : scan_sizes.explain_incomplete_scan(at, file_of(at).string());
             !why.empty())
             broken.add(at, why + "; the file is probably truncated or damaged");
-    if (broken.size() == raw.size()) broken.tell(sequence, raw.size());
+    if (broken.size() == raw.size()) broken.add_broken_scan_notes(sequence, raw.size());
     for (std::size_t at = 0; at < raw.size(); ++at)
         // Removes the points of a broken scan, so that the fits below ignore it.
         if (broken.has(at)) raw[at] = {};
-    if (std::string note = scale_intensities(raw, folder.string()); !note.empty())
+    if (std::string note = normalise_intensities(raw, folder.string()); !note.empty())
         sequence.notes.push_back(std::move(note));
 
-    const Cones cones = fit_cones(spread(raw, kFitScans), folder.string());
+    const Cones cones = fit_cones(select_evenly_spaced_scans(raw, kFitScans), folder.string());
     parallel_for(static_cast<int>(raw.size()),
-                 [&](int index) { correct_rings(raw[static_cast<std::size_t>(index)], cones); });
-    const FiringLattice lattice = fit_lattice(spread(raw, kLatticeScans));
+                 [&](int index) { correct_ring_numbers(raw[static_cast<std::size_t>(index)], cones); });
+    const FiringLattice lattice = fit_lattice(select_evenly_spaced_scans(raw, kLatticeScans));
     check_rays(raw, lattice, folder.string());
 
     std::vector<std::vector<int>> firings(raw.size());

@@ -22,7 +22,7 @@ constexpr double kLargestOfLabel = 1e6;
 
 /// Reads a number from an XML element.
 /// @throws DataError with track and field if the number is missing or out of range
-double number_of(const pugi::xml_node& node, const char* field, const std::string& location) {
+double read_number_field(const pugi::xml_node& node, const char* field, const std::string& location) {
     const std::string text = node.child_value(field);
     const auto value = parse_number(trim_spaces(text));
     if (!value || !(std::abs(*value) <= kLargestOfLabel)) {
@@ -34,7 +34,7 @@ double number_of(const pugi::xml_node& node, const char* field, const std::strin
 
 /// Returns the pose of a box in the sensor frame.
 Pose read_sensor_from_box(const pugi::xml_node& item, double height_m, const std::string& location) {
-    const auto get = [&](const char* field) { return number_of(item, field, location); };
+    const auto get = [&](const char* field) { return read_number_field(item, field, location); };
     const glm::dquat rotation = make_rotation(get("rz"), get("ry"), get("rx"));
     return {rotation,
             glm::dvec3(get("tx"), get("ty"), get("tz")) + rotation * glm::dvec3(0, 0, 0.5 * height_m)};
@@ -44,13 +44,13 @@ BoxTrack read_track(const pugi::xml_node& item, const std::vector<int>& frames,
                     const PoseTrack& world_from_sensor, const std::string& location) {
     BoxTrack track;
     track.category = item.child_value("objectType");
-    track.size_m = {number_of(item, "l", location), number_of(item, "w", location),
-                    number_of(item, "h", location)};
+    track.size_m = {read_number_field(item, "l", location), read_number_field(item, "w", location),
+                    read_number_field(item, "h", location)};
     if (!(std::min({track.size_m.x, track.size_m.y, track.size_m.z}) > 0.0)) {
         throw DataError(fmt::format("{}: the size is l {} w {} h {} m, expected three lengths above 0",
                                     location, track.size_m.x, track.size_m.y, track.size_m.z));
     }
-    int frame = static_cast<int>(number_of(item, "first_frame", location));
+    int frame = static_cast<int>(read_number_field(item, "first_frame", location));
     for (const pugi::xml_node& pose : item.child("poses").children("item")) {
         const auto found = std::lower_bound(frames.begin(), frames.end(), frame);
         const Pose in_sensor =

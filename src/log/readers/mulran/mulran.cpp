@@ -79,7 +79,7 @@ void check_points(const folder::PointTable& table, const std::string& location) 
 }
 
 /// Detects the order of the points in the files from the first readable scan.
-MulranOrder find_order(const std::vector<fs::path>& files) {
+MulranOrder detect_point_order(const std::vector<fs::path>& files) {
     for (const fs::path& file : files) {
         folder::PointTable table;
         try {
@@ -124,7 +124,7 @@ PoseTrack read_mulran_poses(const fs::path& file, const stamped::StampedLog& log
             make_rigid_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
                             {m[3], m[7], m[11]}, row.where));
     }
-    const glm::dvec3 driven = stamped::find_driving(track).mean;
+    const glm::dvec3 driven = stamped::estimate_driving_direction(track).mean;
     if (driven != glm::dvec3(0.0) && driven.x < kForward)
         notes.push_back(fmt::format(
             "poses: on average, the vehicle drives in the direction ({:.2f}, {:.2f}, {:.2f}) of its own "
@@ -158,7 +158,7 @@ stamped::PointFormat format_of_points(Sequence& sequence, const std::vector<fs::
     if (!brightness.about.empty()) sequence.notes.push_back(brightness.about);
     format.turn_s = kTurn_s;
     format.turned_rad = kPi;
-    const MulranOrder order = find_order(files);
+    const MulranOrder order = detect_point_order(files);
     sequence.notes.push_back(
         "the points have no times; they are computed from the position in the file, with the "
         "middle of the sweep at the stamp");
@@ -197,7 +197,7 @@ Sequence load_mulran(const fs::path& log_folder, const DatasetOptions& options) 
         const PoseTrack track = shift_track(log.world_from_vehicle, -sequence.world_offset_m);
         // add_frames() skips scans without a pose, so all these times have one.
         const auto pose_at = [&](double t_s) { return std::optional(track.at(t_s)); };
-        if (std::string note = bag::place_rays(sequence, pose_at); !note.empty())
+        if (std::string note = bag::correct_ray_motion(sequence, pose_at); !note.empty())
             sequence.notes.push_back(std::move(note));
     }
     return sequence;

@@ -98,7 +98,7 @@ ReadSweep read_sweep(const SweepFiles& files, const std::array<SurfaceClass, 256
             read.points.classes.push_back(classes[static_cast<unsigned char>(categories[i])]);
         numbers.push_back(int(column));
     }
-    undo_compensation(read.points, world_from_sensor, time_s);
+    undo_motion_compensation(read.points, world_from_sensor, time_s);
     remove_unmeasured(read.points, numbers);
     if (read.points.size() == 0)
         throw DataError(

@@ -34,7 +34,7 @@ public:
         bool quoted = false, escaped = false;
         for (char c = 0; get(c);) {
             if (depth == 0) {
-                if (!between(c)) continue;
+                if (!is_object_start(c)) continue;
                 depth = 1;
                 record = c;
                 continue;
@@ -74,7 +74,7 @@ private:
     }
     /// Checks a character between two objects of the table.
     /// @return true if the character starts an object
-    bool between(char character) {
+    bool is_object_start(char character) {
         if (character == '{' && opened_ && !closed_) return true;
         const bool blank = character == ' ' || character == '\n' || character == '\r' || character == '\t';
         if (character == '[' && !opened_) opened_ = true;

@@ -144,9 +144,10 @@ public:
           options_(options),
           chosen_(choose_scene(list_scenes_of(folder), options.sequence)),
           scene_(read_scene(chosen_.tables, chosen_.name)),
-          format_(chosen_.tables.filename() == kTablesOfT4 ? kT4
-                                                           : format_of(scene_.lidars[0].sweeps[0].file)),
-          split_(split_of(chosen_.tables)) {
+          format_(chosen_.tables.filename() == kTablesOfT4
+                      ? kT4
+                      : get_sensor_format(scene_.lidars[0].sweeps[0].file)),
+          split_(find_nuscenes_split(chosen_.tables)) {
         for (const SweepRecord& sweep : scene_.lidars[0].sweeps)
             main_s_.push_back(scene_.seconds(sweep.time_us));
         step_s_ = compute_median_step_s(main_s_);
@@ -187,7 +188,7 @@ private:
     std::vector<NumberedSweep> frames_;
     Sequence sequence_;
 
-    static const Format& format_of(const std::string& file) {
+    static const Format& get_sensor_format(const std::string& file) {
         std::vector<std::string> endings;
         for (const Format& format : kFormats) {
             if (file.ends_with(format.ending)) return format;
@@ -200,7 +201,7 @@ private:
     }
 
     void note(std::string text) { sequence_.notes.push_back(std::move(text)); }
-    static std::string split_of(const fs::path& tables) {
+    static std::string find_nuscenes_split(const fs::path& tables) {
         const std::string name = tables.filename().string();
         return name.ends_with("_data") ? name.substr(0, name.size() - 4) : "";
     }

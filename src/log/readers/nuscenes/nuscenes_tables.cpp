@@ -75,8 +75,8 @@ ByToken<Mounted> read_calibrations(const fs::path& tables) {
 using Channels = std::map<std::string, ByToken<SweepRecord>>;  // files by channel name, then by token
 
 /// Returns the LiDAR files of a scene, by channel.
-Channels files_of(const fs::path& tables, const ByToken<std::int64_t>& samples,
-                  const ByToken<Mounted>& mounted) {
+Channels list_lidar_files(const fs::path& tables, const ByToken<std::int64_t>& samples,
+                          const ByToken<Mounted>& mounted) {
     Channels files;
     for_each_record(tables / "sample_data.json", [&](const JsonRecord& record) {
         SweepRecord file;
@@ -121,7 +121,7 @@ std::vector<SweepRecord> sort_sweeps(const fs::path& tables, const ByToken<Sweep
 std::vector<SceneLidar> read_lidars(const fs::path& tables, const ByToken<std::int64_t>& samples) {
     const ByToken<Mounted> mounted = read_calibrations(tables);
     std::vector<SceneLidar> lidars;
-    for (const auto& [channel, files] : files_of(tables, samples, mounted)) {
+    for (const auto& [channel, files] : list_lidar_files(tables, samples, mounted)) {
         SceneLidar lidar{channel, {}, sort_sweeps(tables, files)};
         if (lidar.sweeps.empty()) continue;
         lidar.ego_from_lidar = mounted.at(lidar.sweeps[0].calibration).ego_from_lidar;

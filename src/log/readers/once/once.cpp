@@ -74,7 +74,7 @@ OnceFile read_once_dataset_file(const fs::path& file, const fs::path& lidar, boo
     for (std::size_t i = 0; i < frames.size(); ++i) {
         const JsonField frame = frames.at(i), id = frame.at("frame_id");
         const std::string name = id.text(20);
-        const auto stamp = stamped::parse_stamp(name);
+        const auto stamp = stamped::parse_timestamp_ns(name);
         if (!stamp) id.fail(fmt::format("'{}'", make_excerpt(name)), "expected a time in milliseconds");
         if (!content.scans.empty() && *stamp <= content.scans.back().stamp)
             id.fail(fmt::format("found {} after {}", *stamp, content.scans.back().stamp),
@@ -112,10 +112,11 @@ PoseTrack make_turned_track(const OnceFile& content, const stamped::StampedLog& 
                             std::vector<std::string>& notes) {
     const PoseTrack w_last = make_once_track(content.poses, log, false),
                     w_first = make_once_track(content.poses, log, true);
-    const double last = -stamped::find_driving(w_last).mean.y, first = -stamped::find_driving(w_first).mean.y;
+    const double last = -stamped::estimate_driving_direction(w_last).mean.y,
+                 first = -stamped::estimate_driving_direction(w_first).mean.y;
     const bool is_w_first = first > last;
     const double best = std::max(first, last);
-    if (best != 0.0) stamped::warn_unless_forward(notes, best);
+    if (best != 0.0) stamped::warn_unless_facing_forward(notes, best);
     if (is_w_first)
         notes.push_back(
             "the quaternions of poses are read with w first, unlike in the code of ONCE, because "

@@ -72,7 +72,7 @@ RayTable make_cone_rays(const RayTable& rays) {
     return cone;
 }
 
-Scan receive(const RayTable& rays, const Scan& cone) {
+Scan combine_cone_returns(const RayTable& rays, const Scan& cone) {
     Scan scan{rays, ScanArray<float>(rays.size()), ScanArray<float>(rays.size()), {}};
     SecondReturn& echo = scan.second_returns.emplace_back(
         SecondReturn{std::vector<float>(rays.size()), std::vector<float>(rays.size())});

@@ -23,6 +23,6 @@ RayTable make_cone_rays(const RayTable& rays);
 /// the light of the strongest return. A ray is dropped if at most half of its cone has
 /// hits.
 /// @param cone  scan with the hits of the rays from make_cone_rays(rays)
-Scan receive(const RayTable& rays, const Scan& cone);
+Scan combine_cone_returns(const RayTable& rays, const Scan& cone);
 
 }  // namespace relidar::street

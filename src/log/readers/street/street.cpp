@@ -21,16 +21,16 @@ struct Meeting {
     glm::dvec3 normal{0.0};
 };
 
-Meeting intersect_box(const glm::dvec3& half, const glm::dvec3& o, const glm::dvec3& direction) {
+Meeting intersect_box(const glm::dvec3& half, const glm::dvec3& origin, const glm::dvec3& direction) {
     double enter = -std::numeric_limits<double>::infinity(), leave = -enter;
     int axis = 0;
     for (int a = 0; a < 3; ++a) {
         if (direction[a] == 0.0) {
-            if (std::abs(o[a]) > half[a]) return {};
+            if (std::abs(origin[a]) > half[a]) return {};
             continue;
         }
         const double side = std::copysign(half[a], direction[a]);
-        const double near = (-side - o[a]) / direction[a], far = (side - o[a]) / direction[a];
+        const double near = (-side - origin[a]) / direction[a], far = (side - origin[a]) / direction[a];
         if (near > enter) enter = near, axis = a;
         leave = std::min(leave, far);
     }
@@ -40,20 +40,21 @@ Meeting intersect_box(const glm::dvec3& half, const glm::dvec3& o, const glm::dv
     return meeting;
 }
 
-Meeting intersect_cylinder(double radius, double half_height, const glm::dvec3& o,
+Meeting intersect_cylinder(double radius, double half_height, const glm::dvec3& origin,
                            const glm::dvec3& direction) {
     const double a = direction.x * direction.x + direction.y * direction.y,
-                 b = o.x * direction.x + o.y * direction.y, c = o.x * o.x + o.y * o.y - radius * radius;
+                 b = origin.x * direction.x + origin.y * direction.y,
+                 c = origin.x * origin.x + origin.y * origin.y - radius * radius;
     Meeting best;
     const double root = b * b - a * c;
     if (a > 0.0 && root >= 0.0) {
         const double t = (-b - std::sqrt(root)) / a;
-        const glm::dvec3 p = o + t * direction;
+        const glm::dvec3 p = origin + t * direction;
         if (t > 0.0 && std::abs(p.z) <= half_height) best = {t, glm::dvec3(p.x, p.y, 0.0) / radius};
     }
     if (direction.z != 0.0) {
-        const double cap = -std::copysign(half_height, direction.z), t = (cap - o.z) / direction.z;
-        const glm::dvec3 p = o + t * direction;
+        const double cap = -std::copysign(half_height, direction.z), t = (cap - origin.z) / direction.z;
+        const glm::dvec3 p = origin + t * direction;
         if (t > 0.0 && t < best.t && p.x * p.x + p.y * p.y <= radius * radius)
             best = {t, {0.0, 0.0, std::copysign(1.0, cap)}};
     }
@@ -61,19 +62,22 @@ Meeting intersect_cylinder(double radius, double half_height, const glm::dvec3& 
 }
 
 /// Intersects a ray with a capsule whose axis points down from the origin.
-Meeting intersect_capsule(double radius, double length, const glm::dvec3& o, const glm::dvec3& direction) {
+Meeting intersect_capsule(double radius, double length, const glm::dvec3& origin,
+                          const glm::dvec3& direction) {
     Meeting best;
     const auto offer = [&](double t, double axis_z) {
-        if (t > 0.0 && t < best.t) best = {t, (o + t * direction - glm::dvec3(0.0, 0.0, axis_z)) / radius};
+        if (t > 0.0 && t < best.t)
+            best = {t, (origin + t * direction - glm::dvec3(0.0, 0.0, axis_z)) / radius};
     };
     const double a = direction.x * direction.x + direction.y * direction.y,
-                 b = o.x * direction.x + o.y * direction.y, c = o.x * o.x + o.y * o.y - radius * radius;
+                 b = origin.x * direction.x + origin.y * direction.y,
+                 c = origin.x * origin.x + origin.y * origin.y - radius * radius;
     if (const double root = b * b - a * c; a > 0.0 && root >= 0.0) {
-        const double t = (-b - std::sqrt(root)) / a, z = o.z + t * direction.z;
+        const double t = (-b - std::sqrt(root)) / a, z = origin.z + t * direction.z;
         if (z <= 0.0 && z >= -length) offer(t, z);
     }
     for (const double end : {0.0, -length}) {
-        const glm::dvec3 to = o - glm::dvec3(0.0, 0.0, end);
+        const glm::dvec3 to = origin - glm::dvec3(0.0, 0.0, end);
         const double half = glm::dot(to, direction), rest = half * half - glm::dot(to, to) + radius * radius;
         if (rest >= 0.0) offer(-half - std::sqrt(rest), end);
     }
@@ -81,8 +85,8 @@ Meeting intersect_capsule(double radius, double length, const glm::dvec3& o, con
 }
 
 /// Rotates a vector about the z axis by the angle with cosine c and sine s.
-glm::dvec3 rotate_vector(const glm::dvec3& vector, double c, double s) {
-    return {c * vector.x - s * vector.y, s * vector.x + c * vector.y, vector.z};
+glm::dvec3 rotate_vector(const glm::dvec3& vector, double cosine, double sine) {
+    return {cosine * vector.x - sine * vector.y, sine * vector.x + cosine * vector.y, vector.z};
 }
 
 /// Returns true if a point of a wall is in a window. Walls that face the y direction have
@@ -142,7 +146,7 @@ public:
         return along < -sphere.radius_m || along - sphere.radius_m > nearest_m_;
     }
 
-    void ground() {
+    void intersect_ground() {
         if (!(ray_.direction.z < 0.0)) return;
         const double t = -ray_.origin_m.z / ray_.direction.z;
         if (!(t > 0.0) || t > nearest_m_) return;
@@ -152,7 +156,7 @@ public:
 
     /// Intersects the ray with a shape, and stores the hit if it is the nearest so far.
     /// @param origin,direction  ray in the frame of the shape's centre
-    void solid(const Solid& solid, const glm::dvec3& origin, const glm::dvec3& direction) {
+    void intersect_solid(const Solid& solid, const glm::dvec3& origin, const glm::dvec3& direction) {
         if (misses_sphere(solid.around, origin, direction)) return;
         const Shape& shape = solid.shape;
         const double c = solid.cos_yaw, s = -solid.sin_yaw;
@@ -170,7 +174,8 @@ public:
     /// so far.
     /// @param pitch_rad  swing angle of the limb, from straight down to the front
     /// @param origin,direction  ray in the frame of the person's box
-    void limb(const Limb& limb, double pitch_rad, const glm::dvec3& origin, const glm::dvec3& direction) {
+    void intersect_limb(const Limb& limb, double pitch_rad, const glm::dvec3& origin,
+                        const glm::dvec3& direction) {
         const double c = std::cos(pitch_rad), s = std::sin(pitch_rad);
         const auto hanging = [&](const glm::dvec3& vector) {
             return glm::dvec3(c * vector.x + s * vector.z, vector.y, c * vector.z - s * vector.x);
@@ -238,7 +243,7 @@ StreetCaster::StreetCaster(Street street) : solids_(make_solids(street.shapes)) 
     }
 }
 
-void StreetCaster::place_cars(double t_s, CarPlaces& places) const {
+void StreetCaster::compute_car_poses(double t_s, CarPlaces& places) const {
     if (places.time_s == t_s) return;
     places.time_s = t_s;
     places.centre_m.clear();
@@ -253,25 +258,26 @@ void StreetCaster::place_cars(double t_s, CarPlaces& places) const {
 std::optional<Hit> StreetCaster::cast(const WorldRay& ray, double t_s, double max_range_m,
                                       CarPlaces& places) const {
     Walk walk(ray, max_range_m);
-    walk.ground();
+    walk.intersect_ground();
     std::size_t solid = 0;
     for (const Cluster& cluster : clusters_) {
         if (!walk.misses_sphere(cluster.around, ray.origin_m, ray.direction))
-            for (; solid < cluster.end; ++solid) walk.solid(solids_[solid], ray.origin_m, ray.direction);
+            for (; solid < cluster.end; ++solid)
+                walk.intersect_solid(solids_[solid], ray.origin_m, ray.direction);
         solid = cluster.end;
     }
-    place_cars(t_s, places);
+    compute_car_poses(t_s, places);
     for (std::size_t i = 0; i < cars_.size(); ++i) {
         const Car& car = cars_[i];
         if (walk.misses_sphere({places.centre_m[i], car.reach_m}, ray.origin_m, ray.direction)) continue;
         const Pose& box_from_world = places.box_from_world[i];
         const glm::dvec3 origin = box_from_world * ray.origin_m,
                          direction = box_from_world.rotation * ray.direction;
-        for (const Solid& s : car.solids) walk.solid(s, origin, direction);
+        for (const Solid& s : car.solids) walk.intersect_solid(s, origin, direction);
         if (car.moving.limbs.empty()) continue;
         const double stride_rad = 2.0 * kPi * car.moving.compute_walked_m(t_s) / car.moving.stride_m;
         for (const Limb& l : car.moving.limbs)
-            walk.limb(l, l.swing_rad * std::sin(stride_rad + l.phase_rad), origin, direction);
+            walk.intersect_limb(l, l.swing_rad * std::sin(stride_rad + l.phase_rad), origin, direction);
     }
     return walk.hit();
 }

@@ -131,7 +131,7 @@ private:
     std::vector<Car> cars_;
 
     static std::vector<Solid> make_solids(const std::vector<Shape>& shapes);
-    void place_cars(double t_s, CarPlaces& places) const;
+    void compute_car_poses(double t_s, CarPlaces& places) const;
 };
 
 }  // namespace relidar::street

@@ -52,8 +52,8 @@ struct Side {
 
 /// Adds house facades on one side of the street.
 /// @param yard  if true, leaves a gap for the yard
-void add_facades(Street& street, Random& random, const Side& at, bool yard) {
-    const auto& [side, kerb_m, half_m] = at;
+void add_facades(Street& street, Random& random, const Side& street_side, bool yard) {
+    const auto& [side, kerb_m, half_m] = street_side;
     for (double x = -half_m; x < half_m;) {
         const double width = random.uniform(8.0, 18.0), height = random.uniform(5.0, 14.0),
                      depth = random.uniform(6.0, 10.0);
@@ -71,8 +71,8 @@ void add_facades(Street& street, Random& random, const Side& at, bool yard) {
     }
 }
 
-void add_poles_and_trees(Street& street, Random& random, const Side& at) {
-    const auto& [side, kerb_m, half_m] = at;
+void add_poles_and_trees(Street& street, Random& random, const Side& street_side) {
+    const auto& [side, kerb_m, half_m] = street_side;
     for (double x = -half_m + random.uniform(2.0, 8.0); x < half_m; x += random.uniform(9.0, 16.0)) {
         const double y = kerb_m + side * random.uniform(0.5, 1.0);
         const bool tree = random.uniform() < 0.4;
@@ -139,11 +139,11 @@ std::vector<Shape> make_glazed_car_shapes(double paint) {
     return shapes;
 }
 
-void add_parked_car(Street& street, double x, double y, double yaw, const std::vector<Shape>& shapes) {
+void add_parked_car(Street& street, double x_m, double y_m, double yaw, const std::vector<Shape>& shapes) {
     for (Shape shape : shapes) {
         const glm::dvec3 c = shape.centre;
-        shape.centre = glm::dvec3(x + c.x * std::cos(yaw) - c.y * std::sin(yaw),
-                                  y + c.x * std::sin(yaw) + c.y * std::cos(yaw), c.z + kBoxCentre_m);
+        shape.centre = glm::dvec3(x_m + c.x * std::cos(yaw) - c.y * std::sin(yaw),
+                                  y_m + c.x * std::sin(yaw) + c.y * std::cos(yaw), c.z + kBoxCentre_m);
         shape.yaw_rad = yaw;
         shape.surface = SurfaceClass::vehicle;
         street.shapes.push_back(shape);
@@ -198,7 +198,7 @@ MovingCar make_moving_car(const SyntheticOptions& options, double x_at_middle_m,
 
 /// Adds a car that is 14 m ahead of the sensor in the middle of the log and drives
 /// towards it. A long street has one oncoming car per 120 m.
-void add_oncoming(Street& street, Random& random, const SyntheticOptions& options) {
+void add_oncoming_cars(Street& street, Random& random, const SyntheticOptions& options) {
     constexpr double kSpeed_mps = 9.0, kLane_m = 3.2;
     street.cars.push_back(make_moving_car(options, 14.0, kLane_m, kPi, kSpeed_mps, 0.35));
     if (compute_driven_length_m(options) <= kLongWay_m) return;
@@ -307,7 +307,7 @@ Street make_street(const SyntheticOptions& options) {
                                    ? 12.0 + 0.05 * 0.5 * compute_driven_length_m(options)
                                    : 12.0;
         street.cars.push_back(make_moving_car(options, ahead_m, 0.1, 0.0, 1.05 * options.speed_mps, 0.6));
-        add_oncoming(street, random, options);
+        add_oncoming_cars(street, random, options);
     }
     if (options.people) {
         add_yard(street, random);

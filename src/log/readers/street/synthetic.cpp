@@ -70,14 +70,15 @@ double compute_echo_intensity(const Hit& hit) {
 
 /// Returns only the shapes that rays of one sweep can reach, which makes ray casting
 /// faster.
-street::Street crop_street(const street::Street& whole, const glm::dvec3& sensor_m, double time_s) {
+street::Street crop_street_to_sweep(const street::Street& full_street, const glm::dvec3& sensor_m,
+                                    double time_s) {
     // Upper bound of the distances that the sensor and the cars move during a sweep.
     constexpr double kSweep_m = 20.0;
     street::Street near;
-    for (const street::Shape& shape : whole.shapes)
+    for (const street::Shape& shape : full_street.shapes)
         if (glm::distance(shape.centre, sensor_m) <= kMaxRange_m + kSweep_m + 2.0 * glm::length(shape.half))
             near.shapes.push_back(shape);
-    for (const street::MovingCar& car : whole.cars)
+    for (const street::MovingCar& car : full_street.cars)
         if (glm::distance(car.world_from_box(time_s).translation, sensor_m) <=
             kMaxRange_m + kSweep_m + glm::length(car.size_m))
             near.cars.push_back(car);
@@ -87,9 +88,10 @@ street::Street crop_street(const street::Street& whole, const glm::dvec3& sensor
 /// Casts every ray of a scan at its firing time. Calls `receive(ray, hit)` for each ray
 /// that hits a surface.
 template <class Receive>
-void cast_rays(const street::Street& whole, const glm::dvec3& offset_m, const PoseTrack& track, double time_s,
-               const RayTable& rays, const Receive& receive) {
-    const street::StreetCaster street(crop_street(whole, track.at(time_s).translation + offset_m, time_s));
+void cast_rays(const street::Street& full_street, const glm::dvec3& offset_m, const PoseTrack& track,
+               double time_s, const RayTable& rays, const Receive& receive) {
+    const street::StreetCaster street(
+        crop_street_to_sweep(full_street, track.at(time_s).translation + offset_m, time_s));
     const std::size_t columns = rays.rows > 1 ? std::size_t(rays.columns) : 1;
     // One cache of car poses per column, because rays of a column usually have the same
     // time.
@@ -118,8 +120,8 @@ glm::dvec3 compute_origin(const SyntheticOptions& options) {
 }
 
 /// Casts a scan without noise. Rays with a drop probability above 0.5 are dropped.
-Scan cast_exactly(const street::Street& street, const glm::dvec3& offset_m, const RayTable& rays,
-                  const PoseTrack& track, double time_s) {
+Scan cast_without_noise(const street::Street& street, const glm::dvec3& offset_m, const RayTable& rays,
+                        const PoseTrack& track, double time_s) {
     Scan scan = make_empty_scan(rays);
     cast_rays(street, offset_m, track, time_s, rays, [&](std::size_t ray, const Hit& hit) {
         if (compute_drop_probability(hit) > 0.5) return;
@@ -136,7 +138,8 @@ Scan cast_beams(const street::Street& street, const glm::dvec3& offset_m, const 
         throw UsageError(
             "synthetic street: several returns need beams with a divergence, because an ideal ray "
             "has only one return");
-    return street::receive(rays, cast_exactly(street, offset_m, street::make_cone_rays(rays), track, time_s));
+    return street::combine_cone_returns(
+        rays, cast_without_noise(street, offset_m, street::make_cone_rays(rays), track, time_s));
 }
 
 /// Returns the random seed of a frame. Further LiDARs do not change the seeds of the
@@ -266,8 +269,8 @@ Sequence make_synthetic_street(const SyntheticOptions& options) {
 namespace {
 
 /// Replaces the moving cars of the street by other moving cars.
-void replace_cars(street::Street& street, const std::vector<StreetCar>& cars, const glm::dvec3& origin_m,
-                  double time_s) {
+void add_moved_cars(street::Street& street, const std::vector<StreetCar>& cars, const glm::dvec3& origin_m,
+                    double time_s) {
     const std::vector<street::MovingCar> own = std::move(street.cars);
     street.cars.clear();
     for (const StreetCar& car : cars) {
@@ -276,7 +279,7 @@ void replace_cars(street::Street& street, const std::vector<StreetCar>& cars, co
                 "cannot cast rays into the edited street: track {} has the shape of car {}, expected the "
                 "index of one of its {} cars",
                 car.track.id, car.shapes_of, own.size()));
-        if (!car.track.present(time_s)) continue;
+        if (!car.track.is_present(time_s)) continue;
         street::MovingCar& moved = street.cars.emplace_back(own[car.shapes_of]);
         moved.track = car.track.world_from_box;
         for (Pose& pose : moved.track.pose) pose.translation += origin_m;
@@ -288,8 +291,8 @@ void replace_cars(street::Street& street, const std::vector<StreetCar>& cars, co
 Scan cast_synthetic_street(const SyntheticOptions& options, const RayTable& rays,
                            const PoseTrack& world_from_sensor, double time_s) {
     check(options);
-    return cast_exactly(street::make_street(options), compute_origin(options), rays, world_from_sensor,
-                        time_s);
+    return cast_without_noise(street::make_street(options), compute_origin(options), rays, world_from_sensor,
+                              time_s);
 }
 
 Scan cast_synthetic_beams(const SyntheticOptions& options, const RayTable& rays,
@@ -302,8 +305,8 @@ Scan cast_synthetic_street(const SyntheticOptions& options, const std::vector<St
                            const RayTable& rays, const PoseTrack& world_from_sensor, double time_s) {
     check(options);
     street::Street street = street::make_street(options);
-    replace_cars(street, cars, compute_origin(options), time_s);
-    return cast_exactly(street, compute_origin(options), rays, world_from_sensor, time_s);
+    add_moved_cars(street, cars, compute_origin(options), time_s);
+    return cast_without_noise(street, compute_origin(options), rays, world_from_sensor, time_s);
 }
 
 }  // namespace relidar

@@ -83,7 +83,7 @@ Segment choose_segment(const fs::path& path, const DatasetOptions& options) {
 }
 
 /// Returns the records [begin, end) that contain the requested frames.
-std::pair<int, int> record_range(const TfRecords& records, const FrameRange& frames) {
+std::pair<int, int> get_requested_record_range(const TfRecords& records, const FrameRange& frames) {
     const int n = static_cast<int>(std::min<std::size_t>(records.size(), 1 << 30));
     const int end = frames.end < 0 ? n : std::min(frames.end, n);
     if (frames.begin >= end)
@@ -93,7 +93,7 @@ std::pair<int, int> record_range(const TfRecords& records, const FrameRange& fra
     return {frames.begin, end};
 }
 
-std::string record_name(const TfRecords& records, int record) {
+std::string make_record_name(const TfRecords& records, int record) {
     return fmt::format("{}: record {}", records.file().string(), record);
 }
 
@@ -156,7 +156,7 @@ struct FrameHead {
 };
 
 FrameHead read_head(const TfRecords& records, int record) {
-    const std::string data = records.read(std::size_t(record)), where = record_name(records, record);
+    const std::string data = records.read(std::size_t(record)), where = make_record_name(records, record);
     FrameRecord frame = parse_frame(data, where);
     for (BoxLabel& label : frame.labels)
         label.world_from_box = frame.world_from_vehicle * label.world_from_box;
@@ -299,7 +299,7 @@ private:
 void add_frames(Sequence& sequence, const TfRecords& records, const std::vector<FrameHead>& heads, int begin,
                 bool top_alone) {
     const double period_s = compute_median_period(heads, records.file().string());
-    const std::string first = records.read(std::size_t(begin)), where = record_name(records, begin);
+    const std::string first = records.read(std::size_t(begin)), where = make_record_name(records, begin);
     const FrameRecord frame = parse_frame(first, where);
     sequence.lidars.clear();
     for (const LaserImages& images : frame.images)
@@ -308,7 +308,7 @@ void add_frames(Sequence& sequence, const TfRecords& records, const std::vector<
     if (sequence.lidars.empty())
         throw DataError(fmt::format("{}: found no range image{}, expected at least one", where,
                                     top_alone ? " of TOP" : ""));
-    const std::int64_t start_us = parse_frame(records.read(0), record_name(records, 0)).timestamp_us;
+    const std::int64_t start_us = parse_frame(records.read(0), make_record_name(records, 0)).timestamp_us;
     std::vector<BoxLabel> labels;
     for (std::size_t i = 0; i < heads.size(); ++i) {
         // The time stamp is the start of the sweep, when the head faces backward. Half a
@@ -340,7 +340,8 @@ void read_scans(Sequence& sequence, const TfRecords& records, const DatasetOptio
             const int record = sequence.frames[sweep * n_lidars].index;
             // The pose in this record has been read before, so the record is known to be
             // complete.
-            const std::string data = records.read(std::size_t(record)), where = record_name(records, record);
+            const std::string data = records.read(std::size_t(record)),
+                              where = make_record_name(records, record);
             const FrameRecord parsed = parse_frame(data, where);
             for (std::size_t lidar = 0; lidar < n_lidars; ++lidar) {
                 Frame& frame = sequence.frames[sweep * n_lidars + lidar];
@@ -364,7 +365,7 @@ void read_scans(Sequence& sequence, const TfRecords& records, const DatasetOptio
 Sequence load_waymo(const fs::path& path, const DatasetOptions& options) {
     const Segment segment = choose_segment(path, options);
     const TfRecords records(segment.file);
-    const auto [begin, end] = record_range(records, segment.frames);
+    const auto [begin, end] = get_requested_record_range(records, segment.frames);
     std::vector<FrameHead> heads(std::size_t(end - begin));
     for_each_with_progress(
         heads.size(), options.progress, "reading poses",

@@ -38,80 +38,81 @@ constexpr std::uint32_t make_single_real_tag(std::uint32_t field) {
 constexpr std::size_t kMostInflated = std::size_t(32) << 20;
 constexpr double kLargestOfFrame = 1e8;  // maximum value of all numbers in a frame (metres or radians)
 
-std::string_view to_string_view(pbf_reader& from) {
-    const protozero::data_view view = from.get_view();
+std::string_view to_string_view(pbf_reader& reader) {
+    const protozero::data_view view = reader.get_view();
     return {view.data(), view.size()};
 }
 
-double checked(double value, const char* field, const std::string& location) {
+double check_finite_number(double value, const char* field, const std::string& location) {
     if (!(std::abs(value) <= kLargestOfFrame))
         throw DataError(fmt::format("{}: {} is {}, expected a finite number of at most {:.0e}", location,
                                     field, value, kLargestOfFrame));
     return value;
 }
 
-void append_packed(pbf_reader& from, std::vector<double>& to) {
-    for (const double value : from.get_packed_double()) to.push_back(value);
+void append_packed(pbf_reader& reader, std::vector<double>& values) {
+    for (const double value : reader.get_packed_double()) values.push_back(value);
 }
 
 /// Parses a Transform message: a 4x4 matrix of doubles, row-major.
-Pose parse_transform(pbf_reader from, const std::string& location) {
+Pose parse_transform(pbf_reader reader, const std::string& location) {
     std::vector<double> m;
-    while (from.next()) {
-        switch (from.tag_and_type()) {
+    while (reader.next()) {
+        switch (reader.tag_and_type()) {
             case make_real_tag(1):
-                m.push_back(from.get_double());
+                m.push_back(reader.get_double());
                 break;
             case make_message_tag(1):
-                append_packed(from, m);
+                append_packed(reader, m);
                 break;
             default:
-                from.skip();
+                reader.skip();
         }
     }
     if (m.size() != 16)
         throw DataError(
             fmt::format("{}: found a transform of {} numbers, expected 16 numbers", location, m.size()));
-    for (const double value : m) checked(value, "a number of the transform", location);
+    for (const double value : m) check_finite_number(value, "a number of the transform", location);
     return make_rigid_pose({m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]}, {m[3], m[7], m[11]},
                            location);
 }
 
-Calibration parse_calibration(pbf_reader from, const std::string& location) {
+Calibration parse_calibration(pbf_reader reader, const std::string& location) {
     Calibration calibration;
-    while (from.next()) {
-        switch (from.tag_and_type()) {
+    while (reader.next()) {
+        switch (reader.tag_and_type()) {
             case number(1):
-                calibration.laser = from.get_enum();
+                calibration.laser = reader.get_enum();
                 break;
             case make_real_tag(2):
-                calibration.inclination_rad.push_back(from.get_double());
+                calibration.inclination_rad.push_back(reader.get_double());
                 break;
             case make_message_tag(2):
-                append_packed(from, calibration.inclination_rad);
+                append_packed(reader, calibration.inclination_rad);
                 break;
             case make_real_tag(3):
-                calibration.min_inclination_rad = from.get_double();
+                calibration.min_inclination_rad = reader.get_double();
                 break;
             case make_real_tag(4):
-                calibration.max_inclination_rad = from.get_double();
+                calibration.max_inclination_rad = reader.get_double();
                 break;
             case make_message_tag(5):
                 calibration.vehicle_from_laser =
-                    parse_transform(from.get_message(), location + ", extrinsic");
+                    parse_transform(reader.get_message(), location + ", extrinsic");
                 break;
             default:
-                from.skip();
+                reader.skip();
         }
     }
     return calibration;
 }
 
-void parse_context(pbf_reader from, FrameRecord& frame, const std::string& location) {
-    while (from.next()) {
-        if (from.tag_and_type() == make_message_tag(3))
-            frame.lasers.push_back(parse_calibration(from.get_message(), location + ": laser_calibrations"));
-        else from.skip();
+void parse_context(pbf_reader reader, FrameRecord& frame, const std::string& location) {
+    while (reader.next()) {
+        if (reader.tag_and_type() == make_message_tag(3))
+            frame.lasers.push_back(
+                parse_calibration(reader.get_message(), location + ": laser_calibrations"));
+        else reader.skip();
     }
 }
 
@@ -121,57 +122,57 @@ struct ReturnImages {
     std::string_view image, pixel_pose, labels;
 };
 
-ReturnImages parse_range_image(pbf_reader from) {
+ReturnImages parse_range_image(pbf_reader reader) {
     ReturnImages images;
-    while (from.next()) {
-        switch (from.tag_and_type()) {
+    while (reader.next()) {
+        switch (reader.tag_and_type()) {
             case make_message_tag(2):
-                images.image = to_string_view(from);
+                images.image = to_string_view(reader);
                 break;
             case make_message_tag(4):
-                images.pixel_pose = to_string_view(from);
+                images.pixel_pose = to_string_view(reader);
                 break;
             case make_message_tag(6):
-                images.labels = to_string_view(from);
+                images.labels = to_string_view(reader);
                 break;
             default:
-                from.skip();
+                reader.skip();
         }
     }
     return images;
 }
 
-LaserImages parse_laser(pbf_reader from) {
+LaserImages parse_laser(pbf_reader reader) {
     LaserImages laser;
-    while (from.next()) {
-        switch (from.tag_and_type()) {
+    while (reader.next()) {
+        switch (reader.tag_and_type()) {
             case number(1):
-                laser.laser = from.get_enum();
+                laser.laser = reader.get_enum();
                 break;
             case make_message_tag(2): {
-                const ReturnImages first = parse_range_image(from.get_message());
+                const ReturnImages first = parse_range_image(reader.get_message());
                 laser.first = first.image, laser.pixel_pose = first.pixel_pose, laser.labels = first.labels;
                 break;
             }
             case make_message_tag(3):
-                laser.second = parse_range_image(from.get_message()).image;
+                laser.second = parse_range_image(reader.get_message()).image;
                 break;
             default:
-                from.skip();
+                reader.skip();
         }
     }
     return laser;
 }
 
 /// Parses a Box message, whose fields are centre, width, length, height and heading.
-void parse_box(pbf_reader from, BoxLabel& label, const std::string& location) {
+void parse_box(pbf_reader reader, BoxLabel& label, const std::string& location) {
     double v[8] = {};
-    while (from.next()) {
-        if (from.tag() >= 1 && from.tag() <= 7 && from.wire_type() == pbf_wire_type::fixed64) {
-            const std::uint32_t field = from.tag();
-            v[field] = checked(from.get_double(), "a number of the box", location);
+    while (reader.next()) {
+        if (reader.tag() >= 1 && reader.tag() <= 7 && reader.wire_type() == pbf_wire_type::fixed64) {
+            const std::uint32_t field = reader.tag();
+            v[field] = check_finite_number(reader.get_double(), "a number of the box", location);
         } else {
-            from.skip();
+            reader.skip();
         }
     }
     label.size_m = {v[5], v[4], v[6]};
@@ -188,22 +189,22 @@ const char* get_category(int type) {
                                  : nullptr;
 }
 
-void parse_label(pbf_reader from, FrameRecord& frame, const std::string& location) {
+void parse_label(pbf_reader reader, FrameRecord& frame, const std::string& location) {
     BoxLabel label;
     int type = 0;
-    while (from.next()) {
-        switch (from.tag_and_type()) {
+    while (reader.next()) {
+        switch (reader.tag_and_type()) {
             case make_message_tag(1):
-                parse_box(from.get_message(), label, location);
+                parse_box(reader.get_message(), label, location);
                 break;
             case number(3):
-                type = from.get_enum();
+                type = reader.get_enum();
                 break;
             case make_message_tag(4):
-                label.id = from.get_string();
+                label.id = reader.get_string();
                 break;
             default:
-                from.skip();
+                reader.skip();
         }
     }
     const char* category = get_category(type);
@@ -218,25 +219,25 @@ void parse_label(pbf_reader from, FrameRecord& frame, const std::string& locatio
 }
 
 /// Parses a MatrixFloat or MatrixInt32 message, which contains values and dimensions.
-void parse_matrix(pbf_reader from, PixelType type, std::vector<float>& values,
+void parse_matrix(pbf_reader reader, PixelType type, std::vector<float>& values,
                   std::vector<std::int32_t>& dims) {
-    while (from.next()) {
-        switch (from.tag_and_type()) {
+    while (reader.next()) {
+        switch (reader.tag_and_type()) {
             case make_single_real_tag(1):
-                values.push_back(from.get_float());
+                values.push_back(reader.get_float());
                 break;
             case number(1):
-                if (type == PixelType::integer) values.push_back(float(from.get_int32()));
-                else from.skip();
+                if (type == PixelType::integer) values.push_back(float(reader.get_int32()));
+                else reader.skip();
                 break;
             case make_message_tag(1):
                 if (type == PixelType::real)
-                    for (const float value : from.get_packed_float()) values.push_back(value);
+                    for (const float value : reader.get_packed_float()) values.push_back(value);
                 else
-                    for (const std::int32_t value : from.get_packed_int32()) values.push_back(float(value));
+                    for (const std::int32_t value : reader.get_packed_int32()) values.push_back(float(value));
                 break;
             case make_message_tag(2):
-                for (pbf_reader shape = from.get_message(); shape.next();) {
+                for (pbf_reader shape = reader.get_message(); shape.next();) {
                     if (shape.tag_and_type() == number(1)) dims.push_back(shape.get_int32());
                     else if (shape.tag_and_type() == make_message_tag(1)) {
                         for (const std::int32_t dim : shape.get_packed_int32()) dims.push_back(dim);
@@ -244,7 +245,7 @@ void parse_matrix(pbf_reader from, PixelType type, std::vector<float>& values,
                 }
                 break;
             default:
-                from.skip();
+                reader.skip();
         }
     }
 }

@@ -25,11 +25,12 @@ RayTable make_rays(const ScanningWindow& window) {
     rays.columns = window.columns;
     rays.divergence_rad = static_cast<float>(window.divergence_rad);
     for (int row = 0; row < window.rows; ++row) {
-        const double elevation = pattern_detail::between(window.top_rad, window.bottom_rad, row, window.rows),
+        const double elevation = pattern_detail::interpolate_evenly(window.top_rad, window.bottom_rad, row,
+                                                                    window.rows),
                      c = std::cos(elevation);
         for (int column = 0; column < window.columns; ++column) {
             const double azimuth =
-                pattern_detail::between(window.left_rad, window.right_rad, column, window.columns);
+                pattern_detail::interpolate_evenly(window.left_rad, window.right_rad, column, window.columns);
             const double time_s = ((column + 0.5) / window.columns - 0.5) * window.period_s;
             pattern_detail::add_ray(rays, {c * std::cos(azimuth), c * std::sin(azimuth), std::sin(elevation)},
                                     time_s, row);

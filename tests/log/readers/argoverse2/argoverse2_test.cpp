@@ -65,7 +65,7 @@ constexpr double kNearest_m = 4.7;
 
 TEST(Argoverse2, EveryRayIsWhereItWasFired) {
     const Argoverse2Log log("rays");
-    EXPECT_EQ(recognise_dataset(log.folder), "argoverse2");
+    EXPECT_EQ(detect_dataset_kind(log.folder), "argoverse2");
     const Sequence sequence = load_sequence(log.folder.string(), make_far_options());
     ASSERT_EQ(sequence.frames.size(), 6u);
     ASSERT_EQ(sequence.lidars.size(), 2u);

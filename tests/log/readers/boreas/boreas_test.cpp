@@ -48,7 +48,7 @@ void expect_boreas_truth(const BoreasFolder& data, const Sequence& sequence) {
 
 TEST(Boreas, EveryReturnIsWhereItWasMeasured) {
     const BoreasFolder data("2020-11-26-13-58");
-    EXPECT_EQ(recognise_dataset(data.folder), "boreas");
+    EXPECT_EQ(detect_dataset_kind(data.folder), "boreas");
     const Sequence sequence = load_sequence(data.folder.string(), {});
     EXPECT_EQ(sequence.name, "boreas-2020-11-26-13-58");
     EXPECT_THAT(sequence.conventions, testing::HasSubstr("rotated about z by -42.60 degrees"));

@@ -125,7 +125,7 @@ TEST(SaveFolder, IsReadAsTheSameLog) {
     ASSERT_FALSE(street.boxes.empty());
     const fs::path folder = make_fresh_folder_path("saved");
     save_folder(street, folder);
-    EXPECT_EQ(recognise_dataset(folder), "folder");
+    EXPECT_EQ(detect_dataset_kind(folder), "folder");
     const Sequence sequence = load_sequence(folder.string(), {});
     expect_same_log(sequence, street);
     expect_same_scans(sequence, street);

@@ -37,7 +37,7 @@ std::size_t points_in(const Sequence& log, const Frame& frame, const BoxTrack& b
 
 TEST(Kitti360, PointsStandInTheWorldWhereTheyWere) {
     const Kitti360Folder kitti("k360");
-    EXPECT_EQ(recognise_dataset(kitti.folder), "kitti360");
+    EXPECT_EQ(detect_dataset_kind(kitti.folder), "kitti360");
     const Sequence log = read(kitti);
     ASSERT_EQ(log.frames.size(), 3u);
     EXPECT_TRUE(log.rolling_shutter);
@@ -90,7 +90,7 @@ TEST(Kitti360, BoxesHoldWhatWasLabelled) {
     }
     EXPECT_EQ(standing.world_from_box.pose[0].translation, standing.world_from_box.pose[1].translation);
     for (const Frame& frame : log.frames) EXPECT_GT(points_in(log, frame, driving), 100u) << frame.index;
-    EXPECT_FALSE(standing.present(log.frames[0].time_s)) << "not labelled there";
+    EXPECT_FALSE(standing.is_present(log.frames[0].time_s)) << "not labelled there";
     EXPECT_GT(points_in(log, log.frames[1], standing), 100u);
     EXPECT_GT(points_in(log, log.frames[2], standing), 100u);
 }

@@ -264,8 +264,8 @@ TEST(KittiErrors, Tracklets) {
 
 TEST(Registry, KindsAreRecognisedAndNamed) {
     const KittiDrive drive("kinds");
-    EXPECT_EQ(recognise_dataset(drive.folder), "kitti_raw");
-    EXPECT_THROW(recognise_dataset(drive.folder.parent_path()), DataError);
+    EXPECT_EQ(detect_dataset_kind(drive.folder), "kitti_raw");
+    EXPECT_THROW(detect_dataset_kind(drive.folder.parent_path()), DataError);
     try {
         load_sequence("kiti_raw:" + drive.folder.string(), {});
         FAIL();

@@ -54,7 +54,7 @@ Sequence read(const Odometry& odometry, const fs::path& poses_file, FrameRange f
 
 TEST(KittiOdometry, IsRecognisedAndRead) {
     const Odometry odometry("odometry");
-    EXPECT_EQ(recognise_dataset(odometry.folder), "kitti_odometry");
+    EXPECT_EQ(detect_dataset_kind(odometry.folder), "kitti_odometry");
     const Sequence log = load_sequence(odometry.folder.string(), {});
     ASSERT_EQ(log.frames.size(), 3u);
     EXPECT_FALSE(log.rolling_shutter);

@@ -48,7 +48,7 @@ void expect_mulran_truth(const MulranFolder& data, const Sequence& sequence) {
 
 TEST(Mulran, EveryReturnIsWhereItWasMeasured) {
     const MulranFolder data("KAIST01");
-    EXPECT_EQ(recognise_dataset(data.folder), "mulran");
+    EXPECT_EQ(detect_dataset_kind(data.folder), "mulran");
     const Sequence sequence = load_sequence(data.folder.string(), {});
     EXPECT_EQ(sequence.name, "MulRan KAIST01");
     ASSERT_EQ(sequence.frames.size(), 3u);

@@ -38,7 +38,7 @@ double measure_distance_to_arc_m(int frame, double fraction) {
 
 TEST(Nuscenes, EveryRayIsWhereItWasFired) {
     const NuscenesFolder data("rays");
-    EXPECT_EQ(recognise_dataset(data.folder), "nuscenes");
+    EXPECT_EQ(detect_dataset_kind(data.folder), "nuscenes");
     const Sequence actual = load(data);
     EXPECT_EQ(actual.name, "nuScenes scene-0103");
     ASSERT_EQ(actual.frames.size(), std::size_t(NuscenesFolder::kSweeps));
@@ -146,7 +146,7 @@ TEST(Nuscenes, TablesOfT4) {
     const NuscenesFolder data("t4");
     const Sequence nuscenes = load(data);
     fs::rename(data.folder / "v1.0-mini", data.folder / "annotation");
-    EXPECT_EQ(recognise_dataset(data.folder), "t4");
+    EXPECT_EQ(detect_dataset_kind(data.folder), "t4");
     const Sequence t4 = load(data);
     EXPECT_EQ(t4.name, "T4 scene-0103");
     ASSERT_EQ(t4.frames.size(), nuscenes.frames.size());

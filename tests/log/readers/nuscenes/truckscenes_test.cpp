@@ -66,7 +66,7 @@ void expect_truth(const Sequence& actual, const Frame& frame, const TruckScenesF
 
 TEST(TruckScenes, EveryReturnOfBothLidars) {
     const TruckScenesFolder data("rays");
-    EXPECT_EQ(recognise_dataset(data.folder), "nuscenes");
+    EXPECT_EQ(detect_dataset_kind(data.folder), "nuscenes");
     const Sequence actual = load(data);
     EXPECT_EQ(actual.name, "TruckScenes scene-0044384af3d8494e913fb8b14915239e-3");
     ASSERT_EQ(actual.lidars.size(), 2u);
@@ -216,7 +216,7 @@ std::map<std::string, std::vector<float>> make_lyft(const TruckScenesFolder& dat
 TEST(Lyft, ReturnsOfBothLidars) {
     const TruckScenesFolder data("lyft");
     auto ranges = make_lyft(data);
-    EXPECT_EQ(recognise_dataset(data.folder), "lyft");
+    EXPECT_EQ(detect_dataset_kind(data.folder), "lyft");
     const Sequence actual = load(data);
     EXPECT_EQ(actual.name, "Lyft Level 5 scene-0044384af3d8494e913fb8b14915239e-3");
     ASSERT_EQ(actual.lidars.size(), 2u);

@@ -46,7 +46,7 @@ void expect_once_truth(const OnceFolder& data, const Sequence& sequence) {
 
 TEST(Once, EveryReturnIsOnTheYard) {
     const OnceFolder data("000076");
-    EXPECT_EQ(recognise_dataset(data.folder), "once");
+    EXPECT_EQ(detect_dataset_kind(data.folder), "once");
     const Sequence sequence = load_sequence(data.folder.string(), {});
     EXPECT_EQ(sequence.name, "ONCE 000076");
     ASSERT_EQ(sequence.frames.size(), std::size_t(OnceFolder::kScans));

@@ -389,7 +389,7 @@ TEST(Synthetic, SavedAndLoadedAgain) {
     options.speed_mps = 6;
     options.people = options.gait = true;
     save_synthetic(options, folder);
-    EXPECT_EQ(recognise_dataset(folder), "synthetic");
+    EXPECT_EQ(detect_dataset_kind(folder), "synthetic");
     DatasetOptions part;
     part.sequence = "kd1";
     EXPECT_THROW(load_sequence(folder.string(), part), UsageError) << "a street is one drive";

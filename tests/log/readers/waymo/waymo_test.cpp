@@ -78,8 +78,8 @@ void expect_pixels(const Sequence& log, const Frame& frame, const std::vector<Wa
 
 TEST(Waymo, PointsStandInTheWorldWhereTheyWere) {
     const WaymoSegment segment("waymo");
-    EXPECT_EQ(recognise_dataset(segment.file), "waymo");
-    EXPECT_EQ(recognise_dataset(segment.folder), "waymo");
+    EXPECT_EQ(detect_dataset_kind(segment.file), "waymo");
+    EXPECT_EQ(detect_dataset_kind(segment.folder), "waymo");
     EXPECT_TRUE(is_dataset(segment.file));
     const Sequence log = read(segment);
     ASSERT_EQ(log.lidars.size(), 2u);

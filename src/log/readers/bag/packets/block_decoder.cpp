@@ -62,12 +62,12 @@ void add_echo(std::array<Echo, 2>& echoes, std::size_t number, const Echo& echo)
 class BlockDecoder : public Decoder {
 public:
     BlockDecoder(const Layout& layout, const std::vector<Correction>& corrections) : layout_(layout) {
-        if (layout.has_correction_file) choose_angles(corrections);
+        if (layout.has_correction_file) select_angle_correction(corrections);
         timing_.cycle_us = layout.cycle_us;
         timing_.wrap_us = layout.wrap_us;
         timing_.interpolates = layout.firings > 1;  // as in the VLP-16's manual
         timing_.parts = int(layout.parts());
-        table_ = find_beam_firings(layout.sensor);
+        table_ = get_beam_firings(layout.sensor);
         beams_ = list_block_beams(layout);
         if (!angles_.empty()) {
             for (BlockBeam& beam : beams_) beam.elevation_deg = angles_[beam.laser].elevation_deg;
@@ -103,7 +103,7 @@ public:
 
     Packet decode(std::string_view bytes) const override {
         Packet packet;
-        packet.clock_ns = read_clock(bytes);
+        packet.clock_ns = read_sensor_clock_ns(bytes);
         const auto mode = layout_.mode_at > 0 ? std::uint8_t(bytes[layout_.mode_at]) : std::uint8_t(0);
         const std::size_t n_returns = mode == kTriple ? 3 : mode >= kFirstDual && mode <= kLastDual ? 2 : 1;
         const double unit_m =
@@ -120,7 +120,7 @@ public:
                 const std::size_t slot = b / n_joined * layout_.firings + f / layout_.block_returns;
                 Firing& firing = packet.firings[slot];
                 firing.azimuth_deg = azimuth_deg;
-                firing.part = find_part(bytes, b / n_joined, n_returns);
+                firing.part = get_firing_sequence(bytes, b / n_joined, n_returns);
                 const int* rings = &ring_of_[std::size_t(firing.part)][bank * layout_.block_lasers];
                 read_echoes(reader, unit_m, b % n_returns + f % layout_.block_returns, rings,
                             &packet.echoes[slot * beams_.size()]);
@@ -145,7 +145,7 @@ private:
 
     /// Selects the angle correction file with the right number of lasers. If several
     /// files match, uses none, because it is unknown which one belongs to the sensor.
-    void choose_angles(const std::vector<Correction>& corrections) {
+    void select_angle_correction(const std::vector<Correction>& corrections) {
         const std::size_t n = layout_.lasers();
         std::string files;
         for (const Correction& correction : corrections) {
@@ -169,7 +169,7 @@ private:
 
     /// Returns the index of the firing sequence that a firing belongs to.
     /// @param number  number of the firing in the packet
-    int find_part(std::string_view bytes, std::size_t number, std::size_t n_returns) const {
+    int get_firing_sequence(std::string_view bytes, std::size_t number, std::size_t n_returns) const {
         if (layout_.part_rule == PartRule::none) return 0;
         bag::ByteReader reader(bytes.substr(layout_.part_at));
         if (layout_.part_rule == PartRule::azimuth_state)
@@ -183,7 +183,7 @@ private:
     }
 
     /// Reads the time of a packet on the sensor's clock, in nanoseconds.
-    std::int64_t read_clock(std::string_view bytes) const {
+    std::int64_t read_sensor_clock_ns(std::string_view bytes) const {
         bag::ByteReader reader(bytes.substr(layout_.time_at));
         if (!layout_.is_big_endian) return std::int64_t(1000) * reader.number<std::uint32_t>();
         const std::int64_t passed_ms = read_short(reader), passed_us = read_short(reader);
@@ -249,7 +249,7 @@ std::vector<BlockBeam> list_block_beams(const Layout& layout) {
     for (const LaserTimes& times : layout.loops)
         for (const std::int32_t time_ns : times)
             if (time_ns >= 0) first_ns = std::min(first_ns, time_ns);
-    const std::vector<BeamFiring> table = find_beam_firings(layout.sensor);
+    const std::vector<BeamFiring> table = get_beam_firings(layout.sensor);
     std::vector<BlockBeam> beams;
     for (std::size_t line = 0; line < table.size(); ++line) {
         BlockBeam beam{std::size_t(table[line].channel - layout.first_channel), 0, line, 0.0,

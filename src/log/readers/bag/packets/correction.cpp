@@ -31,7 +31,7 @@ bool is_word(std::string_view cell, std::string_view word) {
 }
 
 /// Returns true if a file looks like an angle correction file of a LiDAR.
-bool is_correction(const fs::path& file) {
+bool is_angle_correction_file(const fs::path& file) {
     std::error_code failed;
     if (!is_word(file.extension().string(), ".csv") || !fs::is_regular_file(file, failed) ||
         fs::file_size(file, failed) > kMostCorrectionBytes)
@@ -51,7 +51,7 @@ void add_corrections(const fs::path& folder, std::vector<Correction>& correction
     std::ranges::sort(files);
     for (const fs::path& file : files) {
         try {
-            if (corrections.size() < kMostCorrections && is_correction(file))
+            if (corrections.size() < kMostCorrections && is_angle_correction_file(file))
                 corrections.push_back(read_correction(read_text(file), file.filename().string()));
         } catch (const DataError&) {
             continue;
@@ -97,8 +97,8 @@ std::vector<Correction> find_corrections(const std::vector<fs::path>& recording)
         const bool is_ros2_folder = does_path_exist(folder / "metadata.yaml");
         folders.insert(folder);
         if (is_ros2_folder) folders.insert(fs::absolute(folder).parent_path());
-        if (is_correction(of_file)) named.insert(of_file);
-        else if (is_ros2_folder && is_correction(of_folder)) named.insert(of_folder);
+        if (is_angle_correction_file(of_file)) named.insert(of_file);
+        else if (is_ros2_folder && is_angle_correction_file(of_folder)) named.insert(of_folder);
     }
     std::vector<Correction> corrections;
     for (const fs::path& file : named) {

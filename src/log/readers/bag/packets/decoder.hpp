@@ -125,7 +125,7 @@ std::string describe_unknown_packet(const Product* product, std::string_view byt
 
 /// Returns true if the packets of an RS-LiDAR-16 contain two returns per firing, which
 /// the packets do not state. With two returns, the time between packets is half as long.
-bool have_two_returns(const std::vector<PacketView>& packets);
+bool have_dual_returns(const std::vector<PacketView>& packets);
 
 /// Creates a packet decoder, by name of the product: the first function for Velodyne and
 /// Hesai, the second for Ouster.

@@ -14,8 +14,8 @@ constexpr std::size_t kMostUnmeasured = 8;
 
 /// Marks long runs of unmeasured columns as fired, so that their rays become dropped
 /// rays. Does not mark columns of lost packets.
-void add_unmeasured(std::vector<bool>& has_fired, const std::vector<bool>& fires,
-                    const std::vector<bool>& is_lost) {
+void mark_unmeasured_columns(std::vector<bool>& has_fired, const std::vector<bool>& fires,
+                             const std::vector<bool>& is_lost) {
     std::size_t run = 0;
     for (std::size_t c = 0; c <= fires.size(); ++c) {
         if (c < fires.size() && fires[c] && !has_fired[c] && !is_lost[c]) {
@@ -57,7 +57,7 @@ Scan make_fired_scan(FiredPoints& fired, const std::vector<bool>& fires, const s
                      SpinningSensor sensor) {
     std::vector<bool> has_fired(fires.size(), false);
     for (const auto& [column, head_rad] : fired.head_rad) has_fired[std::size_t(column)] = true;
-    add_unmeasured(has_fired, fires, is_lost);
+    mark_unmeasured_columns(has_fired, fires, is_lost);
     Sweep sweep{{int(has_fired.size()), kPi}, {}};
     std::vector<std::uint32_t> place(has_fired.size());
     for (std::size_t c = 0; c < has_fired.size(); ++c) {

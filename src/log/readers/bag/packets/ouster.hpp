@@ -72,11 +72,11 @@ OusterFormats find_ouster_metadata(const std::filesystem::path& recording, std::
 /// metadata. If several metadata match, prefers metadata of the same topic (port of a
 /// capture, namespace of a bag), then metadata with the same serial number.
 /// @return null if no metadata matches, or if more than one remains
-std::shared_ptr<const OusterFormat> format_of(const OusterFormats& formats, std::string_view topic,
-                                              std::string_view packet);
+std::shared_ptr<const OusterFormat> match_ouster_format(const OusterFormats& formats, std::string_view topic,
+                                                        std::string_view packet);
 /// Returns true if packets of an Ouster sensor with a supported layout can have this
 /// size.
-bool is_ouster_size(std::size_t bytes);
+bool is_ouster_packet_size(std::size_t bytes);
 /// Returns the error message for packets that look like Ouster packets but cannot be
 /// decoded. The message tells the user what to do.
 /// @param formats  metadata that was read

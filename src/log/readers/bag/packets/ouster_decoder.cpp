@@ -106,7 +106,8 @@ private:
         return column;
     }
 
-    double compute_azimuth(const Column& column, const std::vector<Firing>& before, int slot) const {
+    double compute_azimuth(const Column& column, const std::vector<Firing>& previous_firings,
+                           int slot) const {
         const int columns = format_->sensor.columns;
         if (column.number >= columns)
             throw DataError(
@@ -114,9 +115,10 @@ private:
                             column.number, columns, format_->where));
         const double azimuth_deg = std::fmod(180.0 + 360.0 * column.number / columns, 360.0),
                      step_deg = 360.0 / columns;
-        if (!before.empty() && std::abs(std::remainder(azimuth_deg - before.back().azimuth_deg -
-                                                           step_deg * (slot - before.back().slot),
-                                                       360.0)) > 0.1 * step_deg)
+        if (!previous_firings.empty() &&
+            std::abs(std::remainder(azimuth_deg - previous_firings.back().azimuth_deg -
+                                        step_deg * (slot - previous_firings.back().slot),
+                                    360.0)) > 0.1 * step_deg)
             throw DataError(fmt::format(
                 "column {} at position {} of a packet does not follow the previous column, expected "
                 "columns in order",

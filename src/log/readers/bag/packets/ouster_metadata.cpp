@@ -42,7 +42,7 @@ constexpr double kMostSerial = 1099511627776.0;  // serial numbers have 40 bits
 // Byte offsets of the serial number in the packet header, for old and new firmware.
 constexpr std::size_t kSerialBytes = 5, kSerialAt[] = {7, 11};
 
-std::size_t bytes_of(const OusterProfile& profile, int pixels, int columns) {
+std::size_t compute_packet_bytes(const OusterProfile& profile, int pixels, int columns) {
     const std::size_t column = std::size_t(pixels) * profile.pixel_bytes;
     return profile.is_legacy ? std::size_t(columns) * (16 + column + 4)
                              : 32 + std::size_t(columns) * (12 + column) + 32;
@@ -124,7 +124,7 @@ void check_sizes(OusterFormat& format, const Json& json) {
         throw DataError(
             fmt::format("{}: columns_per_packet is {}, expected a divisor of the {} columns of a turn",
                         format.where, format.columns_per_packet, columns));
-    format.packet_bytes = bytes_of(*format.profile, beams, format.columns_per_packet);
+    format.packet_bytes = compute_packet_bytes(*format.profile, beams, format.columns_per_packet);
     if (format.packet_bytes > kMostDatagram)
         throw DataError(fmt::format("{}: found {}, expected at most {} bytes, the largest UDP packet",
                                     format.where, format.about(), kMostDatagram));
@@ -139,11 +139,11 @@ int parse_port(std::string_view topic) {
                           : parse_number(topic.substr(colon + 1));
     return port && *port >= 0.0 && *port <= 65535.0 ? int(*port) : 0;
 }
-std::string_view get_name_space(std::string_view topic) {
+std::string_view get_topic_namespace(std::string_view topic) {
     return topic.starts_with('/') ? topic.substr(0, topic.rfind('/')) : std::string_view();
 }
 
-bool has_serial(std::string_view packet, const OusterFormat& format) {
+bool has_serial_number(std::string_view packet, const OusterFormat& format) {
     if (format.serial == 0 || format.profile->is_legacy) return false;
     return std::ranges::any_of(kSerialAt, [&](std::size_t at) {
         std::uint64_t serial = 0;
@@ -154,7 +154,7 @@ bool has_serial(std::string_view packet, const OusterFormat& format) {
 }
 
 bool is_recording(const fs::path& file) {
-    const std::string ending = bag::unpacked_name(file).extension().string();
+    const std::string ending = bag::get_unpacked_name(file).extension().string();
     return ending == ".pcap" || ending == ".pcapng" || ending == ".bag" || ending == ".mcap" ||
            ending == ".db3";
 }
@@ -222,7 +222,7 @@ OusterFormats find_ouster_metadata(const fs::path& recording, std::vector<std::s
         list_files_of_folder(recording.has_parent_path() ? recording.parent_path() : ".");
     std::set<std::string> recorded;
     for (const fs::path& file : files)
-        if (is_recording(file)) recorded.insert(bag::unpacked_name(file).stem().string());
+        if (is_recording(file)) recorded.insert(bag::get_unpacked_name(file).stem().string());
     OusterFormats formats;
     for (const fs::path& file : files) {
         const std::string stem = file.stem().string();
@@ -238,8 +238,8 @@ OusterFormats find_ouster_metadata(const fs::path& recording, std::vector<std::s
     return formats;
 }
 
-std::shared_ptr<const OusterFormat> format_of(const OusterFormats& formats, std::string_view topic,
-                                              std::string_view packet) {
+std::shared_ptr<const OusterFormat> match_ouster_format(const OusterFormats& formats, std::string_view topic,
+                                                        std::string_view packet) {
     OusterFormats left;
     const int port = parse_port(topic);
     // Packets in the LEGACY layout have no serial number. If there is only one sensor's
@@ -252,7 +252,8 @@ std::shared_ptr<const OusterFormat> format_of(const OusterFormats& formats, std:
             std::ranges::any_of(left, [&](const auto& other) { return other->text == format->text; });
         const bool is_of_other_port = port > 0 && format->port > 0 && port != format->port;
         if (format->packet_bytes != packet.size() || is_told ||
-            (is_of_other_port && !has_serial(packet, *format) && !(is_alone && format->profile->is_legacy)))
+            (is_of_other_port && !has_serial_number(packet, *format) &&
+             !(is_alone && format->profile->is_legacy)))
             continue;
         left.push_back(format);
     }
@@ -261,17 +262,18 @@ std::shared_ptr<const OusterFormat> format_of(const OusterFormats& formats, std:
             std::erase_if(left, [&](const auto& format) { return !is_its(format); });
     };
     narrow([&](const auto& format) {
-        return !get_name_space(topic).empty() && get_name_space(format->where) == get_name_space(topic);
+        return !get_topic_namespace(topic).empty() &&
+               get_topic_namespace(format->where) == get_topic_namespace(topic);
     });
     narrow([&](const auto& format) { return format->port > 0 && format->port == port; });
-    narrow([&](const auto& format) { return has_serial(packet, *format); });
+    narrow([&](const auto& format) { return has_serial_number(packet, *format); });
     return left.size() == 1 ? left.front() : nullptr;
 }
 
-bool is_ouster_size(std::size_t bytes) {
+bool is_ouster_packet_size(std::size_t bytes) {
     for (const OusterProfile& profile : kProfiles)
         for (const int pixels : {16, 32, 64, 128, 256})
-            if (bytes == bytes_of(profile, pixels, kUsualColumns)) return true;
+            if (bytes == compute_packet_bytes(profile, pixels, kUsualColumns)) return true;
     return false;
 }
 

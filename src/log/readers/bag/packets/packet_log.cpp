@@ -45,7 +45,7 @@ void PacketLog::add(const std::vector<PacketView>& packets, std::int64_t log_ns,
                     const Calibration& calibration) {
     messages_.push_back({place, log_ns});
     Calibration of_first = calibration;
-    of_first.has_two_returns = !product_ && have_two_returns(packets);
+    of_first.has_two_returns = !product_ && have_dual_returns(packets);
     if (packets.size() > kMostInMessage)
         throw DataError(
             fmt::format("a message has {} packets, expected at most {}", packets.size(), kMostInMessage));
@@ -85,7 +85,7 @@ void PacketLog::add_packet(const PacketView& view, std::uint16_t in_message) {
     const bool is_at_end = packet.firings.back().after_us < -packet.firings.front().after_us;
     // azimuth step from firing f to the next firing
     const auto step_deg = [&](std::size_t f) {
-        return compute_degrees_on(packet.firings[f].azimuth_deg, packet.firings[f + 1].azimuth_deg);
+        return compute_rotation_deg(packet.firings[f].azimuth_deg, packet.firings[f + 1].azimuth_deg);
     };
     const bool may_skip = decoder_->timing().fires.empty();
     double skipped_deg = 0.0;
@@ -117,7 +117,7 @@ void PacketLog::add_packet(const PacketView& view, std::uint16_t in_message) {
         if (jumps) skipped_deg += step_deg(f);
         first = f + 1;
     }
-    if (decoder_->timing().is_wide) count_bright(packet);
+    if (decoder_->timing().is_wide) count_max_intensities(packet);
 }
 
 /// Unwraps the sensor's clock, which restarts at 0 after a fixed time. The time stamps of
@@ -131,7 +131,7 @@ void PacketLog::unwrap_clock(Entry& entry) const {
     entry.clock_ns += std::llround(1e3 * wrap_us * std::round((passed_stamp_us - passed_us) / wrap_us));
 }
 
-void PacketLog::count_bright(const Packet& packet) {
+void PacketLog::count_max_intensities(const Packet& packet) {
     n_bright_.resize(kMostBright + 1);
     for (const auto& returns : packet.echoes)
         for (const Echo& echo : returns)
@@ -148,7 +148,7 @@ void PacketLog::finish() {
     deg_us_ = unwrap_azimuths(packets_, timing);
     if (timing.fires.empty() && deg_us_ > 0.0)
         skipped_ = find_skipped_sector(packets_, deg_us_ * timing.cycle_us);
-    find_turns();
+    find_revolutions();
 }
 
 /// Returns the number of packets that the sensor has sent since the previous packet; 1 if
@@ -167,7 +167,7 @@ double PacketLog::count_lost_slots(std::size_t packet) const {
     const Entry &entry = packets_[packet], &before = packets_[packet - 1];
     const double cycle_us = decoder_->timing().cycle_us,
                  slots = 1e-3 * double(entry.clock_ns - before.clock_ns) / cycle_us,
-                 skipped_deg = skipped_.between(before.azimuth_deg, entry.azimuth_deg);
+                 skipped_deg = skipped_.compute_overlap_deg(before.azimuth_deg, entry.azimuth_deg);
     return slots - (skipped_deg > 0.0 ? skipped_deg / (deg_us_ * cycle_us) : 0.0) - before.n_slots;
 }
 
@@ -221,8 +221,9 @@ std::pair<double, double> PacketLog::find_azimuth_reach_deg() const {
         // Includes the skipped sector if the packets begin or end at its edge.
         const double slack_deg = deg_us_ * decoder_->timing().cycle_us;
         const double last_deg = last.azimuth_deg + double(last.turned_deg);
-        const double before_deg = skipped_.between(first.azimuth_deg - slack_deg, first.azimuth_deg),
-                     behind_deg = skipped_.between(last_deg, last_deg + slack_deg);
+        const double before_deg =
+                         skipped_.compute_overlap_deg(first.azimuth_deg - slack_deg, first.azimuth_deg),
+                     behind_deg = skipped_.compute_overlap_deg(last_deg, last_deg + slack_deg);
         return {first.azimuth_deg - (before_deg > 0.0 ? skipped_.width_deg : 0.0),
                 behind_deg > 0.0 ? last_deg + skipped_.width_deg : last.azimuth_deg};
     }
@@ -234,7 +235,7 @@ std::pair<double, double> PacketLog::find_azimuth_reach_deg() const {
     return {kBehind_deg + step_deg() * double(begin), kBehind_deg + step_deg() * double(end)};
 }
 
-void PacketLog::find_turns() {
+void PacketLog::find_revolutions() {
     const auto [first_deg, end] = find_azimuth_reach_deg();
     double begin = kBehind_deg + 360.0 * std::ceil((first_deg - kBehind_deg) / 360.0);
     if (begin - first_deg > 360.0 * kCutOff) ++left_out_.n_cut_off;
@@ -260,9 +261,9 @@ void PacketLog::find_turns() {
             continue;
         }
         count_missing(turn);
-        find_times(turn);
+        compute_turn_times(turn);
         if (2 * turn.n_missing >= turn.last - turn.first) ++left_out_.n_lost;
-        else if (!is_even(turn)) ++left_out_.n_jumps;
+        else if (!is_evenly_sampled(turn)) ++left_out_.n_jumps;
         else turns_.push_back(turn);
     }
     if (end - begin > 360.0 * kCutOff) ++left_out_.n_cut_off;
@@ -297,7 +298,7 @@ std::string PacketLog::problems() const {
 
 /// Computes when the head faces forward in a revolution. If the sensor's clock defines
 /// the times, also computes the difference between time stamps and this clock.
-void PacketLog::find_times(PacketTurn& turn) const {
+void PacketLog::compute_turn_times(PacketTurn& turn) const {
     const double forward = turn.begin_deg + 180.0;
     const auto behind =
         std::ranges::upper_bound(packets_, forward, {}, &Entry::azimuth_deg) - packets_.begin();
@@ -316,7 +317,7 @@ void PacketLog::find_times(PacketTurn& turn) const {
 
 /// Returns true if the sensor's clock advances from packet to packet during a revolution,
 /// and if the revolution is not too long.
-bool PacketLog::is_even(const PacketTurn& turn) const {
+bool PacketLog::is_evenly_sampled(const PacketTurn& turn) const {
     const double slot_ns = 1e3 * decoder_->timing().cycle_us;
     for (std::size_t i = turn.first + 1; i <= turn.last; ++i) {
         const Entry &entry = packets_[i], &before = packets_[i - 1];
@@ -345,7 +346,7 @@ double PacketLog::compute_slot_deg(const PacketTurn& turn) const {
     for (std::size_t i = turn.first; i < turn.last; ++i)
         n += std::size_t(packets_[i].n_slots) + count_missing_before(i + 1) * std::size_t(n_slots_);
     const double first_deg = packets_[turn.first].azimuth_deg, last_deg = packets_[turn.last].azimuth_deg;
-    return std::max(last_deg - first_deg - skipped_.between(first_deg, last_deg), 1.0) /
+    return std::max(last_deg - first_deg - skipped_.compute_overlap_deg(first_deg, last_deg), 1.0) /
            double(std::max<std::size_t>(n, 1));
 }
 
@@ -408,7 +409,7 @@ int PacketLog::compute_column(const PacketTurn& turn, double azimuth_deg) const 
 
 /// Returns for each column of a revolution whether its packet was lost. Empty for a
 /// sensor that fires at any azimuth.
-std::vector<bool> PacketLog::lost_columns(const PacketTurn& turn) const {
+std::vector<bool> PacketLog::find_lost_columns(const PacketTurn& turn) const {
     const std::vector<bool>& fires = decoder_->timing().fires;
     std::vector<bool> is_lost(fires.size(), false);
     const std::size_t end_packet = std::min(turn.last + 2, packets_.size());
@@ -450,7 +451,8 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
         for (std::size_t f = begin; f < end; ++f) {
             const Firing& firing = packet.firings[f];
             azimuth += f > begin ? step : 0.0;
-            if (f + 1 < end) step = compute_degrees_on(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
+            if (f + 1 < end)
+                step = compute_rotation_deg(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
             // With several firing sequences per column: time from the first one to this
             // one.
             const double late_us = timing.cycle_us * double(firing.part);
@@ -479,7 +481,7 @@ Scan PacketLog::arrange_points(const PacketTurn& turn, FiredPoints& fired,
                                const SpinningSensor& sensor) const {
     if (fired.points.size() == 0) return make_unordered_scan(fired.points);
     if (!decoder_->timing().fires.empty())
-        return make_fired_scan(fired, decoder_->timing().fires, lost_columns(turn), sensor);
+        return make_fired_scan(fired, decoder_->timing().fires, find_lost_columns(turn), sensor);
     const Sweep sweep = sort_firings(fired.points, fired.numbers, fired.head_rad);
     // Complete revolutions all have the same number of columns. After packet loss, the
     // scan has only the columns that were received.

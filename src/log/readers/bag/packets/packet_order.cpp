@@ -23,10 +23,10 @@ bool is_repeat(const PacketEntry& first, const PacketEntry& second) {
 
 /// Unwraps the azimuth of a packet relative to the previous packet. Full revolutions
 /// between the two packets are computed from the time between them and the rotation rate.
-void follow(PacketEntry& entry, const PacketEntry& before, double passed_us, double deg_us) {
-    const double azimuth =
-        before.azimuth_deg + compute_degrees_on(std::fmod(before.azimuth_deg, 360.0), entry.azimuth_deg);
-    const double expected = before.azimuth_deg + deg_us * passed_us;
+void unwrap_packet_azimuth(PacketEntry& entry, const PacketEntry& previous, double passed_us, double deg_us) {
+    const double azimuth = previous.azimuth_deg +
+                           compute_rotation_deg(std::fmod(previous.azimuth_deg, 360.0), entry.azimuth_deg);
+    const double expected = previous.azimuth_deg + deg_us * passed_us;
     entry.azimuth_deg = azimuth + 360.0 * std::max(0.0, std::round((expected - azimuth) / 360.0));
 }
 
@@ -46,7 +46,7 @@ double compute_mean_rate(const std::vector<PacketEntry>& packets) {
 
 }  // namespace
 
-double compute_degrees_on(double from_deg, double to_deg) {
+double compute_rotation_deg(double from_deg, double to_deg) {
     const double step = std::remainder(to_deg - from_deg, 360.0);
     return step < -kBackward_deg ? step + 360.0 : step;
 }
@@ -103,7 +103,7 @@ double unwrap_azimuths(std::vector<PacketEntry>& packets, const Timing& timing) 
         if (p == 0) continue;
         const double passed_us = 1e-3 * double(packets[p].clock_ns - packets[p - 1].clock_ns) +
                                  skipped_us(packets[p]) - skipped_us(packets[p - 1]);
-        follow(packets[p], packets[p - 1], passed_us, deg_us);
+        unwrap_packet_azimuth(packets[p], packets[p - 1], passed_us, deg_us);
     }
     if (const double mean = compute_mean_rate(packets); mean > 0.0) deg_us = mean;
     for (std::size_t p = 0; p < packets.size() && deg_us > 0.0; ++p) {
@@ -122,7 +122,7 @@ double unwrap_azimuths(std::vector<PacketEntry>& packets, const Timing& timing) 
     return deg_us;
 }
 
-double SkippedSector::between(double from_deg, double to_deg) const {
+double SkippedSector::compute_overlap_deg(double from_deg, double to_deg) const {
     // Returns how many degrees of the skipped sector precede an azimuth, over all
     // revolutions.
     const auto until = [&](double azimuth_deg) {

@@ -35,7 +35,7 @@ struct PacketEntry {
 
 /// Returns the angle that the head turns from one azimuth to the next, below 360 degrees.
 /// If the next azimuth is slightly behind because of encoder noise, the angle is negative.
-double compute_degrees_on(double from_deg, double to_deg);
+double compute_rotation_deg(double from_deg, double to_deg);
 
 /// Number of packets that were received twice or late.
 struct PacketFaults {
@@ -55,7 +55,7 @@ struct SkippedSector {
     double begin_deg = 0.0, width_deg = 0.0;  ///< width 0: no such sector
 
     /// Returns how many degrees of the sector are between two unwrapped azimuths.
-    double between(double from_deg, double to_deg) const;
+    double compute_overlap_deg(double from_deg, double to_deg) const;
 };
 /// Finds the azimuth sector in which the sensor never fires. Requires the sector in at
 /// least two revolutions, because a gap in one revolution can be packet loss.

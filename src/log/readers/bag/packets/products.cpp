@@ -119,7 +119,7 @@ constexpr Product kProducts[] = {
 };
 
 /// Returns the time in an RS-LiDAR-16 packet, in microseconds within the current second.
-double rs16_clock_us(string_view packet) {
+double read_rs16_clock_us(string_view packet) {
     const auto byte = [&](std::size_t at) { return double(static_cast<unsigned char>(packet[at])); };
     return 1e3 * (256.0 * byte(26) + byte(27)) + 256.0 * byte(28) + byte(29);
 }
@@ -151,13 +151,14 @@ std::string describe_unknown_packet(const Product* product, string_view bytes) {
         product->name, bytes.size(), fmt::join(first, " "), known, product->driver);
 }
 
-bool have_two_returns(const std::vector<PacketView>& packets) {
+bool have_dual_returns(const std::vector<PacketView>& packets) {
     // time between two packets with one return per firing (24 firings)
     constexpr double kSingle_us = 24 * 55.5;
     std::vector<double> steps_us;
     for (std::size_t i = 1; i < packets.size(); ++i)
         if (is_rs16(packets[i - 1].bytes) && is_rs16(packets[i].bytes)) {
-            const double step_us = rs16_clock_us(packets[i].bytes) - rs16_clock_us(packets[i - 1].bytes);
+            const double step_us =
+                read_rs16_clock_us(packets[i].bytes) - read_rs16_clock_us(packets[i - 1].bytes);
             // The time does not increase for repeated packets and when a new second
             // begins.
             if (step_us > 0.0) steps_us.push_back(step_us);

@@ -352,7 +352,7 @@ TEST(BlockPackets, RsLidar16WithTwoReturns) {
     const auto have_two = [](const std::vector<std::string>& all) {
         std::vector<packets::PacketView> views;
         for (const std::string& bytes : all) views.push_back({0, bytes});
-        return packets::have_two_returns(views);
+        return packets::have_dual_returns(views);
     };
     // A packet has 12 blocks, of two firings or of one firing with two returns. A firing
     // takes 55.5 us.
