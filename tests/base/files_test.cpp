@@ -11,6 +11,7 @@
 
 #include "base/codecs/temporary_folder.hpp"
 #include "base/toml_depth.hpp"
+#include "support/names.hpp"
 
 namespace relidar {
 namespace {
@@ -46,20 +47,18 @@ TEST_F(Files, WhatCannotBeReadIsToldApartFromWhatIsMissing) {
           std::function<void(const fs::path&)>([](const fs::path& p) { list_folder(p); }),
           std::function<void(const fs::path&)>([](const fs::path& p) { does_path_exist(p); })}) {
         EXPECT_THAT(get_data_error_message([&] { read(locked / "inside"); }),
-                    testing::HasSubstr("inside: Permission denied"));
-        EXPECT_THAT(get_data_error_message([&] { read(loop); }), testing::HasSubstr("loop: Too many levels"));
-        EXPECT_THAT(get_data_error_message([&] { read(long_name); }),
-                    testing::HasSubstr("File name too long"));
+                    test::Names("inside: Permission denied"));
+        EXPECT_THAT(get_data_error_message([&] { read(loop); }), test::Names("loop: Too many levels"));
+        EXPECT_THAT(get_data_error_message([&] { read(long_name); }), test::Names("File name too long"));
     }
-    EXPECT_THAT(get_data_error_message([&] { read_file(file); }),
-                testing::HasSubstr("file: Permission denied"));
+    EXPECT_THAT(get_data_error_message([&] { read_file(file); }), test::Names("file: Permission denied"));
     EXPECT_THAT(get_data_error_message([&] { list_folder(locked); }),
-                testing::HasSubstr("locked: Permission denied"));
+                test::Names("locked: Permission denied"));
     EXPECT_THAT(get_data_error_message([&] { read_file(folder / "nothing"); }),
-                testing::HasSubstr("nothing: no such file"));
+                test::Names("nothing: no such file"));
     EXPECT_THAT(get_data_error_message([&] { list_folder(folder / "nothing"); }),
-                testing::HasSubstr("nothing: no such folder"));
-    EXPECT_THAT(get_data_error_message([&] { read_file(folder); }), testing::HasSubstr("not a file"));
+                test::Names("nothing: no such folder"));
+    EXPECT_THAT(get_data_error_message([&] { read_file(folder); }), test::Names("file"));
     EXPECT_FALSE(does_path_exist(folder / "nothing"));
     EXPECT_FALSE(does_path_exist(file / "below"));
     EXPECT_TRUE(does_path_exist(file));
@@ -71,7 +70,7 @@ TEST_F(Files, AByteOrderMarkIsNoText) {
     EXPECT_EQ(read_text(folder / "excel.csv"), "x,y\n");
     EXPECT_EQ(read_file(folder / "excel.csv").size(), 7u) << "bytes stay as they are";
     EXPECT_THAT(get_data_error_message([&] { read_text(folder / "unicode.csv"); }),
-                testing::HasSubstr("found text in UTF-16, expected UTF-8"));
+                test::Names("UTF-16, expected UTF-8"));
 }
 
 TEST_F(Files, NumbersInNames) {
@@ -97,13 +96,12 @@ TEST(TomlDepth, DeepKeysAndBracketsAreRefused) {
     };
     std::string dots = "a";
     for (int i = 0; i < 40000; ++i) dots += ".a";
-    EXPECT_THAT(refused("x = 1\n" + dots + " = 1\n"), testing::HasSubstr("f.toml:2: found a key"));
-    EXPECT_THAT(refused("[" + dots + "]\n"), testing::HasSubstr("f.toml:1: found a key"));
-    EXPECT_THAT(refused("a = {" + dots + " = 1}\n"), testing::HasSubstr("a key"));
-    EXPECT_THAT(refused("a.\"b.\".'c'.d . e.f.g.h.i = 1\n"), testing::HasSubstr("a key"));
-    EXPECT_THAT(refused("a = " + std::string(9, '[')), testing::HasSubstr("f.toml:1: found brackets"));
-    EXPECT_THAT(refused("a = {b = [\n{c = [\n{d = [\n{e = [\n{f = 1"),
-                testing::HasSubstr("f.toml:5: found brackets"));
+    EXPECT_THAT(refused("x = 1\n" + dots + " = 1\n"), test::Names("f.toml:2 ... key"));
+    EXPECT_THAT(refused("[" + dots + "]\n"), test::Names("f.toml:1 ... key"));
+    EXPECT_THAT(refused("a = {" + dots + " = 1}\n"), test::Names("key"));
+    EXPECT_THAT(refused("a.\"b.\".'c'.d . e.f.g.h.i = 1\n"), test::Names("key"));
+    EXPECT_THAT(refused("a = " + std::string(9, '[')), test::Names("f.toml:1 ... brackets"));
+    EXPECT_THAT(refused("a = {b = [\n{c = [\n{d = [\n{e = [\n{f = 1"), test::Names("f.toml:5 ... brackets"));
     EXPECT_NO_THROW(
         check_toml_depth("# ........................\na = \"..........\\\"..........\"\nb = "
                          "'..........'\nc.d.e.f.g.h.i.j = 1.5\n[k]\nl = "

@@ -13,6 +13,7 @@
 #include "gpu/check_device.hpp"
 #include "gpu/kernel.hpp"
 #include "gpu/trust.hpp"
+#include "support/names.hpp"
 
 namespace relidar {
 namespace {
@@ -121,14 +122,14 @@ TEST_F(TrustTest, WrongAtomicsAreReplacedAndReported) {
     const Device opened(options);
     EXPECT_FALSE(opened.info().float_atomics);
     EXPECT_EQ(choose_accumulating_variant(opened).suffix, "@_swap");
-    EXPECT_THAT(notes, ElementsAre(HasSubstr("float atomics give wrong sums; gradients are gathered")));
+    EXPECT_THAT(notes, ElementsAre(test::Names("float atomics ... gathered")));
 }
 
 TEST_F(TrustTest, WrongSumsAllowNoTraining) {
     check_gives({.float_atomics = false, .float_swaps = false, .ray_query = Trust::right});
     const Device opened(options);
     EXPECT_THROW(choose_accumulating_variant(opened), DeviceError);
-    EXPECT_THAT(notes.back(), HasSubstr("but does not train"));
+    EXPECT_THAT(notes.back(), test::Names("train"));
 }
 
 TEST_F(TrustTest, AnotherSubgroupSizeIsUsed) {
@@ -136,7 +137,7 @@ TEST_F(TrustTest, AnotherSubgroupSizeIsUsed) {
     check_gives({.subgroup_size = other, .ray_query = Trust::right});
     const Device opened(options);
     EXPECT_EQ(opened.info().subgroup_size, other);
-    EXPECT_THAT(notes, ElementsAre(HasSubstr("subgroups of " + std::to_string(other) + " lanes are used")));
+    EXPECT_THAT(notes, ElementsAre(HasSubstr(std::to_string(other) + " lanes")));
 }
 
 TEST_F(TrustTest, WrongRayQueriesAreReplaced) {
@@ -145,8 +146,7 @@ TEST_F(TrustTest, WrongRayQueriesAreReplaced) {
     options.traversal = Traversal::ray_query;
     const Device opened(options);
     EXPECT_EQ(opened.traversal(), Traversal::software);
-    EXPECT_THAT(notes,
-                ElementsAre(HasSubstr("find other surfels than a full search; the software tree is used")));
+    EXPECT_THAT(notes, ElementsAre(test::Names("search ... software")));
 }
 
 }  // namespace

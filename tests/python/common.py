@@ -4,6 +4,7 @@ errors that relidar raises."""
 import functools
 import os
 import pathlib
+import re
 import subprocess
 import sys
 import tempfile
@@ -60,13 +61,13 @@ def tool(*arguments):
 class TestCase(unittest.TestCase):
     def assert_fails(self, error, text, call, *arguments, **named):
         """Checks that the call raises exactly this error, with a message of a single line that
-        contains the text."""
+        contains, in this order, the parts of the text that " ... " separates."""
         with self.assertRaises(error) as caught:
             call(*arguments, **named)
         self.assertIs(type(caught.exception), error)
         message = str(caught.exception)
         self.assertNotIn("\n", message)
-        self.assertIn(text, message)
+        self.assertRegex(message, ".*".join(map(re.escape, text.split(" ... "))))
 
     def assert_same(self, actual, expected):
         """Checks that two arrays have equal values, dtype and shape."""

@@ -44,8 +44,8 @@ class Logs(TestCase):
         np.testing.assert_array_equal(part.frame_numbers, [2, 3, 4])
 
     def test_bad_input(self):
-        self.assert_fails(relidar.DataError, "nowhere: no such folder", relidar.load_sequence, "nowhere")
-        self.assert_fails(relidar.UsageError, "dataset kind 'kity' is unknown", relidar.load_sequence, "kity:street")
+        self.assert_fails(relidar.DataError, "nowhere ... folder", relidar.load_sequence, "nowhere")
+        self.assert_fails(relidar.UsageError, "'kity'", relidar.load_sequence, "kity:street")
         with self.assertRaises(IndexError):
             log().scan(8)
 
@@ -63,11 +63,11 @@ class Settings(TestCase):
         self.assertEqual(settings["loss.depth"], "0.25")
 
     def test_bad_input(self):
-        self.assert_fails(relidar.UsageError, "did you mean loss.depth?", relidar.Config, "quick", {"loss.dpth": 1})
-        self.assert_fails(relidar.UsageError, "expected a number", relidar.Config, "quick", {"loss.depth": "abc"})
-        self.assert_fails(relidar.UsageError, "found a value of type list", relidar.Config, "quick", {"loss.depth": [1]})
-        self.assert_fails(relidar.UsageError, "did you mean 'quick'", relidar.Config, "quik")
-        self.assert_fails(relidar.DataError, "no such file", relidar.Config.load, "missing.toml")
+        self.assert_fails(relidar.UsageError, "loss.dpth ... loss.depth", relidar.Config, "quick", {"loss.dpth": 1})
+        self.assert_fails(relidar.UsageError, "loss.depth ... \"abc\" ... number", relidar.Config, "quick", {"loss.depth": "abc"})
+        self.assert_fails(relidar.UsageError, "type list", relidar.Config, "quick", {"loss.depth": [1]})
+        self.assert_fails(relidar.UsageError, "'quick'", relidar.Config, "quik")
+        self.assert_fails(relidar.DataError, "missing.toml", relidar.Config.load, "missing.toml")
 
 
 class Runs(TestCase):
@@ -77,7 +77,7 @@ class Runs(TestCase):
         for name, array in run().surfels.items():
             self.assert_same(again.surfels[name], array)
         self.assertEqual(again.held_out, run().held_out)
-        self.assert_fails(relidar.UsageError, "already contains a run", run().save, FOLDER / "again")
+        self.assert_fails(relidar.UsageError, "again ... contains", run().save, FOLDER / "again")
         run().save(FOLDER / "again", overwrite=True)
         run().save(FOLDER / "run", overwrite=True)   # saves the run into its current folder
 
@@ -87,11 +87,11 @@ class Runs(TestCase):
         raised = run().with_surfels(surfels)
         np.testing.assert_allclose(raised.surfels["mean"][:, 2] - run().surfels["mean"][:, 2], 5, atol=1e-5)
         self.assert_fails(relidar.DataError, "expected", run().with_surfels, {name: array[:-1] for name, array in surfels.items()})
-        self.assert_fails(relidar.UsageError, 'did you mean "mean"', run().with_surfels, dict(surfels, maen=surfels["mean"]))
-        self.assert_fails(relidar.DataError, 'array "sh" is missing', run().with_surfels, {k: v for k, v in surfels.items() if k != "sh"})
+        self.assert_fails(relidar.UsageError, '"mean"', run().with_surfels, dict(surfels, maen=surfels["mean"]))
+        self.assert_fails(relidar.DataError, '"sh" ... missing', run().with_surfels, {k: v for k, v in surfels.items() if k != "sh"})
         doubles = dict(surfels, mean=surfels["mean"].astype(float))
         self.assert_fails(relidar.DataError, "surfels: mean: found float64", run().with_surfels, doubles)
-        self.assert_fails(relidar.DataError, "in C order", run().with_surfels, dict(surfels, mean=np.asfortranarray(surfels["mean"])))
+        self.assert_fails(relidar.DataError, "C order", run().with_surfels, dict(surfels, mean=np.asfortranarray(surfels["mean"])))
 
     def test_settings_of_a_run(self):
         median = relidar.Run.load(run().folder, settings={"render.range": "median"})
@@ -99,10 +99,10 @@ class Runs(TestCase):
         met = scan["median_range"] > 0
         self.assert_same(scan["range"][met], scan["median_range"][met])
         wrong = {"render.rnge": "median"}
-        self.assert_fails(relidar.UsageError, "did you mean render.range", relidar.Run.load, run().folder, settings=wrong)
+        self.assert_fails(relidar.UsageError, "render.rnge ... render.range", relidar.Run.load, run().folder, settings=wrong)
 
     def test_bad_files(self):
-        self.assert_fails(relidar.DataError, "nowhere: no such folder", relidar.Run.load, "nowhere")
+        self.assert_fails(relidar.DataError, "nowhere ... folder", relidar.Run.load, "nowhere")
         newer = FOLDER / "newer"
         shutil.copytree(run().folder, newer)
         scene = json.loads((newer / "scene.json").read_text())
@@ -118,7 +118,7 @@ class Runs(TestCase):
         for error, (built_in, code) in errors.items():
             self.assertEqual((error.__bases__, error.code), ((relidar.Error, built_in), code))
         self.assert_fails(relidar.DeviceError, "99", relidar.Device, 99)
-        self.assert_fails(relidar.UsageError, "expected auto, ray_query or software", relidar.Device, traversal="fast")
+        self.assert_fails(relidar.UsageError, "\"fast\" ... auto, ray_query or software", relidar.Device, traversal="fast")
 
 
 class Edits(TestCase):
@@ -146,7 +146,7 @@ class Edits(TestCase):
     def test_a_refused_edit_changes_nothing(self):
         edit = run().edit()
         self.assert_fails(relidar.UsageError, "nobody", edit.remove, "nobody")
-        self.assert_fails(relidar.UsageError, "expected background or actors", edit.keep, "everything")
+        self.assert_fails(relidar.UsageError, "\"everything\" ... background or actors", edit.keep, "everything")
         self.assertEqual(edit.run().edits, [])
 
 

@@ -165,13 +165,13 @@ class Render(TestCase):
 
     def test_times_outside_are_refused(self):
         render, times = run().render, run().times
-        self.assert_fails(relidar.UsageError, "time in the log: found 1000 s, expected a time from", render, time=1000.0)
-        self.assert_fails(relidar.UsageError, "time in the log: found -0.2 s", render, time=times[0] - 0.2)
+        self.assert_fails(relidar.UsageError, "log: found 1000 s", render, time=1000.0)
+        self.assert_fails(relidar.UsageError, "log: found -0.2 s", render, time=times[0] - 0.2)
         poses = np.stack([np.eye(4)] * 2)
-        self.assert_fails(relidar.UsageError, "time on the poses: found 2.5 s, expected a time from 1 to 2 s", render, time=2.5,
+        self.assert_fails(relidar.UsageError, "poses: found 2.5 s ... 1 to 2 s", render, time=2.5,
                           pose=(np.array([1.0, 2.0]), poses))
         name = next(iter(run().actors))
-        self.assert_fails(relidar.UsageError, f'time relative to the poses of actors["{name}"]: found', render, time=times[3],
+        self.assert_fails(relidar.UsageError, f'actors["{name}"]: found', render, time=times[3],
                           actors={name: (np.array([times[3] + 5.0, times[3] + 6.0]), poses)})
         render(time=1000.0, pose=np.eye(4))   # the sensor is static, so any time is allowed
 
@@ -278,26 +278,26 @@ class Render(TestCase):
         time = run().times[0]
         render = run().render
         single = np.eye(4, dtype=np.float32)
-        expected = "pose: found float32 [4,4], expected an array of float64 [4,4]"
+        expected = "pose: found float32 [4,4] ... float64 [4,4]"
         self.assert_fails(relidar.DataError, expected, render, time=time, pose=single)
         self.assert_fails(relidar.DataError, "pose: found float64 [3,4]", render, time=time, pose=np.eye(4)[:3])
-        self.assert_fails(relidar.DataError, "pose: found an object of type list", render, time=time, pose=np.eye(4).tolist())
-        self.assert_fails(relidar.DataError, "in C order", render, time=time, pose=np.asfortranarray(relidar.pose(1, 2, 3)))
-        self.assert_fails(relidar.DataError, "expected a rigid pose", render, time=time, pose=2 * np.eye(4))
-        self.assert_fails(relidar.DataError, "pose: found a mirrored matrix", render, time=time, pose=np.diag([1.0, 1.0, -1.0, 1.0]))
-        self.assert_fails(relidar.DataError, "not finite", render, time=time, pose=np.full((4, 4), np.nan))
+        self.assert_fails(relidar.DataError, "pose ... type list", render, time=time, pose=np.eye(4).tolist())
+        self.assert_fails(relidar.DataError, "C order", render, time=time, pose=np.asfortranarray(relidar.pose(1, 2, 3)))
+        self.assert_fails(relidar.DataError, "rigid", render, time=time, pose=2 * np.eye(4))
+        self.assert_fails(relidar.DataError, "pose ... mirrored", render, time=time, pose=np.diag([1.0, 1.0, -1.0, 1.0]))
+        self.assert_fails(relidar.DataError, "finite", render, time=time, pose=np.full((4, 4), np.nan))
         self.assert_fails(relidar.DataError, "2 times and 1 poses", render, time=time, pose=(np.zeros(2), np.eye(4)[None]))
-        self.assert_fails(relidar.DataError, "increasing times", render, time=time, pose=(np.zeros(2), np.stack([np.eye(4)] * 2)))
+        self.assert_fails(relidar.DataError, "increasing", render, time=time, pose=(np.zeros(2), np.stack([np.eye(4)] * 2)))
         self.assert_fails(relidar.DataError, "time_s: found nan", render, time=float("nan"))
         self.assert_fails(relidar.UsageError, "nobody", render, time=time, actors={"nobody": np.eye(4)})
-        self.assert_fails(relidar.UsageError, 'did you mean "', render, time=time, only=["backgrund"])
+        self.assert_fails(relidar.UsageError, '"background"', render, time=time, only=["backgrund"])
         self.assert_fails(relidar.UsageError, "VLP-16", render, "VLP16", time=time)
         self.assert_fails(relidar.UsageError, 'lidar: found "rear"', render, time=time, lidar="rear")
-        self.assert_fails(relidar.UsageError, "expected sensor or world", render, time=time, frame="map")
+        self.assert_fails(relidar.UsageError, "sensor or world", render, time=time, frame="map")
         directions = run().rays()["directions"]
-        self.assert_fails(relidar.DataError, 'no entry "directions"', render, {}, time=time)
+        self.assert_fails(relidar.DataError, '"directions"', render, {}, time=time)
         self.assert_fails(relidar.DataError, "found float64", render, {"directions": directions.astype(np.float64)}, time=time)
-        self.assert_fails(relidar.DataError, "in C order", render, {"directions": directions[:, ::2]}, time=time)
+        self.assert_fails(relidar.DataError, "C order", render, {"directions": directions[:, ::2]}, time=time)
         self.assert_fails(relidar.DataError, "found length", render, {"directions": 2 * directions}, time=time)
         three_times = {"directions": directions, "time": np.zeros(3, np.float32)}
         self.assert_fails(relidar.DataError, "sensor: time: found float32 [3]", render, three_times, time=time)

@@ -61,7 +61,7 @@ class Train(TestCase):
         self.assertGreater(lines[0], 10)
         self.assertEqual(lines[-1], 30)
         self.assertGreater(len(resumed.scene), 100)
-        self.assert_fails(relidar.UsageError, "resume=True needs the argument checkpoints", relidar.train, log(), config(), resume=True)
+        self.assert_fails(relidar.UsageError, "resume=True ... checkpoints", relidar.train, log(), config(), resume=True)
         other = config().copy()
         other["loss.depth"] = 0.9
         self.assert_fails(relidar.UsageError, "loss.depth", relidar.train, log(), other, checkpoints=checkpoints, resume=True)
@@ -159,9 +159,9 @@ class Evaluate(TestCase):
         self.assertTrue(relidar.evaluate(run(), log())["mean"])   # the device must be free again
 
     def test_bad_input(self):
-        self.assert_fails(relidar.UsageError, "expected nearest or nearest-actors", relidar.evaluate, run(), log(), baseline="nerest")
+        self.assert_fails(relidar.UsageError, "\"nerest\" ... nearest-actors", relidar.evaluate, run(), log(), baseline="nerest")
         part = relidar.load_sequence(street(), relidar.Config("quick", {"dataset.frames_end": 3}))
-        self.assert_fails(relidar.DataError, "has no frame 4", relidar.evaluate, run(), part)
+        self.assert_fails(relidar.DataError, "frame 4", relidar.evaluate, run(), part)
 
 
 class Pictures(TestCase):
@@ -169,7 +169,7 @@ class Pictures(TestCase):
         for scan in (run().render(time=run().times[0]), log().scan(0)):
             relidar.write_picture(FOLDER / "scan.png", scan)
             self.assertEqual((FOLDER / "scan.png").read_bytes()[:8], b"\x89PNG\r\n\x1a\n")
-        self.assert_fails(relidar.DataError, 'no entry "range"', relidar.write_picture, FOLDER / "scan.png", {})
+        self.assert_fails(relidar.DataError, '"range"', relidar.write_picture, FOLDER / "scan.png", {})
 
 
 if __name__ == "__main__":

@@ -7,11 +7,12 @@
 #include <gmock/gmock.h>
 
 #include "small_service.hpp"
+#include "support/names.hpp"
 
 namespace relidar::serve {
 namespace {
 
-using testing::HasSubstr;
+using test::Names;
 using Code = grpc::StatusCode;
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
@@ -33,42 +34,38 @@ v1::ActorTrack& actor(v1::RenderLidarRequest& request, const std::string& name) 
 
 const std::vector<Case>& cases_of_poses() {
     static const std::vector<Case> all = {
-        {"no path", [](auto& r) { r.clear_path(); }, Code::INVALID_ARGUMENT,
-         "cannot read path: found 0 poses, expected 1 to"},
+        {"no path", [](auto& r) { r.clear_path(); }, Code::INVALID_ARGUMENT, "path ... 0 poses"},
         {"NaN pose", [](auto& r) { pose(r).mutable_translation()->set_y(kNan); }, Code::INVALID_ARGUMENT,
-         "cannot read path[0].pose.translation.y: found nan, expected a finite number of at most 1e10"},
+         "path[0].pose.translation.y ... nan"},
         {"infinite pose", [](auto& r) { pose(r).mutable_translation()->set_x(1e300); },
          Code::INVALID_ARGUMENT, "found 1e+300"},
         {"NaN rotation", [](auto& r) { pose(r).mutable_rotation()->set_w(kNan); }, Code::INVALID_ARGUMENT,
-         "cannot read path[0].pose.rotation: found a quaternion of length nan, expected 1"},
+         "path[0].pose.rotation ... nan"},
         {"quaternion of length 2", [](auto& r) { pose(r).mutable_rotation()->set_w(2.0); },
-         Code::INVALID_ARGUMENT, "of length 2"},
+         Code::INVALID_ARGUMENT, "quaternion ... 2"},
         {"empty quaternion", [](auto& r) { pose(r).mutable_rotation()->Clear(); }, Code::INVALID_ARGUMENT,
-         "of length 0"},
+         "quaternion ... 0"},
         {"NaN time of a pose", [](auto& r) { r.mutable_path(0)->set_time_s(kNan); }, Code::INVALID_ARGUMENT,
          "path[0].time_s: found nan"},
         {"times that fall", [](auto& r) { add_pose(*r.mutable_path(), 0.4, make_pose_at_x(0)); },
-         Code::INVALID_ARGUMENT,
-         "cannot read path[1].time_s: found 0.4 after 0.5, expected increasing times"},
-        {"NaN time", [](auto& r) { r.set_time_s(kNan); }, Code::INVALID_ARGUMENT,
-         "cannot read time_s: found nan"},
+         Code::INVALID_ARGUMENT, "path[1].time_s ... 0.4 ... 0.5"},
+        {"NaN time", [](auto& r) { r.set_time_s(kNan); }, Code::INVALID_ARGUMENT, "time_s ... nan"},
         {"microseconds",
          [](auto& r) { add_pose(*r.mutable_path(), 0.6, make_pose_at_x(0)), r.set_time_s(500000.0); },
-         Code::INVALID_ARGUMENT, "cannot read time_s: found the time 500000 s for a path from 0.5 to 0.6 s"},
+         Code::INVALID_ARGUMENT, "time_s ... 500000 s ... 0.5 to 0.6 s"},
         {"two seconds behind the path",
          [](auto& r) { add_pose(*r.mutable_path(), 0.6, make_pose_at_x(0)), r.set_time_s(2.7); },
-         Code::INVALID_ARGUMENT, "cannot read time_s: found the time 2.7 s for a path from 0.5 to 0.6 s"},
+         Code::INVALID_ARGUMENT, "time_s ... 2.7 s ... 0.5 to 0.6 s"},
         {"points elsewhen",
          [](auto& r) { add_pose(*r.mutable_path(), 0.6, make_pose_at_x(0)), r.set_points_at_s(-500.0); },
-         Code::INVALID_ARGUMENT, "cannot read points_at_s"},
+         Code::INVALID_ARGUMENT, "points_at_s"},
         {"unknown scene", [](auto& r) { r.set_scene("smal"); }, Code::NOT_FOUND,
-         "cannot read scene: found \"smal\", expected an existing name such as \"small\""},
+         "scene ... \"smal\" ... \"small\""},
         {"no weather", [](auto& r) { r.set_weather("fog=0"); }, Code::INVALID_ARGUMENT,
-         "cannot read weather: found fog=0, expected a visibility of 1 to 1e6 metres"},
-        {"unknown lidar", [](auto& r) { r.set_lidar("roof"); }, Code::NOT_FOUND,
-         "cannot read lidar: found \"roof\""},
+         "weather ... fog=0 ... 1 to 1e6 metres"},
+        {"unknown lidar", [](auto& r) { r.set_lidar("roof"); }, Code::NOT_FOUND, "lidar ... \"roof\""},
         {"unknown actor", [](auto& r) { add_pose(*actor(r, "cat").mutable_poses(), 0, make_pose_at_x(0)); },
-         Code::NOT_FOUND, "actors.actors[0].name: found \"cat\", expected an existing name such as \"car\""},
+         Code::NOT_FOUND, "actors.actors[0].name ... \"cat\" ... \"car\""},
         {"actor without a pose", [](auto& r) { actor(r, "car"); }, Code::INVALID_ARGUMENT,
          "actors.actors[0].poses: found 0 poses"},
         {"actor of another time",
@@ -78,14 +75,12 @@ const std::vector<Case>& cases_of_poses() {
              add_pose(*car.mutable_poses(), 3.0, make_pose_at_x(4)),
                  add_pose(*car.mutable_poses(), 4.0, make_pose_at_x(5));
          },
-         Code::INVALID_ARGUMENT,
-         "cannot read actors.actors[0].poses: found poses from 3 to 4 s, which do not cover the scan at "
-         "0.5 s, expected poses that cover the time of the scan"},
+         Code::INVALID_ARGUMENT, "actors.actors[0].poses ... 3 to 4 s ... 0.5 s"},
         {"actor twice",
          [](auto& r) {
              for (int i = 0; i < 2; ++i) add_pose(*actor(r, "car").mutable_poses(), 0, make_pose_at_x(0));
          },
-         Code::INVALID_ARGUMENT, "expected each actor once"},
+         Code::INVALID_ARGUMENT, "each actor"},
     };
     return all;
 }
@@ -93,29 +88,29 @@ const std::vector<Case>& cases_of_poses() {
 const std::vector<Case>& cases_of_sensors() {
     static const std::vector<Case> all = {
         {"unknown sensor", [](auto& r) { r.mutable_sensor()->set_name("VLP-17"); }, Code::INVALID_ARGUMENT,
-         "found \"VLP-17\", expected a name that ListScenes returns, such as VLP-16"},
+         "\"VLP-17\" ... ListScenes ... VLP-16"},
         {"a file of the server", [](auto& r) { r.mutable_sensor()->set_name("/etc/passwd"); },
          Code::INVALID_ARGUMENT, "\"/etc/passwd\""},
         {"a file behind a name", [](auto& r) { r.mutable_sensor()->set_name("VLP-16:../../x.csv"); },
-         Code::INVALID_ARGUMENT, "expected a name that ListScenes returns"},
+         Code::INVALID_ARGUMENT, "ListScenes"},
         {"endless columns", [](auto& r) { r.mutable_sensor()->set_name("VLP-16:1000000x10"); },
-         Code::INVALID_ARGUMENT, "found 16000000 rays per scan, expected 1 to 1048576"},
+         Code::INVALID_ARGUMENT, "16000000 rays ... 1 to 1048576"},
         {"no columns", [](auto& r) { r.mutable_sensor()->set_name("VLP-16:0x10"); }, Code::INVALID_ARGUMENT,
          "0 columns"},
         {"a very long name", [](auto& r) { r.mutable_sensor()->set_name(std::string(100000, 'x')); },
          Code::INVALID_ARGUMENT, "of 100000 bytes"},
         {"a name of two lines", [](auto& r) { r.mutable_sensor()->set_name("a\nb"); }, Code::INVALID_ARGUMENT,
-         "found \"a b\""},
+         "\"a b\""},
         {"a long name of a spec",
          [](auto& r) { spec(r) = make_rays_ahead(1), spec(r).set_name(std::string(201, 'x')); },
          Code::INVALID_ARGUMENT, "sensor.spec.name"},
         {"forgotten handle", [](auto& r) { r.mutable_sensor()->set_handle("sensor-9"); }, Code::NOT_FOUND,
-         "upload the sensor again"},
+         "upload"},
         {"empty spec", [](auto& r) { spec(r); }, Code::INVALID_ARGUMENT,
-         "found no pattern, expected rays, spinning, window or rosette"},
-        {"no rays", [](auto& r) { spec(r).mutable_rays(); }, Code::INVALID_ARGUMENT, "found 0 rays per scan"},
+         "pattern ... rays, spinning, window"},
+        {"no rays", [](auto& r) { spec(r).mutable_rays(); }, Code::INVALID_ARGUMENT, "0 rays"},
         {"half a ray", [](auto& r) { spec(r).mutable_rays()->set_direction("1234567"); },
-         Code::INVALID_ARGUMENT, "7 bytes, expected a multiple of 12"},
+         Code::INVALID_ARGUMENT, "7 bytes ... multiple ... 12"},
         {"wrong rows",
          [](auto& r) {
              spec(r) = make_rays_ahead(3);
@@ -129,7 +124,7 @@ const std::vector<Case>& cases_of_sensors() {
          Code::INVALID_ARGUMENT, "rays.time_s: found 8 bytes, expected 12 bytes"},
         {"directions of no length",
          [](auto& r) { spec(r).mutable_rays()->set_direction(std::string(12, '\0')); },
-         Code::INVALID_ARGUMENT, "direction of ray 0: found 0, expected a length of 1"},
+         Code::INVALID_ARGUMENT, "ray 0 ... 0 ... 1"},
         {"NaN direction", [](auto& r) { spec(r).mutable_rays()->set_direction(std::string(12, '\xff')); },
          Code::INVALID_ARGUMENT, "nan"},
         {"NaN origin",
@@ -161,16 +156,14 @@ const std::vector<Case>& cases_of_patterns() {
              v1::SpinningSensor& s = *spec(r).mutable_spinning();
              s.add_beams()->set_elevation_rad(-15.0), s.set_columns(8), s.set_period_s(0.1);
          },
-         Code::INVALID_ARGUMENT, "beams[0].elevation_rad: found -15, expected a number from -1.57"},
+         Code::INVALID_ARGUMENT, "beams[0].elevation_rad ... -15 ... -1.57"},
         {"beams from the lowest",
          [](auto& r) {
              v1::SpinningSensor& s = *spec(r).mutable_spinning();
              s.add_beams()->set_elevation_rad(-0.1), s.add_beams()->set_elevation_rad(0.1), s.set_columns(8),
                  s.set_period_s(0.1);
          },
-         Code::INVALID_ARGUMENT,
-         "beams: found a first beam at -0.1 rad and a last beam at 0.1 rad, expected beams from the "
-         "highest to the lowest"},
+         Code::INVALID_ARGUMENT, "-0.1 rad ... 0.1 rad"},
         {"a window upside down",
          [](auto& r) {
              v1::ScanningWindow& w = *spec(r).mutable_window();
@@ -185,7 +178,7 @@ const std::vector<Case>& cases_of_patterns() {
              spec(r).mutable_window()->set_rows(4294967295u),
                  spec(r).mutable_window()->set_columns(4294967295u);
          },
-         Code::INVALID_ARGUMENT, "rays per scan, expected 1 to"},
+         Code::INVALID_ARGUMENT, "rays ... 1 to"},
         {"NaN rosette",
          [](auto& r) {
              v1::Rosette& s = *spec(r).mutable_rosette();
@@ -223,7 +216,7 @@ void Refusals::expect_refused(const std::vector<Case>& cases) {
         v1::LidarScan answer;
         const grpc::Status status = calls->RenderLidar(&spoilt, request, &answer);
         EXPECT_EQ(status.error_code(), c.code);
-        EXPECT_THAT(status.error_message(), HasSubstr(c.says));
+        EXPECT_THAT(status.error_message(), Names(c.says));
         EXPECT_EQ(status.error_message().find('\n'), std::string::npos);
         ASSERT_TRUE(calls->RenderLidar(&good, make_standing_request(), &answer).ok());
         EXPECT_EQ(answer.image().range_m(), before.image().range_m()) << "nothing is left behind";
@@ -248,7 +241,7 @@ TEST_F(Refusals, TablesBeyondTheLimits) {
     EXPECT_TRUE(uploaded(kMost).ok());
     const grpc::Status one_more = uploaded(kMost + 1), message_too_large = uploaded(4 * kMost);
     EXPECT_EQ(one_more.error_code(), Code::INVALID_ARGUMENT);
-    EXPECT_THAT(one_more.error_message(), HasSubstr("found 1048577 rays per scan, expected 1 to 1048576"));
+    EXPECT_THAT(one_more.error_message(), Names("found 1048577 rays ... 1 to 1048576"));
     EXPECT_EQ(message_too_large.error_code(), Code::RESOURCE_EXHAUSTED) << "gRPC's own limit";
     EXPECT_TRUE(uploaded(1).ok());
 }
@@ -290,18 +283,17 @@ TEST_F(Refusals, RigsAreLookedAtBeforeAnythingIsRendered) {
     };
     v1::RenderRigRequest request;
     *request.mutable_rig() = make_standing_request();
-    EXPECT_THAT(status_of(request).error_message(), HasSubstr("found a rig with 0 sensors, expected 1 to"));
+    EXPECT_THAT(status_of(request).error_message(), Names("rig ... 0 sensors, expected 1 to"));
     request.add_sensors()->set_name("good");
     request.add_sensors()->mutable_sensor()->set_name("no such");
     const grpc::Status status = status_of(request);
     EXPECT_EQ(status.error_code(), Code::INVALID_ARGUMENT);
-    EXPECT_THAT(status.error_message(), HasSubstr("\"no such\""));
+    EXPECT_THAT(status.error_message(), Names("\"no such\""));
     request.mutable_sensors(0)->mutable_sensor()->set_name("VLP-16");
     *request.mutable_sensors(1) = request.sensors(0);
     for (v1::RigSensor& sensor : *request.mutable_sensors())
         sensor.mutable_rig_from_sensor()->mutable_rotation()->set_w(1.0);
-    EXPECT_EQ(status_of(request).error_message(),
-              "cannot read sensors[1].name: found \"good\" again, expected a different name for each sensor");
+    EXPECT_THAT(status_of(request).error_message(), Names("sensors[1].name ... \"good\""));
 }
 
 }  // namespace

@@ -15,12 +15,13 @@
 #include "refusal.hpp"
 #include "scenes.hpp"
 #include "small_service.hpp"
+#include "support/names.hpp"
 
 namespace relidar::serve {
 namespace {
 
+using test::Names;
 using testing::ElementsAre;
-using testing::HasSubstr;
 using Code = grpc::StatusCode;
 
 /// Returns an asset: a plate perpendicular to its x axis. It is wider than the car of the
@@ -92,7 +93,7 @@ protected:
         v1::SpawnActorsResponse answer;
         const grpc::Status status = spawn(request, answer);
         EXPECT_EQ(status.error_code(), code) << status.error_message();
-        EXPECT_THAT(status.error_message(), HasSubstr(says));
+        EXPECT_THAT(status.error_message(), Names(says));
     }
     grpc::Status despawn(const std::vector<std::string>& names, std::uint32_t& left) {
         grpc::ClientContext context;
@@ -189,7 +190,7 @@ TEST_F(Spawn, IsListedUntilItIsTakenOut) {
     v1::LidarScan scan;
     const grpc::Status status = stub()->RenderLidar(&context, request, &scan);
     EXPECT_EQ(status.error_code(), Code::NOT_FOUND);
-    EXPECT_THAT(status.error_message(), HasSubstr("actors.actors[0].name: found \"a\""));
+    EXPECT_THAT(status.error_message(), Names("actors.actors[0].name: found \"a\""));
     EXPECT_EQ(spawned({{"again", "asset van-1"}}).actors(0).instance(), answer.actors(0).instance())
         << "the place was free";
 }
@@ -197,38 +198,35 @@ TEST_F(Spawn, IsListedUntilItIsTakenOut) {
 TEST_F(Spawn, WhatMakesNoSenseIsRefusedByNameAndChangesNothing) {
     start();
     spawned({{"mine", "car"}});
-    expect_refused(make_spawn_request({{"mine", "car"}}), Code::ALREADY_EXISTS,
-                   "cannot spawn \"mine\": an actor with this name exists");
+    expect_refused(make_spawn_request({{"mine", "car"}}), Code::ALREADY_EXISTS, "spawn \"mine\" ... exists");
     expect_refused(make_spawn_request({{"x", "car"}, {"mine", "car"}}), Code::ALREADY_EXISTS,
-                   "cannot spawn \"mine\"");
+                   "spawn \"mine\"");
     expect_refused(make_spawn_request({{"x", "car"}, {"x", "asset van-1"}}), Code::ALREADY_EXISTS,
-                   "cannot spawn \"x\"");
-    expect_refused(make_spawn_request({{"car", "asset van-1"}}), Code::ALREADY_EXISTS,
-                   "which is an actor of the run");
-    expect_refused(make_spawn_request({{"x", "cat"}}), Code::NOT_FOUND,
-                   "actors[0].actor: found \"cat\", expected an existing name such as \"c");
+                   "spawn \"x\"");
+    expect_refused(make_spawn_request({{"car", "asset van-1"}}), Code::ALREADY_EXISTS, "actor ... run");
+    expect_refused(make_spawn_request({{"x", "cat"}}), Code::NOT_FOUND, "actors[0].actor ... \"cat\"");
     expect_refused(make_spawn_request({{"x", "asset van-2"}}), Code::NOT_FOUND,
-                   "actors[0].asset: found \"van-2\", expected an existing name");
+                   "actors[0].asset ... \"van-2\"");
     expect_refused(make_spawn_request({{"x", "mine"}}), Code::NOT_FOUND, "actors[0].actor: found \"mine\"");
-    expect_refused(make_spawn_request({{"x", ""}}), Code::INVALID_ARGUMENT, "neither actor nor asset");
+    expect_refused(make_spawn_request({{"x", ""}}), Code::INVALID_ARGUMENT, "actor nor asset");
     expect_refused(make_spawn_request({{"", "car"}}), Code::INVALID_ARGUMENT, "actors[0].name");
     expect_refused(make_spawn_request({{std::string(201, 'x'), "car"}}), Code::INVALID_ARGUMENT,
                    "of 201 bytes");
-    expect_refused({}, Code::INVALID_ARGUMENT, "cannot read actors: found none");
+    expect_refused({}, Code::INVALID_ARGUMENT, "actors ... none");
     expect_refused(make_spawn_request({{"x", "asset gauss"}}), Code::FAILED_PRECONDITION, "3D Gaussians");
     std::vector<std::pair<std::string, std::string>> many;
     for (std::size_t i = 0; i <= SpawnedActors::kMostPlaces; ++i)
         many.emplace_back(fmt::format("n{}", i), "car");
-    expect_refused(make_spawn_request(many), Code::RESOURCE_EXHAUSTED, "already has 4096 spawned actors");
+    expect_refused(make_spawn_request(many), Code::RESOURCE_EXHAUSTED, "4096 spawned actors");
     v1::SpawnActorsRequest elsewhere = make_spawn_request({{"x", "car"}});
     elsewhere.set_scene("nowhere");
-    expect_refused(elsewhere, Code::NOT_FOUND, "cannot read scene: found \"nowhere\"");
+    expect_refused(elsewhere, Code::NOT_FOUND, "scene ... \"nowhere\"");
     std::uint32_t left = 0;
     for (const std::vector<std::string>& names :
          {std::vector<std::string>{"x"}, {"mine", "mine"}, {"car"}, {""}}) {
         const grpc::Status status = despawn(names, left);
         EXPECT_EQ(status.error_code(), Code::NOT_FOUND) << names[0];
-        EXPECT_THAT(status.error_message(), HasSubstr("cannot despawn \"" + names[0] + "\""));
+        EXPECT_THAT(status.error_message(), Names("despawn \"" + names[0] + "\""));
     }
     EXPECT_THAT(listed(), ElementsAre("mine"));
     v1::RenderLidarRequest request = make_standing_request();
@@ -307,8 +305,7 @@ TEST_F(Spawn, WhatDoesNotFitIntoMemoryIsRefusedAndTheSceneIsAsBefore) {
         }
         return std::string();
     };
-    EXPECT_THAT(refused({"x", {true, "large"}, {1, 1, 1}, 20000}),
-                HasSubstr("MiB of device memory with them"));
+    EXPECT_THAT(refused({"x", {true, "large"}, {1, 1, 1}, 20000}), Names("memory"));
     EXPECT_TRUE(scenes.spawned().list_occupied_slots(0).empty());
     EXPECT_EQ(scenes.spawned().count_places(0), 0u);
     EXPECT_EQ(ranges(), truth);
@@ -345,9 +342,9 @@ TEST_F(Spawn, AnAssetsNameIsGivenOnce) {
     const std::string message = error_message<UsageError>([&] {
         AssetCatalogue({(folder / "assets").string(), (folder / "others").string()});
     });
-    EXPECT_THAT(message, HasSubstr("found van-1 also in"));
+    EXPECT_THAT(message, Names("van-1"));
     EXPECT_THAT(get_data_error_message([&] { AssetCatalogue({folder.string() + "/nowhere"}); }),
-                HasSubstr("nowhere"));
+                Names("nowhere"));
 }
 
 }  // namespace

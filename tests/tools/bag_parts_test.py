@@ -18,6 +18,7 @@ except ImportError as error:
     sys.exit(77)
 
 import bag_writer as bags
+from names import names
 
 RELIDAR, WORK = sys.argv[1], pathlib.Path(sys.argv[2])
 T0, TURN, N, ROWS, COLUMNS = 1_700_000_000_250_000_000, 100_000_000, 6, 8, 360
@@ -122,14 +123,14 @@ def test_said():
         turns = [message(*firings(k * COLUMNS, (k + 1) * COLUMNS), frame=frame) for k in range(N)]
         bags.write_mcap(bag, turns)
         said = run("info", bag, code=3 if frame == "map" else 0)
-        expect(("world-fixed frame" if frame == "map" else "several LiDARs were probably merged") in said, f"clouds in {frame}: {said}")
+        expect(("world-fixed" if frame == "map" else "merged") in said, f"clouds in {frame}: {said}")
     merged = []
     for k in range(N):
         (a, t), (b, _) = firings(k * COLUMNS, (k + 1) * COLUMNS), firings(k * COLUMNS, (k + 1) * COLUMNS, offset=(2.0, 1.0, -1.5))
         merged.append(message(np.concatenate([a, b], 1), np.concatenate([t, t])))
     bags.write_mcap(bag, merged)
     said = run("info", bag)
-    expect("several LiDARs were merged" in said and "dropped rays are unknown" in said, f"a merged cloud: {said}")
+    expect(names(said, "merged") and names(said, "dropped"), f"a merged cloud: {said}")
 
 
 def test_left_alone():

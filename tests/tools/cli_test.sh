@@ -33,7 +33,7 @@ help_tells() {
     says "^iterations = 30000$"
     good list settings --preset released
     says '^preset = "released"$'
-    says "^# [0-9]+ expert settings .* are not shown"
+    says "^# [0-9]+ expert"
     check "an expert setting is shown" test -z "$(grep '^box = ' out)"
     good list settings --set loss.box=0.5
     says "^box = 0.5$"
@@ -43,57 +43,57 @@ help_tells() {
 }
 
 wrong_usage() {
-    bad 2 "no command is given"
-    bad 2 "unknown command trian, did you mean train\?" trian
-    bad 2 "unknown option --sed, did you mean --" train street --out x --sed 1
+    bad 2 "command"
+    bad 2 "trian.*train" trian
+    bad 2 "--sed,.* --" train street --out x --sed 1
     bad 2 "DATASET is required" train
-    bad 2 "out is required, or --resume" train street
-    bad 2 "DATASET is required.* nowhere has no config.toml" train --resume nowhere
-    bad 2 "out is required, or --resume with a run folder" train --resume
-    bad 2 "unexpected argument extra" info street extra
-    bad 2 "setting loss.dept: unknown key, did you mean loss.depth\?" train street --out x --set loss.dept=1
-    bad 2 'setting loss.depth: found "abc", expected a number >= 0' train street --out x --set loss.depth=abc
+    bad 2 "out .*--resume" train street
+    bad 2 "DATASET .* nowhere .*config.toml" train --resume nowhere
+    bad 2 "out .*--resume" train --resume
+    bad 2 "argument extra" info street extra
+    bad 2 "loss.dept: unknown .*loss.depth" train street --out x --set loss.dept=1
+    bad 2 'loss.depth: found "abc".*number >= 0' train street --out x --set loss.depth=abc
     bad 2 'setting loss.depth: found "nan"' train street --out x --set loss.depth=nan
     bad 2 '--set: found "loss.depth"; expected KEY=VALUE' train street --out x --set loss.depth
-    bad 2 "preset 'papr': unknown, did you mean 'paper'" train street --out x --preset papr
+    bad 2 "preset 'papr': unknown.*'paper'" train street --out x --preset papr
     bad 2 'setting train.seed: found "-1"' train street --out x --seed -1
-    bad 2 'device: found "x", expected an integer' train street --out x --device x
-    bad 2 'traversal: found "x", expected auto' train street --out x --traversal x
-    bad 2 "dataset.sequence: found .kd1., but a synthetic street is a single drive" info street --sequence kd1
-    bad 2 "lidar: found .rear., expected none" info street --set dataset.lidars=rear
-    bad 2 'empty range "5:5"' train street --out x --frames 5:5
+    bad 2 'device: found "x".*integer' train street --out x --device x
+    bad 2 'traversal: found "x".*auto' train street --out x --traversal x
+    bad 2 "dataset.sequence: found .kd1..*single" info street --sequence kd1
+    bad 2 "lidar: found .rear..*none" info street --set dataset.lidars=rear
+    bad 2 'empty .*"5:5"' train street --out x --frames 5:5
     bad 2 'expected FIRST:END' train street --out x --frames 5
     bad 3 "missing.toml: no such file" train street --out x --config missing.toml
     printf '[loss]\ndepth = \n' >broken.toml
-    bad 3 "broken.toml:2: not valid TOML" list settings --config broken.toml
+    bad 3 "broken.toml:2: .*TOML" list settings --config broken.toml
     printf '[loss]\ndpth = 1\n' >unknown.toml
-    bad 2 "unknown.toml: setting loss.dpth: unknown key, did you mean loss.depth\?" list settings --config unknown.toml
-    bad 3 "nowhere: no such folder" info nowhere
-    bad 3 "not a dataset" info .
-    bad 2 "dataset kind 'kity' is unknown" info kity:street
-    bad 3 "cannot create the folder" train street --out broken.toml/run
+    bad 2 "unknown.toml: setting loss.dpth: unknown .*loss.depth" list settings --config unknown.toml
+    bad 3 "nowhere: .*folder" info nowhere
+    bad 3 "dataset" info .
+    bad 2 "kind 'kity'" info kity:street
+    bad 3 "folder .*broken.toml/run" train street --out broken.toml/run
     bad 3 "/proc/" train street --out /proc/relidar
     mkdir full && printf 'x' >full/file
-    bad 2 "full: the folder is not empty" train street --out full --force
-    bad 2 "street: this folder contains a log" train street --out street --force
-    bad 2 "street: this folder contains a log" train street --out street --resume
+    bad 2 "full: .*empty" train street --out full --force
+    bad 2 "street: .*contains a log" train street --out street --force
+    bad 2 "street: .*contains a log" train street --out street --resume
     check "the log, or what was beside no run, was touched" test -s street/street.toml -a -s full/file -a "$(ls -A street full | wc -l)" = 5
     bad_paths
-    bad 3 "nowhere: no such folder" render nowhere --out x
-    bad 3 "nowhere: no such folder" eval nowhere
-    bad 2 'baseline: found "nerest", expected nearest or nearest-actors' eval street --baseline nerest
-    bad 3 "nowhere: no such folder" eval nowhere --baseline nearest
-    bad 3 "street: it has no held-out frames" eval street --baseline nearest --frames 0:5
-    bad 2 "open: the argument is a log" eval street --baseline nearest --open
-    bad 3 "nowhere: no such folder" export nowhere --out x.ply
-    bad 2 "x.obj: found the ending .obj, expected a name that ends in .ply" export run --out x.obj
+    bad 3 "nowhere: .*folder" render nowhere --out x
+    bad 3 "nowhere: .*folder" eval nowhere
+    bad 2 'baseline: found "nerest".*nearest-actors' eval street --baseline nerest
+    bad 3 "nowhere: .*folder" eval nowhere --baseline nearest
+    bad 3 "street: .*held-out" eval street --baseline nearest --frames 0:5
+    bad 2 "open: .*log" eval street --baseline nearest --open
+    bad 3 "nowhere: .*folder" export nowhere --out x.ply
+    bad 2 "x.obj: .*\.obj, .*\.ply" export run --out x.obj
     bad 2 'setting train.iterations: found "-1"' demo --out x --set train.iterations=-1
-    bad 3 "nowhere: no such folder" edit nowhere --from-ply scene.ply --out x
-    bad 2 "no subcommand is given; expected one of devices, sensors, settings" list
-    bad 2 "unknown command sensor, did you mean sensors\?" list sensor
-    bad 2 "unknown option --jso, did you mean --json\? .see .relidar list devices --help" list devices --jso
-    bad 3 "--json .: this is a folder" check --json .
-    bad 3 "nowhere: no such folder" check --run nowhere
+    bad 3 "nowhere: .*folder" edit nowhere --from-ply scene.ply --out x
+    bad 2 "subcommand .*devices, sensors, settings" list
+    bad 2 "sensor, .*sensors" list sensor
+    bad 2 "--jso, .*--json.*relidar list devices --help" list devices --jso
+    bad 3 "--json .: .*folder" check --json .
+    bad 3 "nowhere: .*folder" check --run nowhere
     absent x
 }
 
@@ -110,19 +110,19 @@ bad_paths() {
     long=$(printf 'x%.0s' {1..300})
     if [[ $(id -u) != 0 || $relidar != "$own" ]]; then
         # shellcheck disable=SC2086  # A command and its options are several words.
-        for command in "train street" "demo" "render street" "edit run --remove 0" "edit run --from-ply a.ply"; do bad 3 "(locked|run).*(Permission denied|no such folder|config.toml is missing)" $command --out locked/run; done
-        bad 3 "cannot read .*unreadable/street.toml: Permission denied" info unreadable
-        bad 3 "cannot read .*locked.*: Permission denied" info locked
-        bad 3 "cannot read .*locked/run: Permission denied" info locked/run
-        bad 3 "cannot read .*beams.csv: Permission denied" info street --set dataset.poses=beams.csv
+        for command in "train street" "demo" "render street" "edit run --remove 0" "edit run --from-ply a.ply"; do bad 3 "(locked|run).*(Permission denied|such folder|config.toml .*missing)" $command --out locked/run; done
+        bad 3 "unreadable/street.toml: Permission denied" info unreadable
+        bad 3 "locked.*: Permission denied" info locked
+        bad 3 "locked/run: Permission denied" info locked/run
+        bad 3 "beams.csv: Permission denied" info street --set dataset.poses=beams.csv
     fi
     relidar=$own
     for out in loop loop/run "$long" "a/$long"; do
-        bad 3 "cannot create the folder.*(Too many levels of symbolic links|File name too long)" train street --out "$out"
-        bad 3 "cannot create the folder.*(Too many levels of symbolic links|File name too long)" demo --out "$out"
+        bad 3 "folder.*(Too many levels of symbolic links|File name too long)" train street --out "$out"
+        bad 3 "folder.*(Too many levels of symbolic links|File name too long)" demo --out "$out"
     done
-    bad 3 "cannot read .*(Too many levels of symbolic links|File name too long)" info loop
-    bad 3 "cannot read .*: File name too long" info "$long"
+    bad 3 "(Too many levels of symbolic links|File name too long)" info loop
+    bad 3 "File name too long" info "$long"
     chmod 755 locked && rm -rf locked unreadable loop beams.csv a as_nobody
 }
 
@@ -156,7 +156,7 @@ log_info() {
     says "12 \(0 to 11\)"
     says "^boxes +2: 2 moving, 0 parked$"
     good info street --frames 9:14
-    check "frames beyond the log are left out without a word" grep -q "^relidar: note: frames 9:14: street ends with frame 11" err
+    check "frames beyond the log are left out without a word" grep -q "^relidar: note: frames 9:14: street .*frame 11" err
     good info synthetic:street --frames 2:5 --json
     says '"frames": 3'
     says '"returns_share": 0\.'
@@ -170,18 +170,18 @@ converting() {
     grep -v ^source out >street.txt
     good info plain
     check "info says other things of a log and of the folder it was converted to" cmp -s street.txt <(grep -v ^source out)
-    bad 2 "plain: this plain folder exists, expected a new name; use --force" convert street --out plain
+    bad 2 "plain: .*exists.*--force" convert street --out plain
     good convert plain --out plain --frames 3: --force --quiet
     check "--quiet prints" test ! -s out -a ! -s err
     check "--force left scans of the log before" test "$(ls plain/scans | wc -l)" = 3
-    bad 2 "street: this path exists and is not a plain folder" convert street --out street --force
+    bad 2 "street: .*exists .*plain" convert street --out street --force
     good convert street --out free --set dataset.poses=none
     absent free/poses.txt
-    bad 3 "free/poses.txt: no such file; expected poses of the vehicle" info free
+    bad 3 "free/poses.txt: no such file" info free
     good info free --set dataset.poses=none
-    bad 3 "nowhere: no such folder" convert nowhere --out x
-    bad 2 "out is required" convert street
-    bad 3 "cannot create the folder .*x" convert street --out street/street.toml/x
+    bad 3 "nowhere: .*folder" convert nowhere --out x
+    bad 2 "out .*required" convert street
+    bad 3 "folder .*x" convert street --out street/street.toml/x
     printf 'seed = 5\nn_frames = 60\nrows = 32\ncolumns = 512\n' >long.toml && mkdir long && mv long.toml long/street.toml
     "$relidar" convert long --out stopped >out 2>err &
     local process=$!
@@ -204,7 +204,7 @@ training() {
     check "config.toml lacks the seed" grep -qx "seed = 3" run/config.toml
     check "config.toml lacks the iterations" grep -qx "iterations = 6" run/config.toml
     check "progress lacks rate and eta" grep -Eq "^iteration 6/6  [0-9.]+ it/s  eta 0:00  loss [0-9.e-]+ \(depth" err
-    bad 2 "run: the folder already contains a run" train street --out run
+    bad 2 "run: .*contains.*run" train street --out run
     good train street --out again --config run/config.toml --set train.iterations=0 --no-eval --quiet
     check "--quiet prints" test ! -s out -a ! -s err
     absent again/metrics.json
@@ -256,11 +256,11 @@ rendering() {
     flock --no-fork scans/.lock sleep 60 &   # simulates a process that is writing the folder
     local writer=$!
     while flock --nonblock scans/.lock true; do sleep 0.05; done
-    bad 3 "scans: another relidar process is writing" render run --out scans --force
-    bad 3 "scans: another relidar process is writing" export run --out scans --frames 2:3
+    bad 3 "scans: .*process.*writing" render run --out scans --force
+    bad 3 "scans: .*process.*writing" export run --out scans --frames 2:3
     kill -KILL $writer
     wait $writer 2>/dev/null
-    bad 2 "scans: the folder already contains rendered scans \(13 files.*--force" render run --out scans --frames 2:3
+    bad 2 "scans: .*contains.*\(13 files.*--force" render run --out scans --frames 2:3
     printf 'mine' >scans/frame_notes.txt
     good render run --out scans --frames 2:3 --format NPZ --force
     check "--force removed a file of the user's" grep -qx mine scans/frame_notes.txt
@@ -268,8 +268,8 @@ rendering() {
     check "--force left frames of the rendering before" test "$(ls scans | tr '\n' ' ')" = "frame_000002.npz scans.json "
     good render run --out recorded --frames 2:4 --format mcap,rosbag
     check "recordings are other than one file each" test "$(ls -A recorded | tr '\n' ' ')" = "rosbag.mcap scans.json scans.mcap "
-    bad 2 "out run: this is a run folder" render run --out run
-    bad 2 "recorded: the folder already contains rendered scans \(3 files" render run --out recorded --format mcap
+    bad 2 "out run: .*run folder" render run --out run
+    bad 2 "recorded: .*contains.*\(3 files" render run --out recorded --format mcap
     good render run --out drawn --frames 2:4 --sample 7
     good render run --out drawn_again --frames 2:4 --sample 7
     good render run --out drawn_otherwise --frames 2:4 --sample 8
@@ -277,16 +277,16 @@ rendering() {
     check "scans drawn with two seeds are the same" test "$(cmp -s drawn/frame_000003.npz drawn_otherwise/frame_000003.npz; echo $?)" = 1
     check "scans.json does not say how scans were drawn" grep -q '"sample": 7' drawn/scans.json
     good render run --out foggy --frames 2:4 --sample 7 --weather fog=40 --format npz,ply
-    check "weather is not noted" grep -q "^relidar: note: weather fog=40: the sensors' wavelength is unknown and assumed to be 905 nm" err
+    check "weather is not noted" grep -q "^relidar: note: weather fog=40: .*wavelength .*905 nm" err
     check "scans.json does not say the weather" grep -q '"weather": "fog=40"' foggy/scans.json
     check "points do not say why they are there" grep -qa "property int source" foggy/frame_000003.ply
     good render run --out foggy_again --frames 2:4 --sample 7 --weather fog=40
     check "weather of one seed differs" cmp -s foggy/frame_000003.npz foggy_again/frame_000003.npz
     good render run --out unclouded --frames 2:4 --sample 7 --weather rain=0
     check "no rain changes a scan" cmp -s drawn/frame_000003.npz unclouded/frame_000003.npz
-    bad 2 "weather: found fog=0, expected a visibility of 1 to 1e6 metres" render run --out x --weather fog=0
+    bad 2 "weather: found fog=0, .*1 to 1e6 metres" render run --out x --weather fog=0
     bad 2 "weather: found rain=-3, expected 0 to 500 mm/h" render run --out x --weather rain=-3
-    bad 2 "weather: found rain=3 and snow=1, expected only one of them" render run --out x --weather rain=3,snow=1
+    bad 2 "weather: found rain=3 and snow=1" render run --out x --weather rain=3,snow=1
     bad 2 "weather: found \"hail\", expected fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H, wet=MILLIMETRES" render run --out x --weather hail
     good render run --out sunny --frames 2:4 --sample 7 --weather bloom,sun=90:10
     check "scans.json does not say all of the weather" grep -q '"weather": "bloom=0.00012,sun=90:10"' sunny/scans.json
@@ -296,10 +296,10 @@ rendering() {
     exists left/frame_000003.npz
     good render run --out below --frames 2:4 --offset 0,0,-5
     check "a sensor under the ground is not warned of" \
-        grep -q "^relidar: note: below: in 2 of 2 scans, more than 20 % of the rays .*scan [23] has the most, 9" err
+        grep -q "^relidar: note: below: .*2 of 2 scans, .*20 % .*scan [23] .* 9" err
     check "scans.json does not say how much is unseen" grep -q '"unseen":0.9' <(tr -d ' \n' <below/scans.json)
     good render run --out far_off --frames 2:3 --offset 9000,0,0 --channels seen
-    check "the summary does not say how much is unseen" grep -q "0.0 % of the rays return, 100.0 % of the rays cross space" out
+    check "the summary does not say how much is unseen" grep -q "0.0 % .* return, 100.0 % .* space" out
     good render run --out other --frames 11: --sensor VLP-16
     good render run --out grid --frames all --sensor kitti360 --quiet
     check "--frames all wrote other than 12 files and scans.json" test "$(ls grid | wc -l)" = 13
@@ -309,32 +309,32 @@ rendering() {
     exists table/frame_000000.ply
     range_limits
     good render run --out beyond --frames 11:14
-    check "frames beyond the log are left out without a word" grep -q "^relidar: note: frames 11:14: run ends with frame 11" err
+    check "frames beyond the log are left out without a word" grep -q "^relidar: note: frames 11:14: run .*frame 11" err
     good train street --out kept --preset quick --set train.iterations=1 --set dataset.test_every=0 --no-eval --quiet
     good render kept --out kept_scans
-    check "render of a run that held nothing out does not say so" grep -q "^relidar: note: kept has no held-out frames; all 12" err
+    check "render of a run that held nothing out does not say so" grep -q "^relidar: note: kept .*held-out .*12" err
     check "render of a run that held nothing out left frames out" test "$(ls kept_scans | wc -l)" = 13
-    bad 2 "selects no frame of run" render run --out x --frames 100:200
-    bad 2 'format: "npy" is unknown, did you mean npz' render run --out x --format npy
+    bad 2 "selects .*frame" render run --out x --frames 100:200
+    bad 2 'format: "npy" .*npz' render run --out x --format npy
     bad 2 "offset: found 2 numbers" render run --out x --offset 1,2
-    bad 2 'format: "" is unknown .*npz' render run --out x --format npz,
+    bad 2 'format: "".*unknown.*npz' render run --out x --format npz,
     bad 2 "offset: found 1e[+]?30 in .*between -10000 and 10000" render run --out x --offset 1e30,0,0,0
-    bad 2 "offset: found a yaw angle of 1000000000 in" render run --out x --offset 0,0,0,1e9
-    bad 2 'lidar: found "rear", expected none' render run --out x --lidar rear
-    bad 2 '--frame: found "wold"; expected sensor or world' render run --out x --frame wold
+    bad 2 "offset: .*yaw .*1000000000" render run --out x --offset 0,0,0,1e9
+    bad 2 'lidar: found "rear".*none' render run --out x --lidar rear
+    bad 2 '--frame: found "wold"; .*sensor or world' render run --out x --frame wold
     bad 2 "known: native, kitti360, HDL-64E" render run --out x --sensor nativ
     bad 2 "99999999 columns at 10 Hz, expected 1 to 1000000 columns" render run --out x --sensor beams.csv:99999999x10
     printf 'elevation_deg,azimuth_ofset_deg\n5,1\n' >typo.csv
-    bad 3 "typo.csv line 1: column 'azimuth_ofset_deg' is unknown, did you mean 'azimuth_offset_deg'" render run --out x --sensor typo.csv
+    bad 3 "typo.csv line 1: .*'azimuth_ofset_deg' .*'azimuth_offset_deg'" render run --out x --sensor typo.csv
     bad 2 "offset: found \"x\"" render run --out x --offset 1,2,x
-    bad 2 "did you mean 'VLP-16'" render run --out x --sensor VLP16
+    bad 2 "'VLP-16'" render run --out x --sensor VLP16
     good list sensors
     says "^rosette +10000 "
     good list sensors OS1-64:512x20 --out pattern.png
     says "^rays +32768 \\(64 rows of 512\\)"
     check "sensors --out writes no png" test "$(head -c 4 pattern.png | tail -c 3)" = PNG
-    bad 2 "did you mean 'VLP-16'" list sensors VLP16
-    bad 2 "--out needs a sensor" list sensors --out x.png
+    bad 2 "'VLP-16'" list sensors VLP16
+    bad 2 "--out .*sensor" list sensors --out x.png
     printf '%s' '{"sensors": [{"name": "top", "sensor": "VLP-16"}, {"name": "left", "sensor": "rosette", "translation_m": [0, 1, 0],' \
         ' "yaw_pitch_roll_deg": [90, 0, 0]}]}' >rig.json
     good render run --out rig --frames 5:6 --sensor rig.json --format pcd,npz
@@ -344,7 +344,7 @@ rendering() {
         >received.txt) &
     sleep 1
     good render run --out packets --frames 5:6 --sensor packet_rig.json --format pcap --udp 127.0.0.1:23680
-    says "packets sent"
+    says "packets .*sent"
     wait $!
     check "the first packet received is no VLP-16's" test "$(cat received.txt)" = 1206
     check "a rig has a capture for each sensor" test -s packets/packets_top.pcap -a -s packets/packets_left.json
@@ -352,24 +352,24 @@ rendering() {
     says "1 scans of 1 LiDAR"
     good convert packets/packets_top.pcap --out sent.pcap --set dataset.poses=none --udp 127.0.0.1:23682 --realtime
     says "77 packets sent"
-    bad 2 "--udp: found --out sent_log; expected --out FILE.pcap" convert packets/packets_top.pcap --out sent_log --udp 127.0.0.1:23682
-    bad 2 "cannot write packets of the sensor .*expected one of VLP-16, VLP-32C" render run --out x --format pcap
-    bad 2 "--realtime: found no --udp" render run --out x --sensor VLP-16 --realtime
+    bad 2 "--udp: .*sent_log.*FILE.pcap" convert packets/packets_top.pcap --out sent_log --udp 127.0.0.1:23682
+    bad 2 "packets .*sensor .*VLP-16, VLP-32C" render run --out x --format pcap
+    bad 2 "--realtime.*--udp" render run --out x --sensor VLP-16 --realtime
     bad 2 "--udp: found 'nowhere'" render run --out x --sensor VLP-16 --udp nowhere
     good render run --out merged --frames 5:6 --sensor rig.json --format pcd --merge
     check "a merged rig has not the points of its sensors" test "$(points_of merged/frame_000005.pcd)" -eq \
         "$(($(points_of rig/top/frame_000005.pcd) + $(points_of rig/left/frame_000005.pcd)))"
-    bad 2 "--merge needs a rig" render run --out x --sensor VLP-16 --merge
-    bad 2 "--topic has no effect.*mcap or rosbag" render run --out x --topic /points
-    bad 2 '--frame-id: found "a" for all sensors of a rig.*\{name\}' render run --out x --sensor rig.json --format mcap --frame-id a
-    bad 2 'found topic "points", expected a name such as /lidar/points' render run --out x --frames 2:3 --format rosbag --topic points
+    bad 2 "--merge .*rig" render run --out x --sensor VLP-16 --merge
+    bad 2 "--topic .*effect.*mcap or rosbag" render run --out x --topic /points
+    bad 2 '--frame-id: found "a" .*rig.*\{name\}' render run --out x --sensor rig.json --format mcap --frame-id a
+    bad 2 'topic "points", .*/lidar/points' render run --out x --frames 2:3 --format rosbag --topic points
     absent x
-    bad 2 "rig/top: the folder already contains rendered scans" render run --out rig --frames 5:6 --sensor rig.json
+    bad 2 "rig/top: .*contains" render run --out rig --frames 5:6 --sensor rig.json
     good render run --out wide --frames 5:6 --sensor VLP-16 --format npz,pcd --set sensor.sub_rays=5 --set sensor.returns=2
     check "a second return is missing from the pcd" grep -aq "^FIELDS x y z intensity ring time instance return$" wide/frame_000005.pcd
-    bad 2 "sensor.sub_rays: the beam divergence of XT32 is unknown" render run --out x --sensor XT32 --set sensor.sub_rays=5
+    bad 2 "sensor.sub_rays: .*XT32" render run --out x --sensor XT32 --set sensor.sub_rays=5
     bad 2 "sensor.returns=2 needs sensor.sub_rays" render run --out x --sensor VLP-16 --set sensor.returns=2
-    bad 3 "cannot create the folder" render run --out broken.toml/x
+    bad 3 "folder" render run --out broken.toml/x
     absent x
 }
 
@@ -388,7 +388,7 @@ range_limits() {
     check "an empty ply lacks its fields" test "$(grep -ac '^property' nothing/frame_000005.ply)" = 7
     good eval run --out limited.json --set dataset.max_range_m=20
     check "eval with another range limit gives the same numbers" test "$(grep -c depth_medae limited.json)" -gt 0 -a "$(grep -m1 strict/depth_rmse_m limited.json)" != "$(grep -m1 strict/depth_rmse_m run/metrics.json)"
-    bad 2 "range limits are 30 to 20 m, expected 0 <= dataset.min_range_m < dataset.max_range_m" info street --set dataset.max_range_m=20 --set dataset.min_range_m=30
+    bad 2 "30 to 20 m, .*dataset.min_range_m < dataset.max_range_m" info street --set dataset.max_range_m=20 --set dataset.min_range_m=30
 }
 
 points_of() { grep -am1 "^POINTS" "$1" | cut -d" " -f2; }
@@ -399,7 +399,7 @@ difference() { paste <(od -An -v -t f4 -w4 "$1") <(od -An -v -t f4 -w4 "$2") | a
 # sensor, and can be turned off.
 ray_drop() {
     good info run
-    says "^ray drop +corrected by a network of [0-9]+ parameters that reads native images$"
+    says "^ray drop +corrected .* [0-9]+ .*native"
     good render run --out refined --frames 5:6
     good render run --out unrefined --frames 5:6 --no-refine
     check "--no-refine changes nothing" test "$(cmp -s refined/frame_000005.npz unrefined/frame_000005.npz; echo $?)" = 1
@@ -409,22 +409,22 @@ ray_drop() {
     says '"baseline" is without the network'
     check "progress of the network lacks rate and eta" grep -Eq "^ray-drop network, epoch 1/1  step 3/3  [0-9.]+ it/s  eta 0:00  entropy" err
     good info cells
-    says "parameters that reads kitti360 images$"
+    says " kitti360 images$"
     good render cells --out of_cells --frames 5:6 --sensor VLP-16
     check "render does not say that a network does not fit" \
-        grep -q "^relidar: note: the ray-drop network of cells needs kitti360 images of at least 8 x 8 pixels; scans of VLP-16" err
+        grep -q "^relidar: note: .*cells .*kitti360 .*8 x 8 pixels; .*VLP-16" err
     good train street --out surfels --config run/config.toml --set refine.enabled=false --no-eval --quiet
     absent surfels/drop_network.safetensors
     good refine surfels --no-eval --quiet
     check "--quiet prints" test ! -s out -a ! -s err
-    bad 3 "network with image 0: found 8 x 96 pixels, expected at least 16 x 16" \
+    bad 3 "image 0: found 8 x 96 pixels, .*16 x 16" \
         refine surfels --quiet --set refine.network=paper
-    bad 2 'setting refine.network: found "large", expected one of small, paper, pixel' refine surfels --set refine.network=large
-    bad 3 "nowhere: no such folder" refine nowhere
+    bad 2 'refine.network: found "large", .*small, paper, pixel' refine surfels --set refine.network=large
+    bad 3 "nowhere: .*folder" refine nowhere
     printf 'short' >surfels/drop_network.safetensors
     bad 3 "surfels/drop_network.safetensors" render surfels --out x
     good train street --out surfels --config run/config.toml --set refine.network=paper --no-eval --force
-    check "training does not say that its network was not trained" grep -q "^relidar: note: cannot train the ray-drop network with image 0" err
+    check "training does not say that its network was not trained" grep -q "^relidar: note: .*network .*image 0" err
     absent surfels/drop_network.safetensors
     absent x
 }
@@ -442,24 +442,24 @@ own_paths() {
     check "11 turns at 20 Hz are not 23 scans" test "$(find twice_as_often -name '*.bin' | grep -c .)" = 23
     { cat way.csv; echo "60,400,0,2,0"; } >beyond.csv
     good render run --out after_the_log --trajectory beyond.csv --times 50:60:10 --format bin
-    check "nobody says that the log has no actors then" grep -q "2 of 2 scans are outside the log's .* show no actors" err
-    check "nobody says how far from the log that is" grep -q "the trajectory is up to [0-9]* m away from" err
+    check "nobody says that the log has no actors then" grep -q "2 of 2 scans .*outside .* actors" err
+    check "nobody says how far from the log that is" grep -q "trajectory .* [0-9]* m " err
     printf '0,0,0,2,0\n' >one.csv
-    bad 3 "one.csv: found 1 poses, expected at least two" render run --out x --trajectory one.csv
+    bad 3 "one.csv: found 1 poses" render run --out x --trajectory one.csv
     printf '0,0,0,2,0\n1,nan,0,2,0\n' >nan.csv
     bad 3 "nan.csv: line 2: x: found \"nan\"" render run --out x --trajectory nan.csv
     printf '1,0,0,2,0\n0,1,0,2,0\n' >falling.csv
     bad 3 "falling.csv: line 2: time_s is 0 after 1" render run --out x --trajectory falling.csv
     bad 3 "none.csv" render run --out x --trajectory none.csv
-    bad 2 "rate and --times need --trajectory" render run --out x --rate 20
-    bad 2 "frames and --trajectory cannot" render run --out x --trajectory way.csv --frames 1:2
-    bad 2 "rate and --times cannot" render run --out x --trajectory way.csv --rate 5 --times 0:1:0.1
+    bad 2 "rate and --times .*--trajectory" render run --out x --rate 20
+    bad 2 "frames and --trajectory" render run --out x --trajectory way.csv --frames 1:2
+    bad 2 "rate and --times" render run --out x --trajectory way.csv --rate 5 --times 0:1:0.1
     bad 2 "rate: found 0; expected" render run --out x --trajectory way.csv --rate 0
-    bad 2 "at most 1e\+06" render run --out x --trajectory way.csv --rate 1e9
+    bad 2 "1e\+06" render run --out x --trajectory way.csv --rate 1e9
     bad 2 "times: found \"0:1\"; expected FIRST:LAST:STEP" render run --out x --trajectory way.csv --times 0:1
     bad 2 "times: found 0 to 50 s; expected" render run --out x --trajectory way.csv --times 0:50:1
     bad 2 "expected FIRST < LAST and a STEP above 0" render run --out x --trajectory way.csv --times 1:0:0.1
-    bad 2 "ends in .ply \(surfels\) or .csv" export run --out way.txt
+    bad 2 "\.ply .*\.csv" export run --out way.txt
     absent x
 }
 
@@ -469,7 +469,7 @@ start_of() { "$relidar" info "$1" | awk -v track="$2" '$1 == track { for (i = 1;
 editing() {
     good info run
     says "^ +0 +Car .* 0-11 .* m/s .* 1 +[0-9]+$"
-    says "^instances +3, .*0 is the background"
+    says "^instances +3, .*0 .*background"
     good edit run --out removed --remove 0
     says "^removed 0$"
     good info removed
@@ -478,8 +478,8 @@ editing() {
     local start
     start=$(start_of run 0)
     good edit run --out standing --copy "0@${start%%,*},2,ground" --copy 1@5,0,ground,90:3 --insert run#0@9,0,ground
-    says "copied 0 as 0-copy-1, on the ground at .*,2.00,0.8[0-9], tilted by [01][.]. degrees"
-    says "inserted 0 of run as 0-insert-1, on the ground"
+    says "copied 0 as 0-copy-1, .*ground .*,2.00,0.8[0-9], tilted .*[01][.]. degrees"
+    says "inserted 0 of run as 0-insert-1, .*ground"
     good info standing
     says "edit +--copy 1@5,0,ground,90:3"
     good edit run --out tilted --copy "0@$start,4,-3:2"
@@ -517,20 +517,20 @@ XOSC
     says "^ *1 +Car .* 13\.50,-1\.00,"
     good edit run --out van_too --scenario cut_in.xosc@Van=run#0
     says "0-insert-1 follows Van of cut_in.xosc"
-    bad 2 'expected also Van=TRACK, Van=RUN#TRACK, Van=ASSET or Van=-' edit run --out x --scenario cut_in.xosc
-    bad 2 'expected entities of the file; Bus is not in the file' edit run --out x --scenario cut_in.xosc@Van=1,Bus=0
-    bad 2 'an entity with a trajectory, but Ego has no trajectory' edit run --out x --scenario cut_in.xosc@Van=1,Ego=0
-    bad 2 'expected Van=TRACK of the run, RUN#TRACK' edit run --out x --scenario cut_in.xosc@Van=7
-    bad 2 'scenario with at least one entity that follows' edit run --out x --scenario cut_in.xosc@Van=-
+    bad 2 'Van=TRACK, Van=RUN#TRACK, Van=ASSET or Van=-' edit run --out x --scenario cut_in.xosc
+    bad 2 'entities .*Bus' edit run --out x --scenario cut_in.xosc@Van=1,Bus=0
+    bad 2 'trajectory, .*Ego' edit run --out x --scenario cut_in.xosc@Van=1,Ego=0
+    bad 2 'Van=TRACK .*RUN#TRACK' edit run --out x --scenario cut_in.xosc@Van=7
+    bad 2 'scenario .*entity' edit run --out x --scenario cut_in.xosc@Van=-
     bad 2 'expected FILE.xosc\[@ENTITY=TRACK' edit run --out x --scenario cut_in.xosc@Van
     bad 3 'none.xosc' edit run --out x --scenario none.xosc
     good edit run --out late --retime 0:100
-    says "note: track 0 is not visible in any frame"
+    says "note: track 0 .*visible"
     sed 's/"name": "synthetic"/"name": "other"/' -i removed/scene.json
     good edit run --out both --force --insert "removed#1@$start"
-    says "note: removed was recorded by another sensor"
+    says "note: removed .*sensor"
     good eval moved --out edited.json
-    says "street was rendered again with the run's edits"
+    says "edits"
     says "^edited +[0-9.]+ +[0-9.]+ +[0-9.]+"
     good eval path --out path.json   # no car of the street has this name
     good render run --out cars --frames 5:6 --only actors
@@ -552,21 +552,21 @@ keeping_assets() {
     good render assets/car-0 --out asset_scans --frames 5:6 --format ply
     local most
     most=$("$relidar" assets run --out every --least 0 2>/dev/null | awk '/^car-/ && $3 > most { most = $3 } END { print most }')
-    bad 3 "run has a sufficient score: skipped 0 \(Car\): the score of the actor is 0.*1.00 \(--least\); the observed shares of its sides are front" assets run --out none --least 1
+    bad 3 "skipped 0 \(Car\): .*0.*1.00 \(--least\); .*front" assets run --out none --least 1
     absent none
     check "a score above 1: $most" awk "BEGIN { exit !($most <= 1) }"
-    bad 2 "assets: the folder is not empty, expected a new or empty folder" assets run --out assets
+    bad 2 "assets: .*empty" assets run --out assets
     bad 2 "least: found 2; expected" assets run --out none --least 2
-    bad 2 "has no actor" assets again2 --out none
-    bad 3 "nowhere: no such folder" assets nowhere --out none
+    bad 2 "actor" assets again2 --out none
+    bad 3 "nowhere: .*folder" assets nowhere --out none
     absent none
     check "unfinished folders were left behind" test -z "$(find . -maxdepth 1 -name '.*tmp*')"
 }
 
 wrong_edits() {
-    bad 2 "no edit is given" edit run --out x
-    bad 2 'no such track, did you mean "0"\?' edit run --out x --remove 00
-    bad 2 '--move 7:1,0,0: cannot edit track "7"' edit run --out x --move 7:1,0,0
+    bad 2 "edit" edit run --out x
+    bad 2 'track, .*"0"' edit run --out x --remove 00
+    bad 2 '--move 7:1,0,0: .*track "7"' edit run --out x --move 7:1,0,0
     bad 2 'move: found "0:1,2", expected TRACK:dx,dy,dz' edit run --out x --move 0:1,2
     bad 2 'move: found "x" in "1,x,2"' edit run --out x --move 0:1,x,2
     bad 2 'move: found "nan"' edit run --out x --move 0:1,nan,2
@@ -576,22 +576,22 @@ wrong_edits() {
     bad 2 'copy: found "0@1,2,3,4,5", expected TRACK@x,y,z,yaw_deg' edit run --out x --copy 0@1,2,3,4,5
     bad 2 'copy: found "0@1,ground", expected TRACK@x,y,z,yaw_deg.* or TRACK@x,y,ground' edit run --out x --copy 0@1,ground
     bad 2 'copy: found "0@1,2,ground3", expected' edit run --out x --copy 0@1,2,ground3
-    bad 2 'copy 0@900,2,ground: cannot place 0 on the ground at 900,2 .*no surface' edit run --out x --copy 0@900,2,ground
-    bad 2 'insert run#7@1,2,ground: cannot edit track "7"' edit run --out x --insert run#7@1,2,ground
+    bad 2 'copy 0@900,2,ground: .*900,2 .*surface' edit run --out x --copy 0@900,2,ground
+    bad 2 'insert run#7@1,2,ground: .*track "7"' edit run --out x --insert run#7@1,2,ground
     bad 2 'copy: found "@1,2,3,4", expected' edit run --out x --copy @1,2,3,4
     bad 2 'copy: found "" in ""' edit run --out x --copy 0@1,2,3,4:
-    bad 2 'insert run@1,2,3,4: run is a run with 2 actors, expected an asset, or RUN#TRACK with one of 0, 1' edit run --out x --insert run@1,2,3,4
-    bad 3 'nowhere: no such folder' edit run --out x --insert nowhere@1,2,3,4
+    bad 2 'insert run@1,2,3,4: .*2 actors, .*RUN#TRACK .*0, 1' edit run --out x --insert run@1,2,3,4
+    bad 3 'nowhere: .*folder' edit run --out x --insert nowhere@1,2,3,4
     bad 2 'insert: found "run#@1,2,3,4", expected RUN#TRACK' edit run --out x --insert run#@1,2,3,4
-    bad 3 'nowhere: no such folder' edit run --out x --insert nowhere#0@1,2,3,4
-    bad 2 'keep: found "car", expected background or actors' edit run --out x --keep car
+    bad 3 'nowhere: .*folder' edit run --out x --insert nowhere#0@1,2,3,4
+    bad 2 'keep: found "car", .*background or actors' edit run --out x --keep car
     bad 3 'none.csv' edit run --out x --trajectory 0:none.csv
     printf '0,1,2,3,0\n' >one.csv
     bad 3 'one.csv: found 1 poses' edit run --out x --trajectory 0:one.csv
-    bad 2 'this is the folder of the run to edit' edit run --out ./run --remove 0
-    bad 2 'removed: the folder already contains a run' edit run --out removed --remove 0
-    bad 3 'nowhere: no such folder' edit nowhere --out x --remove 0
-    bad 2 'part "cars" of the scene.*background' render run --out x --only cars
+    bad 2 'run .*edit' edit run --out ./run --remove 0
+    bad 2 'removed: .*contains' edit run --out removed --remove 0
+    bad 3 'nowhere: .*folder' edit nowhere --out x --remove 0
+    bad 2 'part "cars" .*background' render run --out x --only cars
     absent x
 }
 
@@ -604,16 +604,16 @@ evaluation() {
     check "eval gives other numbers than train" diff <(sed -n '/"mean"/,/}/p' before.json) <(sed -n '/"mean"/,/}/p' run/metrics.json)
     good eval run --out sub/metrics.json --set render.range=normalised
     exists sub/metrics.json
-    bad 3 "cannot create the folder" eval run --out broken.toml/m.json
-    bad 3 "nowhere: no such folder" eval run --set dataset.path=nowhere
+    bad 3 "folder" eval run --out broken.toml/m.json
+    bad 3 "nowhere: .*folder" eval run --set dataset.path=nowhere
     mkdir short && sed 's/^n_frames.*/n_frames = 8/' street/street.toml >short/street.toml
-    bad 3 "has no frame 10" eval run --set dataset.path=short
+    bad 3 "frame 10" eval run --set dataset.path=short
 }
 
 # Eight rows of 48 rays are not enough to register a scan.
 lost_scans() {
     mkdir sparse && sed 's/^columns.*/columns = 48/' street/street.toml >sparse/street.toml
-    bad 3 "[0-9]+ of 12 scans could not be registered.*expected at most 5 %.*train.allow_lost_scans" train sparse --out adrift --quiet --preset quick --set train.iterations=1
+    bad 3 "[0-9]+ of 12 scans .*registered.*5 %.*train.allow_lost_scans" train sparse --out adrift --quiet --preset quick --set train.iterations=1
     good train sparse --out adrift --quiet --preset quick --set train.iterations=1 --set train.allow_lost_scans=true --no-eval
     bad 2 "dataset.poses=none.*train.refine_poses=sensor" train street --out adrift --force --set dataset.poses=none --set train.refine_poses=none
     rm -r adrift sparse
@@ -642,9 +642,9 @@ baseline() {
     good eval street --baseline nearest --set dataset.test_frames=3,7:9 --quiet --pictures named
     for frame in 3 7 8; do exists named/range_00000$frame.png; done
     absent named/range_000010.png
-    bad 2 "dataset.test_frames: found frame 99, expected only frames that are read from the log: 0, 1," eval street --baseline nearest --set dataset.test_frames=3,99
+    bad 2 "dataset.test_frames: found frame 99, .*: 0, 1," eval street --baseline nearest --set dataset.test_frames=3,99
     for set in train.iterations=3 sensor.grid_method=cast dataset.path=elsewhere; do
-        bad 2 "setting ${set%=*} has no effect in .relidar eval LOG --baseline." eval street --baseline nearest --set $set
+        bad 2 "setting ${set%=*} .*effect .*relidar eval LOG --baseline" eval street --baseline nearest --set $set
     done
     # a log without intensities, whose points only have x, y and z
     mkdir -p dark/scans
@@ -666,7 +666,7 @@ baseline_beside_a_run() {
     good eval run --baseline nearest --out beside.json
     says "^metric +mean +lowest +highest +baseline nearest"
     check "beside.json lacks the baseline" grep -q '"scored": "baseline nearest"' beside.json
-    bad 2 "--frames cannot be used with a run" eval run --baseline nearest --frames 0:5
+    bad 2 "--frames .*run" eval run --baseline nearest --frames 0:5
 }
 
 surfels_as_ply() {
@@ -675,10 +675,10 @@ surfels_as_ply() {
     good edit run --from-ply ply/scene.ply --out imported
     check "the imported model differs" cmp run/model.safetensors imported/model.safetensors
     good info imported
-    bad 2 "imported: the folder already contains a run.*--force" edit run --from-ply ply/scene.ply --out imported
+    bad 2 "imported: .*contains.*--force" edit run --from-ply ply/scene.ply --out imported
     head -c 9000 ply/scene.ply >ply/cut.ply
     bad 3 "ply/cut.ply.*expected [0-9]+ vertices" edit run --from-ply ply/cut.ply --out x
-    bad 3 "broken.toml.*does not begin with" edit run --from-ply broken.toml --out x
+    bad 3 "broken.toml.*begin" edit run --from-ply broken.toml --out x
     absent x
 }
 
@@ -694,8 +694,8 @@ gaussians() {
     check "the imported model of 3D Gaussians differs" cmp thick/model.safetensors thick_again/model.safetensors
     good edit thick --out thick_actors --keep actors
     good check --speed --run thick
-    bad 2 "image.primitive=surfel: the scene consists of 3D Gaussians" render thick --out x --frames 5:6 --set image.primitive=surfel
-    bad 3 "found 3D Gaussians and surfels" edit thick --out x --insert "run#0@$(start_of run 0)"
+    bad 2 "image.primitive=surfel: .*3D Gaussians" render thick --out x --frames 5:6 --set image.primitive=surfel
+    bad 3 "3D Gaussians and surfels" edit thick --out x --insert "run#0@$(start_of run 0)"
     cp run/model.safetensors thick_again/
     sed 's/"surfels": [0-9]*/"surfels": '"$("$relidar" info run | sed -n 's/^surfels *//p')/" -i thick_again/scene.json
     bad 3 "thick_again/config.toml: image.primitive is gaussian, but model.safetensors contains surfels" info thick_again
@@ -704,13 +704,13 @@ gaussians() {
 
 damaged_runs() {
     rm -rf hurt && cp -r run hurt && head -c 3000 run/scene.json >hurt/scene.json
-    bad 3 "hurt/scene.json: not valid JSON" render hurt --out x
+    bad 3 "hurt/scene.json: .*JSON" render hurt --out x
     cp run/scene.json hurt/ && head -c 5000 run/model.safetensors >hurt/model.safetensors
     bad 3 "hurt/model.safetensors" render hurt --out x
     rm hurt/model.safetensors
-    bad 3 "hurt/model.safetensors is missing" render hurt --out x
+    bad 3 "hurt/model.safetensors .*missing" render hurt --out x
     cp run/model.safetensors hurt/ && printf '[loss]\ndpth = 1\n' >hurt/config.toml
-    bad 3 "hurt/config.toml: setting loss.dpth: unknown key" info hurt
+    bad 3 "hurt/config.toml: setting loss.dpth: unknown" info hurt
     printf 'n_frames = "x"\n' >short/street.toml
     bad 3 "short/street.toml.*n_frames" info short
     absent x
@@ -721,14 +721,14 @@ damaged_runs() {
 viewing() {
     good view --help
     if ! grep -q -- "--port" out; then
-        bad 2 "view is not available.*install libboost-dev" view run
+        bad 2 "libboost-dev" view run
         return
     fi
     says "Example"
-    bad 3 "nowhere: no such folder" view nowhere
+    bad 3 "nowhere: .*folder" view nowhere
     bad 2 "port: found 65536; expected .*65535" view run --port 65536
-    bad 2 'cannot listen on the address "example.com"' view run --bind example.com
-    bad 3 "cannot create the folder .*run/config.toml" view run --save-to run/config.toml
+    bad 2 'address "example.com"' view run --bind example.com
+    bad 3 "folder .*run/config.toml" view run --save-to run/config.toml
     "$relidar" view run --port 0 --bind 0.0.0.0 --quiet >address 2>err &
     local pid=$! port
     for _ in $(seq 300); do
@@ -737,7 +737,7 @@ viewing() {
     done
     check "the address of a viewer for others has no token" grep -Eq '^http://127.0.0.1:[0-9]+/\?token=[0-9a-f]{32}$' address
     port=$(sed 's/.*:\([0-9]*\).*/\1/' address)
-    bad 2 "cannot listen on port $port of 0.0.0.0: Address already in use" view run --bind 0.0.0.0 --port "$port"
+    bad 2 "port $port of 0.0.0.0: Address already in use" view run --bind 0.0.0.0 --port "$port"
     kill -INT $pid
     wait $pid
     local code=$?
@@ -785,7 +785,7 @@ early_interruption() {
     wait $pid
     local code=$?
     check "interrupted initialisation: exit code $code, expected 130" test "$code" = 130
-    check "interrupted initialisation does not say how to start again" grep -Eq "^relidar: interrupted while .*; start again with: relidar train --resume early$" err
+    check "interrupted initialisation does not say how to start again" grep -Eq "^relidar: interrupted .*; .*relidar train --resume early$" err
     check "interrupted initialisation left other files" test "$(ls -A early | tr '\n' ' ')" = "config.toml log.jsonl "
     good train --resume early --no-eval
     check "the run that started again lacks an iteration" test "$(grep -c '"iteration":2,' early/log.jsonl)" = 1
@@ -802,18 +802,18 @@ interruption() {
         sleep 0.1
     done
     mv err first_err
-    bad 3 "stopped: another relidar process is writing this run" train street --out stopped
-    bad 3 "stopped: another relidar process is writing this run" train street --out stopped --force
-    bad 3 "stopped: another relidar process is writing this run" train --resume stopped
-    bad 3 "stopped: another relidar process is writing this run" edit run --out stopped --remove 0 --force
+    bad 3 "stopped: .*process.*writing" train street --out stopped
+    bad 3 "stopped: .*process.*writing" train street --out stopped --force
+    bad 3 "stopped: .*process.*writing" train --resume stopped
+    bad 3 "stopped: .*process.*writing" edit run --out stopped --remove 0 --force
     good info stopped
-    says "^stopped: a run that is being trained, at iteration [0-9]* of 1000000; .*street$"
+    says "^stopped: .*trained, .* [0-9]* of 1000000; .*street$"
     mv first_err err
     kill -TERM $pid
     wait $pid
     local code=$?
     check "interrupted training: exit code $code, expected 130" test "$code" = 130
-    check "interrupted training does not say how to go on" grep -Eq "^relidar: interrupted after iteration [0-9]+ of 1000000; .*continue with: relidar train --resume stopped$" err
+    check "interrupted training does not say how to go on" grep -Eq "^relidar: interrupted .* [0-9]+ of 1000000; .*relidar train --resume stopped$" err
     stopped_at=$(sed -n 's/.*interrupted after iteration \([0-9]*\) .*/\1/p' err)
     good info stopped
     absent stopped/.lock
@@ -822,7 +822,7 @@ interruption() {
     flock --no-fork stopped/.lock sleep 600 &
     pid=$!
     while flock --nonblock stopped/.lock true; do sleep 0.05; done
-    bad 3 "stopped: another relidar process is writing this run" eval stopped
+    bad 3 "stopped: .*process.*writing" eval stopped
     kill -KILL $pid
     wait $pid 2>/dev/null
     good eval stopped --quiet
@@ -834,27 +834,27 @@ interruption() {
 resuming() {
     [[ -n $stopped_at ]] || return 0   # a previous check has already reported this failure
     local total=$((stopped_at + 3))
-    bad 2 "resume from iteration $stopped_at: setting loss.depth: found 0.3, expected 0.1" train --resume stopped --set loss.depth=0.3
+    bad 2 "iteration $stopped_at: setting loss.depth: found 0.3, expected 0.1" train --resume stopped --set loss.depth=0.3
     good train --resume stopped --set train.iterations=$total --set train.checkpoint_minutes=1e-9 --no-eval
     says "^resume  from iteration $stopped_at$"
     check "the resumed log does not have each iteration once" diff <(seq 1 $total) <(grep -o '"iteration":[0-9]*' stopped/log.jsonl | cut -d: -f2)
     check "config.toml lacks the raised iterations" grep -qx "iterations = $total" stopped/config.toml
     check "other than two checkpoints are kept" test "$(ls stopped/checkpoints | wc -l)" = 2
     good train --resume stopped
-    says "has already finished all $total iterations"
+    says "finished .*$total iterations"
     head -c 2000 stopped/checkpoints/*$total.safetensors >cut.bin && mv cut.bin stopped/checkpoints/*$total.safetensors
     # tests the flag in front of the log
     good train --resume street --out stopped --set train.iterations=$((total + 2)) --no-eval
     says "^resume  from iteration $((total - 1))$"
-    check "the damaged checkpoint is not named" grep -Eq "^relidar: note: .*cannot read safetensors .*$total.safetensors.*the previous checkpoint" err
+    check "the damaged checkpoint is not named" grep -Eq "^relidar: note: .*safetensors .*$total.safetensors.*checkpoint" err
     exists stopped/checkpoints/iteration_*$((total + 2)).safetensors
     # simulates a process that was killed while it wrote its first file
     mkdir anew && touch anew/.lock anew/.config.toml.tmp-1-0
     good train street --out anew --preset quick --set train.refine_poses=none --set train.iterations=2 --no-eval --resume
     absent anew/.config.toml.tmp-1-0
-    check "a run without checkpoint starts anew without a word" grep -q "^relidar: note: anew has no checkpoint" err
-    bad 2 "has ended without a checkpoint" train --resume anew --set train.iterations=4
-    bad 3 "training failed at iteration 1.*: (the intensity loss is|row [0-9]+ of array .* contains inf)" train street --out lost --quiet --preset quick --set train.refine_poses=none --set loss.intensity=3e38 --set train.log_every=1 --set train.checkpoint_minutes=1e-9
+    check "a run without checkpoint starts anew without a word" grep -q "^relidar: note: anew .*checkpoint" err
+    bad 2 "ended .*checkpoint" train --resume anew --set train.iterations=4
+    bad 3 "iteration 1.*: (.*intensity|row [0-9]+ of array .* inf)" train street --out lost --quiet --preset quick --set train.refine_poses=none --set loss.intensity=3e38 --set train.log_every=1 --set train.checkpoint_minutes=1e-9
 }
 
 # Tests Ctrl-C during the training of the network. A checkpoint must stay, and the resumed
@@ -863,30 +863,30 @@ network_resuming() {
     local few=(--preset quick --set train.refine_poses=none --set init.actor_min_points=10 --set train.iterations=4 --set dataset.test_every=5 --set refine.network=small)
     local checkpoints=half/checkpoints/drop_network
     stop_in_network train street --out half "${few[@]}" --set refine.epochs=15 --no-eval
-    check "interrupted network: the message does not say how to go on" grep -Eq "^relidar: interrupted while the ray-drop network was trained; .*continue with: relidar train --resume half$" err
+    check "interrupted network: the message does not say how to go on" grep -Eq "^relidar: interrupted .*ray-drop .*; .*relidar train --resume half$" err
     absent half/drop_network.safetensors
     rm -rf whole other && cp -r half whole && rm -r whole/checkpoints && cp -r half other
     good train --resume half --no-eval
-    says "^resume  the ray-drop network from step [1-9]"
+    says "^resume  .*ray-drop .*step [1-9]"
     exists half/report.html
     absent half/checkpoints
     good refine whole --no-eval
     check "the resumed network has other bits" cmp half/drop_network.safetensors whole/drop_network.safetensors
     check "the resumed network lies beside another scene" cmp half/model.safetensors whole/model.safetensors
     good train --resume half
-    says "has already finished"
+    says "finished"
     good train --resume other --no-eval --set refine.epochs=1
-    check "other settings of the network are taken without a word" grep -Eq "^relidar: note: cannot resume the ray-drop network from step [0-9]+: setting refine.epochs: found 1, expected 15 as in the checkpoint; the network is .*trained from the beginning" err
+    check "other settings of the network are taken without a word" grep -Eq "^relidar: note: .*step [0-9]+: setting refine.epochs: found 1, expected 15 .*trained" err
     exists other/drop_network.safetensors
     stop_in_network refine other --no-eval --set refine.epochs=15
-    check "interrupted refine: the message does not say how to go on" grep -Eq "^relidar: interrupted: the network of other is unchanged; continue with: relidar refine --resume other$" err
-    bad 2 "resume the ray-drop network from step [0-9]+: setting refine.rate: found 0.5" refine --resume other --set refine.rate=0.5
+    check "interrupted refine: the message does not say how to go on" grep -Eq "^relidar: interrupted: .*unchanged; .*relidar refine --resume other$" err
+    bad 2 "step [0-9]+: setting refine.rate: found 0.5" refine --resume other --set refine.rate=0.5
     good refine --resume other --no-eval
     says "^resume  from step [1-9]"
     check "refine --resume ends with other bits" cmp other/drop_network.safetensors whole/drop_network.safetensors
     absent other/checkpoints
     good refine --resume other --no-eval --set refine.epochs=1
-    check "nobody says that there is nothing to resume" grep -q "^relidar: note: other has no checkpoint of its network" err
+    check "nobody says that there is nothing to resume" grep -q "^relidar: note: other .*checkpoint" err
 }
 
 # stop_in_network ARGS...: runs a command that trains a network on $checkpoints. Ends it
@@ -922,7 +922,7 @@ checking() {
     check "check.json lacks its device" grep -q '^ "driver": "' check.json
     grep -q '"ray_query": true' devices.json || return
     RELIDAR_FAULTS=ray_query good render run --out replaced --frames 10:11 --traversal ray_query
-    check "no line on the replaced ray queries" grep -q "find other surfels than a full search; the software tree is used$" err
+    check "no line on the replaced ray queries" grep -q "search; .*software" err
 }
 
 # Tests the short report. The expected numbers come from the definition of the street and
@@ -952,8 +952,8 @@ bench() {
     check "run.json lacks scans_per_s" grep -Eq '"scans_per_s": [0-9.]*[1-9]' run.json
     good check --speed --run run --sensor rig.json
     says "^ +[0-9.]+ per second if the sensors are rendered one after the other$"
-    bad 2 "--sensor can only be used with --speed and --run" check --speed --sensor rig.json
-    bad 3 "nowhere: no such folder" check --speed --run nowhere --json lost.json
+    bad 2 "--sensor .*--speed and --run" check --speed --sensor rig.json
+    bad 3 "nowhere: .*folder" check --speed --run nowhere --json lost.json
     absent lost.json
 }
 

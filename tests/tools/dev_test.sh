@@ -16,22 +16,22 @@ source "$tests/checks.sh"
 
 good --help
 for command in bench pipelines; do says "^  $command "; done
-bad 2 'scene: found "D", expected A, B or C' bench --scene D
+bad 2 'scene: found "D", .*A, B or C' bench --scene D
 bad 2 'surfels: found 0, expected 1 to' bench --surfels 0
-bad 2 'surfels: found "many", expected an integer' bench --surfels many
-bad 2 'rays: found "64x", expected waymo, kitti or' bench --rays 64x
-bad 2 'rays: found 20000x20000, expected at most' bench --rays 20000x20000
+bad 2 'surfels: found "many", .*integer' bench --surfels many
+bad 2 'rays: found "64x", .*waymo, kitti' bench --rays 64x
+bad 2 'rays: found 20000x20000' bench --rays 20000x20000
 bad 2 'trace.chunk: found "65"' bench --chunk 65
-bad 2 '--proxy: found "cube", expected one of auto, triangles, boxes' bench --proxy cube
+bad 2 '--proxy: found "cube", .*auto, triangles, boxes' bench --proxy cube
 bad 2 'sh_direction: found "normal"' bench --sh normal
 bad 2 'trace.keep_hits: found "-1"' bench --keep-hits -1
 bad 2 'actors: found 1.5 in "1,1.5"' bench --actors 1,1.5
 bad 2 'actors: found "x"' bench --actors x
 bad 2 'repeat: found 0, expected 1 to' bench --repeat 0
-bad 2 'steps: found no --run beside it' bench --steps 3
-bad 2 'steps: found --scans beside it' bench --run none --steps 3 --scans 3
-bad 2 'run: found --scene, --surfels or --rays beside it' bench --run run --rays kitti
-bad 2 "unknown command train" train street
+bad 2 'steps: .*--run' bench --steps 3
+bad 2 'steps: found --scans' bench --run none --steps 3 --scans 3
+bad 2 'run: found --scene, --surfels or --rays' bench --run run --rays kitti
+bad 2 "command train" train street
 if ! "$program" list devices >/dev/null 2>&1; then
     [[ ${RELIDAR_REQUIRE_GPU:-0} != 1 ]] || fail "no Vulkan device, and RELIDAR_REQUIRE_GPU=1"
     skipped=1
@@ -44,8 +44,8 @@ check "no run to measure" "$program" train street --out run --preset quick --set
     --set train.iterations=6 --set dataset.test_every=5 --no-eval --quiet
 good bench --surfels 2000 --rays 16x64 --repeat 2 --json numbers/bench.json
 for kernel in scene/activate accel/build accel/refit diff/forward/trace diff/backward/trace diff/optimizer/adam "whole iteration" "move of one instance"; do says "^$kernel +[0-9.]+ +[0-9.]+ +[0-9.]+ +([0-9.]+ +[0-9.]+|- +-)$"; done
-says "^floors    bytes that must move once, at the [0-9.]+ GB/s of a copy"
-says "^forward +[0-9.]+ Mrays/s, 0\.[0-9]+ blended hits a ray"
+says "^floors .*[0-9.]+ GB/s"
+says "^forward +[0-9.]+ Mrays/s, 0\.[0-9]+ "
 exists numbers/bench.json
 for key in forward_mrays_per_s backward_mrays_per_s hits_per_ray bytes_per_surfel accel_bytes_per_surfel copy_bytes_per_s median_over_floor; do
     check "bench.json lacks $key" grep -Eq "\"$key\": [0-9]*[1-9.]" numbers/bench.json
@@ -73,7 +73,7 @@ says "^between kernels +-?[0-9.]+ +-?[0-9.]+%$"
 says "^step, wall time +[0-9.]+ +100.0%$"
 check "steps.json: other batches than the run's" grep -q '"rays": 768' steps.json
 bad 2 "steps: found 501, expected 1 to 500" bench --run run --steps 501
-bad 3 "nowhere: no such folder" bench --run nowhere --json lost.json
+bad 3 "nowhere: .*folder" bench --run nowhere --json lost.json
 good bench --actors 1,3 --repeat 2 --json actors.json
 says "^ +3 +one +1000 +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +0$"
 says "^ +3 +own +3000 +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +0$"

@@ -46,14 +46,14 @@ score_tables() {
     run d '[{}]' kitti360 '"strict/depth_medae_m": 1'
     good eval scored/a scored/d --table t.md
     has t.md "Compare the runs with care, because their protocols differ in grid."
-    bad 2 "found 2 runs as arguments; expected one run, or --table" eval scored/a scored/d
-    bad 2 "table: found t.txt; expected .*.md, .csv or .html" eval scored/a --table t.txt
-    bad 2 "--set cannot be used together with --table" eval scored/a --table t.md --set render.range=median
-    bad 3 "nowhere is not a run folder" eval scored/a nowhere --table t.md
+    bad 2 "2 runs .*--table" eval scored/a scored/d
+    bad 2 "table: found t.txt; .*\.md, \.csv or \.html" eval scored/a --table t.txt
+    bad 2 "--set .*--table" eval scored/a --table t.md --set render.range=median
+    bad 3 "nowhere .*run" eval scored/a nowhere --table t.md
     mkdir scored/unscored scored/damaged
     touch scored/unscored/scene.json scored/damaged/scene.json
     printf '{"mean": ' >scored/damaged/metrics.json
-    bad 3 "2 of 3 runs have no scores in their metrics.json, for example scored/unscored; .relidar eval scored/unscored. computes them" \
+    bad 3 "2 of 3 runs .*metrics.json, .*scored/unscored; .relidar eval scored/unscored" \
         eval scored/a scored/unscored scored/damaged --table t.md
     has t.md '| scored/a | logs/a | 2 | 12.5 | 0.25 | 0.5 |'
     has t.md '| scored/damaged | no scores | - | 0 | - | - |'
@@ -131,7 +131,7 @@ makefile() {
     check "make fails for a run that is complete" test $? = 0
     check "a run that is complete is trained again" cmp -s before runs/a/log.jsonl
     # shellcheck disable=SC2086
-    bad 2 "finished training used another value of the setting dataset.path" train logs/b --out runs/a $train --resume
+    bad 2 "another .*dataset.path" train logs/b --out runs/a $train --resume
     cd ..
 }
 

@@ -76,14 +76,14 @@ write_scans(WORK / "narrow", columns=COLUMNS - 1)
 write_scans(WORK / "late", late_s=0.05)
 (WORK / "without/sklearn").mkdir(parents=True)
 (WORK / "without/sklearn/__init__.py").write_text("raise ImportError(\"No module named 'sklearn'\")\n")
-fails("scikit-learn is missing", "brighter", path=WORK / "without")
+fails("scikit-learn", "brighter", path=WORK / "without")
 try:
     import sklearn  # noqa: F401
 except ImportError as error:
     print(f"skipped: {error}")
     sys.exit(77)
-fails("expected (8, 40) as in", "narrow")
-fails("expected 0.2 s as in", "late")
+fails("(8, 40)", "narrow")
+fails("0.2 s", "late")
 told = realism("brighter")
 expect(told.returncode == 0, told.stderr)
 brighter, control = aucs(told, "intensity")

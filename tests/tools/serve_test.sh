@@ -80,23 +80,23 @@ bad 2 "RUN is required" serve
 bad 3 "nowhere" serve nowhere
 bad 2 "queue: found 0; expected" serve run --queue 0
 bad 2 "memory-mib: found -1" serve run --memory-mib -1
-bad 3 "cannot serve run: it needs .* MiB of device memory, expected at most 1.0 MiB \(--memory-mib\)" serve run --memory-mib 1
+bad 3 "run: .* MiB .*1.0 MiB \(--memory-mib\)" serve run --memory-mib 1
 bad 2 "weather: found snow=-1, expected 0 to 100 mm/h" serve run --weather snow=-1
-bad 2 "tls-cert and --tls-key must be used together" serve run --tls-cert x.pem
-bad 3 "cannot read run/config.toml: it contains no PEM" serve run --tls-cert run/config.toml --tls-key run/config.toml
-bad 2 "both have the name \"run\"; use NAME=RUN" serve run "$PWD/run"
-bad 2 "listen: found 'nonsense', expected HOST:PORT with a port from 0 to 65535" serve run --listen nonsense
+bad 2 "tls-cert .*--tls-key" serve run --tls-cert x.pem
+bad 3 "run/config.toml: .*PEM" serve run --tls-cert run/config.toml --tls-key run/config.toml
+bad 2 "\"run\"; use NAME=RUN" serve run "$PWD/run"
+bad 2 "listen: found 'nonsense', .*HOST:PORT .*0 to 65535" serve run --listen nonsense
 bad 2 "listen: found '127.0.0.1:99999'" serve run --listen 127.0.0.1:99999
 bad 2 "listen: found '127.0.0.1:-1'" serve run --listen 127.0.0.1:-1
-relidar=$relidar_dev bad 2 "serve: found '127.0.0.1:99999', expected HOST:PORT with a port from 1 to 65535" bench --serve 127.0.0.1:99999
+relidar=$relidar_dev bad 2 "serve: found '127.0.0.1:99999', .*HOST:PORT .*1 to 65535" bench --serve 127.0.0.1:99999
 bad 2 "cannot listen at 192.0.2.1:0: Cannot assign requested address" serve run --listen 192.0.2.1:0
-relidar=$relidar_dev bad 3 "the service at 127.0.0.1:1 returned status 14" bench --serve 127.0.0.1:1
+relidar=$relidar_dev bad 3 "127.0.0.1:1 .*status 14" bench --serve 127.0.0.1:1
 
 serve town=run
-bad 2 "cannot listen at $address: another process already uses it" serve run --listen "$address"
+bad 2 "at $address: .*process" serve run --listen "$address"
 "$relidar_dev" bench --serve "$address" --calls 8 --clients 2 >bench.out || fail "bench --serve: $(cat bench.out)"
 grep -q "town at $address: 8 calls by 2 clients, 768 rays" bench.out || fail "bench --serve prints: $(cat bench.out)"
-relidar=$relidar_dev bad 3 "returned status 5: cannot read scene: found \"city\"" bench --serve "$address" --serve-scene city
+relidar=$relidar_dev bad 3 "status 5: .*scene: found \"city\"" bench --serve "$address" --serve-scene city
 
 # Tests gRPC's standard services with raw messages: health of our services (1 = serving),
 # and the list of services by reflection.
@@ -131,8 +131,8 @@ stop
 
 # Adds the second car of the street as an asset with a name chosen by the client. After
 # the asset is removed, the name must be free.
-bad 3 "nowhere: no such folder" serve run --assets nowhere
-bad 3 "street contains no asset" serve run --assets street
+bad 3 "nowhere: .*folder" serve run --assets nowhere
+bad 3 "street .*asset" serve run --assets street
 "$relidar" assets run --out assets --least 0 --quiet || fail "no assets to serve"
 serve run --assets assets
 for round in first second; do
@@ -140,7 +140,7 @@ for round in first second; do
     grep -q "stopped .* m behind the actor" loop.out || fail "closed_loop_client.py with an asset, $round time: $(cat loop.out)"
 done
 "$python" -B "$root/tools/examples/closed_loop_client.py" "$address" "" car-7 >loop.out 2>&1
-grep -q 'actors\[0\].asset: found "car-7", expected an existing name such as "car-' loop.out || fail "an unknown asset: $(cat loop.out)"
+grep -q 'actors\[0\].asset: found "car-7", .*"car-' loop.out || fail "an unknown asset: $(cat loop.out)"
 "$python" -B "$root/tests/tools/carla_test.py" "$root" "$address" carla_scans >carla.out 2>&1 || fail "carla_lidar.py: $(cat carla.out)"
 "$python" -B "$root/tests/tools/ros2_test.py" "$root" "$relidar" "$address" ros2 >ros2.out 2>&1 || fail "ros2_lidar.py: $(cat ros2.out)"
 stop
@@ -155,9 +155,9 @@ done
 
 # Tests the interface of a different renderer, with a client that implements only its wire
 # format.
-bad 2 "api: found 'alpasim', expected sensorsim" serve run --api alpasim
-bad 2 "sensorsim-poses can only be used together with --api sensorsim" serve run --sensorsim-poses rotation-first
-bad 2 "sensorsim-poses: found 'xyz', expected rotation-first or translation-first" serve run --api sensorsim --sensorsim-poses xyz
+bad 2 "api: found 'alpasim', .*sensorsim" serve run --api alpasim
+bad 2 "sensorsim-poses .*--api sensorsim" serve run --sensorsim-poses rotation-first
+bad 2 "sensorsim-poses: found 'xyz', .*rotation-first or translation-first" serve run --api sensorsim --sensorsim-poses xyz
 serve town=run --api sensorsim
 "$python" -B "$root/tests/tools/sensorsim_client.py" "$root" "$address" town >sensorsim.out 2>&1 \
     || fail "a client of SensorsimService: $(cat sensorsim.out)"
@@ -205,7 +205,7 @@ if [[ -n $layers ]]; then
     before=(env VK_INSTANCE_LAYERS=VK_LAYER_RELIDAR_device_loss "VK_ADD_LAYER_PATH=$layers" RELIDAR_LOSE_DEVICE_AFTER=60)
     serve run
     before=()
-    relidar=$relidar_dev bad 3 "returned status 14: .*VK_ERROR_DEVICE_LOST" bench --serve "$address" --calls 1000
+    relidar=$relidar_dev bad 3 "status 14: .*VK_ERROR_DEVICE_LOST" bench --serve "$address" --calls 1000
     wait "$server"
     code=$?
     server=""

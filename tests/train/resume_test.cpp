@@ -7,7 +7,6 @@
 #include <limits>
 #include <numeric>
 #include <optional>
-#include <regex>
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/dataset.hpp>
@@ -19,6 +18,7 @@
 #include "../log/registration/street_poses.hpp"
 #include "../support/device.hpp"
 #include "../support/file_size_limit.hpp"
+#include "support/names.hpp"
 #include "train/train_loop.hpp"
 
 namespace relidar {
@@ -336,15 +336,15 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
             [&] { check_resumable(other_version, street, split, make_resumed_config()); });
     };
     other_version.texts["setting/train.colour"] = "red";
-    EXPECT_NE(error().find("unknown setting train.colour"), std::string::npos);
+    EXPECT_THAT(error(), test::Names("train.colour"));
     other_version = start;
     other_version.texts.erase("setting/loss.depth");
-    EXPECT_NE(error().find("no value for the setting loss.depth"), std::string::npos);
+    EXPECT_THAT(error(), test::Names("setting loss.depth"));
 
     const auto log = [&](const char* part, const Sequence& other, const Split& frames) {
         const std::string message =
             get_data_error_message([&] { check_resumable(start, other, frames, make_resumed_config()); });
-        EXPECT_NE(message.find(std::string("the log's ") + part), std::string::npos) << message;
+        EXPECT_THAT(message, test::Names(std::string("log's ... ") + part));
     };
     log("training frames", street, split_frames(street, 5));
     Sequence other = street;
@@ -376,10 +376,7 @@ TEST_F(Resume, AFullDiskCostsTheCheckpointOnly) {
         EXPECT_EQ(result.scene.surfels.size(), start.array("parameters/mean").shape[0]);
     }
     ASSERT_EQ(notes.size(), 4u) << "10, 20, 30, 40";
-    EXPECT_NE(notes[0].find(
-                  "cannot write the checkpoint of iteration 10 (the last checkpoint is that of iteration 5)"),
-              std::string::npos)
-        << notes[0];
+    EXPECT_THAT(notes[0], test::Names("write ... iteration 10 ... iteration 5"));
     EXPECT_EQ(newest()->iteration, 5);
     EXPECT_EQ(std::distance(fs::directory_iterator(folder), fs::directory_iterator()), 1)
         << "nothing half written";
@@ -403,10 +400,9 @@ TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {
         if (step == expected - 1) loop.save(checkpoint);
     }
     const std::string message = get_data_error_message([&] { loop.wait_for_iterations(); });
-    const std::string wanted = "training failed at iteration " + std::to_string(expected) + ", frame " +
-                               std::to_string(frame.index) + ": the intensity loss is ";
     ASSERT_GT(expected, 1);
-    EXPECT_EQ(message.rfind(wanted, 0), 0u) << message << "\nexpected " << wanted;
+    EXPECT_THAT(message, test::Names("iteration " + std::to_string(expected) + ", frame " +
+                                     std::to_string(frame.index) + " ... intensity"));
     EXPECT_NO_THROW(check_finite(checkpoint)) << "of the iteration before";
 }
 
@@ -415,9 +411,7 @@ TEST_F(Resume, ParametersThatAreNoNumbersAreNeverSaved) {
     config.train.checkpoint_every = 1;
     config.train.scale_rate = 1e39;  // exceeds the range of float
     const std::string message = get_data_error_message([&] { run(config); });
-    EXPECT_TRUE(std::regex_search(
-        message, std::regex("^training failed at iteration 1: row [0-9]+ of array .parameters/log_scale.")))
-        << message;
+    EXPECT_THAT(message, test::Names("iteration 1 ... row ... \"parameters/log_scale\""));
     EXPECT_TRUE(list_checkpoints(folder).empty());
 }
 

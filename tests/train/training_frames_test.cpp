@@ -16,6 +16,7 @@
 #include "../base/codecs/temporary_folder.hpp"
 #include "../support/device.hpp"
 #include "base/random.hpp"
+#include "support/names.hpp"
 #include "train/frames/grid_frame.hpp"
 
 namespace relidar {
@@ -157,7 +158,7 @@ TEST_F(FramesInTurn, AFrameWithoutRaysIsNamed) {
     log.frames[1].scan = {};
     const std::string message =
         error_message<DataError>([&] { TrainingFrames(device(), log, positions(log), {}); });
-    EXPECT_EQ(message, "cannot use frame 1 of " + log.name + " for training: it has no rays");
+    EXPECT_THAT(message, test::Names("frame 1 ... " + log.name + " ... rays"));
 }
 
 /// Includes the features that read a frame twice: refined poses, and sensor drops after
@@ -179,10 +180,9 @@ TEST_F(FramesInTurn, TrainTheSameSceneBitByBit) {
         const TrainSession session{{}, nullptr, {}, [&](const std::string& note) { notes.push_back(note); }};
         TrainResult result = train(
             device(), log, split_frames(log, 0), config, [](const TrainProgress&) { return true; }, session);
-        const auto n_reported =
-            std::count(notes.begin(), notes.end(),
-                       "0 of 8 training frames fit into the device memory for frames "
-                       "(train.frame_memory_mib=0); the others are uploaded whenever a step uses them");
+        const auto n_reported = std::count_if(notes.begin(), notes.end(), [](const std::string& note) {
+            return test::find_missing_part(note, "0 of 8 ... train.frame_memory_mib=0").empty();
+        });
         EXPECT_EQ(n_reported, frame_memory_mib > 0 ? 0 : 1);
         return result;
     };
@@ -223,10 +223,9 @@ TEST_F(FramesInTurn, AreCellsOfAGrid) {
     Config config = make_preset("quick");
     config.train.grid = "kitti360";
     const Split split{positions(log), {}};
-    EXPECT_EQ(error_message<UsageError>(
-                  [&] { train(device(), log, split, config, [](const TrainProgress&) { return true; }); }),
-              "the setting train.grid=kitti360 cannot be combined with train.sensor_drop, which needs "
-              "the rays of the sensor (train.grid=native)");
+    EXPECT_THAT(error_message<UsageError>(
+                    [&] { train(device(), log, split, config, [](const TrainProgress&) { return true; }); }),
+                test::Names("train.grid=kitti360 ... train.sensor_drop ... train.grid=native"));
 }
 
 }  // namespace

@@ -8,10 +8,12 @@
 
 #include <relidar/base/error.hpp>
 
+#include "support/names.hpp"
+
 namespace relidar::view {
 namespace {
 
-using testing::HasSubstr;
+using test::Names;
 
 const std::string kEdits = R"({"copies": [{"of": "0", "from": "", "at": [1, 2, 3, 90, 4, 6, 5]},
     {"of": "7", "from": "../run2", "at": [0, 0, 0, 0, 0, 0, 0]}], "moves": {"1": [0, -3.5, 0, 10]}, "removed": ["2"],
@@ -60,38 +62,35 @@ TEST(ViewRequest, RefusesWhatIsNoScan) {
     const std::string zero = "[0, 0, 0, 0, 0, 0]";
     ASSERT_EQ(refusal(scan(zero)), "");
     const std::vector<std::pair<std::string, std::string>> cases = {
-        {"", "expected a JSON object"},
-        {"[1]", "expected a JSON object"},
-        {std::string(100'000, '['), "expected a JSON object"},
-        {"{\"do\": \"scan\"", "expected a JSON object"},
-        {"{}", "do: expected this member"},
-        {R"({"do": 5})", "do: expected a text"},
+        {"", "JSON object"},
+        {"[1]", "JSON object"},
+        {std::string(100'000, '['), "JSON object"},
+        {"{\"do\": \"scan\"", "JSON object"},
+        {"{}", "do ... member"},
+        {R"({"do": 5})", "do ... text"},
         {R"({"do": "quit"})", "found \"quit\""},
-        {R"({"do": "scan"})", "place: expected this member"},
-        {scan("[0, 0, 0]"), "place: expected 6 numbers"},
-        {scan("[0, 0, null, 0, 0, 0]"), "place 3: expected a number"},
-        {scan("[0, 1e5, 0, 0, 0, 0]"), "place 2: expected a number from -10000 to 10000"},
-        {scan(zero, kNoEdits, "1e300"), "time_s: expected"},
-        {scan(zero, kNoEdits, "1.5", "fog=0"),
-         "weather: found fog=0, expected a visibility of 1 to 1e6 metres"},
-        {scan(zero, kNoEdits, "1.5", std::string(65, 'f')), "weather: expected a text of 1 to 64 bytes"},
-        {scan(zero, kNoEdits, "1e999"), "expected a JSON object"},
-        {scan(zero, "[]"), "edits: expected an object"},
-        {scan(zero, R"({"copies": [1], "moves": {}, "removed": [], "hidden": []})"),
-         "copies: expected objects"},
+        {R"({"do": "scan"})", "place ... member"},
+        {scan("[0, 0, 0]"), "place ... 6 numbers"},
+        {scan("[0, 0, null, 0, 0, 0]"), "place 3 ... number"},
+        {scan("[0, 1e5, 0, 0, 0, 0]"), "place 2 ... -10000 to 10000"},
+        {scan(zero, kNoEdits, "1e300"), "time_s"},
+        {scan(zero, kNoEdits, "1.5", "fog=0"), "weather: found fog=0 ... 1 to 1e6 metres"},
+        {scan(zero, kNoEdits, "1.5", std::string(65, 'f')), "weather ... 1 to 64 bytes"},
+        {scan(zero, kNoEdits, "1e999"), "JSON object"},
+        {scan(zero, "[]"), "edits ... object"},
+        {scan(zero, R"({"copies": [1], "moves": {}, "removed": [], "hidden": []})"), "copies ... objects"},
         {scan(
              zero,
              R"({"copies": [{"of": "0", "from": "", "at": [1, 2, 3, 90, 5]}], "moves": {}, "removed": [], "hidden": []})"),
-         "at: expected 7 numbers"},
+         "at ... 7 numbers"},
         {scan(zero, R"({"copies": [], "moves": {"0": [1]}, "removed": [], "hidden": []})"),
-         "moves: expected 4 numbers"},
-        {scan(zero, R"({"copies": [], "moves": {}, "removed": "0", "hidden": []})"),
-         "removed: expected a list"}};
+         "moves ... 4 numbers"},
+        {scan(zero, R"({"copies": [], "moves": {}, "removed": "0", "hidden": []})"), "removed ... list"}};
     for (const auto& [message, why] : cases)
-        EXPECT_THAT(refusal(message), HasSubstr(why)) << message.substr(0, 80);
+        EXPECT_THAT(refusal(message), Names(why)) << message.substr(0, 80);
     std::string many = R"({"copies": [], "moves": {}, "removed": ["0")";
     for (int i = 1; i < 300; ++i) many += ",\"" + std::to_string(i) + "\"";
-    EXPECT_THAT(refusal(scan(zero, many + R"(], "hidden": []})")), HasSubstr("at most 256"));
+    EXPECT_THAT(refusal(scan(zero, many + R"(], "hidden": []})")), Names("256"));
 }
 
 TEST(ViewRequest, SavesUnderPlainNamesAlone) {
@@ -113,9 +112,8 @@ TEST(ViewRequest, TakesPlacesOnTheGround) {
     EXPECT_EQ(wish.from, "");
     EXPECT_EQ(wish.at, (std::array<double, 2>{12.5, -3.0}));
     EXPECT_THAT(refusal(R"({"do": "ground", "of": "0", "from": "", "at": [12.5]})"),
-                HasSubstr("at: expected 2 numbers"));
-    EXPECT_THAT(refusal(R"({"do": "ground", "of": "0", "from": 3, "at": [1, 2]})"),
-                HasSubstr("from: expected a text"));
+                Names("at ... 2 numbers"));
+    EXPECT_THAT(refusal(R"({"do": "ground", "of": "0", "from": 3, "at": [1, 2]})"), Names("from ... text"));
 }
 
 TEST(ViewRequest, TakesSensorFiles) {
@@ -123,7 +121,7 @@ TEST(ViewRequest, TakesSensorFiles) {
         parse_request(R"({"do": "sensor", "file": "beams.csv", "text": "elevation_deg\n5\n"})"));
     EXPECT_EQ(file.name, "beams.csv");
     EXPECT_EQ(file.text, "elevation_deg\n5\n");
-    EXPECT_THAT(refusal(R"({"do": "sensor", "file": "beams.csv"})"), HasSubstr("text: expected this member"));
+    EXPECT_THAT(refusal(R"({"do": "sensor", "file": "beams.csv"})"), Names("text ... member"));
 }
 
 }  // namespace

@@ -16,6 +16,7 @@
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/error.hpp>
 #include "base/codecs/feather_writer.hpp"
+#include "support/names.hpp"
 
 namespace relidar {
 namespace {
@@ -89,34 +90,29 @@ TEST(Feather, SaysWhatIsWrong) {
             read(Feather("table.feather", bytes));
             ADD_FAILURE() << "no failure, expected " << part;
         } catch (const DataError& error) {
-            EXPECT_THAT(error.what(), testing::HasSubstr("table.feather"));
-            EXPECT_THAT(error.what(), testing::HasSubstr(part));
+            EXPECT_THAT(error.what(), test::Names("table.feather"));
+            EXPECT_THAT(error.what(), test::Names(part));
             EXPECT_EQ(std::string(error.what()).find('\n'), std::string::npos);
         }
     };
     const auto only_open = [](const Feather&) {};
     const std::string good = test::make_feather_bytes(Table().columns());
-    expect("", "0 bytes of the file do not begin with ARROW1", only_open);
-    expect("FEA1" + std::string(100, '\0') + "FEA1", "108 bytes of the file do not begin with ARROW1",
-           only_open);
-    expect(good.substr(0, good.size() - 1), "does not end with ARROW1", only_open);
+    expect("", "0 bytes ... begin ... ARROW1", only_open);
+    expect("FEA1" + std::string(100, '\0') + "FEA1", "108 bytes ... begin ... ARROW1", only_open);
+    expect(good.substr(0, good.size() - 1), "end ... ARROW1", only_open);
     std::string bad = good;
     bad[bad.size() - 7] = '\x7f';  // length of the footer
-    expect(bad, "a footer should be at byte -", only_open);
-    expect(good, "column 'wider': the file has no such column, expected one of 'wide, narrow, ",
-           [](const Feather& t) { t.numbers("wider"); });
-    expect(good, "column 'text': found text", [](const Feather& t) { t.numbers("text"); });
+    expect(bad, "footer ... byte -", only_open);
+    expect(good, "column 'wider' ... column ... 'wide, narrow", [](const Feather& t) { t.numbers("wider"); });
+    expect(good, "column 'text' ... text", [](const Feather& t) { t.numbers("text"); });
     expect(good, "column 'f64': found numbers", [](const Feather& t) { t.texts("f64"); });
-    expect(good, "column 'f64': found values that are not integers",
-           [](const Feather& t) { t.integers("f64"); });
+    expect(good, "column 'f64' ... integers", [](const Feather& t) { t.integers("f64"); });
     const std::string nan =
         test::make_feather_bytes({test::make_numbers("x", std::vector<double>{1.0, std::nan("")})});
-    expect(nan, "column 'x': row 1 is nan, expected a finite number",
-           [](const Feather& t) { t.numbers("x"); });
+    expect(nan, "column 'x': row 1 is nan ... finite", [](const Feather& t) { t.numbers("x"); });
     const std::string large =
         test::make_feather_bytes({test::make_numbers("x", std::vector<std::uint64_t>{1, 1ull << 63})});
-    expect(large, "column 'x': the integer 9223372036854775808 is too large",
-           [](const Feather& t) { t.integers("x"); });
+    expect(large, "column 'x' ... 9223372036854775808", [](const Feather& t) { t.integers("x"); });
 }
 
 /// Damages every byte of a small file in turn.

@@ -12,9 +12,12 @@
 #include <relidar/diff/network.hpp>
 
 #include "../../support/device.hpp"
+#include "support/names.hpp"
 
 namespace relidar {
 namespace {
+
+using test::Names;
 
 class DropNetworkTest : public test::DeviceTest {};
 
@@ -206,24 +209,22 @@ TEST_F(DropNetworkTest, RefusesWhatItCannotWorkWith) {
         }
         return "";
     };
-    using testing::HasSubstr;
     RefineOptions options = make_short_training();
     options.levels = 3;
-    EXPECT_THAT(message(make_some_images(options, 1, 6, 40), options),
-                HasSubstr("6 x 40 pixels, expected at least 8 x 8"));
-    EXPECT_THAT(message({}, options), HasSubstr("no training images"));
+    EXPECT_THAT(message(make_some_images(options, 1, 6, 40), options), Names("6 x 40 pixels ... 8 x 8"));
+    EXPECT_THAT(message({}, options), Names("training"));
     std::vector<DropImage> images = make_some_images(options, 2);
     images[1].channels[16 * 40 + 45] = std::numeric_limits<float>::quiet_NaN();
-    EXPECT_THAT(message(images, options), HasSubstr("intensity at row 1 and column 5 is nan"));
+    EXPECT_THAT(message(images, options), Names("intensity ... row 1 ... column 5 ... nan"));
     images = make_some_images(options, 2);
     for (DropImage& image : images) std::fill(image.dropped.begin(), image.dropped.end(), 0.0f);
-    EXPECT_THAT(message(images, options), HasSubstr("no training frame has a dropped ray"));
+    EXPECT_THAT(message(images, options), Names("dropped"));
     images = make_some_images(options, 1);
     images.push_back(make_dark_neighbours(16, 41, options, 3));
-    EXPECT_THAT(message(images, options), HasSubstr("image 1 has 16 x 41 pixels, expected 16 x 40"));
+    EXPECT_THAT(message(images, options), Names("image 1 has 16 x 41 pixels, expected 16 x 40"));
     images = make_some_images(options, 1);
     images[0].dropped.clear();
-    EXPECT_THAT(message(images, options), HasSubstr("no measured drops"));
+    EXPECT_THAT(message(images, options), Names("measured"));
 }
 
 TEST_F(DropNetworkTest, RefusesWeightsOfAnotherConfiguration) {
@@ -232,14 +233,14 @@ TEST_F(DropNetworkTest, RefusesWeightsOfAnotherConfiguration) {
     DropNetwork network = train_drop_network(device(), make_some_images(options, 2), options, 1, {});
     network.widths[0] += 1;
     EXPECT_THAT([&] { DropRefiner(device(), network); },
-                testing::ThrowsMessage<DataError>(testing::HasSubstr("parameters, expected")));
+                testing::ThrowsMessage<DataError>(Names("parameters, expected")));
     network.widths[0] -= 1;
     DropRefiner refiner(device(), network);
     EXPECT_THAT(
         [&] {
             refiner.refine({16, 40, std::vector<float>(16 * 40), {}});
         },
-        testing::ThrowsMessage<DataError>(testing::HasSubstr("channel values")));
+        testing::ThrowsMessage<DataError>(Names("channel")));
 }
 
 TEST(DropNetworkShape, PaperHasAbout65MillionParameters) {

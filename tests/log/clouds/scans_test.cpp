@@ -12,6 +12,7 @@
 
 #include <relidar/base/error.hpp>
 #include "base/random.hpp"
+#include "support/names.hpp"
 
 namespace relidar {
 namespace {
@@ -196,18 +197,16 @@ TEST(SpinningScan, SaysWhichArrayIsWrong) {
     Points points;
     points.position_m = {{3, 4, 0}, {6, 8, 0}};
     points.intensity = {0.1f, 0.2f};
-    EXPECT_EQ(error_of(points), "cannot make a scan: found 0 values of ring for the points, expected 2");
+    EXPECT_THAT(error_of(points), test::Names("scan: found 0 values ... points ... 2"));
     points.ring = {0, 12};
-    EXPECT_EQ(error_of(points),
-              "cannot make a scan: point 1 has ring 12, expected the index of one of 12 beams");
+    EXPECT_THAT(error_of(points), test::Names("scan: point 1 has ring 12 ... 12 beams"));
     points.ring = {0, 11};
     points.return_number = {1, 200};
-    EXPECT_EQ(error_of(points), "cannot make a scan: point 1 has return number 200, expected 1 to 8");
+    EXPECT_THAT(error_of(points), test::Names("scan: point 1 has return number 200, expected 1 to 8"));
     points.return_number = {0, 1};
-    EXPECT_EQ(error_of(points), "cannot make a scan: point 0 has return number 0, expected 1 to 8");
+    EXPECT_THAT(error_of(points), test::Names("scan: point 0 has return number 0, expected 1 to 8"));
     points.return_number = {1};
-    EXPECT_EQ(error_of(points),
-              "cannot make a scan: found 1 values of return_number for the points, expected 2");
+    EXPECT_THAT(error_of(points), test::Names("scan: found 1 values of return_number ... points ... 2"));
 }
 
 TEST(UndoCompensation, BringsPointsBackToTheirOwnTimes) {

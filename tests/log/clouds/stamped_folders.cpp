@@ -15,6 +15,7 @@
 #include "base/random.hpp"
 #include "log/readers/kitti/kitti_drive.hpp"
 #include "log/readers/street/yard.hpp"
+#include "support/names.hpp"
 
 namespace relidar::test {
 namespace fs = std::filesystem;
@@ -98,7 +99,7 @@ void StampedFolder::expect_error(const std::string& part, const DatasetOptions& 
         load_sequence(kind + folder.string(), options);
         ADD_FAILURE() << "no failure, expected " << part;
     } catch (const Error& error) {
-        EXPECT_THAT(error.what(), testing::HasSubstr(part));
+        EXPECT_THAT(error.what(), test::Names(part));
     }
 }
 

@@ -10,12 +10,13 @@
 #include <relidar/base/error.hpp>
 
 #include "base/files.hpp"
+#include "support/names.hpp"
 
 namespace relidar {
 namespace {
 
+using test::Names;
 using testing::ElementsAre;
-using testing::HasSubstr;
 
 std::string refusal(const std::string& names) {
     try {
@@ -32,9 +33,7 @@ TEST(ChannelList, IsAskedForByNames) {
     EXPECT_EQ(channel_infos[0].name, "seen");
     EXPECT_EQ(channel_infos[1].name, "normal");
     EXPECT_TRUE(parse_channels("").empty());
-    EXPECT_THAT(refusal("normal,sean"),
-                HasSubstr("the channel \"sean\" is unknown, did you mean seen?, expected some of normal, "
-                          "incidence, "));
+    EXPECT_THAT(refusal("normal,sean"), Names("\"sean\" ... seen ... normal, "));
 }
 
 TEST(ChannelList, NumbersAndRowsAgree) {
@@ -79,8 +78,8 @@ std::string row_of(const ChannelInfo& channel) {
 
 TEST(ChannelList, IsWhatTheGuideSays) {
     const std::string guide = read_file(std::filesystem::path(RELIDAR_SOURCE_DIR) / "docs" / "guide.md");
-    for (const ChannelInfo& channel : list_file_channels()) EXPECT_THAT(guide, HasSubstr(row_of(channel)));
-    for (const ChannelInfo& channel : get_optional_channels()) EXPECT_THAT(guide, HasSubstr(row_of(channel)));
+    for (const ChannelInfo& channel : list_file_channels()) EXPECT_THAT(guide, Names(row_of(channel)));
+    for (const ChannelInfo& channel : get_optional_channels()) EXPECT_THAT(guide, Names(row_of(channel)));
 }
 
 }  // namespace

@@ -12,10 +12,12 @@
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 
+#include "support/names.hpp"
+
 namespace relidar {
 namespace {
 
-using testing::HasSubstr;
+using test::Names;
 
 std::string write(const std::string& name, const std::string& text) {
     const auto path = std::filesystem::path(testing::TempDir()) / name;
@@ -93,7 +95,7 @@ TEST(KnownSensors, At128SweepsAWindowFromLeftToRight) {
 TEST(KnownSensors, UnknownNameNamesTheNearestAndTheCsvWay) {
     EXPECT_EQ(find_sensor("vlp-16").name, "VLP-16") << "in any case";
     EXPECT_EQ(spinning("KITTI360").columns, 1030);
-    EXPECT_THAT(message("vlp16"), testing::AllOf(HasSubstr("'VLP-16'"), HasSubstr("beams.csv")));
+    EXPECT_THAT(message("vlp16"), testing::AllOf(Names("'VLP-16'"), Names("beams.csv")));
     EXPECT_THROW(find_sensor("vlp16"), UsageError);
 }
 
@@ -118,25 +120,24 @@ TEST(KnownSensors, CsvTableHoldsRangeLimits) {
     EXPECT_DOUBLE_EQ(limited.max_range_m, 30.0);
     EXPECT_DOUBLE_EQ(spinning(write("plain.csv", "elevation_deg\n5\n")).max_range_m, 80.0);
     EXPECT_THAT(message(write("g.csv", "elevation_deg,max_range_m\n5,30\n-5,40\n")),
-                HasSubstr("line 3: found range limits of 0 to 40 m, expected 0 to 30 m"));
+                Names("line 3 ... 0 to 40 m ... 0 to 30 m"));
     EXPECT_THAT(message(write("h.csv", "elevation_deg,min_range_m,max_range_m\n5,30,30\n")),
-                HasSubstr("min_range_m below max_range_m"));
+                Names("min_range_m below max_range_m"));
     EXPECT_THAT(message(write("i.csv", "elevation_deg,max_range_m\n5,-1\n")),
-                HasSubstr("max_range_m is '-1', expected a number in [0, 10000]"));
+                Names("max_range_m ... '-1' ... [0, 10000]"));
 }
 
 TEST(KnownSensors, ColumnsThatAreNotKnownAreErrors) {
-    EXPECT_THAT(
-        message(write("j.csv", "elevation_deg,azimuth_ofset_deg\n5,1\n")),
-        HasSubstr("j.csv line 1: column 'azimuth_ofset_deg' is unknown, did you mean 'azimuth_offset_deg'?"));
+    EXPECT_THAT(message(write("j.csv", "elevation_deg,azimuth_ofset_deg\n5,1\n")),
+                Names("j.csv line 1 ... 'azimuth_ofset_deg' ... 'azimuth_offset_deg'"));
     EXPECT_THAT(message(write("k.csv", "elevation_deg,elevation_deg\n5,1\n")),
-                HasSubstr("'elevation_deg' occurs twice"));
+                Names("'elevation_deg' ... twice"));
 }
 
 TEST(KnownSensors, SizesThatNoSensorHasAreRefused) {
     const std::string path = write("l.csv", "elevation_deg\n1\n");
     EXPECT_THAT(message(path + ":99999999x10"),
-                HasSubstr("99999999 columns at 10 Hz, expected 1 to 1000000 columns"));
+                Names("99999999 columns at 10 Hz, expected 1 to 1000000 columns"));
     std::string many = "elevation_deg\n";
     for (int i = 0; i < 17; ++i) many += "1\n";
     const SpinningSensor large = spinning(write("m.csv", many) + ":1000000x10");
@@ -144,16 +145,15 @@ TEST(KnownSensors, SizesThatNoSensorHasAreRefused) {
 }
 
 TEST(KnownSensors, WrongTablesAreNamed) {
-    EXPECT_THAT(message("/nowhere/beams.csv"), HasSubstr("/nowhere/beams.csv: no such file"));
-    EXPECT_THAT(message(write("a.csv", "channel\n1\n")),
-                HasSubstr("a.csv: the first line has no column 'elevation_deg'"));
+    EXPECT_THAT(message("/nowhere/beams.csv"), Names("/nowhere/beams.csv: no such file"));
+    EXPECT_THAT(message(write("a.csv", "channel\n1\n")), Names("a.csv ... column 'elevation_deg'"));
     EXPECT_THAT(message(write("b.csv", "elevation_deg\n1\nabc\n")),
-                HasSubstr("b.csv line 3: elevation_deg is 'abc'"));
-    EXPECT_THAT(message(write("c.csv", "elevation_deg\nnan\n")), HasSubstr("'nan'"));
-    EXPECT_THAT(message(write("d.csv", "elevation_deg\n1\n2\n")), HasSubstr("highest beam to the lowest"));
-    EXPECT_THAT(message(write("e.csv", "elevation_deg,channel\n1\n")), HasSubstr("1 values, expected 2"));
-    EXPECT_THAT(message(write("f.csv", "elevation_deg\n")), HasSubstr("no beams"));
-    EXPECT_THAT(message(write("f.csv", "elevation_deg\n1\n") + ":0"), HasSubstr("1 to 1000000 columns"));
+                Names("b.csv line 3: elevation_deg is 'abc'"));
+    EXPECT_THAT(message(write("c.csv", "elevation_deg\nnan\n")), Names("'nan'"));
+    EXPECT_THAT(message(write("d.csv", "elevation_deg\n1\n2\n")), Names("highest ... lowest"));
+    EXPECT_THAT(message(write("e.csv", "elevation_deg,channel\n1\n")), Names("1 values, expected 2"));
+    EXPECT_THAT(message(write("f.csv", "elevation_deg\n")), Names("beams"));
+    EXPECT_THAT(message(write("f.csv", "elevation_deg\n1\n") + ":0"), Names("1 to 1000000 columns"));
 }
 
 }  // namespace

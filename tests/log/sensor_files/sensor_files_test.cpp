@@ -17,10 +17,12 @@
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 
+#include "support/names.hpp"
+
 namespace relidar {
 namespace {
 
-using testing::HasSubstr;
+using test::Names;
 
 std::string path_of(const std::string& name) {
     return (std::filesystem::path(testing::TempDir()) / name).string();
@@ -113,7 +115,7 @@ TEST(SensorFiles, BeamsMayDivergeEachByItself) {
     EXPECT_EQ(alike.divergence_rad, 2e-3f);
 
     const auto bad = [](const std::string& file, const std::string& why) {
-        EXPECT_THAT(message(file), HasSubstr(why));
+        EXPECT_THAT(message(file), Names(why));
     };
     bad(write("a.csv", "azimuth_deg,elevation_deg,divergence_mrad\n0,0,2\n90,0,-1\n"),
         "entry 1 of divergence (radians) is -0.001");
@@ -122,8 +124,7 @@ TEST(SensorFiles, BeamsMayDivergeEachByItself) {
     bad(npz("c.npz", {2e-3f, std::nanf(""), 0.0f}), "entry 1 of divergence (radians) is nan");
     bad(npz("d.npz", {2e-3f, -1e-3f, 0.0f}), "entry 1 of divergence (radians) is -0.001");
     bad(npz("e.npz", {2e-3f, 1e-3f}), "divergence has 2 numbers, expected 3");
-    bad(write("f.json", R"({"directions": [[1,0,0]], "divergence": [0.002], "divergence_mrad": 2})"),
-        "found both");
+    bad(write("f.json", R"({"directions": [[1,0,0]], "divergence": [0.002], "divergence_mrad": 2})"), "both");
 }
 
 /// Computes a point with the equation of Ouster's manual, in the sensor's frame without
@@ -195,51 +196,51 @@ TEST(SensorFiles, SpinningSensorsByNameTakeColumnsAndRate) {
     // 20 Hz, the sensor turns by twice the angle in this time.
     EXPECT_NEAR(usual.beams[0].azimuth_offset_rad, -2.0 * kPi * 10.0 * 34.56e-6, 1e-9);
     EXPECT_NEAR(fast.beams[0].azimuth_offset_rad, -2.0 * kPi * 20.0 * 34.56e-6, 1e-9);
-    EXPECT_THAT(message("rosette:100x10"), HasSubstr("does not spin"));
+    EXPECT_THAT(message("rosette:100x10"), Names("spin"));
 }
 
 TEST(SensorFiles, WrongFilesAreNamed) {
-    EXPECT_THAT(message(path_of("missing.npz")), HasSubstr("missing.npz"));
+    EXPECT_THAT(message(path_of("missing.npz")), Names("missing.npz"));
     EXPECT_THAT(message(write("a.csv", "azimuth_deg,elevation_deg\n0,nan\n")),
-                HasSubstr("a.csv line 2: elevation_deg is 'nan'"));
-    EXPECT_THAT(message(write("b.csv", "azimuth_deg,elevation_deg\n")), HasSubstr("b.csv: found 0 rays"));
+                Names("a.csv line 2: elevation_deg is 'nan'"));
+    EXPECT_THAT(message(write("b.csv", "azimuth_deg,elevation_deg\n")), Names("b.csv: found 0 rays"));
     EXPECT_THAT(message(write("c.csv", "azimuth_deg,elevation_deg,wavelength\n1,1,905\n")),
-                HasSubstr("column 'wavelength' is unknown"));
+                Names("column 'wavelength' ... unknown"));
     EXPECT_THAT(message(write("d.csv", "azimuth_deg,elevation_deg,max_range_m\n1,1,50\n1,1,60\n")),
-                HasSubstr("d.csv line 3: max_range_m is 60, expected 50"));
+                Names("d.csv line 3: max_range_m is 60, expected 50"));
     EXPECT_THAT(message(write("e.csv", "azimuth_deg,time_s\n1,1\n")),
-                HasSubstr("azimuth_deg or elevation_deg is missing"));
+                Names("azimuth_deg or elevation_deg ... missing"));
     EXPECT_THAT(message(write("a.json", "{\"directions\": [[1,0,0],[0,2,0]]}")),
-                HasSubstr("entry 1 of directions has length 2, expected 1"));
+                Names("entry 1 of directions ... 2 ... 1"));
     EXPECT_THAT(message(write("n.json", R"({"directions": [[1,0,0]], "times": [0]})")),
-                HasSubstr("found the unknown member 'times', expected only directions, origin, time, ring"));
+                Names("'times' ... directions, origin, time, ring"));
     EXPECT_THAT(message(write("o.json", R"({"window": {}, "max_range_m": 50})")),
-                HasSubstr("found the unknown member 'max_range_m', expected only window"));
+                Names("'max_range_m' ... window"));
     EXPECT_THAT(message(write("b.json", "{\"directions\": [[1,0,0]], \"time\": [1,2]}")),
-                HasSubstr("time has 2 numbers, expected 1"));
+                Names("time ... 2 numbers ... 1"));
     EXPECT_THAT(message(write("c.json", "{\"directions\": [[1,0,\"x\"]]}")),
-                HasSubstr("directions: found string, expected numbers"));
+                Names("directions ... string ... numbers"));
     EXPECT_THAT(message(write("d.json", "{\"directions\": " + std::string(50'000, '[') +
                                             std::string(50'000, ']') + "}")),
-                HasSubstr("nested too deep"));
-    EXPECT_THAT(message(write("e.json", "[1,")), HasSubstr("e.json is not valid JSON"));
+                Names("nested"));
+    EXPECT_THAT(message(write("e.json", "[1,")), Names("e.json ... JSON"));
     EXPECT_THAT(
         message(write("f.json", "{}")),
-        HasSubstr("found none of the keys \"spinning\", \"window\", \"rosette\", \"rays\", \"directions\" "
-                  "and \"beam_altitude_angles\""));
+        Names(
+            "\"spinning\", \"window\", \"rosette\", \"rays\", \"directions\" and \"beam_altitude_angles\""));
     EXPECT_THAT(
         message(
             write("g.json",
                   R"({"beam_altitude_angles": [1], "beam_azimuth_angles": [1,2], "lidar_mode": "512x10"})")),
-        HasSubstr("found 1 beam_altitude_angles and 2 beam_azimuth_angles"));
+        Names("found 1 beam_altitude_angles and 2 beam_azimuth_angles"));
     EXPECT_THAT(
         message(write("h.json",
                       R"({"beam_altitude_angles": [1], "beam_azimuth_angles": [1], "lidar_mode": "fast"})")),
-        HasSubstr("lidar_mode is \"fast\""));
+        Names("lidar_mode is \"fast\""));
     EXPECT_THAT(message(write("i.json", R"({"directions": [[1,0,0]], "time": [1e300]})")),
-                HasSubstr("entry 0 of time is 1e+300"));
+                Names("entry 0 of time ... 1e+300"));
     write_npz(path_of("a.npz"), {make_text("name", "x")});
-    EXPECT_THAT(message(path_of("a.npz")), HasSubstr("array \"directions\" is missing"));
+    EXPECT_THAT(message(path_of("a.npz")), Names("array \"directions\" ... missing"));
 }
 
 TEST(SensorFiles, WhatSweepsIsDescribedInAFewNumbers) {
@@ -262,20 +263,18 @@ TEST(SensorFiles, WhatSweepsIsDescribedInAFewNumbers) {
     EXPECT_EQ(make_rays(flower).size(), 100u);
     EXPECT_NE(make_rays(flower, 0.0).direction, make_rays(flower, 0.1).direction);
     EXPECT_EQ(flower.limits.max_m, 80.0);
-    EXPECT_THAT(message(write("j.json", R"({"window": {"rows": 3}})")),
-                HasSubstr("window.columns is missing"));
-    EXPECT_THAT(message(write("k.json", R"({"rosette": {"rays": 5, "petals": 3}})")),
-                HasSubstr("unknown member 'petals'"));
+    EXPECT_THAT(message(write("j.json", R"({"window": {"rows": 3}})")), Names("window.columns ... missing"));
+    EXPECT_THAT(message(write("k.json", R"({"rosette": {"rays": 5, "petals": 3}})")), Names("'petals'"));
     EXPECT_THAT(
         message(
             write("l.json",
                   R"({"window": {"rows": 60000, "columns": 60000, "left_deg": 1, "right_deg": 0, "top_deg": 1,
         "bottom_deg": 0}})")),
-        HasSubstr("found 60000 rows x 60000 columns, expected at most"));
+        Names("60000 rows x 60000 columns"));
     EXPECT_THAT(
         message(write("m.json", R"({"rosette": {"rays": 5, "deflection_deg": 3, "first_hz": 1, "second_hz": 1,
         "min_range_m": 90}})")),
-        HasSubstr("expected min_range_m < max_range_m"));
+        Names("expected min_range_m < max_range_m"));
 }
 
 TEST(Rigs, SensorsAreMountedAsTheFileSays) {
@@ -328,10 +327,10 @@ TEST(SensorFiles, EveryKindReadsBackToTheSameBits) {
             EXPECT_EQ(describe_pattern(read.pattern).n_rays, b.size());
         }
     }
-    EXPECT_THAT(message(write("p.json", R"({"spinning": {"columns": 90}})")), HasSubstr("found no beams"));
+    EXPECT_THAT(message(write("p.json", R"({"spinning": {"columns": 90}})")), Names("beams"));
     EXPECT_THAT(
         message(write("q.json", R"({"window": {"rows": 1, "columns": 1, "left_deg": 1, "left_rad": 1}})")),
-        HasSubstr("found left_deg and left_rad, expected one of them"));
+        Names("left_deg and left_rad"));
 }
 
 TEST(SensorFiles, RangeOfAFileThatGivesNoneIsTheCallers) {
@@ -351,7 +350,7 @@ TEST(SensorFiles, RangeOfAFileThatGivesNoneIsTheCallers) {
         EXPECT_TRUE(!spinning || spinning->max_range_m == 250.0) << file;
     }
     EXPECT_THAT(message(write("beyond.csv", "elevation_deg,min_range_m\n5,90\n")),
-                HasSubstr("expected min_range_m < max_range_m"));
+                Names("expected min_range_m < max_range_m"));
     EXPECT_EQ(find_sensor("VLP-16", {}, 250.0).limits.max_m, find_sensor("VLP-16").limits.max_m)
         << "a data sheet gives a limit";
 }
@@ -365,24 +364,23 @@ TEST(Rigs, WrongRigsAreNamed) {
         }
         return std::string();
     };
-    EXPECT_THAT(complaint("{\"sensors\": []}"), HasSubstr("expected a list \"sensors\" with 1 to 64"));
-    EXPECT_THAT(complaint(R"({"sensors": [{"sensor": "VLP-16"}]})"),
-                HasSubstr("sensor 0: name: expected a text"));
+    EXPECT_THAT(complaint("{\"sensors\": []}"), Names("\"sensors\" ... 1 to 64"));
+    EXPECT_THAT(complaint(R"({"sensors": [{"sensor": "VLP-16"}]})"), Names("sensor 0: name ... text"));
     EXPECT_THAT(complaint(R"({"sensors": [{"name": "../x", "sensor": "VLP-16"}]})"),
-                HasSubstr("name: found \"../x\""));
+                Names("name: found \"../x\""));
     EXPECT_THAT(
         complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16"}, {"name": "a", "sensor": "VLP-16"}]})"),
-        HasSubstr("sensor 1: name: \"a\" occurs twice"));
+        Names("sensor 1: name: \"a\" ... twice"));
     EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16", "translation_m": [1, 2]}]})"),
-                HasSubstr("sensor 0: translation_m: expected three numbers of at most 1000"));
+                Names("sensor 0: translation_m ... 1000"));
     EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16", "translation": [1, 2, 0]}]})"),
-                HasSubstr("sensor 0: unknown key 'translation', did you mean 'translation_m'?"));
+                Names("sensor 0 ... 'translation' ... 'translation_m'"));
     EXPECT_THAT(
         complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16"}], "yaw_pitch_roll_deg": [0, 0, 0]})"),
-        HasSubstr("unknown key 'yaw_pitch_roll_deg' (known: sensors)"));
-    EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP"}]})"), HasSubstr("did you mean"));
+        Names("'yaw_pitch_roll_deg' ... sensors"));
+    EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP"}]})"), Names("VLP-16"));
     EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16", "returns": 3}]})"),
-                HasSubstr("sensor 0: returns: expected 1 or 2"));
+                Names("sensor 0: returns: expected 1 or 2"));
 }
 
 }  // namespace

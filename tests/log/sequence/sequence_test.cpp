@@ -11,6 +11,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "support/names.hpp"
+
 namespace relidar {
 namespace {
 
@@ -344,23 +346,19 @@ TEST(Split, ListsThatNameNoPartOfTheLogAreRefused) {
             ADD_FAILURE() << list << ": accepted";
         } catch (const UsageError& error) {
             const std::string message = error.what();
-            EXPECT_NE(message.find("dataset.test_frames: "), std::string::npos) << message;
-            EXPECT_NE(message.find(why), std::string::npos) << list << ": " << message;
+            EXPECT_THAT(message, test::Names("dataset.test_frames ... " + why)) << list;
             EXPECT_EQ(message.find('\n'), std::string::npos) << message;
         }
     };
-    refused("104",
-            "found frame 104, expected only frames that are read from the log: 100, 103, 106, 109, "
-            "112, ... 121"
-            " (8 in total)");
+    refused("104", "frame 104 ... 100, 103, 106, 109, 112, ... 121 (8");
     refused("100:104", "found frame 101,");
     refused("100:99999999", "found frame 101,");
     refused("103,103", "frame 103 occurs twice");
     refused("100:101,100", "frame 100 occurs twice");
-    refused("100,103,106,109,112,115,118,121", "all frames of the log are held out");
+    refused("100,103,106,109,112,115,118,121", "all frames");
     for (const char* bad : {"x", "-3", "1e2", "100,", ",", " ", "1 03", "103:100", "100:100", "100:", ":103",
                             "1:2:3", "123456789"})
-        refused(bad, "expected frame numbers");
+        refused(bad, "frame numbers");
     refused("100,ten", "found \"ten\"");
 }
 

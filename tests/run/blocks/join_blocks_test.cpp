@@ -12,14 +12,15 @@
 
 #include "../../base/codecs/temporary_folder.hpp"
 #include "../../support/device.hpp"
+#include "support/names.hpp"
 #include "two_streets.hpp"
 
 namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
+using test::Names;
 using testing::ElementsAre;
-using testing::HasSubstr;
 using testing::SizeIs;
 
 constexpr int kFrames = 80;
@@ -179,16 +180,15 @@ TEST_F(JoinedBlocks, EditedAndSavedElsewhereItRendersTheSame) {
 TEST_F(JoinedBlocks, NamesTheFileThatIsWrong) {
     fs::rename(folders[2], folder / "aside");
     EXPECT_THAT(get_data_error_message([&] { load_run(run.folder); }),
-                HasSubstr("blocks/002/model.safetensors is missing"));
+                Names("blocks/002/model.safetensors ... missing"));
     fs::create_directories(folders[2]);
     fs::copy_file(folders[0] / kModelFile, folders[2] / kModelFile);
     EXPECT_THAT(get_data_error_message([&] { load_all_blocks(load_run(run.folder).scene); }),
-                HasSubstr("blocks/002/model.safetensors: the block has "));
+                Names("blocks/002/model.safetensors: the block"));
     Scene scene = run.scene;
     scene.blocks[1].file = folder / "aside" / kModelFile;  // outside of the run's folder
     save_model(run.folder / kModelFile, scene);
-    EXPECT_THAT(get_data_error_message([&] { load_run(run.folder); }),
-                HasSubstr("in the folder of the model"));
+    EXPECT_THAT(get_data_error_message([&] { load_run(run.folder); }), Names("folder ... model"));
 }
 
 }  // namespace

@@ -10,6 +10,7 @@
 
 #include "../../base/codecs/temporary_folder.hpp"
 #include "../../support/file_size_limit.hpp"
+#include "support/names.hpp"
 
 namespace relidar {
 namespace {
@@ -138,7 +139,7 @@ TEST_F(CheckpointFile, OtherVersionsAndFormatsAreRefused) {
     EXPECT_NE(message("version", "2").find("metadata version: found \"2\", expected \"1\""),
               std::string::npos);
     EXPECT_NE(message("format", "relidar model").find("expected \"relidar checkpoint\""), std::string::npos);
-    EXPECT_NE(message("crc32", "").find("\"crc32\" is missing"), std::string::npos);
+    EXPECT_THAT(message("crc32", ""), test::Names("\"crc32\" ... missing"));
     EXPECT_NE(message("setting/loss.depth", "0.2").find("checksum"), std::string::npos);
     EXPECT_NE(message("iteration", "").find("checksum"), std::string::npos);
 }

@@ -13,6 +13,7 @@
 #include <relidar/log/channels.hpp>
 
 #include "../../base/codecs/temporary_folder.hpp"
+#include "support/names.hpp"
 
 namespace relidar {
 namespace {
@@ -113,25 +114,22 @@ TEST_F(ConfigFile, SavedFilesHaveEverySettingAndNoOther) {
     put(folder / "config.toml", whole);
     expect_equal(load_saved_config(folder / "config.toml"), make_preset("quick"));
     const std::string file = (folder / "config.toml").string() + ": ";
-    const std::string advice = "; a run that another version of relidar has written must be trained again";
-    EXPECT_EQ(error(whole + "[mars]\ncolour = \"red\"\n"),
-              file +
-                  "setting mars.colour: unknown key, expected one of the keys that `relidar list settings "
-                  "--all` prints" +
-                  advice);
+    EXPECT_THAT(
+        error(whole + "[mars]\ncolour = \"red\"\n"),
+        test::Names(file + "setting mars.colour: unknown ... `relidar list settings --all` ... version"));
     const std::string line = "alpha_min = 0.04\n";
     std::string less = whole;
     ASSERT_NE(less.find(line), std::string::npos);
-    EXPECT_EQ(error(less.erase(less.find(line), line.size())),
-              file + "the setting image.alpha_min is missing, expected a value for every setting" + advice);
-    EXPECT_EQ(error(whole.substr(0, whole.find("preset = ")) + whole.substr(whole.find("[dataset]"))),
-              file + "the setting preset is missing, expected a value for every setting" + advice);
+    EXPECT_THAT(error(less.erase(less.find(line), line.size())),
+                test::Names(file + "the setting image.alpha_min ... missing ... version"));
+    EXPECT_THAT(error(whole.substr(0, whole.find("preset = ")) + whole.substr(whole.find("[dataset]"))),
+                test::Names(file + "the setting preset ... missing ... version"));
     std::string changed = whole;
     const std::string quoted = "rolling_shutter = \"auto\"";
     ASSERT_NE(changed.find(quoted), std::string::npos);
-    EXPECT_EQ(
+    EXPECT_THAT(
         error(changed.replace(changed.find(quoted), quoted.size(), "rolling_shutter = true")),
-        file + "setting sensor.rolling_shutter: found \"true\", expected one of auto, true, false in quotes");
+        test::Names(file + "setting sensor.rolling_shutter ... \"true\" ... auto, true, false ... quotes"));
 }
 
 /// The short form omits default values of minor settings. Reading the short form must
@@ -155,9 +153,7 @@ TEST(Config, ChannelsAreAList) {
     set_config_value(config, "render.channels", "normal, seen");
     EXPECT_EQ(parse_channels(config.render.channels).size(), 2u);
     set_config_value(config, "render.channels", "");
-    EXPECT_NE(
-        set_error("render.channels", "normal,sean").find("found \"normal,sean\", expected some of normal, "),
-        std::string::npos);
+    EXPECT_THAT(set_error("render.channels", "normal,sean"), test::Names("found \"normal,sean\""));
 }
 
 TEST(Config, KeysAreUniqueAndExplained) {
@@ -176,38 +172,42 @@ TEST(Config, KeysAreUniqueAndExplained) {
 }
 
 TEST(Config, UnknownKeyNamesTheNearest) {
-    EXPECT_EQ(set_error("loss.dept", "1"), "setting loss.dept: unknown key, did you mean loss.depth?");
-    EXPECT_EQ(set_error("train.iteration", "1"),
-              "setting train.iteration: unknown key, did you mean train.iterations?");
-    EXPECT_NE(set_error("", "1").find("unknown key"), std::string::npos);
+    EXPECT_THAT(set_error("loss.dept", "1"), test::Names("loss.dept: unknown ... loss.depth"));
+    EXPECT_THAT(set_error("train.iteration", "1"),
+                test::Names("train.iteration: unknown ... train.iterations"));
+    EXPECT_THAT(set_error("", "1"), test::Names("unknown"));
     // constants of the presets are not settings
     for (const char* key : {"train.mean_rate", "init.flatness", "densify.from", "refine.batch"})
-        EXPECT_NE(set_error(key, "1").find(std::string("setting ") + key + ": unknown key"),
-                  std::string::npos)
-            << key;
+        EXPECT_THAT(set_error(key, "1"), test::Names(key + std::string(": unknown")));
 }
 
 TEST(Config, BadValuesGetOneClearLine) {
-    EXPECT_EQ(set_error("loss.depth", "abc"), "setting loss.depth: found \"abc\", expected a number >= 0");
-    EXPECT_EQ(set_error("loss.depth", "-0.1"), "setting loss.depth: found \"-0.1\", expected a number >= 0");
-    EXPECT_EQ(set_error("loss.depth", "nan"), "setting loss.depth: found \"nan\", expected a number >= 0");
-    EXPECT_EQ(set_error("loss.depth", "inf"), "setting loss.depth: found \"inf\", expected a number >= 0");
-    EXPECT_EQ(set_error("loss.depth", "1e99"), "setting loss.depth: found \"1e99\", expected a number >= 0");
-    EXPECT_EQ(set_error("loss.depth", ""), "setting loss.depth: found \"\", expected a number >= 0");
-    EXPECT_EQ(set_error("loss.depth", "0.1 "), "setting loss.depth: found \"0.1 \", expected a number >= 0");
-    EXPECT_EQ(set_error("train.iterations", "1.5"),
-              "setting train.iterations: found \"1.5\", expected an integer >= 0");
-    EXPECT_EQ(set_error("train.iterations", "99999999999"),
-              "setting train.iterations: found \"99999999999\", expected an integer >= 0");
-    EXPECT_EQ(set_error("trace.chunk", "65"),
-              "setting trace.chunk: found \"65\", expected an integer in 1..64");
-    EXPECT_EQ(set_error("init.voxel_m", "0"), "setting init.voxel_m: found \"0\", expected a number > 0");
-    EXPECT_EQ(set_error("init.normals", "yes"),
-              "setting init.normals: found \"yes\", expected true or false");
-    EXPECT_EQ(set_error("image.sh_direction", "hit"),
-              "setting image.sh_direction: found \"hit\", expected one of ray, surfel");
-    EXPECT_EQ(set_error("train.seed", "-1"), "setting train.seed: found \"-1\", expected an integer >= 0");
-    EXPECT_NE(set_error("dataset.poses", "a\nb").find("expected text"), std::string::npos);
+    EXPECT_THAT(set_error("loss.depth", "abc"),
+                test::Names("setting loss.depth: found \"abc\" ... number >= 0"));
+    EXPECT_THAT(set_error("loss.depth", "-0.1"),
+                test::Names("setting loss.depth: found \"-0.1\" ... number >= 0"));
+    EXPECT_THAT(set_error("loss.depth", "nan"),
+                test::Names("setting loss.depth: found \"nan\" ... number >= 0"));
+    EXPECT_THAT(set_error("loss.depth", "inf"),
+                test::Names("setting loss.depth: found \"inf\" ... number >= 0"));
+    EXPECT_THAT(set_error("loss.depth", "1e99"),
+                test::Names("setting loss.depth: found \"1e99\" ... number >= 0"));
+    EXPECT_THAT(set_error("loss.depth", ""), test::Names("setting loss.depth: found \"\" ... number >= 0"));
+    EXPECT_THAT(set_error("loss.depth", "0.1 "),
+                test::Names("setting loss.depth: found \"0.1 \" ... number >= 0"));
+    EXPECT_THAT(set_error("train.iterations", "1.5"),
+                test::Names("setting train.iterations: found \"1.5\" ... integer ... >= 0"));
+    EXPECT_THAT(set_error("train.iterations", "99999999999"),
+                test::Names("setting train.iterations: found \"99999999999\" ... integer ... >= 0"));
+    EXPECT_THAT(set_error("trace.chunk", "65"), test::Names("trace.chunk ... \"65\" ... integer ... 1..64"));
+    EXPECT_THAT(set_error("init.voxel_m", "0"),
+                test::Names("setting init.voxel_m: found \"0\" ... number > 0"));
+    EXPECT_THAT(set_error("init.normals", "yes"), test::Names("init.normals ... \"yes\" ... true or false"));
+    EXPECT_THAT(set_error("image.sh_direction", "hit"),
+                test::Names("image.sh_direction ... \"hit\" ... ray, surfel"));
+    EXPECT_THAT(set_error("train.seed", "-1"),
+                test::Names("setting train.seed: found \"-1\" ... integer ... >= 0"));
+    EXPECT_THAT(set_error("dataset.poses", "a\nb"), test::Names("dataset.poses ... text"));
 }
 
 TEST(Config, FailedSetChangesNothing) {
@@ -221,8 +221,7 @@ TEST(Config, PresetReplacesEverything) {
     set_config_value(config, "loss.depth", "5");
     set_config_value(config, "preset", "paper");
     expect_equal(config, make_preset("paper"));
-    EXPECT_NE(get_usage_error_message([] { make_preset("papr"); }).find("did you mean 'paper'"),
-              std::string::npos);
+    EXPECT_THAT(get_usage_error_message([] { make_preset("papr"); }), test::Names("'paper'"));
 }
 
 TEST(Config, PaperIsThePaper) {
@@ -306,30 +305,29 @@ TEST_F(ConfigFile, BadFilesNameFileAndKey) {
         });
     };
     const std::string file = (folder / "c.toml").string() + ": ";
-    EXPECT_EQ(error("[loss]\ndpth = 1\n"), file + "setting loss.dpth: unknown key, did you mean loss.depth?");
-    EXPECT_EQ(error("[loss]\ndepth = nan\n"),
-              file + "setting loss.depth: found \"nan\", expected a number >= 0");
-    EXPECT_EQ(error("[loss]\ndepth = \"0.1\"\n"),
-              file + "setting loss.depth: found \"0.1\", expected a number >= 0 without quotes");
-    EXPECT_EQ(error("[sensor]\ngrid = 360\n"),
-              file + "setting sensor.grid: found \"360\", expected one of native, kitti360 in quotes");
-    EXPECT_EQ(error("[loss]\ndepth = [1, 2]\n"),
-              file + "setting loss.depth: found a TOML array, expected a single value");
-    EXPECT_EQ(error("loss = 1\n"), file + "setting loss: unknown key, did you mean loss.box?");
-    EXPECT_NE(error("[\"lo\\nss\"]\ndepth = 1\n").find("unknown key"), std::string::npos);
+    EXPECT_THAT(error("[loss]\ndpth = 1\n"), test::Names(file + "setting loss.dpth: unknown ... loss.depth"));
+    EXPECT_THAT(error("[loss]\ndepth = nan\n"),
+                test::Names(file + "setting loss.depth ... \"nan\" ... number >= 0"));
+    EXPECT_THAT(error("[loss]\ndepth = \"0.1\"\n"),
+                test::Names(file + "setting loss.depth ... \"0.1\" ... number >= 0 ... quotes"));
+    EXPECT_THAT(error("[sensor]\ngrid = 360\n"),
+                test::Names(file + "setting sensor.grid ... \"360\" ... native, kitti360 ... quotes"));
+    EXPECT_THAT(error("[loss]\ndepth = [1, 2]\n"),
+                test::Names(file + "setting loss.depth ... array ... single"));
+    EXPECT_THAT(error("loss = 1\n"), test::Names(file + "setting loss: unknown ... loss.box"));
+    EXPECT_THAT(error("[\"lo\\nss\"]\ndepth = 1\n"), test::Names("unknown"));
 }
 
 TEST_F(ConfigFile, DamagedFilesAreDataErrors) {
     Config config;
     put(folder / "c.toml", "[loss]\ndepth = \n");
     const std::string message = get_data_error_message([&] { load_config(config, folder / "c.toml"); });
-    EXPECT_NE(message.find("c.toml:2: not valid TOML"), std::string::npos) << message;
+    EXPECT_THAT(message, test::Names("c.toml:2 ... TOML"));
     std::string dots = "loss";
     for (int i = 0; i < 40000; ++i) dots += ".a";
     put(folder / "c.toml", dots + " = 1\n");
-    EXPECT_NE(
-        get_data_error_message([&] { load_config(config, folder / "c.toml"); }).find("c.toml:1: found a key"),
-        std::string::npos);
+    EXPECT_THAT(get_data_error_message([&] { load_config(config, folder / "c.toml"); }),
+                test::Names("c.toml:1 ... key"));
     EXPECT_NE(get_data_error_message([&] {
                   load_config(config, folder / "missing.toml");
               }).find("missing.toml: no such file"),

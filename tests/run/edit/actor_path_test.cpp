@@ -11,6 +11,7 @@
 #include <relidar/log/trajectory_csv.hpp>
 
 #include "../../base/codecs/temporary_folder.hpp"
+#include "support/names.hpp"
 
 namespace relidar {
 namespace {
@@ -66,14 +67,11 @@ TEST_F(TrajectoryFile, ColumnsAreReadByName) {
                     1e-12)
             << text;
     }
-    EXPECT_NE(error("time_s,x,y,z,yaw\n").find("line 1: column 'yaw' is unknown, did you mean 'yaw_"),
-              std::string::npos);
+    EXPECT_THAT(error("time_s,x,y,z,yaw\n"), test::Names("line 1 ... 'yaw' ... 'yaw_deg'"));
     EXPECT_NE(error("time_s,x,y,z,yaw\n").find("known: time_s, x, y, z, yaw_deg"), std::string::npos);
-    EXPECT_NE(error("time_s,x,y,z,pitch_deg\n").find("column 'yaw_deg' or 'yaw_rad' is missing"),
-              std::string::npos);
-    EXPECT_NE(error("time_s,x,z,yaw_deg\n").find("column 'y' is missing"), std::string::npos);
-    EXPECT_NE(error("time_s,x,y,z,yaw_deg,yaw_rad\n").find("found both columns 'yaw_deg' and 'yaw_rad'"),
-              std::string::npos);
+    EXPECT_THAT(error("time_s,x,y,z,pitch_deg\n"), test::Names("'yaw_deg' or 'yaw_rad' ... missing"));
+    EXPECT_THAT(error("time_s,x,z,yaw_deg\n"), test::Names("column 'y' ... missing"));
+    EXPECT_THAT(error("time_s,x,y,z,yaw_deg,yaw_rad\n"), test::Names("'yaw_deg' and 'yaw_rad'"));
     EXPECT_NE(error("time_s,x,y,z,yaw_deg\n0,1,2,3\n").find("line 2: found 4 columns, expected 5"),
               std::string::npos);
 }
@@ -97,17 +95,13 @@ TEST_F(TrajectoryFile, IsReadBackAsItWasWritten) {
 }
 
 TEST_F(TrajectoryFile, ComplaintsNameLineAndColumn) {
-    EXPECT_NE(
-        error("0,1,2,3,0\n1,nan,2,3,0\n").find("t.csv: line 2: x: found \"nan\", expected a finite number"),
-        std::string::npos);
+    EXPECT_THAT(error("0,1,2,3,0\n1,nan,2,3,0\n"), test::Names("t.csv: line 2: x ... \"nan\" ... finite"));
     EXPECT_NE(error("0,1,2,3,0\n1,1,2,3,\n").find("line 2: yaw_deg: found \"\""), std::string::npos);
-    EXPECT_NE(error("0,1,2,3,0\n0,1,2,3,0\n").find("line 2: time_s is 0 after 0 in the previous line"),
-              std::string::npos);
-    EXPECT_NE(error("2,1,2,3,0\n1,1,2,3,0\n").find("expected increasing times"), std::string::npos);
+    EXPECT_THAT(error("0,1,2,3,0\n0,1,2,3,0\n"), test::Names("line 2 ... time_s ... 0 after 0"));
+    EXPECT_THAT(error("2,1,2,3,0\n1,1,2,3,0\n"), test::Names("increasing"));
     EXPECT_NE(error("0,1,2,3\n").find("line 1: found 4 columns"), std::string::npos);
     EXPECT_NE(error("0,1,2,3,4,5,6,7\n").find("found 8 columns"), std::string::npos);
-    EXPECT_NE(error("time_s,x,y,z,yaw_deg\n0,1,2,3,0\n").find("found 1 poses, expected at least two"),
-              std::string::npos);
+    EXPECT_THAT(error("time_s,x,y,z,yaw_deg\n0,1,2,3,0\n"), test::Names("1 poses"));
     EXPECT_NE(error("").find("found 0 poses"), std::string::npos);
     EXPECT_NE(get_data_error_message([&] { read_trajectory(folder / "none.csv"); }).find("none.csv"),
               std::string::npos);

@@ -9,11 +9,12 @@
 #include <relidar/base/math.hpp>
 
 #include "../../base/codecs/temporary_folder.hpp"
+#include "support/names.hpp"
 
 namespace relidar {
 namespace {
 
-using testing::HasSubstr;
+using test::Names;
 
 std::string replace_text(std::string text, const std::string& description, const std::string& replacement) {
     const std::size_t at = text.find(description);
@@ -118,14 +119,12 @@ TEST_F(Scenario, ActorsStandWhereTheBoxOfTheEntityDoes) {
 }
 
 TEST_F(Scenario, WhatATrajectoryMayNotBeIsNamed) {
-    const auto says = [](const char* text) { return HasSubstr(text); };
-    EXPECT_THAT(error("<Storyboard>", "<Story"), says("s.xosc: malformed XML at byte"));
+    const auto says = [](const char* text) { return Names(text); };
+    EXPECT_THAT(error("<Storyboard>", "<Story"), says("s.xosc ... malformed"));
     EXPECT_THAT(get_data_error_message([&] { read("<OpenSCENARIO/>"); }), says("OpenSCENARIO XML 1.x"));
-    EXPECT_THAT(error("x=\"20.0\"", "x=\"2O\""),
-                says("entity Van: Vertex 2: x: found \"2O\", expected a finite number"));
+    EXPECT_THAT(error("x=\"20.0\"", "x=\"2O\""), says("Van: Vertex 2: x ... \"2O\" ... finite"));
     EXPECT_THAT(error("x=\"20.0\"", ""), says("entity Van: Vertex 2: x: found \"\""));
-    EXPECT_THAT(error("$Lane", "$Line"),
-                says("entity Van: Vertex 1: y: found \"$Line\", expected a value, or $"));
+    EXPECT_THAT(error("$Lane", "$Line"), says("Van: Vertex 1: y ... \"$Line\" ... $"));
     EXPECT_THAT(error("<Vertex time=\"1.0\"", "<Vertex time=\"0.0\""),
                 says("Vertex 2: time: found 0.25 s after 0.25 s, expected"));
     EXPECT_THAT(error("<Vertex time=\"1.0\"", "<Vertex"), says("entity Van: Vertex 2: time: found \"\""));
@@ -133,23 +132,20 @@ TEST_F(Scenario, WhatATrajectoryMayNotBeIsNamed) {
         error("<WorldPosition x=\"10.0\" y=\"$Lane\" z=\"0.5\" h=\"0.0\"/>", "<LanePosition roadId=\"1\"/>"),
         says("entity Van: Vertex 1: found a LanePosition, expected a WorldPosition"));
     EXPECT_THAT(error("<ParameterDeclarations/><Shape>", "<Shape><Nurbs order=\"3\"/></Shape><Shape>"),
-                says("entity Van: found a Nurbs, expected a Polyline"));
-    EXPECT_THAT(error("closed=\"false\"", "closed=\"true\""), says("found a closed trajectory"));
+                says("Van ... Nurbs ... Polyline"));
+    EXPECT_THAT(error("closed=\"false\"", "closed=\"true\""), says("closed"));
     EXPECT_THAT(
         error("<Timing domainAbsoluteRelative=\"absolute\" scale=\"2.0\" offset=\"0.25\"/>", "<None/>"),
-        says("entity Van: found no element TimeReference/Timing"));
+        says("Van ... TimeReference/Timing"));
     EXPECT_THAT(error("scale=\"2.0\"", "scale=\"0\""), says("entity Van: scale: found 0"));
     EXPECT_THAT(error("domainAbsoluteRelative=\"absolute\"", "domainAbsoluteRelative=\"both\""),
-                says("expected absolute or relative"));
-    EXPECT_THAT(error("rule=\"greaterThan\"", "rule=\"lessThan\""),
-                says("entity Car: found a trajectory that starts with an unsupported condition"));
+                says("absolute or relative"));
+    EXPECT_THAT(error("rule=\"greaterThan\"", "rule=\"lessThan\""), says("Car ... condition"));
     EXPECT_THAT(error("domainAbsoluteRelative=\"relative\"", "domainAbsoluteRelative=\"absolute\""),
-                says("entity Car: found a start time of 3 s, which is after the time 0.5 s"));
-    EXPECT_THAT(error("entityRef=\"Car\"", "entityRef=\"Cab\""),
-                says("found actions of the entity \"Cab\", expected a ScenarioObject"));
-    EXPECT_THAT(error("entityRef=\"Car\"", "entityRef=\"Van\""),
-                says("entity Van: found a second trajectory"));
-    EXPECT_THAT(error("entityRef=\"Car\"", "entityRef=\"Ego\""), says("entity Ego: found no BoundingBox"));
+                says("Car ... 3 s ... 0.5 s"));
+    EXPECT_THAT(error("entityRef=\"Car\"", "entityRef=\"Cab\""), says("\"Cab\" ... ScenarioObject"));
+    EXPECT_THAT(error("entityRef=\"Car\"", "entityRef=\"Van\""), says("Van ... second trajectory"));
+    EXPECT_THAT(error("entityRef=\"Car\"", "entityRef=\"Ego\""), says("Ego ... BoundingBox"));
 }
 
 }  // namespace

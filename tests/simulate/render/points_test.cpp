@@ -15,6 +15,7 @@
 #include "../../support/device.hpp"
 #include "base/random.hpp"
 #include "gpu/context.hpp"
+#include "support/names.hpp"
 
 namespace relidar {
 namespace {
@@ -275,7 +276,7 @@ TEST_F(PointsOfScans, OfScansSideBySideBesideOthers) {
     for (const RenderedPoints& of_one : expected)
         expect_equal(renderer->wait_for_points(), of_one, "one of four");
     EXPECT_THAT([&] { renderer->side_by_side(0); },
-                testing::ThrowsMessage<UsageError>(testing::HasSubstr("found 0 scans")));
+                testing::ThrowsMessage<UsageError>(test::Names("found 0 scans")));
     ask(wishes[0], ScanRenderer::Send::with_next), ask(wishes[1], ScanRenderer::Send::with_next);
     make_renderer();  // the two scans are never submitted
     expect_equal(alone(wishes[0]), expected[0], "of the next renderer");
@@ -407,18 +408,15 @@ TEST_F(PointsOfScans, MayBeLeftBehind) {
 TEST_F(PointsOfScans, AreTakenAsOftenAsAskedFor) {
     make_renderer();
     const PointRequest wish{sensor("VLP-16:300x10"), {middle_s(), bend()}, middle_s()};
-    const auto says = [](const char* text) {
-        return testing::ThrowsMessage<UsageError>(testing::HasSubstr(text));
-    };
-    EXPECT_THAT([&] { renderer->wait_for_points(); }, says("no scan was requested"));
+    const auto says = [](const char* text) { return testing::ThrowsMessage<UsageError>(test::Names(text)); };
+    EXPECT_THAT([&] { renderer->wait_for_points(); }, says("requested"));
     for (std::size_t k = 0; k < ScanRenderer::kScansInFlight; ++k) ask(wish);
-    EXPECT_THAT([&] { ask(wish); }, says("64 requested scans were not read"));
+    EXPECT_THAT([&] { ask(wish); }, says("64 requested"));
     for (std::size_t k = 0; k < ScanRenderer::kScansInFlight; ++k) renderer->wait_for_points();
     PointRequest wrong = wish;
     wrong.request.dataset_from_sensor.time_s.clear();
     EXPECT_THROW(ask(wrong), DataError);
-    EXPECT_THAT([&] { renderer->wait_for_points(); }, says("no scan was requested"))
-        << "a request that was refused";
+    EXPECT_THAT([&] { renderer->wait_for_points(); }, says("requested")) << "a request that was refused";
 }
 
 }  // namespace

@@ -8,6 +8,7 @@
 #include <relidar/simulate/render.hpp>
 
 #include "../../support/device.hpp"
+#include "support/names.hpp"
 
 namespace relidar {
 namespace {
@@ -125,21 +126,18 @@ TEST_F(ScanRequests, ActorsAreWhereTheCallerHasThem) {
 }
 
 TEST_F(ScanRequests, WhatMakesNoSenseIsRefused) {
-    EXPECT_NE(refusal({0.0, {}}).find("poses of the sensor: found 0 poses and 0 times"), std::string::npos);
+    EXPECT_THAT(refusal({0.0, {}}), test::Names("sensor ... 0 poses and 0 times"));
     EXPECT_NE(refusal({0.0, {{0.0, 1.0}, {make_pose_at_x(0)}}}).find("found 1 poses and 2 times"),
               std::string::npos);
-    EXPECT_NE(refusal({0.0, {{1.0, 1.0}, {make_pose_at_x(0), make_pose_at_x(1)}}})
-                  .find("found the time 1 s after the time 1 s"),
-              std::string::npos);
-    EXPECT_NE(refusal({0.0, {{0.0}, {make_pose_at_x(kNan)}}}).find("found an invalid pose at entry 0"),
-              std::string::npos);
+    EXPECT_THAT(refusal({0.0, {{1.0, 1.0}, {make_pose_at_x(0), make_pose_at_x(1)}}}),
+                test::Names("time 1 s ... time 1 s"));
+    EXPECT_THAT(refusal({0.0, {{0.0}, {make_pose_at_x(kNan)}}}), test::Names("pose ... entry 0"));
     EXPECT_NE(refusal({0.0, {{0.0}, {make_pose_at_x(1e300)}}}).find("entry 0"), std::string::npos);
     EXPECT_NE(refusal({0.0, {{kNan}, {make_pose_at_x(0)}}}).find("entry 0"), std::string::npos);
-    EXPECT_NE(refusal({0.0, {{0.0}, {Pose{{2, 0, 0, 0}, {}}}}}).find("a unit quaternion"), std::string::npos);
+    EXPECT_THAT(refusal({0.0, {{0.0}, {Pose{{2, 0, 0, 0}, {}}}}}), test::Names("quaternion"));
     EXPECT_NE(refusal({kNan, {{0.0}, {make_pose_at_x(0)}}}).find("time_s: found nan"), std::string::npos);
-    EXPECT_NE(refusal({0.0, {{0.0}, {make_pose_at_x(0)}}, ActorPoses{{"car", {}}}})
-                  .find("poses of actor car: found 0 poses"),
-              std::string::npos);
+    EXPECT_THAT(refusal({0.0, {{0.0}, {make_pose_at_x(0)}}, ActorPoses{{"car", {}}}}),
+                test::Names("actor car ... 0 poses"));
     EXPECT_THROW(measure_range_ahead(
                      {0.0, {{0.0}, {make_pose_at_x(0)}}, ActorPoses{{"cat", {{0.0}, {make_pose_at_x(0)}}}}}),
                  UsageError);

@@ -12,12 +12,13 @@
 #include <relidar/simulate/scan_files.hpp>
 
 #include "../../base/codecs/temporary_folder.hpp"
+#include "support/names.hpp"
 
 namespace relidar {
 namespace {
 
+using test::Names;
 using testing::ElementsAre;
-using testing::HasSubstr;
 using testing::UnorderedElementsAre;
 
 constexpr const char* kMagic = "\x89MCAP0\r\n";
@@ -85,7 +86,7 @@ TEST_F(Recordings, AppearWhenTheyAreFinished) {
     scans.finish();
     EXPECT_THAT(files(), UnorderedElementsAre("scans.mcap", "rosbag.mcap", "scans.json"));
     EXPECT_THAT(read_contents(folder / "scans.json"),
-                HasSubstr("\"recordings\": [\n  \"scans.mcap\",\n  \"rosbag.mcap\"\n ]"));
+                testing::HasSubstr("\"recordings\": [\n  \"scans.mcap\",\n  \"rosbag.mcap\"\n ]"));
     EXPECT_EQ(list_scan_files(folder).size(), 3u) << "the next rendering knows them";
 }
 
@@ -109,11 +110,12 @@ TEST_F(Recordings, ScansJsonHasTheBoxesAtTheTimeOfTheirRay) {
     scans.finish();
     std::string text = read_contents(folder / "scans.json");
     std::erase_if(text, [](char character) { return character == ' ' || character == '\n'; });
-    EXPECT_THAT(text, HasSubstr(R"("boxes":[{"track":"car","category":"Van","class":"vehicle",)"
-                                R"("size_m":[4.0,2.0,1.5],"time_s":1.0625,"world_from_box":[[1.0,0.0,0.0,)"
-                                R"(0.0],[0.0,1.0,0.0,5.625],[0.0,0.0,1.0,0.0],[0.0,0.0,0.0,1.0]],)"));
-    EXPECT_THAT(text, HasSubstr(R"("points":1,"visible_share":0.75}])"));
-    EXPECT_THAT(text, HasSubstr(R"("boxes":[])")) << "views were not computed";
+    EXPECT_THAT(text,
+                testing::HasSubstr(R"("boxes":[{"track":"car","category":"Van","class":"vehicle",)"
+                                   R"("size_m":[4.0,2.0,1.5],"time_s":1.0625,"world_from_box":[[1.0,0.0,0.0,)"
+                                   R"(0.0],[0.0,1.0,0.0,5.625],[0.0,0.0,1.0,0.0],[0.0,0.0,0.0,1.0]],)"));
+    EXPECT_THAT(text, testing::HasSubstr(R"("points":1,"visible_share":0.75}])"));
+    EXPECT_THAT(text, testing::HasSubstr(R"("boxes":[])")) << "views were not computed";
 }
 
 TEST_F(Recordings, LeaveNothingWhereTheRenderingWasInterrupted) {
@@ -174,18 +176,15 @@ TEST_F(Recordings, TimesBeforeTheBeginningAreMovedByWholeSeconds) {
     const auto all = records(bytes, 8, bytes.size() - 8);
     EXPECT_NEAR(double(number<std::uint64_t>(bytes, all.find(8)->second.body)), 0.95e9, 5.0)
         << "the first stamp of the first chunk; times of rays are floats";
-    EXPECT_THAT(bytes, HasSubstr(std::string("time_shift_s\1\0\0\0001", 17)));
+    EXPECT_THAT(bytes, testing::HasSubstr(std::string("time_shift_s\1\0\0\0001", 17)));
 }
 
 TEST_F(Recordings, TimesThatNoFileHasAreRefused) {
     ScanFolder scans(folder, format);
     scans.write(0, make_two_rays(100.0));
-    EXPECT_THAT(get_data_error_message([&] { scans.write(1, make_two_rays(-5.0)); }),
-                HasSubstr("found a scan at -5 s"));
-    EXPECT_THAT(get_data_error_message([&] { scans.write(1, make_two_rays(99.0)); }),
-                HasSubstr("expected times that do not decrease"));
-    EXPECT_THAT(get_data_error_message([&] { scans.write(1, make_two_rays(3e9)); }),
-                HasSubstr("before the year 2038"));
+    EXPECT_THAT(get_data_error_message([&] { scans.write(1, make_two_rays(-5.0)); }), Names("-5 s"));
+    EXPECT_THAT(get_data_error_message([&] { scans.write(1, make_two_rays(99.0)); }), Names("decrease"));
+    EXPECT_THAT(get_data_error_message([&] { scans.write(1, make_two_rays(3e9)); }), Names("year 2038"));
 }
 
 TEST_F(Recordings, OfARigAreOne) {
@@ -195,13 +194,13 @@ TEST_F(Recordings, OfARigAreOne) {
     const std::vector<RenderedScan> scans{make_two_rays(1.0), make_two_rays(1.0)};
     recordings.write(scans);
     EXPECT_THAT(error_message<UsageError>([&] { recordings.write(std::span(scans).first(1)); }),
-                HasSubstr("found 1 scans, expected 2"));
+                Names("found 1 scans, expected 2"));
     recordings.finish();
     EXPECT_THAT(recordings.names(), ElementsAre("scans.mcap", "rosbag.mcap"));
     EXPECT_THAT(files(), UnorderedElementsAre("scans.mcap", "rosbag.mcap"));
     for (const char* name : {"scans.mcap", "rosbag.mcap"})
         for (const char* topic : {"/lidar/left/points", "/lidar/_2nd_right/points"})
-            EXPECT_THAT(read_contents(folder / name), HasSubstr(topic)) << name;
+            EXPECT_THAT(read_contents(folder / name), testing::HasSubstr(topic)) << name;
 }
 
 TEST_F(Recordings, RefuseNamesThatRosDoesNotTakeOrThatAreTaken) {
@@ -212,19 +211,18 @@ TEST_F(Recordings, RefuseNamesThatRosDoesNotTakeOrThatAreTaken) {
     };
     for (const char* topic : {"", "/", "points", "/lidar//points", "/lidar/points/", "/2nd/points",
                               "/lidar/top-left", "/lidar points"})
-        EXPECT_THAT(error(topic, "other"), HasSubstr("expected a name such as /lidar/points")) << topic;
+        EXPECT_THAT(error(topic, "other"), Names("/lidar/points")) << topic;
     for (const char* frame : {"", "/other", "lidar", "world", "base_link"})
-        EXPECT_THAT(error("/other", frame), HasSubstr("none of base_link, lidar, world")) << frame;
+        EXPECT_THAT(error("/other", frame), Names("base_link")) << frame;
     for (const char* topic : {"/lidar/points", "/tf", "/tf_static", "/actors"})
-        EXPECT_THAT(error(topic, "other"), HasSubstr(std::string("topic ") + topic + " occurs twice"))
-            << topic;
+        EXPECT_THAT(error(topic, "other"), Names(std::string("topic ") + topic + " ... twice")) << topic;
     EXPECT_THAT(files(), ElementsAre()) << "nothing is left of those that were refused";
 }
 
 TEST_F(Recordings, AFolderThatCannotBeWrittenIsNamed) {
     EXPECT_THAT(get_data_error_message(
                     [&] { ScanFolder(folder / "file" / "below", (put(folder / "file", "x"), format)); }),
-                HasSubstr("file"));
+                Names("file"));
 }
 
 }  // namespace

@@ -12,6 +12,7 @@
 
 #include "../../../base/codecs/temporary_folder.hpp"
 #include "log/readers/folder/point_log.hpp"
+#include "support/names.hpp"
 
 namespace relidar {
 namespace {
@@ -74,11 +75,11 @@ TEST(OtherPrograms, Las) {
         for (test::FilePoint& p : points) p.point_m.x += 500.0f;
         return test::las(points);
     };
-    EXPECT_THAT(complaint({"las_map", "las", survey, ""}), testing::HasSubstr("survey coordinates"));
+    EXPECT_THAT(complaint({"las_map", "las", survey, ""}), test::Names("survey"));
     const auto packed = [](const test::FilePoints& points) { return test::las(points, 0.0, 128 + 1); };
-    EXPECT_THAT(complaint({"las_packed", "las", packed, ""}), testing::HasSubstr("laszip"));
+    EXPECT_THAT(complaint({"las_packed", "las", packed, ""}), test::Names("laszip"));
     const auto cut = [](const test::FilePoints& points) { return test::las(points).substr(0, 5000); };
-    EXPECT_THAT(complaint({"las_cut", "las", cut, ""}), testing::HasSubstr("truncated"));
+    EXPECT_THAT(complaint({"las_cut", "las", cut, ""}), test::Names("truncated"));
 }
 
 TEST(OtherPrograms, NotesIntensitiesThatAreAllTheSame) {
@@ -88,7 +89,7 @@ TEST(OtherPrograms, NotesIntensitiesThatAreAllTheSame) {
     };
     const PointLog log("constant", "bin", constant, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
     EXPECT_THAT(load_sequence(log.folder.string(), {}).notes,
-                testing::Contains(testing::HasSubstr("no intensities (all are 0.5 of the maximum)")));
+                testing::Contains(test::Names("intensities ... 0.5")));
 }
 
 TEST(OtherPrograms, NamesTheToolForOtherFormats) {
@@ -106,8 +107,8 @@ TEST(OtherPrograms, NamesTheToolForOtherFormats) {
                                      std::pair("a.lvx", "livox_ros_driver"), std::pair("a.osf", "ouster-cli"),
                                      std::pair("a.bag.gz", "gunzip"), std::pair("a.db3.zstd", "zstd")}) {
         test::write_text(folder / name, "content");
-        EXPECT_NE(complaint(folder / name).find(tool), std::string::npos) << complaint(folder / name);
-        EXPECT_NE(complaint(folder).find(tool), std::string::npos) << complaint(folder);
+        EXPECT_THAT(complaint(folder / name), test::Names(tool));
+        EXPECT_THAT(complaint(folder), test::Names(tool));
         fs::remove(folder / name);
     }
     test::write_text(folder / "scans/a.laz", "content");
@@ -115,7 +116,7 @@ TEST(OtherPrograms, NamesTheToolForOtherFormats) {
     EXPECT_NE(complaint(folder).find("pdal"), std::string::npos) << complaint(folder);
     fs::rename(folder / "scans/a.laz", folder / "scans/a.las");
     test::write_text(folder / "poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n");
-    EXPECT_NE(complaint(folder).find("begins with LASF"), std::string::npos) << complaint(folder);
+    EXPECT_THAT(complaint(folder), test::Names("LASF"));
 }
 
 TEST(OtherPrograms, ReadsPosesOfOtherConventions) {
@@ -141,8 +142,8 @@ TEST(OtherPrograms, ReadsPosesOfOtherConventions) {
             EXPECT_LT(glm::length(off.translation), 1e-6) << note;
             EXPECT_GT(std::abs(off.rotation.w), 1.0 - 1e-9) << note;
         }
-        const auto has = [&](const std::string& n) { return n.find("poses are read as " + note) != n.npos; };
-        EXPECT_EQ(std::ranges::any_of(sequence.notes, has), !note.empty()) << note;
+        const auto named = testing::Contains(test::Names("poses ... read ... " + note));
+        EXPECT_EQ(testing::Value(sequence.notes, named), !note.empty()) << note;
     };
     using Numbers = std::vector<double>;
     const auto w_first = [](const Pose& p) {
@@ -185,7 +186,7 @@ TEST(OtherPrograms, PosesWithoutTimesAreRefused) {
     for (int i = 0; i < 4; ++i) text += fmt::format("{} 0 0 1 0 0 0\n", i);  // x y z and a quaternion
     test::write_text(log.folder / "poses.txt", text);
     EXPECT_THAT(error_message<DataError>([&] { load_sequence(log.folder.string(), {}); }),
-                testing::HasSubstr("the poses have no times"));
+                test::Names("poses ... times"));
 }
 
 TEST(OtherPrograms, ATableOfTimesIsNotAScan) {
@@ -228,8 +229,7 @@ TEST(OtherPrograms, InventsNoBeamsForThinnedClouds) {
     const Sequence sequence = load_sequence(log.folder.string(), {});
     EXPECT_TRUE(sequence.lidars[0].sensor.beams.empty());
     EXPECT_TRUE(std::ranges::any_of(sequence.notes, [](const std::string& n) {
-        return n.find("were probably removed from the cloud") != n.npos ||
-               n.find("neither their order nor") != n.npos;
+        return n.find("removed") != n.npos || n.find("order") != n.npos;
     }));
 }
 

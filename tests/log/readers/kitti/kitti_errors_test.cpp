@@ -13,6 +13,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 #include "log/readers/kitti/kitti_drive.hpp"
+#include "support/names.hpp"
 
 namespace relidar {
 namespace {
@@ -33,7 +34,7 @@ void expect_failure(const KittiDrive& drive, const DatasetOptions& options, Exit
         EXPECT_EQ(error.code(), code) << error.what();
         const std::string message = error.what();
         EXPECT_EQ(message.find('\n'), std::string::npos) << message;
-        for (const std::string& part : parts) EXPECT_THAT(message, testing::HasSubstr(part));
+        for (const std::string& part : parts) EXPECT_THAT(message, test::Names(part));
     }
 }
 
@@ -60,30 +61,29 @@ TEST(KittiErrors, MissingFoldersAndFiles) {
     fs::remove_all(drive.file("velodyne_points/data"));
     expect_data_error(drive, {"velodyne_points/data: no such folder", "expected KITTI raw scans"});
     fs::create_directories(drive.file("velodyne_points/data"));
-    expect_data_error(drive, {"velodyne_points/data: no scans"});
+    expect_data_error(drive, {"velodyne_points/data ... scans"});
 }
 
 TEST(KittiErrors, MissingCalibration) {
     const KittiDrive drive("uncalibrated");
     fs::remove(drive.calibration());
-    expect_data_error(drive, {"calib_imu_to_velo.txt: no such file here, in the drive", "2011_12_31_calib",
-                              "dataset.poses"});
+    expect_data_error(drive, {"calib_imu_to_velo.txt: no such file", "2011_12_31_calib", "dataset.poses"});
 }
 
 TEST(KittiErrors, NumbersOfScans) {
     const KittiDrive drive("numbers");
     write_text(drive.file("velodyne_points/data/2147483646.bin"), "");
-    expect_data_error(drive, {"2147483646.bin: the number of a scan", "below 100000000"});
+    expect_data_error(drive, {"2147483646.bin ... number", "below 100000000"});
     fs::rename(drive.file("velodyne_points/data/2147483646.bin"),
                drive.file("velodyne_points/data/9999999999.bin"));
-    expect_data_error(drive, {"9999999999.bin: the number of a scan"});
+    expect_data_error(drive, {"9999999999.bin ... number"});
     fs::rename(drive.file("velodyne_points/data/9999999999.bin"),
                drive.file("velodyne_points/data/0099999999.bin"));
     expect_data_error(drive, {"timestamps.txt: found 3 lines, but frame 99999999 needs line 100000000"});
     DatasetOptions complete;
     complete.allow_missing_scans = false;
     expect_failure(drive, complete, ExitCode::data,
-                   {"99999996 of the scans 0 to 99999999 are missing (3, 4, 5, 6, 7, ...), expected all"});
+                   {"99999996 ... 0 to 99999999 ... missing (3, 4, 5, 6, 7, ...)"});
 }
 
 TEST(KittiErrors, FoldersThatAreNoDrive) {
@@ -94,23 +94,21 @@ TEST(KittiErrors, FoldersThatAreNoDrive) {
                 load_sequence(kind + folder.string(), {});
                 FAIL() << folder;
             } catch (const DataError& error) {
-                for (const std::string& part : parts) EXPECT_THAT(error.what(), testing::HasSubstr(part));
+                for (const std::string& part : parts) EXPECT_THAT(error.what(), test::Names(part));
             }
         }
     };
-    expect(drive.folder.parent_path(),
-           {"2011_12_31", "contains 1 dataset; use the folder of one of them", "2011_12_31_drive_0001_sync"});
-    expect(drive.file("velodyne_points"), {"inside a dataset", "2011_12_31_drive_0001_sync"});
-    expect(drive.file("oxts/data"), {"inside a dataset"});
+    expect(drive.folder.parent_path(), {"2011_12_31", "1 dataset", "2011_12_31_drive_0001_sync"});
+    expect(drive.file("velodyne_points"), {"inside", "2011_12_31_drive_0001_sync"});
+    expect(drive.file("oxts/data"), {"inside"});
     const fs::path odometry = drive.folder.parent_path().parent_path() / "dataset/sequences/00";
     write_text(odometry / "velodyne/000000.bin", "");
     write_text(odometry / "times.txt", "0\n");
-    expect(odometry,
-           {"sequences/00", "a KITTI odometry sequence with motion-compensated scans", "KITTI raw"});
-    expect(odometry.parent_path().parent_path(), {"a KITTI odometry sequence"});
+    expect(odometry, {"sequences/00", "KITTI odometry ... motion-compensated", "KITTI raw"});
+    expect(odometry.parent_path().parent_path(), {"KITTI odometry"});
     for (int frame = 0; frame < 3; ++frame)
         fs::rename(drive.scan(frame), drive.scan(frame).replace_extension("txt"));
-    expect_data_error(drive, {"the scans are text files", "_extract", "_sync"});
+    expect_data_error(drive, {"text", "_extract", "_sync"});
 }
 
 TEST(KittiErrors, PosesOutOfThisWorld) {
@@ -119,24 +117,22 @@ TEST(KittiErrors, PosesOutOfThisWorld) {
     DatasetOptions options;
     options.poses_file = drive.file("poses.txt");
     write_text(options.poses_file, good + "1 0 0 1e308 0 1 0 0 0 0 1 0\n" + good);
-    expect_failure(drive, options, ExitCode::data,
-                   {"poses.txt: the pose of frame 1 is at (1e+308, 0, 0), expected coordinates of at most"});
+    expect_failure(drive, options, ExitCode::data, {"poses.txt ... frame 1 ... (1e+308, 0, 0)"});
     write_text(options.poses_file, good + "1 0 0 2e5 0 1 0 0 0 0 1 0\n" + good);
-    expect_failure(drive, options, ExitCode::data,
-                   {"poses.txt: the poses of frames 0 and 1 are 200000 m apart"});
+    expect_failure(drive, options, ExitCode::data, {"poses.txt ... frames 0 and 1 ... 200000 m"});
     const fs::path oxts = drive.file("oxts/data/0000000002.txt");
     write_text(oxts, read_text(oxts).replace(read_text(oxts).find("100.5"), 5, "1e308"));
-    expect_data_error(drive, {"oxts/data: the pose of frame 2 is at ("});
+    expect_data_error(drive, {"oxts/data ... pose of frame 2 ... ("});
 }
 
 TEST(KittiErrors, BrokenScans) {
     const KittiDrive drive("scans");
     const std::string original = read_text(drive.scan(1));
     write_text(drive.scan(1), original.substr(0, 100));
-    expect_data_error(drive, {"0000000001.bin: the file is truncated: it has 100 bytes", "4 more bytes",
-                              "6 points of 16 bytes"});
+    expect_data_error(drive,
+                      {"0000000001.bin ... truncated ... 100 bytes", "4 more bytes", "6 points of 16 bytes"});
     write_text(drive.scan(1), "");
-    expect_data_error(drive, {"0000000001.bin: the file is empty"});
+    expect_data_error(drive, {"0000000001.bin ... empty"});
     std::string bad = original;
     put_float(bad, 5, 3, INFINITY);
     write_text(drive.scan(1), bad);
@@ -144,9 +140,9 @@ TEST(KittiErrors, BrokenScans) {
     bad = original;
     put_float(bad, 8, 0, 2e4f);
     write_text(drive.scan(1), bad);
-    expect_data_error(drive, {"point 8", "at most 10000 m"});
+    expect_data_error(drive, {"point 8", "10000 m"});
     for (int frame = 0; frame < 3; ++frame) write_text(drive.scan(frame), original.substr(0, 16 * 3000));
-    expect_data_error(drive, {"velodyne_points/data: ", "rings in the order of the file, expected 64"});
+    expect_data_error(drive, {"velodyne_points/data: ", "rings ... 64"});
 }
 
 /// Returns 64 rings of points at even azimuths, stored ring by ring as in KITTI.
@@ -170,8 +166,7 @@ std::string make_even_scan(double step_rad, int n_a_ring) {
 TEST(KittiErrors, AzimuthStepsOfNoSensor) {
     const KittiDrive drive("steps");
     for (int frame = 0; frame < 3; ++frame) write_text(drive.scan(frame), make_even_scan(2e-5, 1000));
-    expect_data_error(drive, {"velodyne_points/data: azimuths of neighbouring points differ by 1/",
-                              "at most 8192 firings"});
+    expect_data_error(drive, {"velodyne_points/data ... azimuths ... 1/", "8192 firings"});
 }
 
 TEST(KittiErrors, Timestamps) {
@@ -193,9 +188,9 @@ TEST(KittiErrors, Timestamps) {
     }
     const std::string line = original.substr(0, original.find('\n') + 1);
     write_text(file, line + "\n" + line);
-    expect_data_error(drive, {"timestamps.txt line 2: the line is empty, expected the time of frame 1"});
+    expect_data_error(drive, {"timestamps.txt line 2 ... empty ... frame 1"});
     write_text(file, "\n \n");
-    expect_data_error(drive, {"timestamps.txt: the file is empty"});
+    expect_data_error(drive, {"timestamps.txt ... empty"});
     write_text(file, "   " + original);  // leading blanks are allowed
     EXPECT_EQ(load_sequence(drive.folder.string(), {}).frames.size(), 3u);
     write_text(file, line + line + line);
@@ -208,10 +203,10 @@ TEST(KittiErrors, Calibration) {
         write_text(drive.calibration(), text);
         expect_data_error(drive, parts);
     };
-    expect("T: 0 0 0\n", {"calib_imu_to_velo.txt: the line 'R:' is missing"});
+    expect("T: 0 0 0\n", {"calib_imu_to_velo.txt ... 'R:' ... missing"});
     expect("R: 1 0 0 0 1 0 0 0\nT: 0 0 0\n", {"calib_imu_to_velo.txt key R: found 8 numbers, expected 9"});
-    expect("R: 1 0 0 0 1 0 0 0 1.01\nT: 0 0 0\n", {"calib_imu_to_velo.txt", "not a rotation", "orthonormal"});
-    expect("R: 1 0 0 0 1 0 0 0 -1\nT: 0 0 0\n", {"not a rotation"});
+    expect("R: 1 0 0 0 1 0 0 0 1.01\nT: 0 0 0\n", {"calib_imu_to_velo.txt", "rotation", "orthonormal"});
+    expect("R: 1 0 0 0 1 0 0 0 -1\nT: 0 0 0\n", {"rotation"});
     expect("R: 1 0 0 0 1 0 0 0 1\nT: 0 nan 0\n", {"key T: number 2 is nan"});
 }
 
@@ -226,17 +221,17 @@ TEST(KittiErrors, PosesFile) {
     };
     expect(good + "1 0 0 0 0 1 0 0 0 0 1\n" + good, {"poses.txt line 2: found 11 numbers, expected 12"});
     expect(good + good, {"poses.txt: found 2 lines, but frame 2 needs line 3"});
-    expect(good + good + "1 0.1 0 0 0 1 0 0 0 0 1 0\n", {"poses.txt line 3", "not a rotation"});
-    expect("1 0 0 x 0 1 0 0 0 0 1 0\n", {"poses.txt line 1: found a word that is not a number"});
+    expect(good + good + "1 0.1 0 0 0 1 0 0 0 0 1 0\n", {"poses.txt line 3", "rotation"});
+    expect("1 0 0 x 0 1 0 0 0 0 1 0\n", {"poses.txt line 1 ... number"});
 }
 
 TEST(KittiErrors, FrameRange) {
     const KittiDrive drive("frames");
     DatasetOptions options;
     options.frames = {10, 20};
-    expect_failure(drive, options, ExitCode::usage, {"frames 10:20", "expected numbers in [0, 2]"});
+    expect_failure(drive, options, ExitCode::usage, {"frames 10:20", "[0, 2]"});
     options.frames = {2, 2};
-    expect_failure(drive, options, ExitCode::usage, {"frames 2:2", "empty range"});
+    expect_failure(drive, options, ExitCode::usage, {"frames 2:2", "empty"});
 }
 
 TEST(KittiErrors, Tracklets) {
@@ -249,17 +244,17 @@ TEST(KittiErrors, Tracklets) {
         write_text(file, text.replace(text.find(from), from.size(), to));
         expect_data_error(drive, parts);
     };
-    expect("</tracklets>", "", {"tracklet_labels.xml: malformed XML at byte"});
-    expect("<h>2</h>", "<h>0</h>", {"tracklet_labels.xml: track 0", "expected three lengths above 0"});
-    expect("<l>4.4</l>", "<l>nan</l>", {"tracklet_labels.xml: track 0: l is 'nan'"});
+    expect("</tracklets>", "", {"tracklet_labels.xml ... malformed"});
+    expect("<h>2</h>", "<h>0</h>", {"tracklet_labels.xml: track 0", "lengths ... 0"});
+    expect("<l>4.4</l>", "<l>nan</l>", {"tracklet_labels.xml: track 0: l ... 'nan'"});
     expect("<tx>11</tx>", "<tx>inf</tx>", {"track 0 frame 2: tx is 'inf'"});
-    expect("<w>1.8</w>", "", {"track 0: w is ''"});
+    expect("<w>1.8</w>", "", {"track 0: w ... ''"});
     expect("<first_frame>1</first_frame>", "<first_frame>1e300</first_frame>",
            {"track 0: first_frame is '1e300'"});
     expect("<tx>11</tx>", "<tx>" + std::string(1 << 16, '1') + "</tx>",
            {"track 0 frame 2: tx is '11111", "...'"});
     write_text(file, "<html/>");
-    expect_data_error(drive, {"tracklet_labels.xml: the element boost_serialization/tracklets is missing"});
+    expect_data_error(drive, {"tracklet_labels.xml: the element boost_serialization/tracklets ... missing"});
 }
 
 TEST(Registry, KindsAreRecognisedAndNamed) {
@@ -270,7 +265,7 @@ TEST(Registry, KindsAreRecognisedAndNamed) {
         load_sequence("kiti_raw:" + drive.folder.string(), {});
         FAIL();
     } catch (const UsageError& error) {
-        EXPECT_THAT(error.what(), testing::HasSubstr("did you mean 'kitti_raw'?"));
+        EXPECT_THAT(error.what(), test::Names("'kitti_raw'"));
     }
 }
 

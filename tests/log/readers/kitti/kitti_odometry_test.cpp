@@ -16,6 +16,7 @@
 #include <relidar/base/error.hpp>
 
 #include "kitti_drive.hpp"
+#include "support/names.hpp"
 
 namespace relidar {
 namespace {
@@ -152,21 +153,18 @@ TEST(KittiOdometry, SaysWhichFileIsWrong) {
             load_sequence(odometry.folder.string(), {});
             ADD_FAILURE() << "no failure, expected " << part;
         } catch (const DataError& error) {
-            EXPECT_NE(std::string(error.what()).find(part), std::string::npos) << error.what();
+            EXPECT_THAT(error.what(), test::Names(part));
         }
         test::write_text(file, good);
     };
     expect(odometry.folder / "times.txt", "0\n0.1\n", "times.txt: found 2 lines, but frame 2 needs line 3");
-    expect(odometry.folder / "times.txt", "0\nx\n0.2\n", "times.txt line 2: found 'x', expected a time");
-    expect(odometry.folder / "times.txt", "0\n0.2\n0.1\n",
-           "pose 2: found the time 0.1 s after the time 0.2 s");
-    expect(odometry.folder / "calib.txt", "P0: 1\n", "calib.txt: the line 'Tr:' is missing");
+    expect(odometry.folder / "times.txt", "0\nx\n0.2\n", "times.txt line 2: found 'x' ... time");
+    expect(odometry.folder / "times.txt", "0\n0.2\n0.1\n", "pose 2 ... 0.1 s ... 0.2 s");
+    expect(odometry.folder / "calib.txt", "P0: 1\n", "calib.txt ... 'Tr:' ... missing");
     expect(odometry.folder / "calib.txt", "Tr: 1 0 0\n", "calib.txt key Tr: found 3 numbers, expected 12");
-    expect(odometry.folder / "calib.txt", "Tr: 2 0 0 0 0 1 0 0 0 0 1 0\n",
-           "calib.txt key Tr: the 3x3 block is not a rotation");
+    expect(odometry.folder / "calib.txt", "Tr: 2 0 0 0 0 1 0 0 0 0 1 0\n", "calib.txt ... Tr ... rotation");
     fs::remove(odometry.poses());
-    expect(odometry.folder / "times.txt", test::read_text(odometry.folder / "times.txt"),
-           "exists, expected the poses of the camera");
+    expect(odometry.folder / "times.txt", test::read_text(odometry.folder / "times.txt"), "exists ... poses");
 }
 
 }  // namespace

@@ -19,6 +19,7 @@
 
 #include <relidar/base/error.hpp>
 #include "log/readers/kitti/kitti_drive.hpp"
+#include "support/names.hpp"
 
 namespace relidar {
 namespace {
@@ -166,7 +167,7 @@ TEST(KittiRaw, PosesFileFrameRangeAndMissingScans) {
         load_sequence(drive.folder.string(), options);
         FAIL() << "a hole in the log, and a complete one was asked for";
     } catch (const DataError& error) {
-        EXPECT_THAT(error.what(), ::testing::HasSubstr("missing (1), expected all scans"));
+        EXPECT_THAT(error.what(), test::Names("missing (1)"));
     }
     options.allow_missing_scans = true;
     Sequence log = load_sequence(drive.folder.string(), options);
@@ -203,7 +204,7 @@ TEST(KittiRaw, LoadsADriveWithoutSomeOfItsScans) {
     EXPECT_EQ(log.frames[1].index, 2);
     EXPECT_NEAR(log.frames[1].time_s - log.frames[0].time_s, 0.2, 1e-9);
     EXPECT_NEAR(log.lidars[0].sensor.period_s, 0.1, 1e-9);
-    EXPECT_THAT(log.notes, testing::Contains("1 of the scans 0 to 2 are missing (1)"));
+    EXPECT_THAT(log.notes, testing::Contains(test::Names("1 ... 0 to 2 ... missing (1)")));
     // the pose must come from the OXTS file with the frame's number, not from the file at
     // the frame's index
     const double step = 0.5 * 6378137.0 * 1e-5 * kPi / 180;
@@ -245,7 +246,7 @@ TEST(KittiRaw, WithoutPosesAndTracklets) {
     DatasetOptions options;
     options.poses_file = kNoPoses;
     Sequence log = load_sequence(drive.folder.string(), options);
-    EXPECT_THAT(log.notes, testing::Contains(testing::HasSubstr("poses are not read")));
+    EXPECT_THAT(log.notes, testing::Contains(test::Names("poses ... read")));
     for (std::size_t i = 0; i < 3; ++i) {
         EXPECT_EQ(log.world_from_vehicle.pose[i].translation, glm::dvec3(0.0));
         EXPECT_EQ(log.world_from_vehicle.pose[i].rotation, glm::dquat(1, 0, 0, 0));
@@ -260,7 +261,7 @@ TEST(KittiRaw, WithoutPosesAndTracklets) {
                     0.0, 1e-9);
     std::filesystem::remove(drive.file("tracklet_labels.xml"));
     log = load_sequence(drive.folder.string(), options);
-    EXPECT_THAT(log.notes, testing::Contains(testing::HasSubstr("tracklet_labels.xml is missing")));
+    EXPECT_THAT(log.notes, testing::Contains(test::Names("tracklet_labels.xml ... missing")));
     EXPECT_TRUE(log.boxes.empty());
 }
 
@@ -299,8 +300,7 @@ TEST(KittiRaw, SeesAsFarAsItsFarthestReturn) {
     EXPECT_GE(limit_m, double(farthest_m) - offset_m);
     EXPECT_LE(limit_m, std::ceil(double(farthest_m) + offset_m));
     EXPECT_EQ(limit_m, std::floor(limit_m)) << "whole metres";
-    EXPECT_THAT(log.notes, testing::Contains(testing::HasSubstr(
-                               "the farthest return, because the limit of the sensor is unknown")));
+    EXPECT_THAT(log.notes, testing::Contains(test::Names("limit ... unknown")));
 }
 
 TEST(KittiRaw, RealDrive) {

@@ -11,6 +11,7 @@
 
 #include "log/clouds/stamped_folders.hpp"
 #include "log/readers/kitti/kitti_drive.hpp"
+#include "support/names.hpp"
 
 namespace relidar {
 namespace {
@@ -53,12 +54,9 @@ TEST(Mulran, EveryReturnIsWhereItWasMeasured) {
     EXPECT_EQ(sequence.name, "MulRan KAIST01");
     ASSERT_EQ(sequence.frames.size(), 3u);
     EXPECT_EQ(sequence.frames[0].index, 1);
-    EXPECT_THAT(
-        sequence.notes,
-        testing::Contains("1 of 4 scans are skipped (the first is frame 0, the last frame 0), because "
-                          "global_pose.csv has no poses near their times"));
-    EXPECT_THAT(sequence.notes, testing::Contains("a sensor with 64 beams and 1024 columns was fitted to "
-                                                  "the points"));
+    EXPECT_THAT(sequence.notes, testing::Contains(test::Names(
+                                    "1 of 4 scans ... skipped ... frame 0 ... frame 0 ... global_pose.csv")));
+    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("64 beams and 1024 columns ... fitted")));
     const Lidar& lidar = sequence.lidars[0];
     EXPECT_NEAR(lidar.sensor.period_s, 0.1, 1e-5);
     EXPECT_TRUE(lidar.sensor.clockwise);
@@ -88,10 +86,7 @@ TEST(Mulran, FramesAndOtherPoses) {
     ASSERT_EQ(one.frames.size(), 1u);
     EXPECT_NEAR(one.frames[0].time_s, 0.2, 1e-9) << "after the log's first scan";
     options.frames = {0, 1};
-    data.expect_error(
-        "global_pose.csv: found poses from 0.046 to 0.356 s, expected poses near the times "
-        "of frames 0 to 0",
-        options);
+    data.expect_error("global_pose.csv ... 0.046 to 0.356 s ... frames 0 to 0", options);
     options = {};
     options.poses_file = kNoPoses;
     EXPECT_EQ(load_sequence(data.folder.string(), options).frames.size(), 4u);
@@ -114,8 +109,7 @@ TEST(Mulran, PosesOfSomethingElseAreTold) {
     }
     test::write_text(data.poses(), lines);
     EXPECT_THAT(load_sequence(data.folder.string(), {}).notes,
-                testing::Contains(testing::HasSubstr(
-                    "the vehicle drives in the direction (-0.00, -1.00, 0.00) of its own frame")));
+                testing::Contains(test::Names("drives ... (-0.00, -1.00, 0.00)")));
 }
 
 TEST(Mulran, BrightPointsAreCut) {
@@ -125,9 +119,8 @@ TEST(Mulran, BrightPointsAreCut) {
     bytes.replace(12, 4, reinterpret_cast<const char*>(&bright), 4);
     test::write_text(data.scan(1), bytes);
     const Sequence sequence = load_sequence(data.folder.string(), {});
-    EXPECT_THAT(
-        sequence.notes,
-        testing::Contains("intensities go up to 6000; they are divided by 200, their 99.5th percentile"));
+    EXPECT_THAT(sequence.notes,
+                testing::Contains(test::Names("intensities ... 6000 ... 200 ... 99.5th percentile")));
 }
 
 TEST(Mulran, SaysWhichFileAndLineIsWrong) {
@@ -139,32 +132,27 @@ TEST(Mulran, SaysWhichFileAndLineIsWrong) {
         test::write_text(data.poses(), std::string(good).replace(at, good.find('\n', at) - at, text));
         data.expect_error(part);
     };
-    with(2, "1561000444446857630,1,0,0",
-         "global_pose.csv line 2: found 4 cells, expected a time and 12 "
-         "numbers");
-    with(2, "1561000444446857631,1,0,0,0,0,1,0,0,0,0,x,0",
-         "global_pose.csv line 2: cell 12 is 'x', expected a number");
-    with(3, "1561000444456857631,2,0,0,0,0,1,0,0,0,0,1,0",
-         "global_pose.csv line 3: the 3x3 block is not a rotation");
-    with(3, "5,1,0,0,0,0,1,0,0,0,0,1,0",
-         "global_pose.csv line 3: found the time 5 after 1561000444446857630");
-    with(3, "x,1,0,0,0,0,1,0,0,0,0,1,0", "global_pose.csv line 3: found 'x', expected a time");
+    with(2, "1561000444446857630,1,0,0", "global_pose.csv line 2: found 4 cells ... time ... 12 numbers");
+    with(2, "1561000444446857631,1,0,0,0,0,1,0,0,0,0,x,0", "global_pose.csv line 2: cell 12 is 'x'");
+    with(3, "1561000444456857631,2,0,0,0,0,1,0,0,0,0,1,0", "global_pose.csv line 3 ... rotation");
+    with(3, "5,1,0,0,0,0,1,0,0,0,0,1,0", "global_pose.csv line 3 ... time 5 ... 1561000444446857630");
+    with(3, "x,1,0,0,0,0,1,0,0,0,0,1,0", "global_pose.csv line 3: found 'x' ... time");
     test::write_text(data.poses(), good);
     const std::string bytes = test::read_text(data.scan(2)), first = test::read_text(data.scan(1));
     test::write_text(data.scan(1), std::string(first).erase(16 * 30000, 160) + first.substr(16 * 30000, 160));
-    data.expect_error("degrees, expected less than 1; the points must be sorted by column or by beam");
+    data.expect_error("degrees ... 1 ... sorted");
     test::write_text(data.scan(1), first);
     test::write_text(data.scan(2), bytes.substr(0, 1600));
     data.expect_error(fmt::format("{}.bin has 100 points, expected 64 x 1024", MulranFolder::stamp(2)));
     test::write_text(data.scan(2), bytes.substr(0, 1601));
-    data.expect_error("1601 bytes, expected a multiple of 16");
+    data.expect_error("1601 bytes ... multiple ... 16");
     DatasetOptions options;
     options.skip_broken = true;
     EXPECT_EQ(load_sequence(data.folder.string(), options).frames.size(), 2u);
     fs::remove(data.poses());
-    data.expect_error("global_pose.csv: no such file; expected poses");
+    data.expect_error("global_pose.csv: no such file");
     fs::remove_all(data.folder / "Ouster");
-    data.expect_error("neither Ouster/ nor sensor_data/Ouster/, expected the scans");
+    data.expect_error("neither Ouster/ nor sensor_data/Ouster/");
 }
 
 }  // namespace

@@ -11,6 +11,7 @@
 
 #include "log/clouds/stamped_folders.hpp"
 #include "log/readers/kitti/kitti_drive.hpp"
+#include "support/names.hpp"
 
 namespace relidar {
 namespace {
@@ -50,13 +51,9 @@ TEST(Once, EveryReturnIsOnTheYard) {
     const Sequence sequence = load_sequence(data.folder.string(), {});
     EXPECT_EQ(sequence.name, "ONCE 000076");
     ASSERT_EQ(sequence.frames.size(), std::size_t(OnceFolder::kScans));
-    EXPECT_THAT(
-        sequence.notes,
-        testing::Contains("1 boxes in 1 labelled frames are ignored, because they have no track ids"));
+    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("1 boxes in 1 labelled ... track")));
     EXPECT_THAT(sequence.notes,
-                testing::Contains(
-                    "a sensor with 40 beams and 900 columns was fitted to the points, which have no rings; "
-                    "each point is assigned to the nominal beam with the nearest elevation"));
+                testing::Contains(test::Names("40 beams and 900 columns ... fitted ... nearest")));
     EXPECT_TRUE(sequence.boxes.empty());
     const SpinningSensor& sensor = sequence.lidars[0].sensor;
     EXPECT_EQ(sensor.period_s, 0.1) << "a turn, not the time between scans";
@@ -72,8 +69,7 @@ TEST(Once, EveryReturnIsOnTheYard) {
 TEST(Once, QuaternionsWithWFirst) {
     const OnceFolder data("w-first", true);
     const Sequence sequence = load_sequence(data.folder.string(), {});
-    EXPECT_THAT(sequence.notes,
-                testing::Contains(testing::HasSubstr("quaternions of poses are read with w first")));
+    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("quaternions ... w")));
     expect_once_truth(data, sequence);
 }
 
@@ -92,7 +88,7 @@ TEST(Once, PointsOfAnotherLidar) {
     }
     const Sequence sequence = load_sequence(data.folder.string(), {});
     EXPECT_EQ(sequence.frames[0].scan.rays.rows, 1) << "rays without order";
-    EXPECT_THAT(sequence.notes, testing::Contains(testing::HasSubstr("therefore dropped rays")));
+    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("dropped")));
 }
 
 TEST(Once, FramesOtherPosesAndMissingScans) {
@@ -104,15 +100,15 @@ TEST(Once, FramesOtherPosesAndMissingScans) {
     EXPECT_EQ(some.frames[0].index, 1);
     EXPECT_NEAR(some.frames[0].time_s, 0.5, 1e-9);
     options.frames = {4, -1};
-    data.expect_error("no scan of ONCE frames, expected numbers in [0, 3]", options);
+    data.expect_error("ONCE ... [0, 3]", options);
     fs::remove(data.scan(1));
     const Sequence rest = load_sequence(data.folder.string(), {});
     ASSERT_EQ(rest.frames.size(), 3u);
     EXPECT_EQ(rest.frames[1].index, 2);
-    EXPECT_THAT(rest.notes, testing::Contains("1 frames have no scan and are skipped"));
+    EXPECT_THAT(rest.notes, testing::Contains(test::Names("1 frames ... skipped")));
     options = {};
     options.allow_missing_scans = false;
-    data.expect_error("frames.json: 1 frames have no scan in lidar_roof", options);
+    data.expect_error("frames.json: 1 frames ... lidar_roof", options);
     options = {};
     options.poses_file = kNoPoses;
     EXPECT_EQ(load_sequence(data.folder.string(), options).world_from_vehicle.pose[2].translation,
@@ -129,18 +125,16 @@ TEST(Once, SaysWhichFileAndFieldIsWrong) {
         test::write_text(data.json(), good);
     };
     const std::string second = "\"frame_id\": \"16165359667";
-    with(second, "\"frame_id\": \"x16165359667",
-         "errors.json: frames[1].frame_id: 'x1616535966700', expected a time");
+    with(second, "\"frame_id\": \"x16165359667", "errors.json: frames[1].frame_id ... 'x1616535966700'");
     with(second, "\"frame_id\": \"06165359667", "frames[1].frame_id: found 616535966700 after 1616535966200");
     with("\"pose\": [", "\"pose\": [0, ", "errors.json: frames[0].pose: found 8 numbers, expected 7");
     with("\"pose\": [", "\"pose\": [\"x\", ", "errors.json: frames[0].pose");
-    with("\"pose\": [0", "\"pose\": [2",
-         "errors.json: frames[0].pose: found a quaternion of length 2.236, expected 1");
+    with("\"pose\": [0", "\"pose\": [2", "errors.json: frames[0].pose ... quaternion ... 2.236, expected 1");
     with("\"pose\"", "\"posture\"", "errors.json: frames[0].pose");
     with("\"frames\"", "\"other\"", "errors.json: frames");
     with("]}]", "", "errors.json");
     test::write_text(data.scan(2), "cut");
-    data.expect_error("1616535967200.bin: found 3 bytes, expected a multiple of 16");
+    data.expect_error("1616535967200.bin: found 3 bytes ... multiple ... 16");
     fs::remove_all(data.folder / "lidar_roof");
     fs::create_directory(data.folder / "lidar_roof");
     data.expect_error("errors.json lists 4 frames");

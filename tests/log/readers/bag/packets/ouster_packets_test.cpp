@@ -23,14 +23,15 @@
 
 #include "base/bytes.hpp"
 #include "log/readers/bag/packets/ouster_packets.hpp"
+#include "support/names.hpp"
 
 namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
+using test::Names;
 using test::OusterImages;
 using testing::AllOf;
-using testing::HasSubstr;
 
 constexpr const char* kProfileNames[] = {test::kLegacy,  test::kSingle,      test::kDual,
                                          test::kLowRate, test::kLowRateDual, test::kFusa};
@@ -288,9 +289,8 @@ TEST(OusterPackets, RealScansAreThoseOfTheFolder) {
             const Loaded loaded(write_capture(*images));
             if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
             ASSERT_EQ(loaded.error, "");
-            EXPECT_THAT(loaded.notes(),
-                        HasSubstr(fmt::format("{} packets of a 128-beam Ouster, {}, profile {}",
-                                              64 * images->frames, product, profile)));
+            EXPECT_THAT(loaded.notes(), Names(fmt::format("{} packets ... 128-beam Ouster, {}, profile {}",
+                                                          64 * images->frames, product, profile)));
             expect_same_log(*images, loaded.log);
         }
 }
@@ -322,8 +322,7 @@ TEST(OusterPackets, ReflectivitiesOf16BitsCountAsThoseOfClouds) {
     const Loaded loaded(write_capture(images));
     if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
     ASSERT_EQ(loaded.error, "");
-    EXPECT_THAT(loaded.notes(),
-                AllOf(HasSubstr("reflectivities up to 2040"), HasSubstr("their 99.5th percentile")));
+    EXPECT_THAT(loaded.notes(), AllOf(Names("reflectivities ... 2040"), Names("99.5th percentile")));
     float most = 0.0f;
     for (const float intensity : loaded.log.frames[0].scan.intensity) most = std::max(most, intensity);
     EXPECT_EQ(most, 1.0f);
@@ -355,7 +354,7 @@ TEST(OusterPackets, ColumnsThatWereNotMeasuredWereNotFired) {
         for (const std::size_t column : {0, 20, 21, 127}) EXPECT_EQ(columns.rays[column], 0u) << column;
         EXPECT_EQ(columns.rays[19], 3u * images.rows);  // also has the rays of missing columns
         EXPECT_EQ(std::ranges::count(complete.rays, images.rows), std::ptrdiff_t(images.columns));
-        EXPECT_THAT(loaded.notes(), testing::Not(HasSubstr("missing")));
+        EXPECT_THAT(loaded.notes(), testing::Not(Names("missing")));
     }
 }
 
@@ -389,8 +388,7 @@ TEST(OusterPackets, RepeatedAndLatePacketsAreSorted) {
     const Loaded loaded(write_capture(images, datagrams));
     if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
     expect_same_log(images, loaded.log);
-    EXPECT_THAT(loaded.notes(),
-                AllOf(HasSubstr("1 packets were received twice"), HasSubstr("1 packets were received late")));
+    EXPECT_THAT(loaded.notes(), AllOf(Names("1 packets ... twice"), Names("1 packets ... late")));
 }
 
 TEST(OusterPackets, RaysOfMissingPacketsAreUnknown) {
@@ -401,7 +399,7 @@ TEST(OusterPackets, RaysOfMissingPacketsAreUnknown) {
     const Loaded loaded(write_capture(images, datagrams));
     if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
     ASSERT_EQ(loaded.log.frames.size(), 4u) << loaded.error;
-    EXPECT_THAT(loaded.notes(), HasSubstr("2 packets are missing, and their rays"));
+    EXPECT_THAT(loaded.notes(), Names("2 packets ... missing ... rays"));
     const Columns columns(loaded.log, 1);
     for (std::size_t column = 0; column < images.columns; ++column) {
         const bool is_missing = column / 16 == 2 || column / 16 == 7;
@@ -418,8 +416,7 @@ TEST(OusterPackets, ATurnWithoutMostOfItsPacketsIsLeftOut) {
     if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
     ASSERT_EQ(loaded.log.frames.size(), 3u) << loaded.error;
     EXPECT_NEAR(loaded.log.frames[1].time_s, 2 * 128 * 781250e-9, 1e-6);
-    EXPECT_THAT(loaded.notes(),
-                HasSubstr("1 turns are skipped, because at least a third of their packets is missing"));
+    EXPECT_THAT(loaded.notes(), Names("1 turns ... third ... missing"));
 }
 
 TEST(OusterPackets, AWindowOfColumnsIsTheWholeTurn) {
@@ -431,7 +428,7 @@ TEST(OusterPackets, AWindowOfColumnsIsTheWholeTurn) {
         const Loaded loaded(write_capture(images));
         if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
         ASSERT_EQ(loaded.log.frames.size(), 4u) << loaded.error;
-        EXPECT_THAT(loaded.notes(), testing::Not(HasSubstr("missing")));
+        EXPECT_THAT(loaded.notes(), testing::Not(Names("missing")));
         for (std::size_t f = 0; f < 4; ++f) {
             EXPECT_EQ(loaded.log.frames[f].scan.rays.columns, last - first + 1);
             const Columns columns(loaded.log, f);
@@ -479,19 +476,17 @@ TEST(OusterPackets, TwoSensorsHaveTheirOwnMetadata) {
         if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
         ASSERT_EQ(loaded.error, "");
         expect_same_log(*images, loaded.log);
-        EXPECT_THAT(loaded.notes(), testing::Not(HasSubstr("expected")));
+        EXPECT_THAT(loaded.notes(), testing::Not(Names("expected")));
     }
     // Both metadata files name the same port.
     write_bytes(folder / "rear.json", test::make_metadata(other, 7502));
     const Loaded ambiguous(folder / "drive.pcap");
-    EXPECT_THAT(ambiguous.error,
-                HasSubstr("packets of 3328 bytes on port 7502, expected exactly one metadata file"));
+    EXPECT_THAT(ambiguous.error, Names("3328 bytes on port 7502 ... metadata"));
     fs::remove(folder / "rear.json");
     // Packets of the second sensor must not be decoded with the metadata of the first
     // sensor.
     const Loaded half(folder / "drive.pcap");
-    EXPECT_THAT(half.notes(),
-                HasSubstr("packets of 3328 bytes on port 7504, expected exactly one metadata file"));
+    EXPECT_THAT(half.notes(), Names("3328 bytes on port 7504 ... metadata"));
     if (half.error.empty()) expect_same_log(one, half.log);
     EXPECT_EQ(half.error, "");
 }
@@ -509,37 +504,33 @@ TEST(OusterPackets, WhatIsWrongIsSaidInOneLine) {
     fs::remove(fs::path(bare).replace_extension(".json"));
     const Loaded alone(bare);
     if (alone.is_left_out()) GTEST_SKIP() << alone.error;
-    EXPECT_THAT(alone.error, HasSubstr("packets of 3328 bytes on port 7502, probably from an Ouster; "
-                                       "expected the metadata of the sensor in the file drive.json"));
+    EXPECT_THAT(alone.error, Names("3328 bytes on port 7502 ... Ouster ... metadata ... drive.json"));
     const std::string metadata = test::make_metadata(images, 7502);
     const auto changed = [&](const std::string& from, const std::string& to) {
         std::string text = metadata;
         return text.replace(text.find(from), from.size(), to);
     };
-    EXPECT_THAT(error_with(metadata.substr(0, metadata.size() / 2)),
-                HasSubstr("drive.json: not valid JSON, truncated or damaged"));
+    EXPECT_THAT(error_with(metadata.substr(0, metadata.size() / 2)), Names("drive.json ... truncated"));
     EXPECT_THAT(error_with(changed(test::kSingle, "RNG15_RFL8_NIR8_ZONE16")),
-                HasSubstr("the packet profile is RNG15_RFL8_NIR8_ZONE16, expected one of LEGACY, RNG19"));
-    EXPECT_THAT(error_with(changed(test::kSingle, test::kDual)),
-                HasSubstr("packets of 3328 bytes on port 7502, but the metadata describes packets of 4352 "
-                          "bytes (RNG19_RFL8_SIG16_NIR16_DUAL, 16 beams, 16 columns"));
+                Names("RNG15_RFL8_NIR8_ZONE16 ... LEGACY"));
+    EXPECT_THAT(
+        error_with(changed(test::kSingle, test::kDual)),
+        Names("3328 bytes on port 7502 ... 4352 bytes (RNG19_RFL8_SIG16_NIR16_DUAL, 16 beams, 16 columns"));
     EXPECT_THAT(error_with(changed("\"columns_per_frame\": 128", "\"columns_per_frame\": 1024")),
-                HasSubstr("columns_per_frame is 1024, expected 128"));
+                Names("columns_per_frame is 1024, expected 128"));
     EXPECT_THAT(error_with(changed("\"pixels_per_column\": 16", "\"pixels_per_column\": 64")),
-                HasSubstr("pixels_per_column is 64, expected 16"));
-    EXPECT_THAT(error_with(changed("[0, 127]", "[0, 128]")), HasSubstr("column_window"));
+                Names("pixels_per_column is 64, expected 16"));
+    EXPECT_THAT(error_with(changed("[0, 127]", "[0, 128]")), Names("column_window"));
     EXPECT_THAT(error_with(changed("\"columns_per_packet\": 16", "\"columns_per_packet\": 24")),
-                HasSubstr("expected a divisor of the"));
+                Names("divisor"));
     EXPECT_THAT(error_with(changed("\"lidar_mode\": \"128x10\"", "\"lidar_mode\": \"64x10\"")),
-                HasSubstr("columns_per_frame is 128"));
+                Names("columns_per_frame is 128"));
     auto datagrams = test::receive(test::make_packets(images));
     for (test::Datagram& datagram : datagrams) datagram.bytes[0] = 2;
-    EXPECT_THAT(Loaded(write_capture(images, datagrams)).error,
-                HasSubstr("a packet of type 2, expected 1 (LiDAR data of an Ouster)"));
+    EXPECT_THAT(Loaded(write_capture(images, datagrams)).error, Names("type 2, expected 1 ... LiDAR"));
     // column 1024 and above
     for (test::Datagram& datagram : datagrams) datagram.bytes[0] = 1, datagram.bytes[32 + 9] = 4;
-    EXPECT_THAT(Loaded(write_capture(images, datagrams)).error,
-                HasSubstr("expected a number below 128 (lidar_mode"));
+    EXPECT_THAT(Loaded(write_capture(images, datagrams)).error, Names("128 ... lidar_mode"));
 }
 
 }  // namespace
