@@ -24,8 +24,10 @@ TEST_F(Gpu, EveryDeviceIsDescribed) {
         EXPECT_FALSE(devices[i].name.empty());
         EXPECT_EQ(devices[i].ray_query,
                   devices[i].why_not_ray_query.empty() && devices[i].why_not_usable.empty());
-        if (devices[i].driver.starts_with("SwiftShader"))  // its compiler would terminate the process
+        // The compiler of SwiftShader would terminate the process.
+        if (devices[i].driver.starts_with("SwiftShader")) {
             EXPECT_FALSE(devices[i].software);
+        }
     }
 }
 

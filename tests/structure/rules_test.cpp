@@ -10,7 +10,6 @@
 namespace relidar::structure {
 namespace {
 
-using test::Names;
 using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::IsEmpty;
@@ -71,8 +70,8 @@ TEST(Rules, IncludeUpwardsIsFound) {
                    {"shaders/diff/b.glsl", ""},
                    {"src/other/c.cpp", "#include <relidar/log/sensor.hpp>\n"}});
     EXPECT_THAT(check_include_edges(tree),
-                ElementsAre(Names("scene.hpp: log ... scene"), Names("b.glsl: gpu ... diff"),
-                            Names("src/other/c.cpp ... rooms")));
+                ElementsAre(test::Names("scene.hpp: log ... scene"), test::Names("b.glsl: gpu ... diff"),
+                            test::Names("src/other/c.cpp ... rooms")));
 }
 
 TEST(Rules, IncludePastPublicHeadersIsFound) {
@@ -80,8 +79,8 @@ TEST(Rules, IncludePastPublicHeadersIsFound) {
                                        {"src/scene/sorted.hpp", ""},
                                        {"include/relidar/diff/a.hpp", "#include \"scene/sorted.hpp\"\n"}});
     EXPECT_THAT(check_include_edges(tree),
-                ElementsAre(Names("include/relidar/diff/a.hpp:1 ... public"),
-                            Names("src/diff/forward/a.cpp:1 ... <relidar/scene/...>")));
+                ElementsAre(test::Names("include/relidar/diff/a.hpp:1 ... public"),
+                            test::Names("src/diff/forward/a.cpp:1 ... <relidar/scene/...>")));
 }
 
 TEST(Rules, IncludeBetweenReadersIsFound) {
@@ -135,14 +134,14 @@ TEST(Rules, LongChainIsFound) {
     std::map<std::string, std::string> files;
     for (int i = 0; i < 9; ++i)
         files["src/gpu/f" + std::to_string(i) + ".hpp"] = "#include \"f" + std::to_string(i + 1) + ".hpp\"\n";
-    EXPECT_THAT(check_include_chains(make_tree(files)), ElementsAre(Names("chain ... 9")));
+    EXPECT_THAT(check_include_chains(make_tree(files)), ElementsAre(test::Names("chain ... 9")));
 }
 
 TEST(Rules, KernelWithoutCompanyIsFound) {
     EXPECT_EQ(check_kernels(make_tree({{"shaders/loss/bce.comp", ""}})).size(), 3u);
     const SourceTree bound_elsewhere =
         make_tree({{"shaders/loss/bce.comp", ""}, {"src/forward/a.cpp", "bce"}, {"tests/a.cpp", "bce"}});
-    EXPECT_THAT(check_kernels(bound_elsewhere), ElementsAre(Names("binding"), Names("row")));
+    EXPECT_THAT(check_kernels(bound_elsewhere), ElementsAre(test::Names("binding"), test::Names("row")));
     const SourceTree complete = make_tree({{"shaders/diff/loss/bce.comp", ""},
                                            {"shaders/README.md", "| diff/loss/bce | cross-entropy |"},
                                            {"src/diff/loss/loss.cpp", "run(bce)"},
@@ -155,7 +154,7 @@ TEST(Rules, TwoBarePointersOfOneKindAreFound) {
         make_tree({{"shaders/diff/shared/a.h",
                     "struct P {\n    Floats x;   // input\n    Uints n;\n    Floats y;\n};\n"
                     "struct Q {\n    Floats z;\n    RELIDAR_OF(Floats, Tangents) t;\n};\n"}});
-    EXPECT_THAT(check_bare_pointers(tree), ElementsAre(Names("a.h:4: P::y ... x")));
+    EXPECT_THAT(check_bare_pointers(tree), ElementsAre(test::Names("a.h:4: P::y ... x")));
 }
 
 TEST(Rules, QuestionForAPrimitiveIsFound) {
@@ -224,7 +223,7 @@ TEST(Rules, ReadmeCallingNothingIsFound) {
     const std::string block = "<!-- runnable -->\n```sh\ntools/demo\n```\n";
     EXPECT_THAT(check_readme(make_tree({{"README.md", block}})), ElementsAre(HasSubstr("README.md:3")));
     EXPECT_THAT(check_readme(make_tree({{"README.md", block}, {"tools/demo", ""}})), IsEmpty());
-    EXPECT_THAT(check_readme(make_tree({{"README.md", "text"}})), ElementsAre(Names("block")));
+    EXPECT_THAT(check_readme(make_tree({{"README.md", "text"}})), ElementsAre(test::Names("block")));
     EXPECT_THAT(check_readme({}), ElementsAre(HasSubstr("missing")));
 }
 
@@ -265,27 +264,27 @@ TEST(Documents, EachProgramHasItsOwnCommandsAndOptions) {
     EXPECT_THAT(
         check_document(
             "`relidar bench`, `relidar-dev train`, `relidar train --slow`, `relidar-dev bench --like`\n"),
-        ElementsAre(Names("command relidar bench"), Names("command relidar-dev train"),
+        ElementsAre(test::Names("command relidar bench"), test::Names("command relidar-dev train"),
                     HasSubstr("option --slow"), HasSubstr("option --like")));
 }
 
 TEST(Documents, NamesThatDoNotExistAreFound) {
     EXPECT_THAT(check_document("\n[b](c.md) [b](b.md#three)\n"),
-                ElementsAre(Names("docs/a.md:2 ... docs/c.md"), Names("heading ... b.md#three")));
+                ElementsAre(test::Names("docs/a.md:2 ... docs/c.md"), test::Names("heading ... b.md#three")));
     EXPECT_THAT(check_document("see formats.md, `src/conf`, `config.hpp`\n").size(), 3u);
     EXPECT_THAT(check_document("`loss/mse` and `shaders/*/mse.comp`\n"),
-                ElementsAre(Names("kernel loss/mse"), Names("file shaders/*/mse.comp")));
+                ElementsAre(test::Names("kernel loss/mse"), test::Names("file shaders/*/mse.comp")));
     EXPECT_THAT(check_document("`train.steps`, `loss.ssim`, `loss.x=0`\n").size(), 3u);
-    EXPECT_THAT(
-        check_document("```sh\nx && relidar run\nrelidar train --in LOG \\\n--outs run\n```\n"),
-        ElementsAre(Names("a.md:2 ... command relidar run"), Names("a.md:3 ... --in"), HasSubstr("--outs")));
+    EXPECT_THAT(check_document("```sh\nx && relidar run\nrelidar train --in LOG \\\n--outs run\n```\n"),
+                ElementsAre(test::Names("a.md:2 ... command relidar run"), test::Names("a.md:3 ... --in"),
+                            HasSubstr("--outs")));
     EXPECT_THAT(check_document(
                     "`train --outs`, `--in`, `tools/bench/card.sh --slow`, `relidar_bench_x`, `RELIDAR_Y`\n")
                     .size(),
                 5u);
     EXPECT_THAT(
         check_documents(make_tree({{"a.md", ""}, {"src/a.cpp", "int a;\n/// as b.md and a.md say\n"}})),
-        ElementsAre(Names("src/a.cpp:2 ... b.md"), Names("settings ... commands")));
+        ElementsAre(test::Names("src/a.cpp:2 ... b.md"), test::Names("settings ... commands")));
 }
 
 TEST(Umbrella, IncludesNoTrainerHeaderThroughOthers) {
@@ -297,7 +296,7 @@ TEST(Umbrella, IncludesNoTrainerHeaderThroughOthers) {
                    {"include/relidar/diff/loss_terms.h", ""},
                    {"include/relidar/gpu/stream.hpp", ""}});
     EXPECT_THAT(check_umbrella(tree),
-                ElementsAre(Names("loss_options.hpp:2 ... include/relidar/gpu/stream.hpp")));
+                ElementsAre(test::Names("loss_options.hpp:2 ... include/relidar/gpu/stream.hpp")));
 }
 
 TEST(InstalledNames, OfSourcesAreFound) {
@@ -307,7 +306,7 @@ TEST(InstalledNames, OfSourcesAreFound) {
          {"src/a.cpp", ""},
          {"docs/method.md", ""}});
     EXPECT_THAT(check_installed_names(tree),
-                ElementsAre(Names("a.hpp:2 ... src/a.cpp"), Names("a.hpp:3 ... docs/gone.md")));
+                ElementsAre(test::Names("a.hpp:2 ... src/a.cpp"), test::Names("a.hpp:3 ... docs/gone.md")));
 }
 
 }  // namespace

@@ -76,7 +76,7 @@ LatencyResult measure_latency(const LatencyOptions& options) {
     const v1::GetTracksResponse tracks = first.get_tracks(which);
     // The first call is not measured. It takes longer than later calls, because it
     // computes the rays of the sensor and allocates memory.
-    call(first, make_sweep_request(options, result.scene, tracks, 0));
+    time_render_call(first, make_sweep_request(options, result.scene, tracks, 0));
 
     std::vector<Sample> samples;
     std::exception_ptr failure;

@@ -59,7 +59,7 @@ public:
         if (!input_.weather.clear()) {
             const bool is_blind = !input_.blind.empty() && input_.blind[index] != 0;
             ray.free_m = is_blind ? 0.0 : free_m(ray);
-            seen = air_.look(ray, seed);
+            seen = air_.compute_echoes(ray, seed);
             write_echo(index, ray.strongest, seen.strongest);
             if (has_second) write_echo(scan_.second_returns[0], index, seen.second);
         }

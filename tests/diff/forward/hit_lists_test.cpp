@@ -278,10 +278,11 @@ TEST_F(Lists, Grow) {
         lists.run(placed.stream, placed.batch(), params);
         run(placed.stream, trace, count_trace_threads(placed.batch()), params);
         placed.stream.finish();
-        EXPECT_EQ(count_differences(rendered.download(), expected), 0u) << "room " << lists.room();
+        EXPECT_EQ(count_differences(rendered.download(), expected), 0u)
+            << "room " << lists.get_list_capacity();
     }
-    EXPECT_GE(lists.room(), std::min(most, compute_max_list_capacity(device())));
-    EXPECT_LT(lists.room(), 4 * most);
+    EXPECT_GE(lists.get_list_capacity(), std::min(most, compute_max_list_capacity(device())));
+    EXPECT_LT(lists.get_list_capacity(), 4 * most);
 }
 
 TEST_F(Lists, RoomThatCannotBeIsRefused) {

@@ -189,10 +189,9 @@ TEST_P(ConvVariants, Agree) {
         const auto weights = test::to_device<shared::ConvWeights>(device(), layer.weights);
         const auto bias = test::to_device<shared::ConvBias>(device(), layer.bias);
         const std::uint32_t segments =
-            c.grid.n * c.grid.rows * count_groups_of(c.grid.columns, lanes * GetParam().pixels);
+            c.grid.n * c.grid.rows * tiles(c.grid.columns, lanes * GetParam().pixels);
         run(stream, kernel,
-            std::size_t(count_groups_of(segments, 64 / lanes)) *
-                count_groups_of(std::uint32_t(c.n_out), RELIDAR_CONV_OUT) * 64,
+            std::size_t(tiles(segments, 64 / lanes)) * tiles(std::uint32_t(c.n_out), RELIDAR_CONV_OUT) * 64,
             {.from = from.slice().view,
              .to = to.slice().view,
              .weights = weights.address(),

@@ -164,7 +164,7 @@ TEST(Weather, AWallIsDarkerByTheFormula) {
         const Air air = make_air_of(weather, make_sensor_to(80.0));
         int n = 0;
         for (std::uint64_t seed = 0; seed < 200; ++seed) {
-            const Echo seen = air.look(make_ray_to(wall(12.0, 0.8), 12.0), seed).strongest;
+            const Echo seen = air.compute_echoes(make_ray_to(wall(12.0, 0.8), 12.0), seed).strongest;
             if (seen.source != PointSource::surface) continue;
             ++n;
             EXPECT_EQ(seen.range_m, 12.0);
@@ -185,9 +185,11 @@ TEST(Weather, ATenthVanishesWhereItsPowerDoes) {
         const double alpha = std::log(20.0) / visibility_m,
                      end_m = evaluate_lambert_w(alpha * std::sqrt(0.1 / weakest(sensor))) / alpha;
         for (std::uint64_t seed = 0; seed < 100; ++seed) {
-            EXPECT_TRUE(shows_surface(air.look(make_ray_to(wall(0.999 * end_m, 0.1), 0.999 * end_m), seed)))
+            EXPECT_TRUE(
+                shows_surface(air.compute_echoes(make_ray_to(wall(0.999 * end_m, 0.1), 0.999 * end_m), seed)))
                 << visibility_m;
-            EXPECT_FALSE(shows_surface(air.look(make_ray_to(wall(1.001 * end_m, 0.1), 1.001 * end_m), seed)))
+            EXPECT_FALSE(
+                shows_surface(air.compute_echoes(make_ray_to(wall(1.001 * end_m, 0.1), 1.001 * end_m), seed)))
                 << visibility_m;
         }
     }
@@ -286,7 +288,7 @@ void FreeAir::expect_as(const Air& air, PointSource source) const {
     for (std::size_t i = 1; i < levels_.size(); ++i)
         stronger.push_back(none_stronger_[i] - none_stronger_[i - 1]);
     for (std::uint64_t seed = 0; seed < kRays; ++seed) {
-        const Echo echo = air.look(make_ray_to({}, sensor_.max_range_m), seed).strongest;
+        const Echo echo = air.compute_echoes(make_ray_to({}, sensor_.max_range_m), seed).strongest;
         if (echo.source == PointSource::nothing) {
             ranges.back() += 1.0, powers.front() += 1.0;
             continue;
@@ -396,7 +398,7 @@ double count_false_returns(const Weather& weather) {
     const Air air = make_air_of(weather, make_sensor_with_time_control());
     int n = 0;
     for (std::uint64_t seed = 0; seed < kRays; ++seed)
-        n += air.look(make_ray_to({}, 80.0), seed).strongest.source != PointSource::nothing;
+        n += air.compute_echoes(make_ray_to({}, 80.0), seed).strongest.source != PointSource::nothing;
     return double(n) / kRays;
 }
 
@@ -431,7 +433,7 @@ TEST(ThinWeather, MoreOfItLeavesFewerSurfaces) {
             const double range_m = 2.0 + 78.0 * double(seed) / 20'000.0,
                          reflectivity = 0.01 * double(seed % 40);
             const PointSource source =
-                air.look(make_ray_to(wall(range_m, reflectivity), range_m), seed).strongest.source;
+                air.compute_echoes(make_ray_to(wall(range_m, reflectivity), range_m), seed).strongest.source;
             surfaces_and_others.first += source == PointSource::surface;
             surfaces_and_others.second += source != PointSource::surface && source != PointSource::nothing;
         }
@@ -465,7 +467,8 @@ TEST(ThinWeather, HidesAsManyDarkSurfacesAsTheClosedForm) {
             const Air air = make_air_of(weather, make_sensor_with_time_control());
             int n_hidden = 0;
             for (std::uint64_t seed = 0; seed < kRays; ++seed)
-                n_hidden += !shows_surface(air.look(make_ray_to(wall(range_m, 0.0), range_m), seed));
+                n_hidden +=
+                    !shows_surface(air.compute_echoes(make_ray_to(wall(range_m, 0.0), range_m), seed));
             EXPECT_NEAR(double(n_hidden) / kRays, expected, 4.0 * std::sqrt(expected / kRays))
                 << rain_mm_h << ' ' << range_m;
         }
@@ -476,8 +479,8 @@ TEST(Weather, TwoReturnsAreThePeakAndTheLast) {
     const Air air = make_air_of({.fog_visibility_m = 60.0}, sensor);
     int behind = 0, alone = 0;
     for (std::uint64_t seed = 0; seed < 500; ++seed) {
-        const RayEchoes far = air.look(make_ray_to(wall(20.0, 0.3), 20.0), seed),
-                        near = air.look(make_ray_to(wall(1.2, 0.9), 1.6, wall(1.6, 0.9)), seed);
+        const RayEchoes far = air.compute_echoes(make_ray_to(wall(20.0, 0.3), 20.0), seed),
+                        near = air.compute_echoes(make_ray_to(wall(1.2, 0.9), 1.6, wall(1.6, 0.9)), seed);
         if (far.strongest.source == PointSource::fog) {
             EXPECT_EQ(far.second.source, PointSource::surface);
             ++behind;
@@ -496,9 +499,9 @@ TEST(Weather, TheSameSeedIsTheSameWeather) {
     const Air air = make_air_of({.fog_visibility_m = 100.0, .snow_mm_h = 1.0}, make_sensor_to(80.0));
     int others = 0;
     for (std::uint64_t seed = 0; seed < 100; ++seed) {
-        const Echo a = air.look(make_ray_to({}, 80.0), seed).strongest,
-                   b = air.look(make_ray_to({}, 80.0), seed).strongest;
-        const Echo c = air.look(make_ray_to({}, 80.0), seed + 1).strongest;
+        const Echo a = air.compute_echoes(make_ray_to({}, 80.0), seed).strongest,
+                   b = air.compute_echoes(make_ray_to({}, 80.0), seed).strongest;
+        const Echo c = air.compute_echoes(make_ray_to({}, 80.0), seed + 1).strongest;
         EXPECT_EQ(a.range_m, b.range_m);
         EXPECT_EQ(a.reflectivity, b.reflectivity);
         others += a.range_m != c.range_m;

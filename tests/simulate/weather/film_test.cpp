@@ -68,14 +68,14 @@ TEST(WetGround, IsDarkerByTheSumOfItsBounces) {
 TEST(WetGround, WhatIsTooDarkLeavesToWhatItMirrors) {
     const Echo ground = make_ground_at(40.0, 0.1), mirrored{60.0, 0.5, PointSource::mirror};
     // the power is 0.001 at 40 m, which is less than the weakest detectable power 0.00125
-    const RayEchoes seen =
-        make_air_with(make_sensor_to_80_m(), mirrored, 0.5, 0.01).look(make_ray_to(ground, 40.0), 1);
+    const RayEchoes seen = make_air_with(make_sensor_to_80_m(), mirrored, 0.5, 0.01)
+                               .compute_echoes(make_ray_to(ground, 40.0), 1);
     EXPECT_EQ(seen.strongest.source, PointSource::mirror);
     EXPECT_EQ(seen.strongest.range_m, 60.0);
     EXPECT_EQ(seen.strongest.reflectivity, 0.25);
     EXPECT_EQ(seen.second.source, PointSource::nothing);
     const RayEchoes both =
-        make_air_with(make_sensor_to_80_m(), mirrored, 0.5, 0.9).look(make_ray_to(ground, 40.0), 1);
+        make_air_with(make_sensor_to_80_m(), mirrored, 0.5, 0.9).compute_echoes(make_ray_to(ground, 40.0), 1);
     EXPECT_EQ(both.strongest.source, PointSource::mirror) << "0.25 / 60^2 is more than 0.09 / 40^2";
     EXPECT_EQ(both.second.source, PointSource::surface);
     EXPECT_EQ(both.second.reflectivity, 0.1 * 0.9);
@@ -83,7 +83,7 @@ TEST(WetGround, WhatIsTooDarkLeavesToWhatItMirrors) {
 
 TEST(WetGround, MirrorsNothingBeyondTheSensorsRange) {
     const Air air = make_air_with(make_sensor_to_80_m(), {84.5, 0.5, PointSource::mirror});
-    const RayEchoes seen = air.look(make_ray_to(make_ground_at(40.0, 0.1), 40.0), 1);
+    const RayEchoes seen = air.compute_echoes(make_ray_to(make_ground_at(40.0, 0.1), 40.0), 1);
     EXPECT_EQ(seen.strongest.source, PointSource::surface);
     EXPECT_EQ(seen.second.source, PointSource::nothing);
 }

@@ -83,18 +83,18 @@ TEST(Sunlight, IsFalseReturnsAsOftenAsRiceSays) {
     const WeatherSensor sensor = make_sensor_to_60_m();
     const double seconds = 2.0 * (60.0 - 1.0) / kLight_m_s;
     for (const double off_deg : {0.35, 0.4, 0.5}) {
-        const double level =
-            sensor.weakest() / compute_sun_noise({0.0, 0.0, 100.0}, sensor, off_deg * kDegree, 0.0, true);
+        const double level = sensor.compute_min_power() /
+                             compute_sun_noise({0.0, 0.0, 100.0}, sensor, off_deg * kDegree, 0.0, true);
         const double n = seconds / (2.0 * std::sqrt(3.0) * sensor.pulse_s) * std::exp(-0.5 * level * level);
         const Air air = make_air_beside_sun(off_deg, 100.0, sensor);
         std::vector<double> counts(21), expected(21, kPulses * (1.0 - std::exp(-n)) / 20.0);
         expected.back() = kPulses * std::exp(-n);
         for (std::uint64_t seed = 0; seed < kPulses; ++seed) {
-            const Echo echo = air.look(make_ray_to({}, 60.0), seed).strongest;
+            const Echo echo = air.compute_echoes(make_ray_to({}, 60.0), seed).strongest;
             if (echo.source == PointSource::nothing) ++counts.back();
             else {
                 ASSERT_EQ(echo.source, PointSource::noise);
-                ASSERT_GE(echo.reflectivity / (echo.range_m * echo.range_m), sensor.weakest());
+                ASSERT_GE(echo.reflectivity / (echo.range_m * echo.range_m), sensor.compute_min_power());
                 ++counts.at(std::size_t((echo.range_m - 1.0) / 59.0 * 20.0));  // uniform over the range
             }
         }
@@ -122,7 +122,7 @@ TEST(Sunlight, HidesWeakTargets) {
             const double lost = 1.0 - std::exp(-crests * std::exp(-0.5 * power * power / (sigma * sigma)));
             double n = 0.0;
             for (std::uint64_t seed = 0; seed < kPulses; ++seed)
-                n += air.look(make_ray_to(make_surface_at(range_m, reflectivity), range_m), seed)
+                n += air.compute_echoes(make_ray_to(make_surface_at(range_m, reflectivity), range_m), seed)
                          .strongest.source == PointSource::noise;
             EXPECT_NEAR(n / kPulses, lost, 4.0 * std::sqrt(lost * (1.0 - lost) / kPulses)) << range_m;
             EXPECT_TRUE(range_m != half_m || std::abs(lost - 0.5) < 1e-9);
@@ -134,16 +134,16 @@ TEST(Sunlight, ElsewhereChangesNothing) {
     const WeatherSensor sensor = make_sensor_to_60_m();
     const Air blind = make_air_beside_sun(0.0, 150.0, sensor);
     for (std::uint64_t seed = 0; seed < 1000; ++seed)
-        ASSERT_EQ(blind.look(make_ray_to({}, 0.0), seed).strongest.source, PointSource::nothing)
+        ASSERT_EQ(blind.compute_echoes(make_ray_to({}, 0.0), seed).strongest.source, PointSource::nothing)
             << "what is at the sensor hides it";
     const Echo before = make_surface_at(20.0, 0.3);
     for (const auto& [off_deg, hides_sun] : {std::pair(8.0, 0.0f), {90.0, 0.0f}, {0.0, 1.0f}}) {
         const Air air = make_air_beside_sun(off_deg, 150.0, sensor, hides_sun);
         for (std::uint64_t seed = 0; seed < 1000; ++seed) {
-            const RayEchoes seen = air.look(make_ray_to(before, 20.0), seed);
+            const RayEchoes seen = air.compute_echoes(make_ray_to(before, 20.0), seed);
             ASSERT_EQ(seen.strongest.source, PointSource::surface);
             ASSERT_EQ(seen.strongest.reflectivity, before.reflectivity);
-            ASSERT_EQ(air.look(make_ray_to({}, 60.0), seed).strongest.source, PointSource::nothing);
+            ASSERT_EQ(air.compute_echoes(make_ray_to({}, 60.0), seed).strongest.source, PointSource::nothing);
         }
     }
 }
@@ -153,16 +153,16 @@ TEST(StrayLight, WinsOverWhatIsWeaker) {
     const WeatherSensor sensor = make_sensor_to_60_m();
     Echo stray{4.0, 0.002, PointSource::blooming};
     const Air air = make_air_with(sensor, stray);
-    const RayEchoes lost = air.look(make_ray_to(make_surface_at(20.0, 0.049), 20.0), 1);
+    const RayEchoes lost = air.compute_echoes(make_ray_to(make_surface_at(20.0, 0.049), 20.0), 1);
     EXPECT_EQ(lost.strongest.source, PointSource::blooming);
     EXPECT_EQ(lost.strongest.range_m, 4.0);
     EXPECT_EQ(lost.strongest.reflectivity, 0.002);
     EXPECT_EQ(lost.second.source, PointSource::surface);
-    EXPECT_EQ(air.look(make_ray_to(make_surface_at(20.0, 0.051), 20.0), 1).strongest.source,
+    EXPECT_EQ(air.compute_echoes(make_ray_to(make_surface_at(20.0, 0.051), 20.0), 1).strongest.source,
               PointSource::surface);
-    EXPECT_EQ(air.look(make_ray_to({}, 60.0), 1).strongest.source, PointSource::blooming);
+    EXPECT_EQ(air.compute_echoes(make_ray_to({}, 60.0), 1).strongest.source, PointSource::blooming);
     stray.reflectivity = 0.9 * 0.005 * 16.0 / 3600.0;
-    EXPECT_EQ(make_air_with(sensor, stray).look(make_ray_to({}, 60.0), 1).strongest.source,
+    EXPECT_EQ(make_air_with(sensor, stray).compute_echoes(make_ray_to({}, 60.0), 1).strongest.source,
               PointSource::nothing)
         << "too weak to be a return; a dark surface counts as darkest";
 }

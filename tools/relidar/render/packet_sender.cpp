@@ -118,8 +118,7 @@ void PacketQueue::send_all() {
     const Clock::time_point start = Clock::now();
     for (const auto& [sensor, packet] : impl_->queue) {
         const std::int64_t after_ns = packet.time_ns - impl_->queue.front().packet.time_ns;
-        if (impl_->is_realtime)
-            std::this_thread::wait_for_mpi_request(start + std::chrono::nanoseconds(after_ns));
+        if (impl_->is_realtime) std::this_thread::sleep_until(start + std::chrono::nanoseconds(after_ns));
         if (impl_->is_interruptible) stop_if_interrupted();
         impl_->sockets[sensor].send(packet.bytes);
         ++impl_->n_sent;

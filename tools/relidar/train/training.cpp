@@ -159,7 +159,7 @@ TrainingEnd refine_with_progress(Device& device, Run& run, bool quiet, RefineSes
             fmt::format(
                 "ray-drop network, epoch {}/{}  step {}/{}  {:.2f} it/s  eta {}  entropy {}  accuracy {:.4f}",
                 p.epoch, p.n_epochs, p.step, p.n_steps, p.step / p.seconds, format_duration(eta_s),
-                number(p.entropy), p.accuracy),
+                format_short_number(p.entropy), p.accuracy),
             p.step == p.n_steps);
     };
     DropNetwork network = refine_drops(device, run, session);
@@ -174,11 +174,11 @@ std::string format_progress(const TrainProgress& progress) {
     for (std::size_t k = 0; k < progress.terms.size(); ++k) {
         if (progress.terms[k] != 0.0)
             terms += fmt::format("{}{} {}", terms.empty() ? "" : " ", kLossTermNames[k],
-                                 number(progress.terms[k]));
+                                 format_short_number(progress.terms[k]));
     }
     return fmt::format("iteration {}/{}  {:.2f} it/s  eta {}  loss {} ({})", progress.iteration,
                        progress.n_iterations, progress.iterations_per_second, format_duration(progress.eta_s),
-                       number(progress.loss), terms);
+                       format_short_number(progress.loss), terms);
 }
 
 std::string format_stages(const StageTimes& times) {
