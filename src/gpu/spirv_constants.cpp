@@ -140,9 +140,9 @@ public:
         });
     }
 
-    /// Returns true if the branch from block `source_block` to block `successor` can be removed.
-    /// Blocks behind it become unreachable. They must not be predecessors in a phi
-    /// instruction, and must not end or continue an enclosing loop.
+    /// Returns true if the branch from block `source_block` to block `successor` can be
+    /// removed. Blocks behind it become unreachable. They must not be predecessors in a
+    /// phi instruction, and must not end or continue an enclosing loop.
     /// @param merge block in which both paths of the branch join
     bool can_remove_branch(std::uint32_t source_block, std::uint32_t successor, std::uint32_t merge) const {
         if (successor == merge) return !with_phi_.contains(merge);

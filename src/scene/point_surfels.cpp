@@ -92,7 +92,8 @@ glm::dvec3 is_direction_within(const glm::dvec3& normal, double angle) {
     return std::cos(angle) * x + std::sin(angle) * glm::cross(normal, x);
 }
 
-/// Returns the rotation (w, x, y, z) whose first and third columns are `x_axis` and `normal`.
+/// Returns the rotation (w, x, y, z) whose first and third columns are `x_axis` and
+/// `normal`.
 glm::vec4 make_normal_rotation(const glm::dvec3& x_axis, const glm::dvec3& normal) {
     const glm::dquat q = glm::quat_cast(glm::dmat3(x_axis, glm::cross(normal, x_axis), normal));
     return {float(q.w), float(q.x), float(q.y), float(q.z)};

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trains a scene from a log. Initialises or resumes the training, runs the iterations,
-// prints progress, and saves checkpoints. The iteration itself is in train_loop.cpp.
+// Trains a scene from a log: starts or resumes, runs the iterations of train_loop.cpp,
+// prints progress, and saves checkpoints.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>
@@ -25,9 +25,8 @@ double measure_seconds_since(Clock::time_point start) {
     return std::chrono::duration<double>(Clock::now() - start).count();
 }
 
-/// Returns the options for the initial scene. A model with a single drop logit starts
-/// with the difference of the usual two logits, which gives the same ray-drop probability
-/// (docs/method.md M6).
+/// Returns the options for the initial scene. A single drop logit starts with the
+/// difference of the usual two logits, for the same ray-drop probability (M6).
 InitialiseOptions make_initialise_options(const Config& config) {
     InitialiseOptions options = config.init;
     options.seed = config.train.seed;

@@ -40,8 +40,8 @@ inline std::string find_missing_part(std::string_view message, std::string_view 
 }
 
 /// Matches a message that contains, in this order, the parts that " ... " separates:
-/// Names("a.csv ... line 3 ... 40 m ... 30 m"). A part does not begin or end within a word
-/// or number of the message, but more decimals may follow: 1.1 matches 1.1000000237.
+/// Names("a.csv ... line 3 ... 40 m ... 30 m"). A part does not begin or end within a
+/// word or number of the message, but more decimals may follow: 1.1 matches 1.1000000237.
 MATCHER_P(Names, parts, "contains \"" + std::string(parts) + "\"") {
     const std::string missing = find_missing_part(arg, parts);
     *result_listener << (missing.empty() ? "which has all parts" : "where \"" + missing + "\" is missing");

@@ -12,8 +12,8 @@
 namespace relidar::python {
 
 /// Sets one setting. The value is a str, bool, int, float or path.
-/// @throws UsageError if the type of the value is wrong, or if set_config_value() rejects the key
-/// or the value
+/// @throws UsageError if the type of the value is wrong, or if set_config_value() rejects
+/// the key or the value
 void set_value(Config& config, const std::string& key, const pybind11::handle& value);
 /// Shows a note of the C++ library as a Python warning.
 void warn(const std::string& text);

@@ -265,9 +265,9 @@ RenderedScan Scanner::render(const Traffic& traffic, const LiveScanRequest& wish
     return renderer.render(sensor, request);
 }
 
-/// Returns the time of the last launch of each kernel that has run since the previous call,
-/// in milliseconds. A kernel has run if its list of times has grown. A full list cannot
-/// grow, so its kernel is always included.
+/// Returns the time of the last launch of each kernel that has run since the previous
+/// call, in milliseconds. A kernel has run if its list of times has grown. A full list
+/// cannot grow, so its kernel is always included.
 Json Scanner::kernel_times() {
     constexpr std::size_t kFull = 4096;
     Json times = Json::array();

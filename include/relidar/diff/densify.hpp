@@ -83,8 +83,8 @@ public:
     ///
     /// Insufficient memory is not an error. In that case, no more surfels are added, and
     /// the report contains one note about it.
-    /// @param other_allocation_bytes bytes per surfel that other objects will allocate again for
-    /// the new number of surfels. Densification leaves this memory free.
+    /// @param other_allocation_bytes bytes per surfel that other objects will allocate
+    /// again for the new number of surfels. Densification leaves this memory free.
     DensifyReport run(Stream& stream, DeviceScene& scene, Adam& adam, int step,
                       double other_allocation_bytes = 0.0);
     /// Records GPU commands that reset the opacities of all surfels, if a reset is

@@ -111,8 +111,8 @@ struct ChannelNumber {
     std::string name;
     bool is_integer;
 };
-/// Returns the columns that the channels occupy in a file. append_channel_values() writes the
-/// numbers in the same order.
+/// Returns the columns that the channels occupy in a file. append_channel_values() writes
+/// the numbers in the same order.
 /// @param joint  text between the name of a vector channel and its axis, for example "_"
 /// in "normal_x"
 std::vector<ChannelNumber> list_channel_numbers(const std::vector<ScanChannel>& channels,

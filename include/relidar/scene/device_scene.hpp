@@ -253,8 +253,8 @@ struct ActivationGradients {
     Array<float, shared::ViewGradients>* d_view = nullptr;
     bool zero_untouched = true;  ///< If true, activate_vjp() writes zeros for surfels without a gradient.
     /// If true, `touched` is also an input: 0 marks surfels that cannot have a gradient.
-    /// They are skipped if can_skip_untouched_surfels() is true and zero_untouched is false. The
-    /// entries of d_view for skipped surfels are not written.
+    /// They are skipped if can_skip_untouched_surfels() is true and zero_untouched is
+    /// false. The entries of d_view for skipped surfels are not written.
     bool touched_is_marked = false;
 };
 

@@ -68,7 +68,8 @@ std::uint32_t count_top_nodes(std::uint32_t count) {
 
 }  // namespace
 
-/// Selects the models of all surfels in compute_node_boxes(), and also models without surfels.
+/// Selects the models of all surfels in compute_node_boxes(), and also models without
+/// surfels.
 constexpr std::uint32_t kAllModels = std::numeric_limits<std::uint32_t>::max();
 
 /// Positions of the arrays in scratch memory, in words per surfel. The last build step

@@ -62,8 +62,8 @@ public:
     std::uint64_t memory_bytes() const;
     /// Submits a kernel that computes the traversal cost of all trees (surface area
     /// heuristic, m^2). read_cost() waits for the cost and returns it, or nothing if
-    /// record_cost_measurement() was not called before. A rebuild is useful if the cost is much
-    /// higher than after the last build.
+    /// record_cost_measurement() was not called before. A rebuild is useful if the cost
+    /// is much higher than after the last build.
     void record_cost_measurement(Stream& stream);
     std::optional<double> read_cost(Stream& stream);
     /// Copies the BVH to the host, for tests. Waits for the device. All recorded commands

@@ -47,8 +47,8 @@ struct UnetPlan {
 };
 
 /// Channels at a level of the decoder. count_decoder_channels(): output.
-/// count_channels_below(): input from the smaller images. count_concatenated_channels(): this
-/// input and the skip connection together.
+/// count_channels_below(): input from the smaller images. count_concatenated_channels():
+/// this input and the skip connection together.
 std::uint32_t count_decoder_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 std::uint32_t count_channels_below(const std::vector<std::uint32_t>& widths, std::size_t level);
 std::uint32_t count_concatenated_channels(const std::vector<std::uint32_t>& widths, std::size_t level);

@@ -65,8 +65,8 @@ struct Band {
     double elevation_rad;  ///< median elevation of the band
 };
 
-/// Returns the groups of consecutive bins with at least `min_count` points each. Gaps of up
-/// to kLeastGap bins do not split a group.
+/// Returns the groups of consecutive bins with at least `min_count` points each. Gaps of
+/// up to kLeastGap bins do not split a group.
 std::vector<Band> group_elevation_bins(const std::vector<int>& count, double min_count) {
     std::vector<Band> bands;
     for (int b = 0; b < int(count.size()); ++b) {

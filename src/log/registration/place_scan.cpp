@@ -10,8 +10,8 @@
 namespace relidar {
 namespace {
 
-// Edge length in metres of the cells that thin out a scan: one point per cell is kept. The
-// cells are small, because only one pose is estimated and speed does not matter.
+// Edge length in metres of the cells that thin out a scan: one point per cell is kept.
+// The cells are small, because only one pose is estimated and speed does not matter.
 constexpr double kThin_m = 0.1;
 // Points farther than this from the scene have little weight (scale of the robust
 // kernel). A registered scan is closer.

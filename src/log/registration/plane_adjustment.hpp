@@ -86,8 +86,8 @@ private:
     void add_prior(PoseEquations& equations) const;
     void remove_common_motion();
     void interpolate_corrections(const std::vector<bool>& is_known);
-    /// Returns the nearest earlier and the nearest later pose that `selected` marks. If one
-    /// side has none, returns `pose` for this side.
+    /// Returns the nearest earlier and the nearest later pose that `selected` marks. If
+    /// one side has none, returns `pose` for this side.
     static std::pair<std::size_t, std::size_t> find_neighbour_poses(std::size_t pose,
                                                                     const std::vector<bool>& selected);
     double compute_time_fraction(std::size_t before, std::size_t pose, std::size_t after) const;

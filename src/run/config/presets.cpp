@@ -55,23 +55,18 @@ Config make_standard_config() {
     config.preset = "default";
     // 0: uses the maximum range of the sensor, instead of the 80 m of published results
     config.dataset.max_range_m = 0.0;
-    // The beams of an HDL-64E have different range offsets (centimetres) and different
-    // intensity gains, so both are calibrated.
+    // The beams of a LiDAR have different range offsets and intensity gains.
     config.sensor.calibrate = "range,intensity";
-    // Small voxels give small surfels. Large surfels extend beyond edges and blur
-    // silhouettes.
+    // Small voxels give small surfels. Large surfels would blur the edges of objects.
     config.init.voxel_m = 0.1;
     config.init.voxel_growth = 0.006;    // approximately the spacing of neighbouring rays
     config.init.normal_neighbours = 24;  // 6 points with noise of 2 cm would tilt a normal by 0.1 rad
-    // Points on leaves and corners have no clear normal. Their discs face the sensor,
-    // which lowers errors.
+    // Discs of points without a clear normal, for example on leaves, face the sensor.
     config.init.flatness = 0.04;
-    // KITTI labels only objects in the view of the front camera, so moving objects
-    // without a label become actors too.
+    // KITTI labels only objects that its front camera sees.
     config.init.unlabelled_movers = UnlabelledMovers::actors;
     config.init.opacity = 0.8;
-    // New surfaces have a ray-drop probability of 12 %, which is typical for real
-    // sensors.
+    // New surfaces have a ray-drop probability of 12 %, as typical sensors.
     config.init.hit_margin = 2.0;
     config.init.scale_factor = 0.4;
     config.init.max_scale_m = 0.3;
@@ -82,8 +77,7 @@ Config make_standard_config() {
     config.init.thickness = 0.05;
     config.image.sh_direction = ShDirection::surfel;
     config.image.transmittance_min = 1e-3f;
-    // For intensities, the Huber loss estimates the mean. The L1 loss would estimate the
-    // median.
+    // The Huber loss estimates the mean intensity. The L1 loss would estimate the median.
     config.loss.intensity = 0.3f;
     config.loss.intensity_delta = 0.2f;  // lowers the RMSE of held-out intensities
     // Divides the range by the sum of the blending weights. Otherwise a sum of 0.97 would
@@ -101,8 +95,7 @@ Config make_standard_config() {
     config.train.scale_rate = 1e-2;
     config.train.max_growth = 8.0;  // without this limit, some surfels grow far too large, up to 8 m
     config.train.sh_rate = 3e-2;
-    // With a factor of 1, the intensities would overfit, because few rays observe each
-    // surfel.
+    // A factor of 1 would overfit the intensities, because few rays observe a surfel.
     config.train.intensity_factor = 0.25;
     config.train.rate_decay = 0.05;
     config.train.sensor_drop = true;
@@ -110,8 +103,7 @@ Config make_standard_config() {
     config.refine.enabled = true;          // the network improves the accuracy of ray-drop
     config.refine.frames = 200;            // limited because the images of all frames are in memory together
     config.render.range = "normalised";
-    // Renders with the measured azimuths of each sweep, because LiDAR heads rotate
-    // unevenly.
+    // Uses the measured azimuths of each sweep, because LiDAR heads rotate unevenly.
     config.render.follow_sweeps = true;
     // With 64 hits per chunk, nearly every ray becomes opaque within its first chunk.
     config.trace.chunk = 64;

@@ -29,8 +29,8 @@ void for_each_basic_pair(const RenderedScan& source, RenderedScan& target, Visit
 
 /// Calls visit(info, values in `source`, values in `target`) for each channel of two
 /// scans, basic or optional.
-/// @param target must have the channels of `source` in the same order; make_scan_without_measurements()
-/// creates such a scan
+/// @param target must have the channels of `source` in the same order;
+/// make_scan_without_measurements() creates such a scan
 template <class Visit>
 void for_each_pair(const RenderedScan& source, RenderedScan& target, Visit&& visit) {
     for_each_basic_pair(source, target, visit);

@@ -56,8 +56,8 @@ public:
 
     struct Gathered {
         std::span<const shared::ReturnedPoint> points;
-        /// [sampled rays] distance to the surface in metres; get_sampled_ray() returns the
-        /// index of a sampled ray
+        /// [sampled rays] distance to the surface in metres; get_sampled_ray() returns
+        /// the index of a sampled ray
         std::span<const float> requested_m;
         std::uint32_t n_capped;
     };

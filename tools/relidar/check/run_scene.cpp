@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the images of a trained scene. Some rays of a run are rendered on the device and,
-// in double precision, on the CPU.
+// Checks the images of a trained scene. Some rays of a run are rendered on the device
+// and, in double precision, on the CPU.
 #include <algorithm>
 #include <cmath>
 
@@ -21,8 +21,8 @@ constexpr std::size_t kRunRays = 512;
 /// Maximum difference of a value between the device and double precision, relative to the
 /// value if it is greater than 1.
 constexpr double kValueTolerance = 1e-3;
-/// Maximum share of rays with a larger difference. Such rays pass the edge of a surfel, or
-/// two surfels at equal distances, so that rounding decides which surfels are blended.
+/// Maximum share of rays with a larger difference. Such rays pass the edge of a surfel,
+/// or two surfels at equal distances, so that rounding decides which surfels are blended.
 constexpr double kEdgeShare = 0.02;
 
 WorldRays select_rays(const WorldRays& rays) {

@@ -68,15 +68,16 @@ public:
     std::vector<std::string> find_path_to_root(const std::string& frame) const;
     /// Returns true if the pose of a frame in its parent frame changes over time.
     bool is_moving(const std::string& frame) const;
-    /// Returns the pose of frame `source_frame` in frame `target_frame`, if it is constant. Returns nothing
-    /// if a transform between the frames is missing or changes over time.
+    /// Returns the pose of frame `source_frame` in frame `target_frame`, if it is
+    /// constant. Returns nothing if a transform between the frames is missing or changes
+    /// over time.
     std::optional<Pose> find_constant_pose(const std::string& target_frame,
                                            const std::string& source_frame) const;
     /// Returns the pose of a frame in its ancestor frame `outer` as a function of time.
     PosePath path(const std::string& outer, const std::string& frame, Clock clock,
                   std::int64_t zero_ns) const;
-    /// Returns the pose of frame `source_frame` in frame `target_frame` as a function of time. Returns
-    /// nothing if no transforms connect the two frames.
+    /// Returns the pose of frame `source_frame` in frame `target_frame` as a function of
+    /// time. Returns nothing if no transforms connect the two frames.
     std::optional<FramesApart> find_relative_poses(const std::string& target_frame,
                                                    const std::string& source_frame, Clock clock,
                                                    std::int64_t zero_ns) const;

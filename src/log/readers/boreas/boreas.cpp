@@ -33,8 +33,8 @@ constexpr double kClearlyForward = 0.05;
 // Another angle convention is also better if the vertical spread of the motions decreases
 // to less than this ratio.
 constexpr double kClearlyLevel = 0.7;
-// The vertical spread is compared only if the vehicle has driven at least this many metres,
-// counted in steps of one metre.
+// The vertical spread is compared only if the vehicle has driven at least this many
+// metres, counted in steps of one metre.
 constexpr std::size_t kFewestSteps = 50;
 constexpr double kBrightest = 255.0;
 

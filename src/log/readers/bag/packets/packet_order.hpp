@@ -34,7 +34,8 @@ struct PacketEntry {
 };
 
 /// Returns the angle that the head turns from one azimuth to the next, below 360 degrees.
-/// If the next azimuth is slightly behind because of encoder noise, the angle is negative.
+/// If the next azimuth is slightly behind because of encoder noise, the angle is
+/// negative.
 double compute_rotation_deg(double from_deg, double to_deg);
 
 /// Number of packets that were received twice or late.
