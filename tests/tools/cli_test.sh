@@ -953,6 +953,8 @@ bench() {
     good check --speed --run run --sensor rig.json
     says "^ +[0-9.]+ per second if the sensors are rendered one after the other$"
     bad 2 "--sensor .*--speed and --run" check --speed --sensor rig.json
+    bad 2 "run: .*expected a log" train run --out x
+    bad 2 "--frames.*run" info run --frames 0:3
     bad 3 "nowhere: .*folder" check --speed --run nowhere --json lost.json
     absent lost.json
 }

@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 #include <CLI/CLI.hpp>
 
+#include <relidar/base/error.hpp>
 #include "command.hpp"
 #include "console.hpp"
 #include "inspect/info_text.hpp"
@@ -83,6 +84,11 @@ void add_info(CLI::App& app, Call& call) {
                                     ? std::vector<std::string>{}
                                     : std::vector<std::string>{"dataset.", "sensor.rolling_shutter", "init."},
                                 is_of_run ? "info RUN" : "info");
+            if (is_of_run &&
+                (options->all || !options->part.frames.empty() || !options->part.sequence.empty()))
+                throw UsageError(
+                    fmt::format("--frames, --sequence and --all can only be used with a log; {} is a run",
+                                options->path));
             if (is_run(options->path)) print_run_info(*options);
             else if (contains_run(options->path)) print_unfinished_run_info(options->path);
             else print_log_info(*options);

@@ -90,6 +90,11 @@ Config make_training_config(const TrainOptions& options) {
         // A maximum range of 0 means automatic. The resumed training uses the range that
         // was found earlier.
         config.dataset.max_range_m = load_saved_config(saved).dataset.max_range_m;
+    if (contains_run(options.dataset))
+        throw UsageError(
+            fmt::format("cannot train on {}: it is a run, expected a log; `relidar train --resume RUN` "
+                        "continues the training of a run",
+                        options.dataset));
     if (!options.dataset.empty()) config.dataset.path = make_dataset_absolute(options.dataset);
     if (config.dataset.poses != kNoPoses) config.dataset.poses = make_absolute_path(config.dataset.poses);
     apply_log_part(config, options.part);
