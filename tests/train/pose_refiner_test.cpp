@@ -312,7 +312,7 @@ TEST_F(Poses, AreKeptWhereNoneIsRefined) {
         device(), street, split_frames(street, 0), config, [](const TrainProgress&) { return true; },
         session);
     ASSERT_EQ(notes.size(), 1u);
-    EXPECT_THAT(notes[0], test::Names("actor"));
+    EXPECT_THAT(notes[0], test::Names("train.refine_poses=actors"));
 }
 
 /// The pose of a single sweep cannot be determined, so it must stay unchanged. If it
