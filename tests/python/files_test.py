@@ -26,8 +26,8 @@ class Poses(TestCase):
 class Logs(TestCase):
     def test_scan(self):
         scan = log().scan(2)
-        self.assertEqual(list(scan), ["directions", "origin", "time", "ring", "range", "intensity"])
-        self.assertEqual([array.dtype.name for array in scan.values()], ["float32"] * 3 + ["uint16"] + ["float32"] * 2)
+        self.assertEqual(list(scan), ["directions", "origin", "time", "ring", "range", "intensity", "class"])
+        self.assertEqual([array.dtype.name for array in scan.values()], ["float32"] * 3 + ["uint16"] + ["float32"] * 2 + ["int32"])
         self.assertEqual(scan["range"].shape, (16, 256))
         self.assertTrue(np.all(scan["intensity"][scan["range"] == 0] == 0))
         self.assertEqual(len(log()), 8)

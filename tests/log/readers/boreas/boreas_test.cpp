@@ -162,7 +162,7 @@ TEST(Boreas, SaysWhichFileAndLineIsWrong) {
          "lidar_poses.csv line 3: found 11 cells ... time ... 12 numbers");
     with(data.poses(), line(4, ",0.3,", ",x,"), "lidar_poses.csv line 4: cell 11 is 'x' ... 1e+08");
     with(data.poses(), line(4, ",0.3,", ",nan,"), "lidar_poses.csv line 4: cell 11 is 'nan'");
-    with(data.poses(), line(4, "16064", "t6064"), "lidar_poses.csv line 4: found 't6064");
+    with(data.poses(), line(4, "16064", "t6064"), "lidar_poses.csv line 4: found 't606417097728152'");
     with(data.poses(), line(5, "16064", "16063"),
          "lidar_poses.csv line 5 ... time 1606317097828152 ... 1606417097728152");
     with(

@@ -251,8 +251,7 @@ TEST(KittiErrors, Tracklets) {
     expect("<w>1.8</w>", "", {"track 0: w ... ''"});
     expect("<first_frame>1</first_frame>", "<first_frame>1e300</first_frame>",
            {"track 0: first_frame is '1e300'"});
-    expect("<tx>11</tx>", "<tx>" + std::string(1 << 16, '1') + "</tx>",
-           {"track 0 frame 2: tx is '11111", "...'"});
+    expect("<tx>11</tx>", "<tx>" + std::string(1 << 16, '1') + "</tx>", {"track 0 frame 2: tx", "...'"});
     write_text(file, "<html/>");
     expect_data_error(drive, {"tracklet_labels.xml: the element boost_serialization/tracklets ... missing"});
 }
