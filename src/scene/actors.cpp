@@ -311,8 +311,9 @@ std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& se
     for (const auto& [track, poses] : world_from_actor)
         if (std::find(tracks.begin(), tracks.end(), track) == tracks.end())
             throw UsageError(fmt::format(
-                "cannot place actors: found a pose of \"{}\", expected a track of the scene{}", track,
-                tracks.empty() ? ", which has no actors" : suggest_name(track, tracks, "\"")));
+                "cannot place actors: found a pose of track \"{}\", expected the name of a track of the "
+                "scene{}",
+                track, tracks.empty() ? ", which has no actors" : suggest_name(track, tracks, "\"")));
     return place_instances_by(scene, sequence, sweep, [&](const std::string& name) {
         const auto track = world_from_actor.find(name);
         return track == world_from_actor.end() ? nullptr : &track->second;

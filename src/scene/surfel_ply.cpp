@@ -182,7 +182,7 @@ Layout parse_ply_header(const std::string& header) {
         }
     }
     if (!has_format || !has_vertex)
-        throw DataError("the format or the element vertex is missing, expected both");
+        throw DataError("the header lacks the line \"format\" or \"element vertex\", expected both");
     return layout;
 }
 

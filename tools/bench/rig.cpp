@@ -118,7 +118,7 @@ void score_other_sensor(ScanRenderer& renderer, const Run& run, const SyntheticO
     const SensorChoice sensor = choose_sensor(name, run.config, run.sequence);
     if (sensor.rays.direction.empty())
         throw UsageError(
-            fmt::format("{}: has other rays in every scan, expected a sensor whose rays stay", name));
+            fmt::format("{}: the rays change from scan to scan, expected a sensor with constant rays", name));
     const PoseTrack track = run.sequence.world_from_sensor(0);
     Score score;
     for (const int position : run.split.test) {

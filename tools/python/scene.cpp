@@ -166,7 +166,9 @@ void add_scene(py::module_& module) {
         .def_property_readonly(
             "surfels", [](const py::object& scene) { return to_string_view(scene); },
             "The arrays, read-only and not copied.")
-        .def_property_readonly("models", &list_models, "Dicts of name, first and count.")
+        .def_property_readonly(
+            "models", &list_models,
+            "Dicts of name, first (index of the first surfel) and count (number of surfels).")
         .def_property_readonly("instances", &list_instances,
                                "Dicts of model and track. Instance 0 is the background.")
         .def(

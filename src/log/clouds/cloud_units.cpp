@@ -78,7 +78,7 @@ void find_time_unit(CloudUnits& units, const std::vector<TimeRange>& ranges, dou
             unit.name,
             units.zero == TimeZero::stamp ? "relative to the stamp"
             : units.zero == TimeZero::epoch
-                ? "in the clock of the stamps"
+                ? "in the same clock as the stamps"
                 : "in the clock of the sensor, whose first time in a cloud is set to the "
                   "stamp",
             1e3 * span * unit.seconds);

@@ -272,8 +272,8 @@ Scan make_spinning_scan(const Points& points, const SpinningSensor& sensor, cons
             sensor.beams.size(), sensor.columns, sweep.lattice.n_ticks, kMaxRays, kMostTicks));
     if (sweep.firings.empty())
         throw UsageError(
-            fmt::format("cannot make a scan of {} points: there are no firings, expected the firings of a "
-                        "sweep",
+            fmt::format("cannot make a scan of {} points: the list of laser firings is empty, expected the "
+                        "firings of a sweep",
                         points.size()));
     for (const std::uint32_t firing : points.firing)
         if (firing >= sweep.firings.size())

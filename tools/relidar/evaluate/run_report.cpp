@@ -92,7 +92,7 @@ void add_evaluation(Report& report, const Evaluation& evaluation, const Run& run
     if (const std::string good = describe_quality(evaluation.mean);
         report.metrics.empty() && !good.empty() && report.summary.ends_with('.')) {
         report.summary.pop_back();
-        report.summary += fmt::format("; on {} that were not used for training, {}.",
+        report.summary += fmt::format("; on {} that did not train the scene, {}.",
                                       format_frame_count(evaluation.frames.size()), good);
     }
     report.key_metrics = key_metrics();
