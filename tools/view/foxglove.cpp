@@ -161,11 +161,12 @@ std::chrono::milliseconds FoxglovePlayer::play(std::chrono::milliseconds patienc
     try {
         if (!playback_) playback_.emplace(device_, run_, format_);
         if (Clock::now() >= playback_->due) play_next_scan();
-        // A device error ends the viewer, because no client can receive a scan without a
-        // device.
-    } catch (const DeviceError&) {
+        // A lost device ends the viewer. After other errors, for example exhausted device
+        // memory, the page still works.
+    } catch (const DeviceLost&) {
         throw;
     } catch (const Error& error) {
+        playback_.reset();
         stop(error.what());
         return patience;
     }

@@ -80,7 +80,7 @@ ChannelValues make_class_channel(const RenderedScan& scan, const ScanContext& co
         const std::int32_t instance = scan.instance[ray];
         if (instance < 0) return;
         of_rays[ray] = context.classes[std::size_t(instance)];
-        if (instance != 0 || !context.background) return;
+        if (of_rays[ray] != 0 || !context.background) return;
         const glm::dvec3 point_m = glm::dvec3(scan.image.origin[ray]) +
                                    double(scan.median_range_m[ray]) * glm::dvec3(scan.image.direction[ray]);
         of_rays[ray] = std::int32_t(

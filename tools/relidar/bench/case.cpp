@@ -29,15 +29,19 @@ BenchCase make_street_case(std::uint32_t n_surfels, bool refined, const RayTable
 
 BenchCase make_run_case(const Run& run) {
     if (run.sequence.frames.empty() || count_surfels(run.scene) == 0)
-        throw DataError(fmt::format(
-            "cannot measure the speed of run {}: it has no frames or no surfels; expected at least "
-            "one of each",
-            run.folder.string()));
+        throw DataError(
+            fmt::format("cannot render run {}: it has no frames or no surfels; expected at least "
+                        "one of each",
+                        run.folder.string()));
     const Frame& frame =
         run.sequence.frames[run.split.test.empty() ? 0 : static_cast<std::size_t>(run.split.test.front())];
     const SensorChoice sensor = make_configured_sensor(run.config, run.sequence, frame.lidar);
     RayTable table = sensor.rays;
     if (table.size() == 0) table = make_nominal_rays(run.sequence.get_lidar(frame), frame.time_s);
+    if (table.size() == 0)
+        throw DataError(
+            fmt::format("run {}: its LiDAR has no beams, so it has no rays; expected at least one ray",
+                        run.folder.string()));
     BenchCase bench;
     bench.name = fmt::format("{}, frame {}", run.folder.string(), frame.index);
     bench.rows = table.rows;

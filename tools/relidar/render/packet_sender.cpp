@@ -41,6 +41,7 @@ public:
         const bool is_connected = socket_ >= 0 && ::connect(socket_, found->ai_addr, found->ai_addrlen) == 0;
         const std::string why = std::strerror(errno);
         ::freeaddrinfo(found);
+        if (!is_connected && socket_ >= 0) ::close(socket_);
         if (!is_connected) throw DataError(fmt::format("--udp {}:{}: {}", address.host, address.port, why));
     }
     UdpSocket(UdpSocket&& other) noexcept : socket_(std::exchange(other.socket_, -1)) {}

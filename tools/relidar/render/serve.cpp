@@ -89,7 +89,7 @@ serve::ServerOptions make_server_options(const ServeOptions& options) {
 }
 
 /// Sends the scans of clients as packets. Starts new packets if the sensor changes or if
-/// the time decreases.
+/// the time does not increase.
 class ScanSender {
 public:
     explicit ScanSender(PacketTarget target) : target_(std::move(target)) {
@@ -105,7 +105,7 @@ public:
         const std::lock_guard lock(mutex_);
         const std::string key =
             fmt::format("{} {} {} {}", run.folder.string(), sensor.lidar, sensor.returns, name);
-        if (key != key_ || scan.time_s < last_s_) sender_.reset();
+        if (key != key_ || scan.time_s <= last_s_) finish();
         if (!sender_) {
             ScanFormat format = make_scan_format(run, sensor);
             if (!name.empty())
@@ -114,9 +114,20 @@ public:
             sender_.emplace(target_, std::vector{format});
             key_ = key;
         }
-        sender_->add({&scan, 1});
         last_s_ = scan.time_s;
-        sender_->send_all();
+        try {
+            sender_->add({&scan, 1});
+            sender_->send_all();
+        } catch (...) {
+            sender_.reset();  // because it may contain a part of the scan
+            throw;
+        }
+    }
+
+    /// Sends the packets that wait for the next scan.
+    void finish() {
+        if (sender_) (void)sender_->finish();
+        sender_.reset();
     }
 
 private:
@@ -173,6 +184,7 @@ void run_serve(const ServeOptions& options) {
     }
     if (!options.quiet) note("interrupted: finishing the pending calls; a second Ctrl-C ends immediately");
     server.stop(kPatience);
+    sender.finish();
 }
 
 constexpr const char* kServeHelp =

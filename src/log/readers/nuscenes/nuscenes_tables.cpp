@@ -240,10 +240,14 @@ void read_lidarseg(const fs::path& tables, SceneTables& scene) {
     ByToken<SweepRecord*> sweeps;
     for (SceneLidar& lidar : scene.lidars)
         for (SweepRecord& sweep : lidar.sweeps) sweeps[sweep.token] = &sweep;
+    bool has_files = false;
     for_each_record(file, [&](const JsonRecord& record) {
         const auto sweep = sweeps.find(record.text("sample_data_token"));
-        if (sweep != sweeps.end()) sweep->second->categories_file = record.text("filename");
+        if (sweep == sweeps.end()) return;
+        sweep->second->categories_file = record.text("filename");
+        has_files = true;
     });
+    if (!has_files) return;
     const fs::path categories = tables / "category.json";
     for_each_record(categories, [&](const JsonRecord& record) {
         const std::int64_t index = record.rounded("index");
