@@ -46,7 +46,7 @@ Scene make_initial_scene(const Sequence& sequence, const Split& split, const Con
     return scene;
 }
 
-/// Prints which moving boxes have no surfels. Training ignores the returns in these boxes.
+/// Prints the moving boxes without surfels. Training ignores the returns in these boxes.
 void report_masked_boxes(const Scene& scene, const Sequence& sequence, const Config& config,
                          const TrainSession& session) {
     const std::vector<BoxTrack> masked = find_masked_boxes(scene, sequence, config.init);
