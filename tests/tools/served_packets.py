@@ -95,6 +95,8 @@ for frame, scan in zip(frames, scans):
     expect(n_equal > 0.99 * len(points), f"{n_equal} of {len(points)} points are in the packets")
 
 invalid = grpc.StatusCode.INVALID_ARGUMENT
+service.RenderLidar(request, timeout=60)   # a repeated time starts new packets
+request.time_s = request.points_at_s = request.time_s + 0.5 * PERIOD_S
 expect_refusal(service.RenderLidar, request, invalid, "expected scans that do not overlap")
 request.sensor.name = "rosette"
 expect_refusal(service.RenderLidar, request, invalid, 'cannot write packets of the sensor "rosette", expected one of VLP-16')
