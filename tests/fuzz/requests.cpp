@@ -62,8 +62,9 @@ void read_head(std::string_view input, const fs::path&) {
     }
     (void)view::is_local_host(lines[0], "machine");
     (void)view::is_same_origin(lines[1], lines[0]);
-    const bool shown =
-        view::has_valid_token({lines[0], lines[1], lines[2], lines[3]}, "0123456789abcdef", "relidar_8080");
+    const view::Credentials credentials{lines[0], lines[1], lines[2], lines[3]};
+    const bool shown = view::has_token_in_url(credentials, "0123456789abcdef") ||
+                       view::has_token_in_cookie(credentials, "0123456789abcdef", "relidar_8080");
     const bool there =
         (std::string(lines[2]) + std::string(lines[3])).find("0123456789abcdef") != std::string::npos;
     // aborts if access is granted although the request does not contain the token

@@ -89,9 +89,12 @@ std::string_view find_list_value(std::string_view list, std::string_view name, c
     return {};
 }
 
-bool has_valid_token(const Credentials& request, std::string_view token, std::string_view cookie_name) {
-    return is_same_secret(find_list_value(request.query, "token", '&'), token) ||
-           is_same_secret(find_list_value(request.cookie, cookie_name, ';'), token);
+bool has_token_in_url(const Credentials& request, std::string_view token) {
+    return is_same_secret(find_list_value(request.query, "token", '&'), token);
+}
+
+bool has_token_in_cookie(const Credentials& request, std::string_view token, std::string_view cookie_name) {
+    return is_same_secret(find_list_value(request.cookie, cookie_name, ';'), token);
 }
 
 }  // namespace relidar::view

@@ -36,8 +36,9 @@ bool is_same_secret(std::string_view first, std::string_view second);
 /// Returns the value of a name in a list such as "a=1&b=2" (separator '&') or "a=1; b=2"
 /// (separator ';'). Returns an empty text if the list does not contain the name.
 std::string_view find_list_value(std::string_view list, std::string_view name, char separator);
-/// Returns true if a request contains the right access token. The token may be the value
-/// of "token" in the URL, or the value of the cookie `cookie_name`.
-bool has_valid_token(const Credentials& request, std::string_view token, std::string_view cookie_name);
+/// Returns true if the value of "token" in the URL of a request is the access token.
+bool has_token_in_url(const Credentials& request, std::string_view token);
+/// Returns true if the value of the cookie `cookie_name` is the access token.
+bool has_token_in_cookie(const Credentials& request, std::string_view token, std::string_view cookie_name);
 
 }  // namespace relidar::view

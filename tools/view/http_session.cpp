@@ -97,15 +97,14 @@ std::optional<HttpSession::Status> HttpSession::find_rejection_status(const Requ
                                   view(request[http::field::cookie]), get_url_query(view(request.target()))};
     if (!is_local_host(credentials.host, hub_.host_name)) return Status::forbidden;
     const std::string& token = hub_.options.token;
-    const bool has_token_in_url =
-        !token.empty() && is_same_secret(find_list_value(credentials.query, "token", '&'), token);
+    const bool knows_token = !token.empty() && has_token_in_url(credentials, token);
     const bool is_foreign = !is_same_origin(credentials.origin, credentials.host);
-    const bool may_be_foreign = is_foxglove && (is_foxglove_origin(credentials.origin) || has_token_in_url);
+    const bool may_be_foreign = is_foxglove && (is_foxglove_origin(credentials.origin) || knows_token);
     if (request.count(http::field::origin) > 1 || (is_foreign && !may_be_foreign)) return Status::forbidden;
     // The browser also sends the cookie for pages of other local servers, so a foreign
     // page needs the token in the address.
-    if (!token.empty() && !has_token_in_url &&
-        (is_foreign || !has_valid_token(credentials, token, hub_.cookie_name)))
+    if (!token.empty() && !knows_token &&
+        (is_foreign || !has_token_in_cookie(credentials, token, hub_.cookie_name)))
         return Status::unauthorized;
     if (request.method() != http::verb::get && request.method() != http::verb::head)
         return Status::method_not_allowed;

@@ -12,8 +12,8 @@ namespace relidar {
 /// supported format. Returns an empty string if the extension of the file is unknown.
 std::string describe_unsupported_format(const std::filesystem::path& file);
 
-/// Searches a folder for a file in a known format that is not supported, and returns a
-/// text about the first one. Returns an empty string if there is none.
+/// Returns a text about the first file of a folder whose format relidar knows but cannot
+/// read. Returns an empty string if the folder has no such file.
 std::string describe_other_files(const std::filesystem::path& folder);
 
 }  // namespace relidar

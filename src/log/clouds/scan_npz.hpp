@@ -42,11 +42,10 @@ Scan make_scan_from_images(const std::string& location, std::vector<NamedArray> 
 /// the time 0.
 void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool motion_compensated);
 
-/// Checks that sequence.json says that scans are motion-compensated, if a scan file says
-/// so.
-/// @param is_deskewed  true if the scan file says that its points are motion-compensated
+/// Checks that a scan file and sequence.json agree about motion compensation.
+/// @param is_deskewed  true if the points of the scan file are motion-compensated
 /// (deskewed) or in the world frame
-/// @throws DataError if sequence.json does not say the same
+/// @throws DataError if only the scan file contains motion-compensated points
 void check_deskewed(bool is_deskewed, const Head& head, const std::string& location);
 
 /// Scales an intensity from a file to the range 0 to 1.

@@ -30,9 +30,9 @@ struct Group {
     float light = 0.0f;              ///< sum of the intensities
 };
 
-/// Returns true if the hits of sub-rays lie on one plane, on which 1 / range is linear in
-/// the offsets of the sub-rays. At a grazing angle, ranges on one plane differ much, but
-/// they form one return. Fewer than five sub-rays are too few for this test.
+/// Returns true if the hits of sub-rays are on one plane: 1 / range is then a linear
+/// function of the offsets of the sub-rays. At a grazing angle, the ranges on a plane
+/// differ, but they are one return. Returns false for fewer than five sub-rays.
 bool are_on_one_plane(const std::vector<std::size_t>& parts, const std::vector<float>& range_m,
                       std::size_t first, const std::vector<glm::dvec2>& offsets, double tolerance_m) {
     if (parts.size() < 5) return false;
