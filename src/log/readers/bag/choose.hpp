@@ -39,10 +39,10 @@ struct PoseChoice {
 };
 /// Selects the vehicle poses of the log.
 /// @param main  clouds of the main LiDAR; poses must cover the times of these clouds
-/// @param make_pose_topic  name of a frame or of a pose topic; empty: automatic selection
-/// @throws UsageError if `make_pose_topic` is neither a frame nor a pose topic
+/// @param pose_topic  name of a frame or of a pose topic; empty: automatic selection
+/// @throws UsageError if `pose_topic` is neither a frame nor a pose topic
 PoseChoice choose_poses(const Bag& bag, const Survey& survey, const CloudTopic& main,
-                        const std::string& make_pose_topic);
+                        const std::string& pose_topic);
 
 /// The selected topic of boxes.
 struct BoxChoice {

@@ -77,21 +77,20 @@ const PoseTopic* find_densest_topic(const Bag& bag, const Survey& survey) {
 
 std::optional<PoseSource> find_named_source(const Bag& bag, const Survey& survey,
                                             const std::vector<std::string>& chain,
-                                            const std::string& make_pose_topic,
-                                            std::vector<std::string>& notes) {
-    if (make_pose_topic.empty()) return std::nullopt;
-    if (std::find(chain.begin() + 1, chain.end(), make_pose_topic) != chain.end())
-        return make_frame_source(survey.frames, chain, make_pose_topic);
+                                            const std::string& pose_topic, std::vector<std::string>& notes) {
+    if (pose_topic.empty()) return std::nullopt;
+    if (std::find(chain.begin() + 1, chain.end(), pose_topic) != chain.end())
+        return make_frame_source(survey.frames, chain, pose_topic);
     std::vector<std::string> known(chain.begin() + 1, chain.end());
     for (const PoseTopic& topic : survey.poses) {
-        if (bag.topics()[topic.topic].name == make_pose_topic)
+        if (bag.topics()[topic.topic].name == pose_topic)
             return make_topic_source(bag, survey.frames, topic, chain.front(), notes);
         known.push_back(bag.topics()[topic.topic].name);
     }
     throw UsageError(fmt::format(
         "dataset.poses_from: found '{}', expected a parent frame of '{}' or a topic of poses: "
         "{}",
-        make_excerpt(make_pose_topic), chain.front(),
+        make_excerpt(pose_topic), chain.front(),
         known.empty() ? "the recording has no poses" : fmt::format("{}", fmt::join(known, ", "))));
 }
 
@@ -131,10 +130,10 @@ std::int64_t get_first_time(const CloudTopic& clouds, Clock clock) {
 }  // namespace
 
 PoseChoice choose_poses(const Bag& bag, const Survey& survey, const CloudTopic& main,
-                        const std::string& make_pose_topic) {
+                        const std::string& pose_topic) {
     PoseChoice choice;
     const std::vector<std::string> way = survey.frames.find_path_to_root(main.frame);
-    std::optional<PoseSource> source = find_named_source(bag, survey, way, make_pose_topic, choice.notes);
+    std::optional<PoseSource> source = find_named_source(bag, survey, way, pose_topic, choice.notes);
     if (!source) source = select_pose_source(bag, survey, way, choice.notes);
     const bool has_stamps =
         std::ranges::any_of(main.clouds, [](const CloudEntry& cloud) { return cloud.stamp_ns != 0; });
