@@ -144,14 +144,6 @@ trainers() {
     done
 }
 
-# kill_one FOLDER: kills the last process that trains into the folder.
-kill_one() {
-    local last
-    last=$(trainers "$1" | tail -n 1)
-    check "no process trains into $1" test -n "$last"
-    [[ -z $last ]] || kill -KILL "$last"
-}
-
 mpi() { "$mpirun" --allow-run-as-root --oversubscribe -n "$@"; }
 
 # mpi_pair FIRST... -- SECOND...: runs two processes with different commands. Does not use
@@ -191,8 +183,12 @@ ranks() {
 
     mpi 2 "$relidar" train street --out lost --blocks 30m "${settings[@]}" >out 2>err &
     local pid=$!
+    wait_for lost/blocks/000
+    local last
+    last=$(trainers lost | tail -n 1)   # reads all of /proc, which can take longer than a block
+    check "no process trains into lost" test -n "$last"
     wait_for lost/blocks/001/checkpoints
-    kill_one lost
+    [[ -z $last ]] || kill -KILL "$last"
     wait $pid
     check "mpirun ended with 0 though one process was killed" test $? != 0
     absent lost/scene.json
