@@ -12,11 +12,11 @@ namespace relidar {
 /// Returns the key of the cubic grid cell that contains a point. A key has 21 bits per
 /// axis. Keys are unique only for cells within 2^20 cells of the origin.
 /// @param point_m [3] metres
-/// @param cell_m edge length of the cells, metres
-inline std::uint64_t make_cell_key(const glm::dvec3& point_m, double cell_m) {
+/// @param cell_size_m edge length of the cells, metres
+inline std::uint64_t compute_grid_cell_key(const glm::dvec3& point_m, double cell_size_m) {
     std::uint64_t key = 0;
     for (int axis = 0; axis < 3; ++axis)
-        key = key << 21 | (std::uint64_t(std::int64_t(std::floor(point_m[axis] / cell_m))) & 0x1FFFFFu);
+        key = key << 21 | (std::uint64_t(std::int64_t(std::floor(point_m[axis] / cell_size_m))) & 0x1FFFFFu);
     return key;
 }
 

@@ -20,40 +20,42 @@ constexpr std::size_t kItemsPerBlock = 1 << 16;
 
 /// Indices of the items of one block, divided into kParts lists by the hash of their
 /// keys.
-using ItemsByPart = std::array<std::vector<std::uint32_t>, kParts>;
+using ItemIndicesByPart = std::array<std::vector<std::uint32_t>, kParts>;
 
-std::vector<ItemsByPart> partition_items_by_key(std::span<const std::uint64_t> key) {
-    std::vector<ItemsByPart> blocks((key.size() + kItemsPerBlock - 1) / kItemsPerBlock);
+std::vector<ItemIndicesByPart> partition_items_by_key(std::span<const std::uint64_t> cell_key_per_item) {
+    std::vector<ItemIndicesByPart> blocks((cell_key_per_item.size() + kItemsPerBlock - 1) / kItemsPerBlock);
     parallel_for(static_cast<int>(blocks.size()), [&](int s) {
         const std::size_t begin = std::size_t(s) * kItemsPerBlock;
-        for (std::size_t i = begin; i < std::min(key.size(), begin + kItemsPerBlock); ++i)
-            blocks[std::size_t(s)][combine_hashes(key[i]) % kParts].push_back(static_cast<std::uint32_t>(i));
+        for (std::size_t i = begin; i < std::min(cell_key_per_item.size(), begin + kItemsPerBlock); ++i)
+            blocks[std::size_t(s)][hash_integer(cell_key_per_item[i]) % kParts].push_back(
+                static_cast<std::uint32_t>(i));
     });
     return blocks;
 }
 
 }  // namespace
 
-CellNumbers assign_cell_numbers(std::span<const std::uint64_t> key) {
-    const std::vector<ItemsByPart> blocks = partition_items_by_key(key);
-    CellNumbers numbers{std::vector<std::uint32_t>(key.size()), 0};
+ItemCellIndices assign_cell_numbers(std::span<const std::uint64_t> cell_key_per_item) {
+    const std::vector<ItemIndicesByPart> blocks = partition_items_by_key(cell_key_per_item);
+    ItemCellIndices numbers{std::vector<std::uint32_t>(cell_key_per_item.size()), 0};
     // First stores, for each item, the index of the first item in the same cell. At the
     // end, this index is replaced by the number of the cell.
     std::vector<std::uint32_t>& first = numbers.of;
     parallel_for(kParts, [&](int part) {
         std::unordered_map<std::uint64_t, std::uint32_t> table;
-        for (const ItemsByPart& items : blocks)
+        for (const ItemIndicesByPart& items : blocks)
             for (const std::uint32_t i : items[std::size_t(part)])
-                first[i] = table.try_emplace(key[i], i).first->second;
+                first[i] = table.try_emplace(cell_key_per_item[i], i).first->second;
     });
-    std::vector<std::uint32_t> number(key.size());
-    for (std::uint32_t i = 0; i < key.size(); ++i)
+    std::vector<std::uint32_t> number(cell_key_per_item.size());
+    for (std::uint32_t i = 0; i < cell_key_per_item.size(); ++i)
         if (first[i] == i) number[i] = static_cast<std::uint32_t>(numbers.n_cells++);
-    for_each_block(key.size(), [&](std::size_t index) { numbers.of[index] = number[first[index]]; });
+    parallel_for_in_blocks(cell_key_per_item.size(),
+                           [&](std::size_t index) { numbers.of[index] = number[first[index]]; });
     return numbers;
 }
 
-ItemsOfCells::ItemsOfCells(const CellNumbers& numbers)
+CellItemLists::CellItemLists(const ItemCellIndices& numbers)
     : first_(numbers.n_cells + 1, 0), items_(numbers.of.size()) {
     for (const std::uint32_t cell : numbers.of) ++first_[cell + 1u];
     std::partial_sum(first_.begin(), first_.end(), first_.begin());

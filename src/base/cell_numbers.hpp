@@ -13,31 +13,31 @@ namespace relidar {
 
 /// For each item, the number of the grid cell that contains it. Cells are numbered in the
 /// order of their first items, so the numbers do not depend on the number of threads.
-struct CellNumbers {
+struct ItemCellIndices {
     std::vector<std::uint32_t> of;  ///< Cell number of each item, [items].
     std::size_t n_cells = 0;
 };
 /// Numbers the grid cells that contain items: 0, 1, 2, ...
-/// @param key [items] key of the grid cell that contains each item
-CellNumbers assign_cell_numbers(std::span<const std::uint64_t> key);
+/// @param cell_key_per_item [items] key of the grid cell that contains each item
+ItemCellIndices assign_cell_numbers(std::span<const std::uint64_t> cell_key_per_item);
 /// Numbers the grid cells that contain items: 0, 1, 2, ...
-/// @param count number of items
-/// @param key_of function that returns the key of an item's grid cell
+/// @param n_items number of items
+/// @param get_cell_key function that returns the key of an item's grid cell
 template <class KeyOf>
-CellNumbers assign_cell_numbers(std::size_t count, const KeyOf& key_of) {
-    std::vector<std::uint64_t> keys(count);
-    for_each_block(count, [&](std::size_t index) { keys[index] = key_of(index); });
+ItemCellIndices assign_cell_numbers(std::size_t n_items, const KeyOf& get_cell_key) {
+    std::vector<std::uint64_t> keys(n_items);
+    parallel_for_in_blocks(n_items, [&](std::size_t index) { keys[index] = get_cell_key(index); });
     return assign_cell_numbers(keys);
 }
 
 /// Lists the items of each cell in ascending order.
-class ItemsOfCells {
+class CellItemLists {
 public:
-    explicit ItemsOfCells(const CellNumbers& numbers);
+    explicit CellItemLists(const ItemCellIndices& numbers);
 
     std::size_t size() const { return first_.size() - 1; }
-    std::span<const std::uint32_t> of(std::size_t cell) const {
-        return std::span(items_).subspan(first_[cell], first_[cell + 1] - first_[cell]);
+    std::span<const std::uint32_t> get_items_of_cell(std::size_t cell_number) const {
+        return std::span(items_).subspan(first_[cell_number], first_[cell_number + 1] - first_[cell_number]);
     }
 
 private:

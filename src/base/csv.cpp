@@ -21,20 +21,22 @@ std::vector<std::string_view> split_csv_cells(std::string_view line) {
     return cells;
 }
 
-std::vector<int> find_columns(const std::vector<std::string_view>& header,
-                              const std::vector<std::string>& known_names, const std::string& location) {
-    std::vector<int> at(known_names.size(), -1);
-    for (std::size_t c = 0; c < header.size(); ++c) {
-        const auto f = static_cast<std::size_t>(std::find(known_names.begin(), known_names.end(), header[c]) -
-                                                known_names.begin());
-        if (f == known_names.size()) {
-            throw DataError(fmt::format("{}: column '{}' is unknown{} (known: {})", location,
-                                        make_excerpt(header[c]), suggest_name(header[c], known_names, "'"),
-                                        fmt::join(known_names, ", ")));
+std::vector<int> find_column_indices(const std::vector<std::string_view>& header_cells,
+                                     const std::vector<std::string>& known_columns,
+                                     const std::string& location_for_errors) {
+    std::vector<int> at(known_columns.size(), -1);
+    for (std::size_t c = 0; c < header_cells.size(); ++c) {
+        const auto f = static_cast<std::size_t>(
+            std::find(known_columns.begin(), known_columns.end(), header_cells[c]) - known_columns.begin());
+        if (f == known_columns.size()) {
+            throw DataError(fmt::format("{}: column '{}' is unknown{} (known: {})", location_for_errors,
+                                        shorten_for_error_message(header_cells[c]),
+                                        format_name_suggestion(header_cells[c], known_columns, "'"),
+                                        fmt::join(known_columns, ", ")));
         }
         if (at[f] >= 0)
-            throw DataError(
-                fmt::format("{}: column '{}' occurs twice, expected it once", location, header[c]));
+            throw DataError(fmt::format("{}: column '{}' occurs twice, expected it once", location_for_errors,
+                                        header_cells[c]));
         at[f] = static_cast<int>(c);
     }
     return at;

@@ -19,8 +19,8 @@ namespace fs = std::filesystem;
 
 namespace {
 
-DataError make_unreadable_error(const fs::path& path, const std::error_code& failed) {
-    return DataError(fmt::format("cannot read {}: {}", path.string(), failed.message()));
+DataError make_unreadable_error(const fs::path& path, const std::error_code& system_error) {
+    return DataError(fmt::format("cannot read {}: {}", path.string(), system_error.message()));
 }
 
 /// Returns the file status of a path. Returns file_type::not_found if nothing exists at
@@ -52,7 +52,7 @@ std::string read_file(const fs::path& path) {
     return text;
 }
 
-std::string read_text(const fs::path& path) {
+std::string read_text_file(const fs::path& path) {
     std::string text = read_file(path);
     if (text.starts_with("\xEF\xBB\xBF")) text.erase(0, 3);
     if (text.starts_with("\xFF\xFE") || text.starts_with("\xFE\xFF"))
@@ -62,14 +62,15 @@ std::string read_text(const fs::path& path) {
 
 bool does_path_exist(const fs::path& path) { return fs::exists(get_file_status(path)); }
 
-void check_folder(const fs::path& path, const std::string& expected) {
+void check_is_folder(const fs::path& path, const std::string& expected_description) {
     const fs::file_status status = get_file_status(path);
     if (!fs::is_directory(status))
         throw DataError(fmt::format("{}: {}, expected {}", path.string(),
-                                    fs::exists(status) ? "not a folder" : "no such folder", expected));
+                                    fs::exists(status) ? "not a folder" : "no such folder",
+                                    expected_description));
 }
 
-std::vector<fs::path> list_folder(const fs::path& folder) {
+std::vector<fs::path> list_folder_entries(const fs::path& folder) {
     std::error_code failed;
     std::vector<fs::path> paths;
     if (!fs::is_directory(get_file_status(folder)))
@@ -81,16 +82,17 @@ std::vector<fs::path> list_folder(const fs::path& folder) {
     return paths;
 }
 
-std::optional<int> parse_file_number(const std::string& stem) {
-    const std::size_t first = std::min(stem.find_first_not_of('0'), stem.size());
-    if (stem.empty() || stem.size() - first > 8 || stem.find_first_not_of("0123456789") != std::string::npos)
+std::optional<int> parse_file_stem_as_number(const std::string& file_stem) {
+    const std::size_t first = std::min(file_stem.find_first_not_of('0'), file_stem.size());
+    if (file_stem.empty() || file_stem.size() - first > 8 ||
+        file_stem.find_first_not_of("0123456789") != std::string::npos)
         return std::nullopt;
     int number = 0;
-    std::from_chars(stem.data(), stem.data() + stem.size(), number);
+    std::from_chars(file_stem.data(), file_stem.data() + file_stem.size(), number);
     return number;
 }
 
-std::string make_excerpt(std::string_view text) {
+std::string shorten_for_error_message(std::string_view text) {
     constexpr std::size_t kMost = 80;
     const bool cut = text.size() > kMost;
     std::size_t n = cut ? kMost - 3 : text.size();

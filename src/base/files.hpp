@@ -19,7 +19,7 @@ std::string read_file(const std::filesystem::path& path);
 /// beginning, which Excel and other programs write.
 /// @throws DataError if the file is missing, cannot be read, or begins with a UTF-16
 /// byte-order mark
-std::string read_text(const std::filesystem::path& path);
+std::string read_text_file(const std::filesystem::path& path);
 
 /// Returns true if a file or folder exists at the path.
 /// @throws DataError if the system reports an error, for example missing permission, a
@@ -27,22 +27,22 @@ std::string read_text(const std::filesystem::path& path);
 bool does_path_exist(const std::filesystem::path& path);
 
 /// Checks that a path is a folder.
-/// @param expected description of the expected folder, for the error message
+/// @param expected_description description of the expected folder, for the error message
 /// @throws DataError if the path is not a folder or cannot be accessed
-void check_folder(const std::filesystem::path& path, const std::string& expected);
+void check_is_folder(const std::filesystem::path& path, const std::string& expected_description);
 
 /// Returns the paths of all files and folders in a folder, sorted by name.
 /// @throws DataError if the path is missing, is not a folder, or cannot be read
-std::vector<std::filesystem::path> list_folder(const std::filesystem::path& folder);
+std::vector<std::filesystem::path> list_folder_entries(const std::filesystem::path& folder);
 
 /// Returns the number that a file name without its extension represents. The name must
 /// consist of digits, and the number must be below 10^8 so that it fits into an int.
 /// Returns nullopt for other names.
-std::optional<int> parse_file_number(const std::string& stem);
+std::optional<int> parse_file_stem_as_number(const std::string& file_stem);
 
 /// Shortens a text to at most 80 characters for an error message, and replaces control
 /// characters.
-std::string make_excerpt(std::string_view text);
+std::string shorten_for_error_message(std::string_view text);
 
 /// Splits a text into lines without "\n" or "\r\n". A line break at the end of the text
 /// does not produce an empty line.

@@ -12,14 +12,15 @@ namespace relidar {
 
 /// Rays and ranges of a range image, row by row. The columns cover a full turn of the
 /// sensor.
-struct ImageRays {
+struct RangeImageRays {
     int rows, columns;
     /// Origins and unit directions of the rays, [rows*columns].
     std::span<const glm::vec3> origin, direction;
     std::span<const float> range_m;  ///< Measured ranges, [rows*columns]. 0 for rays without a return.
 
-    glm::dvec3 point(std::size_t index) const {
-        return glm::dvec3(origin[index]) + double(range_m[index]) * glm::dvec3(direction[index]);
+    glm::dvec3 compute_pixel_point(std::size_t pixel_index) const {
+        return glm::dvec3(origin[pixel_index]) +
+               double(range_m[pixel_index]) * glm::dvec3(direction[pixel_index]);
     }
 };
 
@@ -27,29 +28,32 @@ struct ImageRays {
 /// left and right.
 inline constexpr std::size_t kIncidenceColumns = 4;
 
-/// Returns the cosine of the angle of incidence at pixel `index`. Uses the points one row
-/// above and below, and four columns left and right. A distance of four columns reduces
-/// the effect of range noise. Returns a negative value if a point is missing or on
-/// another surface.
-inline double compute_incidence_cosine(const ImageRays& image, std::size_t index) {
+/// Returns the cosine of the angle of incidence at pixel `pixel_index`. Uses the points
+/// one row above and below, and four columns left and right. A distance of four columns
+/// reduces the effect of range noise. Returns a negative value if a point is missing or
+/// on another surface.
+inline double compute_incidence_cosine(const RangeImageRays& image, std::size_t pixel_index) {
     constexpr std::size_t kColumns = kIncidenceColumns;
     // Maximum relative difference between the ranges of two pixels on the same surface.
     constexpr double kSameSurface = 0.2;
-    const auto columns = std::size_t(image.columns), row = index / columns, column = index % columns;
+    const auto columns = std::size_t(image.columns), row = pixel_index / columns,
+               column = pixel_index % columns;
     if (columns < 2 * kColumns + 1 || row == 0 || row + 1 >= std::size_t(image.rows) ||
-        !(image.range_m[index] > 0.0f))
+        !(image.range_m[pixel_index] > 0.0f))
         return -1.0;
     const std::size_t left = row * columns + (column + columns - kColumns) % columns,
                       right = row * columns + (column + kColumns) % columns;
-    const std::size_t around[] = {right, left, index - columns, index + columns};
+    const std::size_t around[] = {right, left, pixel_index - columns, pixel_index + columns};
     for (const std::size_t k : around)
-        if (!(image.range_m[k] > 0.0f) ||
-            std::abs(image.range_m[k] - image.range_m[index]) > kSameSurface * double(image.range_m[index]))
+        if (!(image.range_m[k] > 0.0f) || std::abs(image.range_m[k] - image.range_m[pixel_index]) >
+                                              kSameSurface * double(image.range_m[pixel_index]))
             return -1.0;
-    const glm::dvec3 normal = glm::cross(image.point(around[0]) - image.point(around[1]),
-                                         image.point(around[2]) - image.point(around[3]));
+    const glm::dvec3 normal =
+        glm::cross(image.compute_pixel_point(around[0]) - image.compute_pixel_point(around[1]),
+                   image.compute_pixel_point(around[2]) - image.compute_pixel_point(around[3]));
     const double length = glm::length(normal);
-    return length > 0.0 ? std::abs(glm::dot(normal / length, glm::dvec3(image.direction[index]))) : -1.0;
+    return length > 0.0 ? std::abs(glm::dot(normal / length, glm::dvec3(image.direction[pixel_index])))
+                        : -1.0;
 }
 
 }  // namespace relidar

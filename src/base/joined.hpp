@@ -10,12 +10,12 @@ namespace relidar {
 /// Concatenates lists into one list. Frees each list after it has been copied, to save
 /// memory.
 template <class T>
-std::vector<T> concatenate(std::vector<std::vector<T>> parts) {
+std::vector<T> concatenate_vectors(std::vector<std::vector<T>> vectors) {
     std::size_t n = 0;
-    for (const std::vector<T>& part : parts) n += part.size();
+    for (const std::vector<T>& part : vectors) n += part.size();
     std::vector<T> all;
     all.reserve(n);
-    for (std::vector<T>& part : parts) {
+    for (std::vector<T>& part : vectors) {
         all.insert(all.end(), part.begin(), part.end());
         part = {};
     }

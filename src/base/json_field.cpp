@@ -16,39 +16,42 @@
 namespace relidar {
 namespace {
 
-std::string describe_value(const nlohmann::json& value) {
+std::string describe_json_value(const nlohmann::json& value) {
     if (value.is_structured())
         return fmt::format("found {} of {}", value.is_array() ? "an array" : "an object", value.size());
     const std::string text = value.dump(-1, ' ', true, nlohmann::json::error_handler_t::replace);
     return "found " + (text.size() <= 60 ? text : text.substr(0, 57) + "...");
 }
 
-/// Appends all numbers of nested lists to `numbers`.
+/// Appends all numbers of nested lists to `get_numbers`.
 /// @return the first invalid value: neither a number nor a list, or nested too deeply.
 /// Null if all values are valid
-const nlohmann::json* collect_numbers(const nlohmann::json& value, int depth, std::vector<double>& numbers) {
+const nlohmann::json* collect_nested_numbers(const nlohmann::json& value, int max_depth,
+                                             std::vector<double>& numbers) {
     if (value.is_number()) {
         numbers.push_back(value.get<double>());
         return nullptr;
     }
-    if (!value.is_array() || depth == 0) return &value;
+    if (!value.is_array() || max_depth == 0) return &value;
     for (const nlohmann::json& item : value)
-        if (const nlohmann::json* wrong = collect_numbers(item, depth - 1, numbers)) return wrong;
+        if (const nlohmann::json* wrong = collect_nested_numbers(item, max_depth - 1, numbers)) return wrong;
     return nullptr;
 }
 
 }  // namespace
 
-std::string JsonField::where() const { return name_.empty() ? *file_ : *file_ + ": " + name_; }
+std::string JsonField::get_location() const { return name_.empty() ? *file_ : *file_ + ": " + name_; }
 
-void JsonField::fail(const std::string& found_value, const std::string& expected) const {
-    throw DataError(fmt::format("{}: {}, {}", where(), found_value, expected));
+void JsonField::throw_field_error(const std::string& found_value, const std::string& expected) const {
+    throw DataError(fmt::format("{}: {}, {}", get_location(), found_value, expected));
 }
 
-bool JsonField::has(const std::string& key) const { return value_->is_object() && value_->contains(key); }
+bool JsonField::has_member(const std::string& member_name) const {
+    return value_->is_object() && value_->contains(member_name);
+}
 
 JsonField JsonField::at(const std::string& key) const {
-    if (!value_->is_object()) fail(describe_value(*value_), "expected an object");
+    if (!value_->is_object()) throw_field_error(describe_json_value(*value_), "expected an object");
     const auto it = value_->find(key);
     const std::string name = name_.empty() ? key : name_ + "." + key;
     if (it == value_->end()) throw DataError(fmt::format("{}: {} is missing", *file_, name));
@@ -60,80 +63,82 @@ JsonField JsonField::at(std::size_t index) const {
 }
 
 std::size_t JsonField::size() const {
-    if (!value_->is_array()) fail(describe_value(*value_), "expected an array");
+    if (!value_->is_array()) throw_field_error(describe_json_value(*value_), "expected an array");
     return value_->size();
 }
 
-std::vector<double> JsonField::read_nested_numbers(int depth) const {
+std::vector<double> JsonField::get_nested_numbers(int max_depth) const {
     std::vector<double> numbers;
-    if (const nlohmann::json* wrong = collect_numbers(*value_, depth, numbers))
-        fail(wrong->is_array() ? "found lists that are nested too deeply"
-                               : fmt::format("found {}", wrong->type_name()),
-             "expected numbers");
+    if (const nlohmann::json* wrong = collect_nested_numbers(*value_, max_depth, numbers))
+        throw_field_error(wrong->is_array() ? "found lists that are nested too deeply"
+                                            : fmt::format("found {}", wrong->type_name()),
+                          "expected numbers");
     return numbers;
 }
 
-bool JsonField::is_text() const { return value_->is_string(); }
+bool JsonField::is_string() const { return value_->is_string(); }
 
 bool JsonField::is_array() const { return value_->is_array(); }
 
-void JsonField::check_members(const std::vector<std::string>& known_names) const {
-    if (!value_->is_object()) fail(describe_value(*value_), "expected an object");
+void JsonField::check_no_unknown_members(const std::vector<std::string>& known_names) const {
+    if (!value_->is_object()) throw_field_error(describe_json_value(*value_), "expected an object");
     for (const auto& [key, value] : value_->items())
         if (std::find(known_names.begin(), known_names.end(), key) == known_names.end())
-            fail(fmt::format("found the unknown member '{}'", make_excerpt(key)),
-                 fmt::format("expected only {}", fmt::join(known_names, ", ")));
+            throw_field_error(fmt::format("found the unknown member '{}'", shorten_for_error_message(key)),
+                              fmt::format("expected only {}", fmt::join(known_names, ", ")));
 }
 
-double JsonField::number() const {
+double JsonField::get_number() const {
     if (!value_->is_number() || !std::isfinite(value_->get<double>()))
-        fail(describe_value(*value_), "expected a finite number");
+        throw_field_error(describe_json_value(*value_), "expected a finite number");
     return value_->get<double>();
 }
 
-double JsonField::number(double low, double high) const {
-    const double value = number();
-    if (value < low || value > high)
-        fail(describe_value(*value_), fmt::format("expected a number from {:.15g} to {:.15g}", low, high));
+double JsonField::get_number(double min_value, double max_value) const {
+    const double value = get_number();
+    if (value < min_value || value > max_value)
+        throw_field_error(describe_json_value(*value_),
+                          fmt::format("expected a number from {:.15g} to {:.15g}", min_value, max_value));
     return value;
 }
 
-std::int64_t JsonField::integer(std::int64_t low, std::int64_t high) const {
+std::int64_t JsonField::get_integer(std::int64_t min_value, std::int64_t max_value) const {
     const bool fits = value_->is_number_integer() &&
                       !(value_->is_number_unsigned() &&
                         value_->get<std::uint64_t>() > static_cast<std::uint64_t>(INT64_MAX));
-    if (!fits || value_->get<std::int64_t>() < low || value_->get<std::int64_t>() > high) {
-        fail(describe_value(*value_), fmt::format("expected an integer from {} to {}", low, high));
+    if (!fits || value_->get<std::int64_t>() < min_value || value_->get<std::int64_t>() > max_value) {
+        throw_field_error(describe_json_value(*value_),
+                          fmt::format("expected an integer from {} to {}", min_value, max_value));
     }
     return value_->get<std::int64_t>();
 }
 
-bool JsonField::boolean() const {
-    if (!value_->is_boolean()) fail(describe_value(*value_), "expected true or false");
+bool JsonField::get_boolean() const {
+    if (!value_->is_boolean()) throw_field_error(describe_json_value(*value_), "expected true or false");
     return value_->get<bool>();
 }
 
-std::string JsonField::text() const {
-    if (!value_->is_string()) fail(describe_value(*value_), "expected text");
+std::string JsonField::get_string() const {
+    if (!value_->is_string()) throw_field_error(describe_json_value(*value_), "expected text");
     return value_->get<std::string>();
 }
 
-std::string JsonField::text(std::size_t max_count) const {
-    const std::string value_text = text();
+std::string JsonField::get_string(std::size_t max_bytes) const {
+    const std::string value_text = get_string();
     const auto is_control = [](unsigned char character) { return character < 0x20 || character == 0x7F; };
-    if (value_text.size() > max_count || std::any_of(value_text.begin(), value_text.end(), is_control))
-        fail(fmt::format("found {} bytes of text", value_text.size()),
-             fmt::format("expected one line of at most {} bytes", max_count));
+    if (value_text.size() > max_bytes || std::any_of(value_text.begin(), value_text.end(), is_control))
+        throw_field_error(fmt::format("found {} bytes of text", value_text.size()),
+                          fmt::format("expected one line of at most {} bytes", max_bytes));
     return value_text;
 }
 
-std::vector<double> JsonField::numbers() const {
+std::vector<double> JsonField::get_numbers() const {
     std::vector<double> result(size());
-    for (std::size_t i = 0; i < result.size(); ++i) result[i] = at(i).number();
+    for (std::size_t i = 0; i < result.size(); ++i) result[i] = at(i).get_number();
     return result;
 }
 
-nlohmann::json parse_json(const std::string& text, const std::string& file) {
+nlohmann::json parse_json(const std::string& text, const std::string& file_name) {
     try {
         return nlohmann::json::parse(text);
     } catch (const nlohmann::json::exception& error) {
@@ -145,7 +150,7 @@ nlohmann::json parse_json(const std::string& text, const std::string& file) {
         // Removes the end of the message. It quotes the file and can be very long.
         why = why.substr(0, why.find("; last read"));
         for (char& c : why) c = static_cast<unsigned char>(c) < 0x20 ? ' ' : c;
-        throw DataError(fmt::format("{}: not valid JSON, truncated or damaged: {}", file, why));
+        throw DataError(fmt::format("{}: not valid JSON, truncated or damaged: {}", file_name, why));
     }
 }
 

@@ -22,41 +22,42 @@ public:
         : value_(&value), file_(&file), name_(std::move(name)) {}
 
     JsonField at(const std::string& key) const;  ///< Returns a member of an object.
-    /// Returns true if the JSON value is an object with the member `key`.
-    bool has(const std::string& key) const;
+    /// Returns true if the JSON value is an object with the member `member_name`.
+    bool has_member(const std::string& member_name) const;
     JsonField at(std::size_t index) const;  ///< Returns an entry of an array.
     std::size_t size() const;               ///< Returns the number of entries of an array.
-    bool is_text() const;
+    bool is_string() const;
     bool is_array() const;
     /// Checks that a JSON object has only known members.
     /// @throws DataError if the object has another member
-    void check_members(const std::vector<std::string>& known_names) const;
-    double number() const;  ///< Returns a finite number.
-    double number(double low, double high) const;
-    std::int64_t integer(std::int64_t low, std::int64_t high) const;
-    bool boolean() const;
-    std::string text() const;
-    /// Returns the value as a text. Throws an error if the text has more than `max_count`
+    void check_no_unknown_members(const std::vector<std::string>& known_names) const;
+    double get_number() const;  ///< Returns a finite number.
+    double get_number(double min_value, double max_value) const;
+    std::int64_t get_integer(std::int64_t min_value, std::int64_t max_value) const;
+    bool get_boolean() const;
+    std::string get_string() const;
+    /// Returns the value as a text. Throws an error if the text has more than `max_bytes`
     /// bytes or contains line breaks.
-    std::string text(std::size_t max_count) const;
-    std::vector<double> numbers() const;
+    std::string get_string(std::size_t max_bytes) const;
+    std::vector<double> get_numbers() const;
     /// Returns all numbers of nested lists as one list.
-    /// @param depth maximum nesting depth
-    std::vector<double> read_nested_numbers(int depth) const;
+    /// @param max_depth maximum nesting depth
+    std::vector<double> get_nested_numbers(int max_depth) const;
     /// Returns the numbers of a list. The list must contain exactly n numbers.
     template <std::size_t n>
-    std::array<double, n> numbers() const {
-        const std::vector<double> all = numbers();
+    std::array<double, n> get_numbers() const {
+        const std::vector<double> all = get_numbers();
         if (all.size() != n)
-            fail("found " + std::to_string(all.size()) + " numbers", "expected " + std::to_string(n));
+            throw_field_error("found " + std::to_string(all.size()) + " numbers",
+                              "expected " + std::to_string(n));
         std::array<double, n> result;
         std::copy(all.begin(), all.end(), result.begin());
         return result;
     }
-    std::string where() const;  ///< Returns "file: field" for error messages.
+    std::string get_location() const;  ///< Returns "file: field" for error messages.
     /// Throws a DataError with a message like "file: field: found null, expected a
     /// number".
-    [[noreturn]] void fail(const std::string& found_value, const std::string& expected) const;
+    [[noreturn]] void throw_field_error(const std::string& found_value, const std::string& expected) const;
 
 private:
     const nlohmann::json* value_;
@@ -66,6 +67,6 @@ private:
 
 /// Parses a JSON text.
 /// @throws DataError with the file and the position of the syntax error
-nlohmann::json parse_json(const std::string& text, const std::string& file);
+nlohmann::json parse_json(const std::string& text, const std::string& file_name);
 
 }  // namespace relidar

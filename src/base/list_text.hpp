@@ -21,9 +21,9 @@ inline std::string format_number_list(const std::vector<int>& numbers, std::size
 }
 
 /// Splits a list such as "a, b,c" at its commas. Returns the words without blanks.
-inline std::vector<std::string> split_words(const std::string& list) {
+inline std::vector<std::string> split_comma_separated_list(const std::string& comma_separated_list) {
     std::vector<std::string> words{""};
-    for (const char c : list) {
+    for (const char c : comma_separated_list) {
         if (c == ',') words.emplace_back();
         else if (c != ' ') words.back() += c;
     }

@@ -15,7 +15,7 @@
 namespace relidar {
 namespace {
 
-bool is_same_letter(char first, char second) {
+bool is_same_letter_ignoring_case(char first, char second) {
     return std::tolower(static_cast<unsigned char>(first)) ==
            std::tolower(static_cast<unsigned char>(second));
 }
@@ -26,10 +26,12 @@ std::size_t compute_edit_distance(std::string_view first, std::string_view secon
     for (std::size_t i = 1; i <= first.size(); ++i) {
         next[0] = i;
         for (std::size_t j = 1; j <= second.size(); ++j) {
-            const std::size_t replaced = row[j - 1] + (is_same_letter(first[i - 1], second[j - 1]) ? 0 : 1);
+            const std::size_t replaced =
+                row[j - 1] + (is_same_letter_ignoring_case(first[i - 1], second[j - 1]) ? 0 : 1);
             next[j] = std::min({row[j] + 1, next[j - 1] + 1, replaced});
-            const bool swapped = i > 1 && j > 1 && is_same_letter(first[i - 1], second[j - 2]) &&
-                                 is_same_letter(first[i - 2], second[j - 1]);
+            const bool swapped = i > 1 && j > 1 &&
+                                 is_same_letter_ignoring_case(first[i - 1], second[j - 2]) &&
+                                 is_same_letter_ignoring_case(first[i - 2], second[j - 1]);
             if (swapped) next[j] = std::min(next[j], before[j - 2] + 1);
         }
         before = std::exchange(row, next);
@@ -37,41 +39,44 @@ std::size_t compute_edit_distance(std::string_view first, std::string_view secon
     return row[second.size()];
 }
 
-bool contains(std::string_view text, std::string_view part) {
-    return part.size() >= 3 &&
-           std::search(text.begin(), text.end(), part.begin(), part.end(), is_same_letter) != text.end();
+bool contains_ignoring_case(std::string_view text, std::string_view substring) {
+    return substring.size() >= 3 && std::search(text.begin(), text.end(), substring.begin(), substring.end(),
+                                                is_same_letter_ignoring_case) != text.end();
 }
 
 /// Returns true if two names are similar: at most two of five letters differ, or one name
 /// contains the other.
-bool is_similar(std::string_view query, std::string_view name) {
+bool is_similar_name(std::string_view query, std::string_view name) {
     const std::size_t most = std::max<std::size_t>(1, 2 * std::max(query.size(), name.size()) / 5);
-    return compute_edit_distance(query, name) <= most || contains(query, name) || contains(name, query);
+    return compute_edit_distance(query, name) <= most || contains_ignoring_case(query, name) ||
+           contains_ignoring_case(name, query);
 }
 
 }  // namespace
 
-std::string find_nearest_name(std::string_view query, const std::vector<std::string>& known_names) {
+std::string find_most_similar_name(std::string_view query, const std::vector<std::string>& valid_names) {
     const auto best = std::min_element(
-        known_names.begin(), known_names.end(), [&](const std::string& first, const std::string& second) {
+        valid_names.begin(), valid_names.end(), [&](const std::string& first, const std::string& second) {
             return compute_edit_distance(query, first) < compute_edit_distance(query, second);
         });
-    return best == known_names.end() ? std::string() : *best;
+    return best == valid_names.end() ? std::string() : *best;
 }
 
-std::string suggest_name(std::string_view query, const std::vector<std::string>& known_names,
-                         std::string_view quote, std::string_view otherwise) {
+std::string format_name_suggestion(std::string_view query, const std::vector<std::string>& valid_names,
+                                   std::string_view quote_mark, std::string_view text_if_none) {
     std::vector<std::string> similar_names;
-    for (const std::string& name : known_names)
-        if (is_similar(query, name)) similar_names.push_back(name);
-    if (similar_names.empty()) return std::string(otherwise);
-    return fmt::format(", did you mean {}{}{}?", quote, find_nearest_name(query, similar_names), quote);
+    for (const std::string& name : valid_names)
+        if (is_similar_name(query, name)) similar_names.push_back(name);
+    if (similar_names.empty()) return std::string(text_if_none);
+    return fmt::format(", did you mean {}{}{}?", quote_mark, find_most_similar_name(query, similar_names),
+                       quote_mark);
 }
 
-std::optional<std::string> find_known_name(std::string_view query,
-                                           const std::vector<std::string>& known_names) {
-    for (const std::string& name : known_names)
-        if (std::equal(query.begin(), query.end(), name.begin(), name.end(), is_same_letter)) return name;
+std::optional<std::string> find_name_ignoring_case(std::string_view query,
+                                                   const std::vector<std::string>& valid_names) {
+    for (const std::string& name : valid_names)
+        if (std::equal(query.begin(), query.end(), name.begin(), name.end(), is_same_letter_ignoring_case))
+            return name;
     return std::nullopt;
 }
 

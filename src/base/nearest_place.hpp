@@ -15,28 +15,34 @@ namespace relidar {
 /// k-d tree that finds the nearest of its points. Thread-safe.
 /// @tparam Scalar type of coordinates and distances
 template <class Scalar>
-class NearestPlace {
+class NearestPointFinder {
 public:
     using Point = glm::vec<3, Scalar>;
 
     /// Builds the tree from at least one point.
-    explicit NearestPlace(std::vector<Point> places)
-        : places_{std::move(places)}, tree_(3, places_, nanoflann::KDTreeSingleIndexAdaptorParams(8)) {}
-    NearestPlace(const NearestPlace&) = delete;  // Not copyable, because the tree refers to `places_`.
-    NearestPlace& operator=(const NearestPlace&) = delete;
+    explicit NearestPointFinder(std::vector<Point> points)
+        : points_{std::move(points)}, tree_(3, points_, nanoflann::KDTreeSingleIndexAdaptorParams(8)) {}
+    NearestPointFinder(const NearestPointFinder&) =
+        delete;  // Not copyable, because the tree refers to `points_`.
+    NearestPointFinder& operator=(const NearestPointFinder&) = delete;
 
     /// Returns the index of the nearest point, and the squared distance to it.
-    std::pair<std::size_t, Scalar> find(const Point& point) const {
-        std::pair<std::size_t, Scalar> found{0, Scalar(0)};
-        tree_.knnSearch(&point.x, 1, &found.first, &found.second);
-        return found;
+    std::pair<std::size_t, Scalar> find_nearest_point(const Point& query_point) const {
+        std::pair<std::size_t, Scalar> index_and_squared_distance{0, Scalar(0)};
+        tree_.knnSearch(&query_point.x, 1, &index_and_squared_distance.first,
+                        &index_and_squared_distance.second);
+        return index_and_squared_distance;
     }
-    std::size_t of(const Point& point) const { return find(point).first; }
-    Scalar squared_distance(const Point& point) const { return find(point).second; }
+    std::size_t find_nearest_index(const Point& query_point) const {
+        return find_nearest_point(query_point).first;
+    }
+    Scalar compute_nearest_squared_distance(const Point& query_point) const {
+        return find_nearest_point(query_point).second;
+    }
 
 private:
     /// Container of points with the member functions that nanoflann requires.
-    struct Places {
+    struct KdTreePoints {
         std::vector<Point> all;
         std::size_t kdtree_get_point_count() const { return all.size(); }
         Scalar kdtree_get_pt(std::size_t index, std::size_t axis) const {
@@ -48,8 +54,9 @@ private:
         }
     };
 
-    Places places_;
-    nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<Scalar, Places>, Places, 3, std::size_t>
+    KdTreePoints points_;
+    nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<Scalar, KdTreePoints>, KdTreePoints, 3,
+                                        std::size_t>
         tree_;
 };
 

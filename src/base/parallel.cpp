@@ -16,27 +16,27 @@ std::size_t get_max_concurrency() {
     return std::clamp<std::size_t>(std::size_t(tbb::this_task_arena::max_concurrency()), 1, limit);
 }
 
-void parallel_for(int count, const std::function<void(int)>& task) {
-    if (count <= 0) return;
+void parallel_for(int n_tasks, const std::function<void(int)>& task) {
+    if (n_tasks <= 0) return;
     std::mutex mutex;
     std::exception_ptr failure;
-    int failed = count;
+    int failed = n_tasks;
     std::atomic<int> next{0};
     // Gets the next task index from a shared counter, so that tasks start in ascending
     // order. The loops of oneTBB do not guarantee this order, because they split [0,
     // count) in the middle.
     const auto run_tasks = [&] {
-        for (int i = next++; i < count; i = next++) {
+        for (int i = next++; i < n_tasks; i = next++) {
             try {
                 task(i);
             } catch (...) {
                 const std::scoped_lock lock(mutex);
                 if (i < failed) failure = std::current_exception(), failed = i;
-                next = count;
+                next = n_tasks;
             }
         }
     };
-    const std::size_t n_threads = std::min(std::size_t(count), get_max_concurrency());
+    const std::size_t n_threads = std::min(std::size_t(n_tasks), get_max_concurrency());
     if (n_threads == 1) {
         run_tasks();
     } else {

@@ -16,25 +16,26 @@ struct PlaneFit {
     glm::dvec3 axes[3];
 };
 
-struct PlaneSums {
+struct PointMomentSums {
     double n = 0.0;
     /// Sums of the products y z, x z and x y over all points.
     glm::dvec3 sum{0.0}, squares{0.0}, products{0.0};
 
     /// Adds a point to the sums.
-    /// @param direction point minus an origin near all points. Squares of large
-    /// coordinates would lose precision
-    void add(const glm::dvec3& direction) {
+    /// @param point_relative_to_origin point minus an origin near all points. Squares of
+    /// large coordinates would lose precision
+    void add_point(const glm::dvec3& point_relative_to_origin) {
         n += 1.0;
-        sum += direction;
-        squares += direction * direction;
-        products +=
-            glm::dvec3(direction.y * direction.z, direction.x * direction.z, direction.x * direction.y);
+        sum += point_relative_to_origin;
+        squares += point_relative_to_origin * point_relative_to_origin;
+        products += glm::dvec3(point_relative_to_origin.y * point_relative_to_origin.z,
+                               point_relative_to_origin.x * point_relative_to_origin.z,
+                               point_relative_to_origin.x * point_relative_to_origin.y);
     }
 
     /// Returns the least-squares plane of the points, relative to the origin of the added
     /// points. Requires at least one point.
-    PlaneFit fit() const {
+    PlaneFit fit_plane() const {
         const glm::dvec3 mean = sum / n, s = squares / n - mean * mean,
                          p = products / n - glm::dvec3(mean.y * mean.z, mean.x * mean.z, mean.x * mean.y);
         Eigen::Matrix3d covariance;

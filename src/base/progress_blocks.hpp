@@ -17,16 +17,16 @@ namespace relidar {
 /// progress: the finished fraction before each of its tasks, and 1 at the end. The loop
 /// stops if `progress` throws.
 template <class Task>
-void for_each_with_progress(std::size_t count, const Progress& progress, std::string_view description,
-                            const Task& task) {
+void parallel_for_with_progress(std::size_t n_tasks, const ProgressReporter& progress,
+                                std::string_view description, const Task& task) {
     if (progress) progress(description, 0.0);
     const std::thread::id caller = std::this_thread::get_id();
     std::atomic<std::size_t> done{0};
     std::atomic<bool> is_ended{false};
-    parallel_for(static_cast<int>(count), [&](int index) {
+    parallel_for(static_cast<int>(n_tasks), [&](int index) {
         if (is_ended) return;
         if (progress && std::this_thread::get_id() == caller) try {
-                progress(description, double(done) / double(count));
+                progress(description, double(done) / double(n_tasks));
             } catch (...) {
                 is_ended = true;
                 throw;
@@ -40,11 +40,11 @@ void for_each_with_progress(std::size_t count, const Progress& progress, std::st
 /// Runs task(i) for every i in [0, count) in parallel, and reports progress. Each thread
 /// processes blocks of consecutive items.
 template <class Task>
-void for_each_block_with_progress(std::size_t count, const Progress& progress, std::string_view description,
-                                  const Task& task) {
-    const std::size_t size = compute_block_size(count);
-    for_each_with_progress((count + size - 1) / size, progress, description, [&](std::size_t block) {
-        for (std::size_t i = block * size; i < std::min(count, (block + 1) * size); ++i) task(i);
+void parallel_for_blocks_with_progress(std::size_t n_items, const ProgressReporter& progress,
+                                       std::string_view description, const Task& task) {
+    const std::size_t size = compute_block_size(n_items);
+    parallel_for_with_progress((n_items + size - 1) / size, progress, description, [&](std::size_t block) {
+        for (std::size_t i = block * size; i < std::min(n_items, (block + 1) * size); ++i) task(i);
     });
 }
 

@@ -10,7 +10,7 @@
 namespace relidar {
 
 /// Returns a 64-bit hash of a number, computed with the output function of SplitMix64.
-inline std::uint64_t combine_hashes(std::uint64_t value) {
+inline std::uint64_t hash_integer(std::uint64_t value) {
     value += 0x9E3779B97F4A7C15ull;
     value = (value ^ (value >> 30)) * 0xBF58476D1CE4E5B9ull;
     value = (value ^ (value >> 27)) * 0x94D049BB133111EBull;
@@ -18,31 +18,33 @@ inline std::uint64_t combine_hashes(std::uint64_t value) {
 }
 
 /// Returns a hash of two numbers. Exchanging the numbers changes the hash.
-inline std::uint64_t combine_hashes(std::uint64_t first, std::uint64_t second) {
-    return combine_hashes(combine_hashes(first) ^ (second * 0xD6E8FEB86659FD93ull));
+inline std::uint64_t hash_integer_pair(std::uint64_t first, std::uint64_t second) {
+    return hash_integer(hash_integer(first) ^ (second * 0xD6E8FEB86659FD93ull));
 }
 
 /// Random number generator.
 class Random {
 public:
-    explicit Random(std::uint64_t seed) : state_(combine_hashes(seed)) {}
+    explicit Random(std::uint64_t seed) : state_(hash_integer(seed)) {}
 
-    std::uint64_t next() { return combine_hashes(state_ += 0x9E3779B97F4A7C15ull); }
+    std::uint64_t draw_uint64() { return hash_integer(state_ += 0x9E3779B97F4A7C15ull); }
 
     /// Returns a reference to the generator's state, so that callers can save and restore
     /// it.
-    std::uint64_t& state() { return state_; }
+    std::uint64_t& get_mutable_state() { return state_; }
 
     /// Returns a uniformly distributed number in [0, 1) with 53 random bits.
-    double uniform() { return static_cast<double>(next() >> 11) * 0x1.0p-53; }
+    double draw_uniform() { return static_cast<double>(draw_uint64() >> 11) * 0x1.0p-53; }
 
     /// Returns a uniformly distributed number in [low, high).
-    double uniform(double low, double high) { return low + (high - low) * uniform(); }
+    double draw_uniform(double min_value, double max_value) {
+        return min_value + (max_value - min_value) * draw_uniform();
+    }
 
     /// Returns a random number with a standard normal distribution.
-    double normal() {
-        const double radius = std::sqrt(-2.0 * std::log(1.0 - uniform()));
-        return radius * std::cos(6.283185307179586 * uniform());
+    double draw_standard_normal() {
+        const double radius = std::sqrt(-2.0 * std::log(1.0 - draw_uniform()));
+        return radius * std::cos(6.283185307179586 * draw_uniform());
     }
 
 private:

@@ -17,21 +17,21 @@ struct SharedBytes {
     std::string_view bytes;
 
     /// Returns a view of a part of the bytes. The view keeps the same memory alive.
-    SharedBytes with(std::string_view part) const { return {memory, part}; }
+    SharedBytes make_shared_subview(std::string_view subview) const { return {memory, subview}; }
 };
 
-inline SharedBytes share_bytes(std::string bytes) {
+inline SharedBytes move_to_shared_bytes(std::string bytes) {
     const auto memory = std::make_shared<const std::string>(std::move(bytes));
     return {memory, *memory};
 }
 
-/// Allocates `count` bytes and calls fill(std::span<char>) to write them. The bytes are
+/// Allocates `n_bytes` bytes and calls fill(std::span<char>) to write them. The bytes are
 /// uninitialised before this call.
 template <class Fill>
-SharedBytes make_shared_bytes(std::size_t count, const Fill& fill) {
-    const std::shared_ptr<char[]> memory(new char[count]);
-    fill(std::span<char>(memory.get(), count));
-    return {memory, {memory.get(), count}};
+SharedBytes allocate_shared_bytes(std::size_t n_bytes, const Fill& write_bytes) {
+    const std::shared_ptr<char[]> memory(new char[n_bytes]);
+    write_bytes(std::span<char>(memory.get(), n_bytes));
+    return {memory, {memory.get(), n_bytes}};
 }
 
 }  // namespace relidar

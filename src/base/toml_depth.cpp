@@ -16,28 +16,30 @@ constexpr int kMostParts = 8, kDeepest = 8;
 
 /// Returns the position after a quoted text. If the closing quote is missing, returns the
 /// end of the line.
-std::size_t skip_quoted(std::string_view text, std::size_t position) {
-    const char quote = text[position++];
-    for (; position < text.size() && text[position] != quote && text[position] != '\n'; ++position) {
-        if (text[position] == '\\' && quote == '"' && position + 1 < text.size() &&
-            text[position + 1] != '\n')
-            ++position;
+std::size_t find_end_of_quoted_text(std::string_view text, std::size_t quote_position) {
+    const char quote = text[quote_position++];
+    for (; quote_position < text.size() && text[quote_position] != quote && text[quote_position] != '\n';
+         ++quote_position) {
+        if (text[quote_position] == '\\' && quote == '"' && quote_position + 1 < text.size() &&
+            text[quote_position + 1] != '\n')
+            ++quote_position;
     }
-    return position < text.size() && text[position] == quote ? position + 1 : position;
+    return quote_position < text.size() && text[quote_position] == quote ? quote_position + 1
+                                                                         : quote_position;
 }
 
 }  // namespace
 
-void check_toml_depth(std::string_view text, const std::string& file) {
+void check_toml_nesting_depth(std::string_view toml_text, const std::string& file_name) {
     int line = 1, parts = 1, depth = 0;
-    for (std::size_t at = 0; at < text.size();) {
-        const char c = text[at];
+    for (std::size_t at = 0; at < toml_text.size();) {
+        const char c = toml_text[at];
         if (c == '"' || c == '\'') {
-            at = skip_quoted(text, at);
+            at = find_end_of_quoted_text(toml_text, at);
             continue;
         }
         if (c == '#') {
-            at = std::min(text.find('\n', at), text.size());
+            at = std::min(toml_text.find('\n', at), toml_text.size());
             continue;
         }
         if (c == '.') ++parts;
@@ -48,12 +50,12 @@ void check_toml_depth(std::string_view text, const std::string& file) {
             throw DataError(fmt::format(
                 "{}:{}: found a key with more than {} parts, expected settings with two parts such as "
                 "train.iterations",
-                file, line, kMostParts));
+                file_name, line, kMostParts));
         if (depth > kDeepest)
             throw DataError(fmt::format(
                 "{}:{}: found brackets that are nested more than {} deep, expected settings with one "
                 "value each",
-                file, line, kDeepest));
+                file_name, line, kDeepest));
         line += c == '\n';
         ++at;
     }

@@ -24,99 +24,100 @@ double to_mib(std::uint64_t bytes) { return double(bytes) / 1048576.0; }
 /// Throws an error that a buffer could not be allocated. The message contains the size of
 /// the buffer, the free memory and the cause.
 /// @param cause for example the error code of the driver
-[[noreturn]] void fail_allocation(const Device::Impl& device, std::size_t size,
-                                  const std::string& description, const std::string& cause,
-                                  const gpu::MemoryBudget& budget) {
+[[noreturn]] void throw_allocation_error(const Device::Impl& device, std::size_t size,
+                                         const std::string& description, const std::string& cause,
+                                         const gpu::MemoryBudget& budget) {
     throw OutOfDeviceMemory(
         fmt::format("cannot allocate {:.1f} MiB for {} on {}: {}; relidar uses {:.1f} MiB, and {:.1f} MiB of "
                     "the budget of {:.1f} MiB are free; use fewer frames or a device with more memory",
                     to_mib(size), description, device.info.name, cause, to_mib(device.allocated),
-                    to_mib(budget.n_free()), to_mib(budget.n_bytes)));
+                    to_mib(budget.get_free_bytes()), to_mib(budget.n_bytes)));
 }
 
-void check_size(const Device::Impl& device, std::size_t size, const std::string& description) {
+void check_buffer_size(const Device::Impl& device, std::size_t size_bytes, const std::string& description) {
     const auto& [limit, name] = device.largest_buffer;
-    if (size <= limit) return;
+    if (size_bytes <= limit) return;
     throw OutOfDeviceMemory(
         fmt::format("cannot allocate {:.1f} MiB for {} on {}: the array is larger than {} = {:.1f} MiB, the "
                     "limit of the driver",
-                    to_mib(size), description, device.info.name, name, to_mib(limit)));
+                    to_mib(size_bytes), description, device.info.name, name, to_mib(limit)));
 }
 
 /// Checks that an array fits into the memory limit of the user and into the memory budget
 /// of the driver. Reading the budget is slow, so it is read only for large arrays.
-void check_memory_budget(const Device::Impl& device, std::size_t size, const std::string& description) {
-    constexpr std::size_t kLarge = gpu::MemoryPools::kBlockBytes / 2;
-    if (device.memory_limit_bytes != 0 && device.allocated + size > device.memory_limit_bytes)
+void check_memory_budget(const Device::Impl& device, std::size_t size_bytes, const std::string& description) {
+    constexpr std::size_t kLarge = gpu::DeviceMemoryAllocator::kBlockBytes / 2;
+    if (device.memory_limit_bytes != 0 && device.allocated + size_bytes > device.memory_limit_bytes)
         throw OutOfDeviceMemory(fmt::format(
             "cannot allocate {:.1f} MiB for {}: {:.1f} MiB are in use, and the memory limit is "
             "{:.1f} MiB (RELIDAR_MEMORY_LIMIT_MIB)",
-            to_mib(size), description, to_mib(device.allocated), to_mib(device.memory_limit_bytes)));
-    if (size < kLarge) return;
+            to_mib(size_bytes), description, to_mib(device.allocated), to_mib(device.memory_limit_bytes)));
+    if (size_bytes < kLarge) return;
     gpu::MemoryBudget budget = gpu::query_memory_budget(device.physical);
     // Without VK_EXT_memory_budget, the driver does not report used memory (n_used is 0).
     budget.n_used = std::max(budget.n_used, device.allocated.load());
-    if (budget.n_bytes > 0 && size > budget.n_free())
-        fail_allocation(device, size, description, "the array does not fit", budget);
+    if (budget.n_bytes > 0 && size_bytes > budget.get_free_bytes())
+        throw_allocation_error(device, size_bytes, description, "the array does not fit", budget);
 }
 
 }  // namespace
 
-Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::MemoryUse used, const std::string& description)
+Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::BufferPurpose used,
+                   const std::string& description)
     : device(&owner), use(used), n_bytes(size) {
     // A device that is opened only for compilation allocates no memory, because it may
     // have no hardware.
     if (owner.compile_only) return;
     owner.free_orphaned_buffers();
-    check_size(owner, size, description);
+    check_buffer_size(owner, size, description);
     // Staging and parameter buffers are small or in host memory, so the budget does not
     // apply.
-    if (use == gpu::MemoryUse::device) check_memory_budget(owner, size, description);
+    if (use == gpu::BufferPurpose::device) check_memory_budget(owner, size, description);
     VkBufferCreateInfo info{VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO};
     info.size = size;
     info.usage = VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_SHADER_DEVICE_ADDRESS_BIT |
                  VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT;
     // Vulkan allows these flags only if the extension for acceleration structures is
     // enabled. This is the case if the device traces with ray queries.
-    if (owner.traversal == Traversal::ray_query)
+    if (owner.traversal == RayTracingBackend::ray_query)
         info.usage |= VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_BUILD_INPUT_READ_ONLY_BIT_KHR |
                       VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_STORAGE_BIT_KHR;
     const std::uint64_t largest = owner.largest_allocation.n_bytes;
-    if (owner.binds_sparse && use == gpu::MemoryUse::device && size > largest)
+    if (owner.binds_sparse && use == gpu::BufferPurpose::device && size > largest)
         info.flags = VK_BUFFER_CREATE_SPARSE_BINDING_BIT;
     VkResult result = vkCreateBuffer(owner.device, &info, nullptr, &handle);
     if (result == VK_SUCCESS) {
-        gpu::name_object(owner.device, VK_OBJECT_TYPE_BUFFER, handle, description);
+        gpu::set_object_name(owner.device, VK_OBJECT_TYPE_BUFFER, handle, description);
         VkMemoryRequirements needs;
         vkGetBufferMemoryRequirements(owner.device, handle, &needs);
         // A piece of a sparse buffer must be a multiple of its memory page, and at least
         // one page.
         const std::uint64_t piece_bytes =
             std::max(largest / needs.alignment * needs.alignment, needs.alignment);
-        result = info.flags ? allocate_pieces(needs, piece_bytes) : allocate(needs);
+        result = info.flags ? allocate_memory_pieces(needs, piece_bytes) : allocate_memory(needs);
     }
     if (result != VK_SUCCESS) {
-        for (const gpu::MemoryPiece& piece : memory) owner.memory->release(piece);
+        for (const gpu::MemorySuballocation& piece : memory) owner.memory->release_piece(piece);
         vkDestroyBuffer(owner.device, handle, nullptr);
         const std::string cause = fmt::format("the driver returned {}", gpu::get_result_name(result));
         if (result == VK_ERROR_DEVICE_LOST)
-            gpu::fail(result, fmt::format("cannot allocate {}: {}", description, cause));
-        fail_allocation(owner, size, description, cause, gpu::query_memory_budget(owner.physical));
+            gpu::throw_vulkan_error(result, fmt::format("cannot allocate {}: {}", description, cause));
+        throw_allocation_error(owner, size, description, cause, gpu::query_memory_budget(owner.physical));
     }
     VkBufferDeviceAddressInfo address_info{VK_STRUCTURE_TYPE_BUFFER_DEVICE_ADDRESS_INFO};
     address_info.buffer = handle;
     address = vkGetBufferDeviceAddress(owner.device, &address_info);
     ++owner.n_buffers;
-    if (use != gpu::MemoryUse::device) {
+    if (use != gpu::BufferPurpose::device) {
         mapped = memory.front().block->mapped + memory.front().offset;
         return;
     }
-    for (const gpu::MemoryPiece& piece : memory) owner.allocated += piece.n_bytes;
+    for (const gpu::MemorySuballocation& piece : memory) owner.allocated += piece.n_bytes;
     if (owner.allocated > owner.peak) owner.peak = owner.allocated.load();
 }
 
-VkResult Buffer::Impl::allocate(const VkMemoryRequirements& needs) {
-    const VkResult result = device->memory->take(needs, use, memory.emplace_back());
+VkResult Buffer::Impl::allocate_memory(const VkMemoryRequirements& needs) {
+    const VkResult result = device->memory->allocate_piece(needs, use, memory.emplace_back());
     if (result != VK_SUCCESS) {
         memory.clear();
         return result;
@@ -124,22 +125,24 @@ VkResult Buffer::Impl::allocate(const VkMemoryRequirements& needs) {
     return vkBindBufferMemory(device->device, handle, memory.front().block->memory, memory.front().offset);
 }
 
-VkResult Buffer::Impl::allocate_pieces(const VkMemoryRequirements& needs, std::uint64_t piece_bytes) {
-    for (std::uint64_t offset = 0; offset < needs.size; offset += piece_bytes) {
+VkResult Buffer::Impl::allocate_memory_pieces(const VkMemoryRequirements& needs,
+                                              std::uint64_t max_piece_bytes) {
+    for (std::uint64_t offset = 0; offset < needs.size; offset += max_piece_bytes) {
         VkMemoryRequirements piece_needs = needs;
-        piece_needs.size = std::min(piece_bytes, needs.size - offset);
-        gpu::MemoryPiece piece;
-        const VkResult result = device->memory->take(piece_needs, use, piece);
+        piece_needs.size = std::min(max_piece_bytes, needs.size - offset);
+        gpu::MemorySuballocation piece;
+        const VkResult result = device->memory->allocate_piece(piece_needs, use, piece);
         if (result != VK_SUCCESS) return result;
         memory.push_back(piece);
     }
     return device->bind_sparse_memory(handle, memory);
 }
 
-VkResult Device::Impl::bind_sparse_memory(VkBuffer buffer, const std::vector<gpu::MemoryPiece>& pieces) {
+VkResult Device::Impl::bind_sparse_memory(VkBuffer buffer,
+                                          const std::vector<gpu::MemorySuballocation>& pieces) {
     std::vector<VkSparseMemoryBind> binds;
     VkDeviceSize offset = 0;
-    for (const gpu::MemoryPiece& piece : pieces) {
+    for (const gpu::MemorySuballocation& piece : pieces) {
         binds.push_back({offset, piece.n_bytes, piece.block->memory, piece.offset, 0});
         offset += piece.n_bytes;
     }
@@ -169,11 +172,11 @@ Buffer::Impl::~Impl() {
     device->free_buffer({handle, memory, use});
 }
 
-void Device::Impl::free_buffer(const Orphan& buffer) noexcept {
+void Device::Impl::free_buffer(const OrphanedBuffer& buffer) noexcept {
     vkDestroyBuffer(device, buffer.handle, nullptr);
-    for (const gpu::MemoryPiece& piece : buffer.memory) {
-        memory->release(piece);
-        if (buffer.use == gpu::MemoryUse::device) allocated -= piece.n_bytes;
+    for (const gpu::MemorySuballocation& piece : buffer.memory) {
+        memory->release_piece(piece);
+        if (buffer.use == gpu::BufferPurpose::device) allocated -= piece.n_bytes;
     }
 }
 
@@ -181,17 +184,17 @@ void Device::Impl::free_orphaned_buffers() {
     const std::lock_guard lock(orphans_mutex);
     if (orphans.empty() || n_recording > 0) return;
     wait_idle();
-    for (const Orphan& orphan : orphans) free_buffer(orphan);
+    for (const OrphanedBuffer& orphan : orphans) free_buffer(orphan);
     orphans.clear();
 }
 
 Buffer::Buffer(Device& device, std::size_t n_bytes, const std::string& description)
-    : impl_(std::make_unique<Impl>(device.impl(), n_bytes, gpu::MemoryUse::device, description)) {}
+    : impl_(std::make_unique<Impl>(device.impl(), n_bytes, gpu::BufferPurpose::device, description)) {}
 Buffer::Buffer() = default;
 Buffer::~Buffer() = default;
 Buffer::Buffer(Buffer&&) noexcept = default;
 Buffer& Buffer::operator=(Buffer&&) noexcept = default;
-std::uint64_t Buffer::address() const { return impl_ ? impl_->address : 0; }
+std::uint64_t Buffer::get_device_address() const { return impl_ ? impl_->address : 0; }
 std::size_t Buffer::size_bytes() const { return impl_ ? impl_->n_bytes : 0; }
 
 void Buffer::upload(const void* data, std::size_t n_bytes, std::size_t offset_bytes) {

@@ -13,8 +13,8 @@ struct Buffer::Impl {
     VkBuffer handle = VK_NULL_HANDLE;
     /// Memory of the buffer. It has several pieces if the buffer is larger than the
     /// driver's maximum allocation.
-    std::vector<gpu::MemoryPiece> memory;
-    gpu::MemoryUse use;
+    std::vector<gpu::MemorySuballocation> memory;
+    gpu::BufferPurpose use;
     std::uint64_t address = 0;
     std::size_t n_bytes = 0;
     /// Host address of the mapped memory. Null if the memory is not mapped.
@@ -23,16 +23,16 @@ struct Buffer::Impl {
     /// Allocates a buffer.
     /// @throws OutOfDeviceMemory if memory is exhausted or the device does not allow such
     /// a large buffer
-    Impl(Device::Impl& device, std::size_t n_bytes, gpu::MemoryUse use, const std::string& description);
+    Impl(Device::Impl& device, std::size_t n_bytes, gpu::BufferPurpose use, const std::string& description);
     ~Impl();
     Impl(const Impl&) = delete;
     Impl& operator=(const Impl&) = delete;
 
 private:
     /// Allocates the memory of the buffer, in one piece or in pieces of at most
-    /// `piece_bytes`.
-    VkResult allocate(const VkMemoryRequirements& needs);
-    VkResult allocate_pieces(const VkMemoryRequirements& needs, std::uint64_t piece_bytes);
+    /// `max_piece_bytes`.
+    VkResult allocate_memory(const VkMemoryRequirements& needs);
+    VkResult allocate_memory_pieces(const VkMemoryRequirements& needs, std::uint64_t max_piece_bytes);
 };
 
 }  // namespace relidar

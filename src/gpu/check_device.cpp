@@ -23,17 +23,20 @@ namespace {
 
 using Words = std::vector<std::uint32_t>;
 
-/// Runs a kernel in which `count` threads add integers to `n_sums` sums. Returns the
+/// Runs a kernel in which `n_threads` threads add integers to `n_sums` sums. Returns the
 /// largest relative error of a sum.
-double measure_sum_error(Stream& stream, const Kernel<shared::CheckAtomicsParams>& kernel,
-                         std::uint32_t count, std::uint32_t n_sums, bool fault, double* seconds = nullptr) {
+double measure_atomic_sum_error(Stream& stream, const Kernel<shared::CheckAtomicsParams>& kernel,
+                                std::uint32_t n_threads, std::uint32_t n_sums, bool inject_fault,
+                                double* elapsed_s = nullptr) {
     std::vector<double> expected(n_sums, 0.0);
-    for (std::uint32_t i = 0; i < count; ++i) expected[i % n_sums] += 1.0 + i % RELIDAR_CHECK_AMOUNTS;
+    for (std::uint32_t i = 0; i < n_threads; ++i) expected[i % n_sums] += 1.0 + i % RELIDAR_CHECK_AMOUNTS;
     const Array<float> sums(stream.device(), std::vector<float>(n_sums, 0.0f), "sums");
     const auto start = std::chrono::steady_clock::now();
-    run(stream, kernel, count, {.sums = sums.address(), .n = count, .n_sums = n_sums, .fault = fault});
-    stream.finish();
-    if (seconds) *seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+    run(stream, kernel, n_threads,
+        {.sums = sums.address(), .n = n_threads, .n_sums = n_sums, .fault = inject_fault});
+    stream.submit_and_wait();
+    if (elapsed_s)
+        *elapsed_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     const std::vector<float> actual = sums.download();
     double worst = 0.0;
     for (std::uint32_t i = 0; i < n_sums; ++i) {
@@ -57,45 +60,44 @@ constexpr std::size_t kInBranch = 8;
 constexpr std::uint32_t kCheckWorkgroup = 256;
 
 /// Returns the correct results of all subgroup operations for one thread.
-/// @param values values of the lanes of this subgroup
+/// @param lane_values values of the lanes of this subgroup
 /// @param lane index of the thread in the subgroup
-/// @param before sum of all earlier subgroups of the workgroup
-/// @param total sum of the workgroup
-std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> compute_expected_results(const Words& values,
-                                                                          std::size_t lane,
-                                                                          std::uint32_t before,
-                                                                          std::uint32_t total) {
+/// @param sum_before sum of all earlier subgroups of the workgroup
+/// @param workgroup_sum sum of the workgroup
+std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> compute_expected_subgroup_results(
+    const Words& lane_values, std::size_t lane, std::uint32_t sum_before, std::uint32_t workgroup_sum) {
     std::uint32_t sum = 0, earlier = 0, largest = 0, n_odd = 0, odd_sum = 0;
-    for (std::size_t i = 0; i < values.size(); ++i) {
-        const std::uint32_t x = values[i];
+    for (std::size_t i = 0; i < lane_values.size(); ++i) {
+        const std::uint32_t x = lane_values[i];
         sum += x;
         if (i < lane) earlier += x;
         largest = std::max(largest, x);
         if (x & 1u) ++n_odd, odd_sum += x;
     }
-    const auto size = static_cast<std::uint32_t>(values.size());
+    const auto size = static_cast<std::uint32_t>(lane_values.size());
     return {size,
             sum,
             earlier,
             largest,
             n_odd,
-            values[lane ^ 1u],
+            lane_values[lane ^ 1u],
             (n_odd > 0 ? 1u : 0u) + (n_odd == size ? 2u : 0u),
-            values.front(),
-            values[lane] & 1u ? odd_sum : 0u,
-            before + earlier,
-            total};
+            lane_values.front(),
+            lane_values[lane] & 1u ? odd_sum : 0u,
+            sum_before + earlier,
+            workgroup_sum};
 }
 
-std::string find_wrong_operations(Device& device) {
+std::string describe_wrong_subgroup_result(Device& device) {
     const Kernel<shared::CheckSubgroupsParams> kernel(
-        device, "gpu/check_subgroups", {{ConstantId::WORKGROUP_SIZE, kCheckWorkgroup}}, Subgroups::full);
+        device, "gpu/check_subgroups", {{SpecialisationConstantId::WORKGROUP_SIZE, kCheckWorkgroup}},
+        SubgroupRequirement::full);
     constexpr std::uint32_t kThreads = 16 * kCheckWorkgroup;
     const Array<std::uint32_t> results(device, kThreads * RELIDAR_CHECK_RESULTS, "results of subgroups");
     Stream stream(device);
-    const bool fault = gpu::has_fault(fmt::format("subgroups:{}", device.info().subgroup_size));
+    const bool fault = gpu::is_fault_injected(fmt::format("subgroups:{}", device.info().subgroup_size));
     run(stream, kernel, kThreads, {.results = results.address(), .fault = fault});
-    stream.finish();
+    stream.submit_and_wait();
     const Words actual = results.download();
     const auto lanes = static_cast<std::uint32_t>(device.info().subgroup_size);
     for (std::uint32_t group = 0; group < kThreads; group += kCheckWorkgroup) {
@@ -105,12 +107,13 @@ std::string find_wrong_operations(Device& device) {
             Words values;
             for (std::uint32_t i = 0; i < lanes; ++i) values.push_back(shared::check_value(first + i));
             for (std::uint32_t lane = 0; lane < lanes; ++lane) {
-                const auto expected = compute_expected_results(values, lane, before, total);
-                const std::uint32_t* found = actual.data() + (first + lane) * RELIDAR_CHECK_RESULTS;
+                const auto expected = compute_expected_subgroup_results(values, lane, before, total);
+                const std::uint32_t* lane_results = actual.data() + (first + lane) * RELIDAR_CHECK_RESULTS;
                 for (std::size_t k = 0; k < expected.size(); ++k)
-                    if (found[k] != expected[k] && (k != kInBranch || has_maximal_reconvergence(device)))
-                        return fmt::format("{}: found {} in lane {}, expected {}", kOperations[k], found[k],
-                                           lane, expected[k]);
+                    if (lane_results[k] != expected[k] &&
+                        (k != kInBranch || has_maximal_reconvergence(device)))
+                        return fmt::format("{}: found {} in lane {}, expected {}", kOperations[k],
+                                           lane_results[k], lane, expected[k]);
             }
             before = std::accumulate(values.begin(), values.end(), before);
         }
@@ -121,7 +124,7 @@ std::string find_wrong_operations(Device& device) {
 /// Sorts 5000 keys on the device. Returns an empty text if the order is right, otherwise
 /// a text about the first wrong key.
 std::string describe_sort_failure(Device& device) {
-    if (!device.info().has_known_subgroups) return {};
+    if (!device.info().can_require_subgroup_size) return {};
     constexpr std::uint32_t kKeys = 5000;
     Words keys(kKeys);
     for (std::uint32_t i = 0; i < kKeys; ++i) keys[i] = shared::check_value(i);
@@ -133,7 +136,7 @@ std::string describe_sort_failure(Device& device) {
     Stream stream(device);
     sort.run(stream, {first.address(), first_order.address()}, {second.address(), second_order.address()},
              16);
-    stream.finish();
+    stream.submit_and_wait();
     std::ranges::sort(keys);
     static_assert(kKeys > RELIDAR_TILE_SIZE);
     const Words actual = first.download();
@@ -145,20 +148,20 @@ std::string describe_sort_failure(Device& device) {
 
 }  // namespace
 
-double compute_sum_error(Device& device, bool swaps) {
-    const Kernel<shared::CheckAtomicsParams> kernel(device, "gpu/check_atomics",
-                                                    KernelVariant(swaps ? "@_swap" : "@_atomics"));
-    const bool fault = gpu::has_fault(swaps ? "float_swaps" : "float_atomics");
+double compute_atomic_sum_error(Device& device, bool use_compare_and_swap) {
+    const Kernel<shared::CheckAtomicsParams> kernel(
+        device, "gpu/check_atomics", KernelVariant(use_compare_and_swap ? "@_swap" : "@_atomics"));
+    const bool fault = gpu::is_fault_injected(use_compare_and_swap ? "float_swaps" : "float_atomics");
     Stream stream(device);
-    return std::max(measure_sum_error(stream, kernel, 1u << 18, 1024, fault),
-                    measure_sum_error(stream, kernel, 1u << 14, 1, fault));
+    return std::max(measure_atomic_sum_error(stream, kernel, 1u << 18, 1024, fault),
+                    measure_atomic_sum_error(stream, kernel, 1u << 14, 1, fault));
 }
 
-double measure_sum_error_of_kernel(Device& device, std::uint32_t n_threads, double& seconds) {
+double measure_compare_and_swap_error(Device& device, std::uint32_t n_threads, double& elapsed_s) {
     const Kernel<shared::CheckAtomicsParams> kernel(device, "gpu/check_atomics", KernelVariant("@_swap"));
     Stream stream(device);
     const double piece_s = std::exchange(device.impl().launch_limit.piece_s, 0.0);
-    const double error = measure_sum_error(stream, kernel, n_threads, 1024, false, &seconds);
+    const double error = measure_atomic_sum_error(stream, kernel, n_threads, 1024, false, &elapsed_s);
     device.impl().launch_limit.piece_s = piece_s;
     return error;
 }
@@ -176,8 +179,8 @@ std::vector<int> list_subgroup_sizes(const Device& device) {
     return result;
 }
 
-std::string find_wrong_subgroups(Device& device) {
-    const std::string wrong = find_wrong_operations(device);
+std::string describe_subgroup_failure(Device& device) {
+    const std::string wrong = describe_wrong_subgroup_result(device);
     return wrong.empty() ? describe_sort_failure(device) : wrong;
 }
 

@@ -12,16 +12,16 @@
 namespace relidar {
 
 /// Tests atomic additions: many threads add small integers to a few sums on the device.
-/// @param swaps true: adds with compare-and-swap. false: adds with float atomics, which
-/// the device must support
+/// @param use_compare_and_swap true: adds with compare-and-swap. false: adds with float
+/// atomics, which the device must support
 /// @return the largest relative error of a sum. 0 if all sums are right
-double compute_sum_error(Device& device, bool swaps);
+double compute_atomic_sum_error(Device& device, bool use_compare_and_swap);
 
 /// Tests atomic additions with compare-and-swap, for a given number of threads that add
 /// to 1024 sums.
 /// @return the largest relative error of a sum
-/// @param seconds receives the duration of the dispatch
-double measure_sum_error_of_kernel(Device& device, std::uint32_t n_threads, double& seconds);
+/// @param elapsed_s receives the duration of the dispatch
+double measure_compare_and_swap_error(Device& device, std::uint32_t n_threads, double& elapsed_s);
 
 /// Returns the subgroup sizes that kernels can request, of 4 to 64 lanes.
 std::vector<int> list_subgroup_sizes(const Device& device);
@@ -29,6 +29,6 @@ std::vector<int> list_subgroup_sizes(const Device& device);
 /// Tests subgroup operations, and a sort that uses them, with DeviceInfo::subgroup_size
 /// lanes per subgroup.
 /// @return text about the first wrong result. Empty if all results are right
-std::string find_wrong_subgroups(Device& device);
+std::string describe_subgroup_failure(Device& device);
 
 }  // namespace relidar

@@ -21,13 +21,13 @@
 
 namespace relidar::gpu {
 
-void check(VkResult result, const char* call) {
+void check_vulkan_result(VkResult result, const char* call_name) {
     if (result >= 0) return;
-    fail(result, fmt::format("{} failed: the driver returned {}, expected VK_SUCCESS", call,
-                             get_result_name(result)));
+    throw_vulkan_error(result, fmt::format("{} failed: the driver returned {}, expected VK_SUCCESS",
+                                           call_name, get_result_name(result)));
 }
 
-void fail(VkResult result, const std::string& message) {
+void throw_vulkan_error(VkResult result, const std::string& message) {
     if (result == VK_ERROR_DEVICE_LOST) throw DeviceLost(message);
     if (result == VK_ERROR_OUT_OF_DEVICE_MEMORY || result == VK_ERROR_OUT_OF_HOST_MEMORY)
         throw OutOfDeviceMemory(message);
@@ -63,12 +63,12 @@ namespace {
 
 VkBool32 on_message(VkDebugUtilsMessageSeverityFlagBitsEXT, VkDebugUtilsMessageTypeFlagsEXT,
                     const VkDebugUtilsMessengerCallbackDataEXT* data, void* user) {
-    static_cast<Instance*>(user)->n_messages++;
+    static_cast<VulkanInstance*>(user)->n_messages++;
     std::fprintf(stderr, "validation: %s\n", data->pMessage);
     return VK_FALSE;
 }
 
-VkDebugUtilsMessengerCreateInfoEXT make_messenger_info(Instance* instance) {
+VkDebugUtilsMessengerCreateInfoEXT make_messenger_info(VulkanInstance* instance) {
     VkDebugUtilsMessengerCreateInfoEXT info{VK_STRUCTURE_TYPE_DEBUG_UTILS_MESSENGER_CREATE_INFO_EXT};
     info.messageSeverity =
         VK_DEBUG_UTILS_MESSAGE_SEVERITY_WARNING_BIT_EXT | VK_DEBUG_UTILS_MESSAGE_SEVERITY_ERROR_BIT_EXT;
@@ -79,7 +79,7 @@ VkDebugUtilsMessengerCreateInfoEXT make_messenger_info(Instance* instance) {
     return info;
 }
 
-bool has_debug_utils() {
+bool has_debug_utils_extension() {
     std::uint32_t n = 0;
     vkEnumerateInstanceExtensionProperties(nullptr, &n, nullptr);
     std::vector<VkExtensionProperties> extensions(n);
@@ -91,7 +91,7 @@ bool has_debug_utils() {
 
 }  // namespace
 
-Instance::Instance(bool validation) {
+VulkanInstance::VulkanInstance(bool validation) {
     if (volkInitialize() != VK_SUCCESS)
         throw DeviceError("cannot use Vulkan: the Vulkan loader (libvulkan.so.1) is not installed");
     VkApplicationInfo app{VK_STRUCTURE_TYPE_APPLICATION_INFO};
@@ -104,7 +104,7 @@ Instance::Instance(bool validation) {
     VkDebugUtilsMessengerCreateInfoEXT debug = make_messenger_info(this);
     // VK_EXT_debug_utils is enabled even without validation, so that debuggers show the
     // names of objects.
-    if (validation || has_debug_utils()) {
+    if (validation || has_debug_utils_extension()) {
         info.enabledExtensionCount = 1;
         info.ppEnabledExtensionNames = &extension;
     }
@@ -122,24 +122,24 @@ Instance::Instance(bool validation) {
         throw DeviceError(
             "cannot enable Vulkan validation: VK_LAYER_KHRONOS_validation is not installed; install "
             "the package vulkan-validationlayers");
-    check(result, "vkCreateInstance");
+    check_vulkan_result(result, "vkCreateInstance");
     volkLoadInstance(handle);
     if (!validation) return;
     destroy_messenger = vkDestroyDebugUtilsMessengerEXT;
-    check(vkCreateDebugUtilsMessengerEXT(handle, &debug, nullptr, &messenger),
-          "vkCreateDebugUtilsMessengerEXT");
+    check_vulkan_result(vkCreateDebugUtilsMessengerEXT(handle, &debug, nullptr, &messenger),
+                        "vkCreateDebugUtilsMessengerEXT");
 }
 
-Instance::~Instance() {
+VulkanInstance::~VulkanInstance() {
     if (messenger) destroy_messenger(handle, messenger, nullptr);
     if (handle) vkDestroyInstance(handle, nullptr);
 }
 
-std::vector<VkPhysicalDevice> Instance::physical_devices() const {
+std::vector<VkPhysicalDevice> VulkanInstance::list_physical_devices() const {
     std::uint32_t n = 0;
-    check(vkEnumeratePhysicalDevices(handle, &n, nullptr), "vkEnumeratePhysicalDevices");
+    check_vulkan_result(vkEnumeratePhysicalDevices(handle, &n, nullptr), "vkEnumeratePhysicalDevices");
     std::vector<VkPhysicalDevice> devices(n);
-    check(vkEnumeratePhysicalDevices(handle, &n, devices.data()), "vkEnumeratePhysicalDevices");
+    check_vulkan_result(vkEnumeratePhysicalDevices(handle, &n, devices.data()), "vkEnumeratePhysicalDevices");
     return devices;
 }
 
@@ -149,16 +149,16 @@ namespace relidar {
 
 namespace {
 
-std::vector<DeviceInfo> describe_physical_devices(const std::vector<VkPhysicalDevice>& physical) {
+std::vector<DeviceInfo> describe_physical_devices(const std::vector<VkPhysicalDevice>& physical_devices) {
     std::vector<DeviceInfo> infos;
-    for (std::size_t i = 0; i < physical.size(); ++i)
-        infos.push_back(gpu::describe(physical[i], static_cast<int>(i)));
+    for (std::size_t i = 0; i < physical_devices.size(); ++i)
+        infos.push_back(gpu::make_device_info(physical_devices[i], static_cast<int>(i)));
     return infos;
 }
 
 /// Returns the index of the requested device. If none is requested, prefers GPUs to CPUs,
 /// and among GPUs those with ray queries.
-int choose_device(const std::vector<DeviceInfo>& infos, const DeviceOptions& options) {
+int choose_device_index(const std::vector<DeviceInfo>& infos, const DeviceOptions& options) {
     if (infos.empty())
         throw DeviceError(
             "cannot open a device: this machine has no Vulkan device, expected at least one; install "
@@ -171,10 +171,10 @@ int choose_device(const std::vector<DeviceInfo>& infos, const DeviceOptions& opt
     if (options.index >= 0) return options.index;
     int best = 0, best_score = -1;
     for (const DeviceInfo& d : infos) {
-        const bool runs = options.traversal == Traversal::ray_query ? d.ray_query
-                          : options.traversal == Traversal::software
+        const bool runs = options.traversal == RayTracingBackend::ray_query ? d.ray_query
+                          : options.traversal == RayTracingBackend::software
                               ? d.software
-                              : choose_best_traversal(d) != Traversal::automatic;
+                              : choose_best_traversal(d) != RayTracingBackend::automatic;
         const int score = (d.why_not_usable.empty() ? 8 : 0) + (runs ? 4 : 0) + (d.type != "CPU" ? 2 : 0) +
                           (d.ray_query ? 1 : 0);
         if (score > best_score) {
@@ -185,16 +185,16 @@ int choose_device(const std::vector<DeviceInfo>& infos, const DeviceOptions& opt
     return best;
 }
 
-void check_traversal_support(const DeviceInfo& info, Traversal traversal) {
+void check_traversal_support(const DeviceInfo& info, RayTracingBackend traversal) {
     if (!info.why_not_usable.empty())
         throw DeviceError(fmt::format("cannot open device {} ({}): it lacks these required features: {}",
                                       info.index, info.name, info.why_not_usable));
-    if (traversal == Traversal::ray_query && !info.ray_query)
+    if (traversal == RayTracingBackend::ray_query && !info.ray_query)
         throw DeviceError(fmt::format(
             "cannot open device {} ({}) with ray query: it lacks these required features: {}; use "
             "--traversal auto",
             info.index, info.name, info.why_not_ray_query));
-    if (traversal == Traversal::software && !info.software)
+    if (traversal == RayTracingBackend::software && !info.software)
         throw DeviceError(fmt::format(
             "cannot open device {} ({}) with software traversal: it lacks these required features: "
             "{}; use --traversal auto",
@@ -202,8 +202,8 @@ void check_traversal_support(const DeviceInfo& info, Traversal traversal) {
     // SwiftShader cannot run the tracing kernels. It is accepted, because tests run all
     // other kernels on it.
     const bool runs_the_rest = gpu::is_swiftshader(info);
-    if (traversal == Traversal::automatic && choose_best_traversal(info) == Traversal::automatic &&
-        !runs_the_rest)
+    if (traversal == RayTracingBackend::automatic &&
+        choose_best_traversal(info) == RayTracingBackend::automatic && !runs_the_rest)
         throw DeviceError(fmt::format(
             "cannot open device {} ({}): for ray query it lacks {}, and for software traversal it "
             "lacks {}; expected support for one of the two",
@@ -213,73 +213,74 @@ void check_traversal_support(const DeviceInfo& info, Traversal traversal) {
 }  // namespace
 
 std::vector<DeviceInfo> list_devices() {
-    const gpu::Instance instance(false);
-    return describe_physical_devices(instance.physical_devices());
+    const gpu::VulkanInstance instance(false);
+    return describe_physical_devices(instance.list_physical_devices());
 }
 
-Traversal find_traversal(const std::string& name) {
-    const std::optional<std::string> known = find_known_name(name, {"auto", "ray_query", "software"});
-    if (!known)
+RayTracingBackend parse_traversal_method(const std::string& name) {
+    const std::optional<std::string> matching_name =
+        find_name_ignoring_case(name, {"auto", "ray_query", "software"});
+    if (!matching_name)
         throw UsageError(fmt::format("traversal: found \"{}\", expected auto, ray_query or software", name));
-    return known == "auto"       ? Traversal::automatic
-           : known == "software" ? Traversal::software
-                                 : Traversal::ray_query;
+    return matching_name == "auto"       ? RayTracingBackend::automatic
+           : matching_name == "software" ? RayTracingBackend::software
+                                         : RayTracingBackend::ray_query;
 }
 
-Traversal choose_best_traversal(const DeviceInfo& info) {
+RayTracingBackend choose_best_traversal(const DeviceInfo& info) {
     // Chooses the faster method. docs/performance.md has the measurements.
-    if (info.software && (info.type == "CPU" || !info.ray_query)) return Traversal::software;
-    return info.ray_query ? Traversal::ray_query : Traversal::automatic;
+    if (info.software && (info.type == "CPU" || !info.ray_query)) return RayTracingBackend::software;
+    return info.ray_query ? RayTracingBackend::ray_query : RayTracingBackend::automatic;
 }
 
 Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
-    impl_->instance = std::make_unique<gpu::Instance>(options.validation);
-    const std::vector<VkPhysicalDevice> physical = impl_->instance->physical_devices();
+    impl_->instance = std::make_unique<gpu::VulkanInstance>(options.validation);
+    const std::vector<VkPhysicalDevice> physical = impl_->instance->list_physical_devices();
     const std::vector<DeviceInfo> infos = describe_physical_devices(physical);
-    const int index = choose_device(infos, options);
+    const int index = choose_device_index(infos, options);
     impl_->info = infos[static_cast<std::size_t>(index)];
     check_traversal_support(impl_->info, options.traversal);
-    impl_->traversal =
-        options.traversal == Traversal::automatic ? choose_best_traversal(impl_->info) : options.traversal;
+    impl_->traversal = options.traversal == RayTracingBackend::automatic ? choose_best_traversal(impl_->info)
+                                                                         : options.traversal;
     // If no traversal method works, selects the software tree, whose constructor then
     // throws an error with the reason.
-    if (impl_->traversal == Traversal::automatic) impl_->traversal = Traversal::software;
+    if (impl_->traversal == RayTracingBackend::automatic) impl_->traversal = RayTracingBackend::software;
     impl_->physical = physical[static_cast<std::size_t>(index)];
     impl_->memory_limit_bytes = options.memory_limit_bytes;
     impl_->compile_only = options.compile_only;
-    gpu::replace_faulty_methods(*impl_, gpu::get_device_trust(*impl_, options));
-    impl_->open(options.pipeline_cache);
+    gpu::apply_device_check_results(*impl_, gpu::get_device_check_results(*impl_, options));
+    impl_->open_device(options.pipeline_cache);
 }
 
 Device::~Device() = default;
 const DeviceInfo& Device::info() const { return impl_->info; }
-Traversal Device::traversal() const { return impl_->traversal; }
+RayTracingBackend Device::traversal() const { return impl_->traversal; }
 std::uint64_t Device::allocated_bytes() const { return impl_->allocated; }
-std::uint64_t Device::peak_bytes() const { return impl_->peak; }
-const std::vector<PipelineStatistics>& Device::pipelines() const { return impl_->compiled; }
+std::uint64_t Device::peak_allocated_bytes() const { return impl_->peak; }
+const std::vector<PipelineStatistics>& Device::get_pipeline_statistics() const { return impl_->compiled; }
 
-void Device::Impl::open(const std::filesystem::path& cache_folder) {
+void Device::Impl::open_device(const std::filesystem::path& cache_folder) {
     find_compute_queues();
-    make_device();
+    create_logical_device();
     vkGetDeviceQueue(device, queue_family, 0, &queue);
-    gpu::name_object(device, VK_OBJECT_TYPE_DEVICE, device, "relidar");
-    gpu::name_object(device, VK_OBJECT_TYPE_QUEUE, queue, "compute queue");
-    read_limits();
+    gpu::set_object_name(device, VK_OBJECT_TYPE_DEVICE, device, "relidar");
+    gpu::set_object_name(device, VK_OBJECT_TYPE_QUEUE, queue, "compute queue");
+    read_device_limits();
     make_pipeline_layout();
     if (compile_only) return;  // A driver without hardware lacks the functions that are called below.
     pipeline_cache = std::make_unique<gpu::PipelineCache>(physical, device, cache_folder);
-    memory = std::make_unique<gpu::MemoryPools>(physical, device);
-    transfers = std::make_unique<gpu::Transfers>(*this);
+    memory = std::make_unique<gpu::DeviceMemoryAllocator>(physical, device);
+    transfers = std::make_unique<gpu::BufferTransfers>(*this);
     constexpr std::size_t kNothingBytes = 64 << 10;
-    nothing = std::make_unique<Buffer::Impl>(*this, kNothingBytes, gpu::MemoryUse::parameters,
+    nothing = std::make_unique<Buffer::Impl>(*this, kNothingBytes, gpu::BufferPurpose::parameters,
                                              "placeholder for optional arrays");
     std::memset(nothing->mapped, 0, kNothingBytes);
 }
 
 namespace {
 
-/// Feature structs of Vulkan extensions, with all features enabled. make_device()
-/// requests only those that the device supports.
+/// Feature structs of Vulkan extensions, with all features enabled.
+/// create_logical_device() requests only those that the device supports.
 struct ExtensionFeatures {
     VkPhysicalDeviceAccelerationStructureFeaturesKHR accel{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_FEATURES_KHR};
@@ -323,7 +324,7 @@ void Device::Impl::find_compute_queues() {
     if (bits > 0 && bits < 64) timestamp_mask = (std::uint64_t(1) << bits) - 1;
 }
 
-void Device::Impl::make_device() {
+void Device::Impl::create_logical_device() {
     const float priority = 1.0f;
     VkDeviceQueueCreateInfo queue_info{VK_STRUCTURE_TYPE_DEVICE_QUEUE_CREATE_INFO};
     queue_info.queueFamilyIndex = queue_family;
@@ -344,13 +345,13 @@ void Device::Impl::make_device() {
     optional = gpu::query_optional_features(physical);
     v13.subgroupSizeControl = optional.subgroup_size;
     v13.computeFullSubgroups = optional.full_subgroups;
-    void** tail = &v13.pNext;
+    void** feature_chain_end = &v13.pNext;
     const auto enable = [&](const char* extension, auto& feature) {
         extensions.push_back(extension);
-        *tail = &feature;
-        tail = &feature.pNext;
+        *feature_chain_end = &feature;
+        feature_chain_end = &feature.pNext;
     };
-    if (traversal == Traversal::ray_query) {
+    if (traversal == RayTracingBackend::ray_query) {
         extensions.push_back(VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME);
         enable(VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME, extension_features.accel);
         enable(VK_KHR_RAY_QUERY_EXTENSION_NAME, extension_features.query);
@@ -371,10 +372,10 @@ void Device::Impl::make_device() {
     device_info.pQueueCreateInfos = &queue_info;
     device_info.enabledExtensionCount = static_cast<std::uint32_t>(extensions.size());
     device_info.ppEnabledExtensionNames = extensions.data();
-    gpu::check(vkCreateDevice(physical, &device_info, nullptr, &device), "vkCreateDevice");
+    gpu::check_vulkan_result(vkCreateDevice(physical, &device_info, nullptr, &device), "vkCreateDevice");
 }
 
-void Device::Impl::read_limits() {
+void Device::Impl::read_device_limits() {
     VkPhysicalDeviceAccelerationStructurePropertiesKHR accel_properties{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_PROPERTIES_KHR};
     VkPhysicalDeviceMaintenance4Properties sizes{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MAINTENANCE_4_PROPERTIES,
@@ -400,7 +401,7 @@ void Device::Impl::read_limits() {
         largest_buffer = {sparse_bytes, "sparseAddressSpaceSize"};
     if (!binds_sparse && largest_allocation.n_bytes < largest_buffer.n_bytes)
         largest_buffer = largest_allocation;
-    if (traversal == Traversal::ray_query)
+    if (traversal == RayTracingBackend::ray_query)
         scratch_alignment = std::max(1u, accel_properties.minAccelerationStructureScratchOffsetAlignment);
 }
 
@@ -409,8 +410,9 @@ void Device::Impl::make_pipeline_layout() {
     VkPipelineLayoutCreateInfo layout{VK_STRUCTURE_TYPE_PIPELINE_LAYOUT_CREATE_INFO};
     layout.pushConstantRangeCount = 1;
     layout.pPushConstantRanges = &range;
-    gpu::check(vkCreatePipelineLayout(device, &layout, nullptr, &pipeline_layout), "vkCreatePipelineLayout");
-    gpu::name_object(device, VK_OBJECT_TYPE_PIPELINE_LAYOUT, pipeline_layout, "two addresses");
+    gpu::check_vulkan_result(vkCreatePipelineLayout(device, &layout, nullptr, &pipeline_layout),
+                             "vkCreatePipelineLayout");
+    gpu::set_object_name(device, VK_OBJECT_TYPE_PIPELINE_LAYOUT, pipeline_layout, "two addresses");
 }
 
 Device::Impl::Impl() = default;
@@ -419,7 +421,7 @@ Device::Impl::~Impl() {
     if (!device) return;
     nothing.reset();
     transfers.reset();
-    for (const Orphan& orphan : orphans) free_buffer(orphan);
+    for (const OrphanedBuffer& orphan : orphans) free_buffer(orphan);
     memory.reset();
     for (const auto& [key, made] : pipelines.by_key) {
         // A deferred pipeline was never created, because its kernel was never launched.
@@ -440,9 +442,9 @@ void Device::Impl::wait_idle() noexcept {
     vkDeviceWaitIdle(device);
 }
 
-void Device::Impl::submit(const VkSubmitInfo& work, VkFence fence) {
+void Device::Impl::submit_to_queue(const VkSubmitInfo& submit_info, VkFence fence) {
     const std::lock_guard lock(queue_mutex);
-    gpu::check(vkQueueSubmit(queue, 1, &work, fence), "vkQueueSubmit");
+    gpu::check_vulkan_result(vkQueueSubmit(queue, 1, &submit_info, fence), "vkQueueSubmit");
 }
 
 }  // namespace relidar

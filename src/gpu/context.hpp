@@ -24,19 +24,19 @@
 namespace relidar::gpu {
 
 class PipelineCache;
-class Transfers;
+class BufferTransfers;
 
 /// Throws a DeviceError if the result of a Vulkan call is not VK_SUCCESS. The message
-/// contains `call` and the name of the result.
-void check(VkResult result, const char* call);
+/// contains `call_name` and the name of the result.
+void check_vulkan_result(VkResult result, const char* call_name);
 /// Throws an error for a failed Vulkan call.
 /// @throws DeviceLost if the driver has lost the device
 /// @throws DeviceError for all other results
-[[noreturn]] void fail(VkResult result, const std::string& message);
+[[noreturn]] void throw_vulkan_error(VkResult result, const std::string& message);
 std::string get_result_name(VkResult result);
 
 /// Vulkan instance and its debug messenger, which exists only if validation is enabled.
-struct Instance {
+struct VulkanInstance {
     VkInstance handle = VK_NULL_HANDLE;
     VkDebugUtilsMessengerEXT messenger = VK_NULL_HANDLE;
     /// Destroys the debug messenger of this instance. Stored here, because volk's global
@@ -45,18 +45,18 @@ struct Instance {
     PFN_vkDestroyDebugUtilsMessengerEXT destroy_messenger = nullptr;
     std::atomic<std::size_t> n_messages{0};
 
-    explicit Instance(bool validation);
-    ~Instance();
-    Instance(const Instance&) = delete;
-    Instance& operator=(const Instance&) = delete;
+    explicit VulkanInstance(bool validation);
+    ~VulkanInstance();
+    VulkanInstance(const VulkanInstance&) = delete;
+    VulkanInstance& operator=(const VulkanInstance&) = delete;
 
-    std::vector<VkPhysicalDevice> physical_devices() const;
+    std::vector<VkPhysicalDevice> list_physical_devices() const;
 };
 
 /// Sets the name of a Vulkan object, which debuggers and the validation layer show. Has
 /// no effect if the Vulkan loader lacks VK_EXT_debug_utils.
 template <class Handle>
-void name_object(VkDevice device, VkObjectType type, Handle handle, const std::string& name) {
+void set_object_name(VkDevice device, VkObjectType type, Handle handle, const std::string& name) {
     if (!vkSetDebugUtilsObjectNameEXT) return;
     VkDebugUtilsObjectNameInfoEXT info{VK_STRUCTURE_TYPE_DEBUG_UTILS_OBJECT_NAME_INFO_EXT};
     info.objectType = type;
@@ -91,19 +91,19 @@ OptionalFeatures query_optional_features(VkPhysicalDevice physical);
 
 /// Returns true if kernels can request full subgroups of exactly
 /// DeviceInfo::subgroup_size lanes.
-bool has_known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
-                         const OptionalFeatures& optional);
+bool can_require_subgroup_size(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                               const OptionalFeatures& features);
 /// Returns the names of the features that the software traversal needs and the device
 /// lacks. Empty if no feature is missing.
-std::string list_missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
-                                      const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
-                                      const OptionalFeatures& optional);
+std::string list_features_missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
+                                               const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                                               const OptionalFeatures& optional);
 
 /// Returns the names of the features that neural networks need and the device lacks.
 /// Empty if no feature is missing.
-std::string list_missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup,
-                                      const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
-                                      const OptionalFeatures& optional);
+std::string list_features_missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup,
+                                               const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                                               const OptionalFeatures& optional);
 
 /// Cache of compute pipelines. The key is the kernel name, its specialisation constants
 /// and its subgroup requirements. Kernels with equal keys share one pipeline until the
@@ -114,27 +114,27 @@ std::string list_missing_for_networks(const VkPhysicalDeviceSubgroupProperties& 
 ///
 /// A GPU's driver needs seconds to compile without a cache. Therefore a thread starts to
 /// compile a pipeline as soon as its kernel is created.
-struct Pipelines {
-    struct Made {
+struct ComputePipelines {
+    struct CompiledPipeline {
         VkResult result;
         VkPipeline pipeline;
     };
     std::mutex mutex;
-    std::map<std::string, std::shared_future<Made>> by_key;
+    std::map<std::string, std::shared_future<CompiledPipeline>> by_key;
     std::counting_semaphore<> compilers{/// Limits the number of threads that compile simultaneously.
                                         std::ptrdiff_t(get_max_concurrency())};
 };
 
 /// Describes a physical device. The description includes the names of all missing
 /// features.
-DeviceInfo describe(VkPhysicalDevice physical, int index);
+DeviceInfo make_device_info(VkPhysicalDevice physical_device, int index);
 
 }  // namespace relidar::gpu
 
 namespace relidar {
 
 struct Device::Impl {
-    std::unique_ptr<gpu::Instance> instance;
+    std::unique_ptr<gpu::VulkanInstance> instance;
     VkPhysicalDevice physical = VK_NULL_HANDLE;
     VkDevice device = VK_NULL_HANDLE;
     VkQueue queue = VK_NULL_HANDLE;
@@ -142,7 +142,7 @@ struct Device::Impl {
     DeviceInfo info;
     std::vector<const char*> extensions;  ///< Device extensions that are enabled.
     gpu::OptionalFeatures optional;       ///< Optional features that are enabled.
-    Traversal traversal = Traversal::ray_query;
+    RayTracingBackend traversal = RayTracingBackend::ray_query;
     float timestamp_period_ns = 1.0f;
     std::uint64_t timestamp_mask = ~std::uint64_t(0);  ///< valid bits of the queue's time stamps
     std::uint32_t workgroup_size = 32;
@@ -150,18 +150,18 @@ struct Device::Impl {
     /// True if a buffer may consist of several allocations (Vulkan's sparse binding).
     bool binds_sparse = false;
     /// A limit of the driver: its value in bytes, and its name in Vulkan.
-    struct Limit {
+    struct DriverMemoryLimit {
         std::uint64_t n_bytes;
         const char* name;
     };
     /// Maximum size of an array, and maximum size of one memory allocation. If
     /// `binds_sparse` is true, a larger array consists of several allocations.
-    Limit largest_buffer{}, largest_allocation{};
-    std::unique_ptr<gpu::MemoryPools> memory;
-    std::unique_ptr<gpu::Transfers> transfers;
+    DriverMemoryLimit largest_buffer{}, largest_allocation{};
+    std::unique_ptr<gpu::DeviceMemoryAllocator> memory;
+    std::unique_ptr<gpu::BufferTransfers> transfers;
     std::unique_ptr<gpu::PipelineCache> pipeline_cache;
-    gpu::Pipelines pipelines;
-    gpu::LaunchLimit launch_limit;
+    gpu::ComputePipelines pipelines;
+    gpu::LaunchTimeLimit launch_limit;
     std::mutex queue_mutex;
     /// Layout of all compute pipelines: push constants with two device addresses, those
     /// of the parameter struct and of `nothing`.
@@ -177,7 +177,7 @@ struct Device::Impl {
     /// True if every kernel must request subgroups of DeviceInfo::subgroup_size lanes,
     /// because the device failed the test with the driver's default size.
     bool forced_lanes = false;
-    ForcedWays forced;  ///< Behaviour that a test selects instead of the default.
+    ForcedBehaviour forced;  ///< Behaviour that a test selects instead of the default.
     /// If true (GPU), pipelines are compiled when their kernels are created. If false
     /// (CPU), each pipeline is compiled at its first launch.
     bool compiles_ahead = false;
@@ -191,12 +191,12 @@ struct Device::Impl {
     std::atomic<int> n_recording{0};
     /// Buffer whose owner was destroyed by an exception while a stream had recorded
     /// commands. It is freed later, because these commands may use it.
-    struct Orphan {
+    struct OrphanedBuffer {
         VkBuffer handle;
-        std::vector<gpu::MemoryPiece> memory;
-        gpu::MemoryUse use;
+        std::vector<gpu::MemorySuballocation> memory;
+        gpu::BufferPurpose use;
     };
-    std::vector<Orphan> orphans;
+    std::vector<OrphanedBuffer> orphans;
     std::mutex orphans_mutex;
     /// Number of buffers created, and number of times that the host waited for all
     /// submissions.
@@ -207,21 +207,21 @@ struct Device::Impl {
     /// Opens the Vulkan device.
     /// @param cache_folder folder of the pipeline cache. If empty, pipelines are not
     /// cached in a file
-    void open(const std::filesystem::path& cache_folder);
+    void open_device(const std::filesystem::path& cache_folder);
     void find_compute_queues();
-    void make_device();
-    void read_limits();
+    void create_logical_device();
+    void read_device_limits();
     void make_pipeline_layout();
     /// Submits work to the compute queue. Vulkan allows only one thread at a time to use
     /// a queue, so this function locks a mutex.
-    void submit(const VkSubmitInfo& work, VkFence fence = VK_NULL_HANDLE);
+    void submit_to_queue(const VkSubmitInfo& submit_info, VkFence fence = VK_NULL_HANDLE);
     /// Waits until the device has finished all submitted work. Ignores errors, because
     /// destructors call this function. A lost device does no more work.
     void wait_idle() noexcept;
     /// Binds pieces of memory to a sparse buffer, one after another. Waits until the
     /// queue has done this.
-    VkResult bind_sparse_memory(VkBuffer buffer, const std::vector<gpu::MemoryPiece>& pieces);
-    void free_buffer(const Orphan& buffer) noexcept;
+    VkResult bind_sparse_memory(VkBuffer buffer, const std::vector<gpu::MemorySuballocation>& pieces);
+    void free_buffer(const OrphanedBuffer& buffer) noexcept;
     /// Frees the buffers that were kept after exceptions (Orphan), unless a stream still
     /// has recorded commands.
     void free_orphaned_buffers();

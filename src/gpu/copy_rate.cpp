@@ -17,7 +17,7 @@
 namespace relidar {
 namespace {
 
-/// Copies `count` vectors several times. Returns the duration of the fastest copy in
+/// Copies `n_vectors` vectors several times. Returns the duration of the fastest copy in
 /// seconds.
 ///
 /// Alternates between a copy kernel and the driver's copy command, because either can be
@@ -26,13 +26,14 @@ namespace {
 ///
 /// A GPU raises its clock only under load, so the copies run without pauses. A CPU runs
 /// each kind of copy only once, because each copy takes seconds there.
-double measure_copy_seconds(Device& device, std::size_t count) {
-    const Array<glm::vec4, shared::CopySource> from(device, count, "source of the copy");
-    const Array<glm::vec4, shared::CopyTarget> to(device, count, "target of the copy");
-    const Kernel<shared::CopyParams> copy(device, "gpu/copy", {{ConstantId::WORKGROUP_SIZE, 256u}});
+double measure_copy_seconds(Device& device, std::size_t n_vectors) {
+    const Array<glm::vec4, shared::CopySource> from(device, n_vectors, "source of the copy");
+    const Array<glm::vec4, shared::CopyTarget> to(device, n_vectors, "target of the copy");
+    const Kernel<shared::CopyParams> copy(device, "gpu/copy",
+                                          {{SpecialisationConstantId::WORKGROUP_SIZE, 256u}});
     Stream stream(device, true);
     stream.fill(from);
-    stream.finish();
+    stream.submit_and_wait();
     constexpr int kTurns = 8, kCopies = 8;
     constexpr double kLong_s = 0.25;
     const auto begin = std::chrono::steady_clock::now();
@@ -42,11 +43,11 @@ double measure_copy_seconds(Device& device, std::size_t count) {
         if (i > 1 && std::chrono::duration<double>(start - begin).count() > kLong_s) break;
         for (int k = 0; k < kCopies; ++k) {
             if (i % 2 == 0)
-                run(stream, copy, count,
-                    {.from = from.address(), .to = to.address(), .n = static_cast<std::uint32_t>(count)});
-            else stream.copy(from.buffer(), to.buffer(), count * sizeof(glm::vec4));
+                run(stream, copy, n_vectors,
+                    {.from = from.address(), .to = to.address(), .n = static_cast<std::uint32_t>(n_vectors)});
+            else stream.copy(from.buffer(), to.buffer(), n_vectors * sizeof(glm::vec4));
         }
-        stream.finish();
+        stream.submit_and_wait();
         best = std::min(
             best, std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count() / kCopies);
     }
@@ -57,7 +58,7 @@ double measure_copy_seconds(Device& device, std::size_t count) {
 
 }  // namespace
 
-std::optional<double> copy_bytes_per_s(Device& device) {
+std::optional<double> measure_copy_bytes_per_s(Device& device) {
     constexpr std::size_t kMiB = std::size_t(1) << 20;
     for (std::size_t n_bytes = 256 * kMiB; n_bytes >= kMiB; n_bytes /= 4) {
         try {

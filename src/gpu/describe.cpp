@@ -15,13 +15,13 @@ namespace relidar::gpu {
 
 namespace {
 
-std::vector<VkExtensionProperties> list_extensions(VkPhysicalDevice physical) {
+std::vector<VkExtensionProperties> list_device_extensions(VkPhysicalDevice physical) {
     std::uint32_t n = 0;
-    check(vkEnumerateDeviceExtensionProperties(physical, nullptr, &n, nullptr),
-          "vkEnumerateDeviceExtensionProperties");
+    check_vulkan_result(vkEnumerateDeviceExtensionProperties(physical, nullptr, &n, nullptr),
+                        "vkEnumerateDeviceExtensionProperties");
     std::vector<VkExtensionProperties> extensions(n);
-    check(vkEnumerateDeviceExtensionProperties(physical, nullptr, &n, extensions.data()),
-          "vkEnumerateDeviceExtensionProperties");
+    check_vulkan_result(vkEnumerateDeviceExtensionProperties(physical, nullptr, &n, extensions.data()),
+                        "vkEnumerateDeviceExtensionProperties");
     return extensions;
 }
 
@@ -40,7 +40,7 @@ const char* get_type_name(VkPhysicalDeviceType type) {
     }
 }
 
-std::uint64_t find_largest_local_heap(VkPhysicalDevice physical) {
+std::uint64_t get_largest_local_heap_bytes(VkPhysicalDevice physical) {
     VkPhysicalDeviceMemoryProperties memory;
     vkGetPhysicalDeviceMemoryProperties(physical, &memory);
     std::uint64_t largest = 0;
@@ -50,7 +50,7 @@ std::uint64_t find_largest_local_heap(VkPhysicalDevice physical) {
     return largest;
 }
 
-std::string format_version(std::uint32_t version) {
+std::string format_vulkan_version(std::uint32_t version) {
     return fmt::format("{}.{}.{}", VK_API_VERSION_MAJOR(version), VK_API_VERSION_MINOR(version),
                        VK_API_VERSION_PATCH(version));
 }
@@ -77,7 +77,7 @@ OptionalFeatures query_optional_features(VkPhysicalDevice physical) {
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_FEATURES, &uniform};
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &control};
     OptionalFeatures optional;
-    const std::vector<VkExtensionProperties> extensions = list_extensions(physical);
+    const std::vector<VkExtensionProperties> extensions = list_device_extensions(physical);
 #ifdef VK_KHR_shader_maximal_reconvergence
     VkPhysicalDeviceShaderMaximalReconvergenceFeaturesKHR maximal{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_MAXIMAL_RECONVERGENCE_FEATURES_KHR};
@@ -98,10 +98,10 @@ OptionalFeatures query_optional_features(VkPhysicalDevice physical) {
     return optional;
 }
 
-bool has_known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
-                         const OptionalFeatures& optional) {
+bool can_require_subgroup_size(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                               const OptionalFeatures& features) {
     return sizes.minSubgroupSize == sizes.maxSubgroupSize ||
-           (optional.subgroup_size && optional.full_subgroups);
+           (features.subgroup_size && features.full_subgroups);
 }
 
 /// Returns true for Mesa's CPU driver lavapipe before version 24.1. On some CPUs, its
@@ -116,9 +116,9 @@ bool is_old_lavapipe(const VkPhysicalDeviceDriverProperties& driver) {
 
 constexpr const char* kNoCompiler = "a driver that can compile the tracing kernels (SwiftShader cannot)";
 
-std::string list_missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
-                                      const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
-                                      const OptionalFeatures& optional) {
+std::string list_features_missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
+                                               const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                                               const OptionalFeatures& optional) {
     const auto operations = [&](VkSubgroupFeatureFlags required) {
         return (subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
                (subgroup.supportedOperations & required) == required;
@@ -130,35 +130,35 @@ std::string list_missing_for_software(const VkPhysicalDeviceSubgroupProperties& 
     groups.add_if_missing(operations(VK_SUBGROUP_FEATURE_SHUFFLE_BIT), "subgroup shuffles in compute");
     groups.add_if_missing(sizes.minSubgroupSize >= 4 && sizes.maxSubgroupSize <= 64,
                           "subgroups with 4 to 64 lanes");
-    groups.add_if_missing(has_known_subgroups(sizes, optional),
+    groups.add_if_missing(can_require_subgroup_size(sizes, optional),
                           "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
     return groups.text;
 }
 
-std::string list_missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup,
-                                      const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
-                                      const OptionalFeatures& optional) {
+std::string list_features_missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup,
+                                               const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                                               const OptionalFeatures& optional) {
     Missing groups;
     groups.add_if_missing(subgroup.supportedOperations & VK_SUBGROUP_FEATURE_SHUFFLE_BIT,
                           "subgroup shuffles in compute");
-    groups.add_if_missing(has_known_subgroups(sizes, optional),
+    groups.add_if_missing(can_require_subgroup_size(sizes, optional),
                           "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
     return groups.text;
 }
 
 bool has_extension(VkPhysicalDevice physical, const char* name) {
-    return has_extension(list_extensions(physical), name);
+    return has_extension(list_device_extensions(physical), name);
 }
 
 namespace {
 
 /// Returns the names of the features that every kernel needs and the device lacks. Empty
 /// if no feature is missing.
-std::string list_missing_for_kernels(const VkPhysicalDeviceProperties& properties,
-                                     const VkPhysicalDeviceDriverProperties& driver,
-                                     const VkPhysicalDeviceVulkan12Features& v12,
-                                     const VkPhysicalDeviceVulkan13Features& v13,
-                                     const VkPhysicalDeviceSubgroupProperties& subgroup) {
+std::string list_features_missing_for_kernels(const VkPhysicalDeviceProperties& properties,
+                                              const VkPhysicalDeviceDriverProperties& driver,
+                                              const VkPhysicalDeviceVulkan12Features& v12,
+                                              const VkPhysicalDeviceVulkan13Features& v13,
+                                              const VkPhysicalDeviceSubgroupProperties& subgroup) {
     Missing base;
     base.add_if_missing(properties.apiVersion >= VK_API_VERSION_1_3, "Vulkan 1.3");
     base.add_if_missing(!is_old_lavapipe(driver), "lavapipe from Mesa 24.1 or newer");
@@ -177,9 +177,9 @@ std::string list_missing_for_kernels(const VkPhysicalDeviceProperties& propertie
 
 /// Returns the names of the features that ray queries need and the device lacks. Empty if
 /// no feature is missing.
-std::string list_missing_for_ray_query(const std::vector<VkExtensionProperties>& extensions,
-                                       const VkPhysicalDeviceAccelerationStructureFeaturesKHR& accel,
-                                       const VkPhysicalDeviceRayQueryFeaturesKHR& query) {
+std::string list_features_missing_for_ray_query(const std::vector<VkExtensionProperties>& extensions,
+                                                const VkPhysicalDeviceAccelerationStructureFeaturesKHR& accel,
+                                                const VkPhysicalDeviceRayQueryFeaturesKHR& query) {
     Missing rays;
     for (const char* name : {VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME,
                              VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME, VK_KHR_RAY_QUERY_EXTENSION_NAME})
@@ -191,15 +191,15 @@ std::string list_missing_for_ray_query(const std::vector<VkExtensionProperties>&
 
 }  // namespace
 
-DeviceInfo describe(VkPhysicalDevice physical, int index) {
-    const std::vector<VkExtensionProperties> extensions = list_extensions(physical);
+DeviceInfo make_device_info(VkPhysicalDevice physical_device, int index) {
+    const std::vector<VkExtensionProperties> extensions = list_device_extensions(physical_device);
     VkPhysicalDeviceDriverProperties driver{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DRIVER_PROPERTIES};
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES, &driver};
     VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES,
                                                 &sizes};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroup};
-    vkGetPhysicalDeviceProperties2(physical, &properties);
+    vkGetPhysicalDeviceProperties2(physical_device, &properties);
 
     VkPhysicalDeviceAccelerationStructureFeaturesKHR accel{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_FEATURES_KHR};
@@ -211,27 +211,28 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
     VkPhysicalDeviceVulkan12Features v12{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_FEATURES, &v13};
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
     const bool is_13 = properties.properties.apiVersion >= VK_API_VERSION_1_3;
-    if (is_13) vkGetPhysicalDeviceFeatures2(physical, &features);
-    const OptionalFeatures optional = is_13 ? query_optional_features(physical) : OptionalFeatures();
+    if (is_13) vkGetPhysicalDeviceFeatures2(physical_device, &features);
+    const OptionalFeatures optional = is_13 ? query_optional_features(physical_device) : OptionalFeatures();
 
     DeviceInfo info;
     info.index = index;
     info.name = properties.properties.deviceName;
     info.type = get_type_name(properties.properties.deviceType);
     info.driver = fmt::format("{} {}", driver.driverName, driver.driverInfo);
-    info.api_version = format_version(properties.properties.apiVersion);
-    info.memory_bytes = find_largest_local_heap(physical);
+    info.api_version = format_vulkan_version(properties.properties.apiVersion);
+    info.memory_bytes = get_largest_local_heap_bytes(physical_device);
     info.subgroup_size = static_cast<int>(subgroup.subgroupSize);
     info.timestamps = properties.properties.limits.timestampComputeAndGraphics != 0;
     info.float_atomics = has_extension(extensions, VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME) &&
                          atomics.shaderBufferFloat32AtomicAdd;
 
-    info.why_not_usable = list_missing_for_kernels(properties.properties, driver, v12, v13, subgroup);
-    info.why_not_ray_query = list_missing_for_ray_query(extensions, accel, query);
+    info.why_not_usable =
+        list_features_missing_for_kernels(properties.properties, driver, v12, v13, subgroup);
+    info.why_not_ray_query = list_features_missing_for_ray_query(extensions, accel, query);
     info.ray_query = info.why_not_ray_query.empty() && info.why_not_usable.empty();
-    info.has_known_subgroups = has_known_subgroups(sizes, optional);
+    info.can_require_subgroup_size = can_require_subgroup_size(sizes, optional);
     info.why_not_software =
-        is_swiftshader(info) ? kNoCompiler : list_missing_for_software(subgroup, sizes, optional);
+        is_swiftshader(info) ? kNoCompiler : list_features_missing_for_software(subgroup, sizes, optional);
     info.software = info.why_not_software.empty() && info.why_not_usable.empty();
     return info;
 }

@@ -16,25 +16,26 @@ namespace relidar {
 
 namespace {
 
-std::string read_variable(const char* name) {
+std::string read_environment_variable(const char* name) {
     const char* text = std::getenv(name);
     return text ? text : "";
 }
 
-std::uint64_t read_memory_limit(const std::string& text) {
+std::uint64_t parse_memory_limit_bytes(const std::string& mib_text) {
     std::uint64_t mib = 0;
-    const char* end = text.data() + text.size();
-    const auto [parsed, failed] = std::from_chars(text.data(), end, mib);
+    const char* end = mib_text.data() + mib_text.size();
+    const auto [parsed, failed] = std::from_chars(mib_text.data(), end, mib);
     if (failed != std::errc() || parsed != end || mib == 0 || mib > (1u << 30)) {
         throw UsageError(
-            fmt::format("RELIDAR_MEMORY_LIMIT_MIB: found '{}', expected a number of MiB above 0", text));
+            fmt::format("RELIDAR_MEMORY_LIMIT_MIB: found '{}', expected a number of MiB above 0", mib_text));
     }
     return mib << 20;
 }
 
-std::filesystem::path find_cache_folder() {
-    const std::string relidar_cache = read_variable("RELIDAR_PIPELINE_CACHE"),
-                      cache = read_variable("XDG_CACHE_HOME"), home = read_variable("HOME");
+std::filesystem::path find_pipeline_cache_folder() {
+    const std::string relidar_cache = read_environment_variable("RELIDAR_PIPELINE_CACHE"),
+                      cache = read_environment_variable("XDG_CACHE_HOME"),
+                      home = read_environment_variable("HOME");
     if (relidar_cache == "0") return {};
     if (!relidar_cache.empty()) return relidar_cache;
     if (!cache.empty()) return std::filesystem::path(cache) / "relidar";
@@ -44,13 +45,13 @@ std::filesystem::path find_cache_folder() {
 }  // namespace
 
 DeviceOptions apply_environment_variables(DeviceOptions options) {
-    if (read_variable("RELIDAR_VALIDATION") == "1") options.validation = true;
-    const std::string limit = read_variable("RELIDAR_MEMORY_LIMIT_MIB");
+    if (read_environment_variable("RELIDAR_VALIDATION") == "1") options.validation = true;
+    const std::string limit = read_environment_variable("RELIDAR_MEMORY_LIMIT_MIB");
     if (!limit.empty() && options.memory_limit_bytes == 0)
-        options.memory_limit_bytes = read_memory_limit(limit);
-    if (options.pipeline_cache.empty()) options.pipeline_cache = find_cache_folder();
+        options.memory_limit_bytes = parse_memory_limit_bytes(limit);
+    if (options.pipeline_cache.empty()) options.pipeline_cache = find_pipeline_cache_folder();
 #ifdef RELIDAR_ASSERTS
-    gpu::set_injected_faults(read_variable("RELIDAR_FAULTS"));
+    gpu::set_injected_faults(read_environment_variable("RELIDAR_FAULTS"));
 #endif
     return options;
 }

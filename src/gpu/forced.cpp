@@ -10,9 +10,9 @@ namespace relidar {
 
 std::size_t count_validation_messages(const Device& device) { return device.impl().instance->n_messages; }
 
-Forced::Forced(Device& device, const ForcedWays& ways)
+ForcedBehaviourScope::ForcedBehaviourScope(Device& device, const ForcedBehaviour& ways)
     : device_(device), before_(std::exchange(device.impl().forced, ways)) {}
-Forced::~Forced() { device_.impl().forced = before_; }
+ForcedBehaviourScope::~ForcedBehaviourScope() { device_.impl().forced = before_; }
 
 bool prefers_coalesced_access(const Device& device) {
     return device.impl().forced.coalesces.value_or(device.info().type != "CPU");

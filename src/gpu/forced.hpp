@@ -15,7 +15,7 @@ std::size_t count_validation_messages(const Device& device);
 
 /// Behaviour of a device that a test can select, although the device would choose another
 /// one.
-struct ForcedWays {
+struct ForcedBehaviour {
     /// If true, each ray tests every surfel instead of searching an acceleration
     /// structure.
     bool brute_force = false;
@@ -28,16 +28,16 @@ struct ForcedWays {
 
 /// While this scope object exists, objects that are created on the device have the given
 /// behaviour. Used by tests.
-class Forced {
+class ForcedBehaviourScope {
 public:
-    Forced(Device& device, const ForcedWays& ways);
-    ~Forced();
-    Forced(const Forced&) = delete;
-    Forced& operator=(const Forced&) = delete;
+    ForcedBehaviourScope(Device& device, const ForcedBehaviour& ways);
+    ~ForcedBehaviourScope();
+    ForcedBehaviourScope(const ForcedBehaviourScope&) = delete;
+    ForcedBehaviourScope& operator=(const ForcedBehaviourScope&) = delete;
 
 private:
     Device& device_;
-    ForcedWays before_;
+    ForcedBehaviour before_;
 };
 
 }  // namespace relidar

@@ -26,28 +26,28 @@ struct EmbeddedKernel {
 std::span<const EmbeddedKernel> embedded_kernels();
 
 /// Ids of specialisation constants. The shaders use the same names.
-enum class ConstantId : std::uint32_t {
+enum class SpecialisationConstantId : std::uint32_t {
 #define RELIDAR_CONSTANT_ID(name, id) name = id,
     RELIDAR_CONSTANTS(RELIDAR_CONSTANT_ID)
 #undef RELIDAR_CONSTANT_ID
 };
-const char* get_name(ConstantId id);
+const char* get_name(SpecialisationConstantId id);
 
-struct Constant {
-    ConstantId id;
+struct SpecialisationConstant {
+    SpecialisationConstantId id;
     std::uint32_t value;
 };
 
 /// Whether a kernel requires full subgroups, with exactly DeviceInfo::subgroup_size
 /// active lanes. Kernels that compute thread indices from subgroups require them, because
 /// some compilers choose smaller subgroups.
-enum class Subgroups { any, full };
+enum class SubgroupRequirement { any, full };
 
 /// Returns the name of the parameter struct of a kernel. Returns an empty text if the
 /// kernel is unknown.
-constexpr std::string_view find_params_of_kernel(std::string_view name) {
+constexpr std::string_view find_params_struct_name(std::string_view kernel_name) {
     for (const auto& [kernel, params] : kKernelParams)
-        if (kernel == name) return params;
+        if (kernel == kernel_name) return params;
     return {};
 }
 
@@ -70,8 +70,9 @@ public:
     /// pipeline at the first launch. If the driver rejects it, the first launch throws a
     /// DeviceError.
     /// @param name name of an embedded kernel
-    KernelBase(Device& device, std::string_view name, const std::vector<Constant>& constants = {},
-               Subgroups subgroups = Subgroups::any);
+    KernelBase(Device& device, std::string_view name,
+               const std::vector<SpecialisationConstant>& constants = {},
+               SubgroupRequirement subgroups = SubgroupRequirement::any);
     ~KernelBase();
     KernelBase(const KernelBase&) = delete;
     KernelBase& operator=(const KernelBase&) = delete;
@@ -84,7 +85,7 @@ private:
 
     /// Compiles the pipeline without running it, and stores the statistics of the
     /// driver's compiler.
-    void compile_only();
+    void compile_without_running();
 };
 
 /// Name of a kernel, for example "stage/stem". Does not compile if the kernel of this
@@ -94,7 +95,7 @@ class KernelName {
 public:
     template <std::size_t n>
     consteval KernelName(const char (&name)[n]) : name_(name) {
-        if (find_params_of_kernel(name_) != get_struct_name<Params>())
+        if (find_params_struct_name(name_) != get_struct_name<Params>())
             throw "the kernel with this name has another parameter struct than Params";
     }
     std::string_view text() const { return name_; }
@@ -116,11 +117,12 @@ struct KernelVariant {
 template <class Params>
 class Kernel : public KernelBase {
 public:
-    Kernel(Device& device, KernelName<Params> name, const std::vector<Constant>& constants = {},
-           Subgroups subgroups = Subgroups::any)
+    Kernel(Device& device, KernelName<Params> name, const std::vector<SpecialisationConstant>& constants = {},
+           SubgroupRequirement subgroups = SubgroupRequirement::any)
         : KernelBase(device, name.text(), constants, subgroups) {}
     Kernel(Device& device, KernelName<Params> name, const KernelVariant& variant,
-           const std::vector<Constant>& constants = {}, Subgroups subgroups = Subgroups::any)
+           const std::vector<SpecialisationConstant>& constants = {},
+           SubgroupRequirement subgroups = SubgroupRequirement::any)
         : KernelBase(device, std::string(name.text()) + variant.suffix, constants, subgroups) {}
 };
 
@@ -138,12 +140,12 @@ bool has_maximal_reconvergence(const Device& device);
 
 /// Returns the names of the features that neural networks need and the device lacks.
 /// Empty if no feature is missing.
-std::string list_missing_for_networks(const Device& device);
+std::string list_features_missing_for_networks(const Device& device);
 
 /// Returns the variant of a kernel that adds floats with atomics: float atomics if the
 /// device has them, otherwise compare-and-swap.
-/// @param variant other part of the variant name, for example "@ray_query"
-KernelVariant choose_accumulating_variant(const Device& device,
-                                          const KernelVariant& variant = KernelVariant("@"));
+/// @param base_variant other part of the variant name, for example "@ray_query"
+KernelVariant choose_float_atomics_variant(const Device& device,
+                                           const KernelVariant& base_variant = KernelVariant("@"));
 
 }  // namespace relidar

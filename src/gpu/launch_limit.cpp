@@ -7,40 +7,40 @@
 
 namespace relidar::gpu {
 
-std::uint32_t KernelSpeed::choose_groups_per_piece(double piece_s) const {
+std::uint32_t KernelSpeed::choose_groups_per_dispatch(double dispatch_s) const {
     const double s_per_group = s_per_group_;
     if (!(s_per_group > 0.0)) return kUnknownGroups;
-    return static_cast<std::uint32_t>(std::clamp(piece_s / s_per_group, 1.0, 4e9));
+    return static_cast<std::uint32_t>(std::clamp(dispatch_s / s_per_group, 1.0, 4e9));
 }
 
-double KernelSpeed::estimate_seconds(std::uint32_t n_groups) const { return s_per_group_ * n_groups; }
+double KernelSpeed::estimate_dispatch_s(std::uint32_t n_groups) const { return s_per_group_ * n_groups; }
 
-bool KernelSpeed::should_measure(double piece_s, std::uint32_t n_groups) {
+bool KernelSpeed::should_measure_dispatch(double dispatch_s, std::uint32_t n_groups) {
     constexpr std::uint64_t kFirst = 8, kEvery = 64;
     // Small launches are not measured, because their fixed cost would make the kernel
     // look slow. If all dispatches of a kernel are small, they are measured, because it
     // may have become faster.
-    if (n_groups < std::min(kUnknownGroups / 4, choose_groups_per_piece(piece_s) / 2)) return false;
+    if (n_groups < std::min(kUnknownGroups / 4, choose_groups_per_dispatch(dispatch_s) / 2)) return false;
     const std::uint64_t n = n_dispatches_++;
     return n < kFirst || n % kEvery == 0;
 }
 
-void KernelSpeed::add(std::uint32_t n_groups, double seconds) {
+void KernelSpeed::add_measured_dispatch(std::uint32_t n_groups, double seconds) {
     // The slowest recent launch counts, because a kernel may be slower in another scene.
     // Each new measurement reduces the weight of older ones.
     constexpr double kForget = 0.9;
     s_per_group_ = std::max(seconds / n_groups, kForget * s_per_group_);
 }
 
-KernelSpeed& LaunchLimit::speed(const std::string& kernel) {
+KernelSpeed& LaunchTimeLimit::get_kernel_speed(const std::string& kernel_name) {
     const std::scoped_lock lock(mutex_);
-    return speeds_[kernel];
+    return speeds_[kernel_name];
 }
 
-bool can_split_launch(const std::string& kernel) {
-    constexpr std::array<std::string_view, 4> kWholeKernels{"diff/accel/bvh_refit", "diff/optimizer/adam",
-                                                            "scene/activate_vjp", "gpu/radix_scan"};
-    return std::ranges::find(kWholeKernels, kernel) == kWholeKernels.end();
+bool can_split_launch(const std::string& kernel_name) {
+    constexpr std::array<std::string_view, 4> kUnsplittableKernels{
+        "diff/accel/bvh_refit", "diff/optimizer/adam", "scene/activate_vjp", "gpu/radix_scan"};
+    return std::ranges::find(kUnsplittableKernels, kernel_name) == kUnsplittableKernels.end();
 }
 
 }  // namespace relidar::gpu

@@ -20,7 +20,7 @@ namespace relidar::gpu {
 
 /// Purpose of a buffer, which determines its Vulkan memory type. All buffers except those
 /// for `device` stay mapped and are host-coherent.
-enum class MemoryUse {
+enum class BufferPurpose {
     device,  ///< Arrays that kernels read and write.
     /// Parameters that the host writes and kernels read. In device memory if the host can
     /// write to it.
@@ -36,7 +36,7 @@ struct MemoryBudget {
     std::uint64_t n_bytes = 0;  ///< Budget of the largest device-local heap, in bytes.
     std::uint64_t n_used = 0;   ///< Memory of this heap that this process uses, in bytes.
 
-    std::uint64_t n_free() const { return n_bytes > n_used ? n_bytes - n_used : 0; }
+    std::uint64_t get_free_bytes() const { return n_bytes > n_used ? n_bytes - n_used : 0; }
 };
 /// Returns the current memory budget. With VK_EXT_memory_budget, memory of other programs
 /// is subtracted. Otherwise the budget is the size of the heap, and n_used is 0.
@@ -49,8 +49,8 @@ public:
     /// Allocates space in the first free range that is large enough.
     /// @param alignment alignment of the offset in bytes, a power of two
     /// @return offset of the allocated range, or nullopt if no free range is large enough
-    std::optional<std::uint64_t> take(std::uint64_t n_bytes, std::uint64_t alignment);
-    void release(std::uint64_t offset, std::uint64_t n_bytes);
+    std::optional<std::uint64_t> allocate_range(std::uint64_t n_bytes, std::uint64_t alignment);
+    void release_range(std::uint64_t offset, std::uint64_t n_bytes);
     bool is_fully_free() const { return ranges_.size() == 1 && ranges_.begin()->second == n_bytes_; }
 
 private:
@@ -69,44 +69,46 @@ struct MemoryBlock {
 };
 
 /// Part of a memory block that one buffer uses.
-struct MemoryPiece {
+struct MemorySuballocation {
     MemoryBlock* block = nullptr;
     std::uint64_t offset = 0;
     std::uint64_t n_bytes = 0;
 };
 
 /// Allocator for all memory of a device. Thread-safe.
-class MemoryPools {
+class DeviceMemoryAllocator {
 public:
     static constexpr std::uint64_t kBlockBytes = std::uint64_t(64) << 20;
 
-    MemoryPools(VkPhysicalDevice physical, VkDevice device);
-    ~MemoryPools();
-    MemoryPools(const MemoryPools&) = delete;
-    MemoryPools& operator=(const MemoryPools&) = delete;
+    DeviceMemoryAllocator(VkPhysicalDevice physical, VkDevice device);
+    ~DeviceMemoryAllocator();
+    DeviceMemoryAllocator(const DeviceMemoryAllocator&) = delete;
+    DeviceMemoryAllocator& operator=(const DeviceMemoryAllocator&) = delete;
 
     /// Allocates memory for a buffer.
     /// @param piece receives the memory if the result is VK_SUCCESS
     /// @return result of the driver for the last memory type that was tried
-    VkResult take(const VkMemoryRequirements& needs, MemoryUse use, MemoryPiece& piece);
-    void release(const MemoryPiece& piece);
-    std::size_t n_blocks() const;
+    VkResult allocate_piece(const VkMemoryRequirements& needs, BufferPurpose use, MemorySuballocation& piece);
+    void release_piece(const MemorySuballocation& piece);
+    std::size_t count_blocks() const;
 
 private:
-    using Blocks = std::vector<std::unique_ptr<MemoryBlock>>;
+    using MemoryBlockList = std::vector<std::unique_ptr<MemoryBlock>>;
 
     VkDevice device_;
     VkPhysicalDeviceMemoryProperties properties_{};
     mutable std::mutex mutex_;
-    std::array<Blocks, VK_MAX_MEMORY_TYPES> blocks_;  ///< Memory blocks, indexed by memory type.
+    std::array<MemoryBlockList, VK_MAX_MEMORY_TYPES> blocks_;  ///< Memory blocks, indexed by memory type.
 
-    std::vector<std::uint32_t> list_memory_types(const VkMemoryRequirements& needs, MemoryUse use) const;
-    std::uint64_t shared_bytes(std::uint32_t type) const;
-    std::optional<MemoryPiece> allocate_of_type(const VkMemoryRequirements& needs, std::uint32_t type);
-    VkResult grow(const VkMemoryRequirements& needs, std::uint32_t type, std::optional<MemoryPiece>& piece);
-    VkResult map(MemoryBlock& block);
-    VkResult add_block(std::uint32_t type, std::uint64_t n_bytes);
-    void release_empty_blocks(std::uint32_t type, std::size_t n_kept);
+    std::vector<std::uint32_t> list_memory_types(const VkMemoryRequirements& needs, BufferPurpose use) const;
+    std::uint64_t get_shared_block_bytes(std::uint32_t memory_type) const;
+    std::optional<MemorySuballocation> allocate_from_existing_block(const VkMemoryRequirements& needs,
+                                                                    std::uint32_t memory_type);
+    VkResult allocate_from_new_block(const VkMemoryRequirements& needs, std::uint32_t memory_type,
+                                     std::optional<MemorySuballocation>& piece);
+    VkResult map_block(MemoryBlock& block);
+    VkResult add_block(std::uint32_t memory_type, std::uint64_t n_bytes);
+    void release_empty_blocks(std::uint32_t memory_type, std::size_t n_kept);
 };
 
 }  // namespace relidar::gpu

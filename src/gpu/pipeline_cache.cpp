@@ -20,7 +20,7 @@ namespace relidar::gpu {
 
 namespace {
 
-struct FileHeader {
+struct PipelineCacheHeader {
     std::array<char, 8> magic{'R', 'E', 'L', 'I', 'D', 'A', 'R', '1'};
     std::uint64_t n_bytes = 0;
     std::uint64_t hash = 0;
@@ -34,8 +34,8 @@ std::uint64_t compute_hash(std::string_view bytes) {
     return hash;
 }
 
-FileHeader make_file_header(std::string_view bytes) {
-    FileHeader header;
+PipelineCacheHeader make_file_header(std::string_view bytes) {
+    PipelineCacheHeader header;
     header.n_bytes = bytes.size();
     header.hash = compute_hash(bytes);
     return header;
@@ -43,9 +43,10 @@ FileHeader make_file_header(std::string_view bytes) {
 
 /// Returns the driver's data from a cache file. Empty if the file is missing, truncated,
 /// damaged, or written by another driver.
-std::string read_file(const std::filesystem::path& path, const VkPhysicalDeviceProperties& device) {
+std::string read_cache_file(const std::filesystem::path& path,
+                            const VkPhysicalDeviceProperties& device_properties) {
     std::ifstream file(path, std::ios::binary);
-    FileHeader header;
+    PipelineCacheHeader header;
     if (!file.read(reinterpret_cast<char*>(&header), sizeof header)) return {};
     std::error_code failed;
     if (std::filesystem::file_size(path, failed) - sizeof header != header.n_bytes || failed) return {};
@@ -53,19 +54,19 @@ std::string read_file(const std::filesystem::path& path, const VkPhysicalDeviceP
     VkPipelineCacheHeaderVersionOne driver{};
     if (bytes.size() < sizeof driver || !file.read(bytes.data(), static_cast<std::streamsize>(bytes.size())))
         return {};
-    const FileHeader expected = make_file_header(bytes);
+    const PipelineCacheHeader expected = make_file_header(bytes);
     std::memcpy(&driver, bytes.data(), sizeof driver);
     const bool same_driver =
-        driver.headerVersion == VK_PIPELINE_CACHE_HEADER_VERSION_ONE && driver.vendorID == device.vendorID &&
-        driver.deviceID == device.deviceID &&
-        std::memcmp(driver.pipelineCacheUUID, device.pipelineCacheUUID, VK_UUID_SIZE) == 0;
+        driver.headerVersion == VK_PIPELINE_CACHE_HEADER_VERSION_ONE &&
+        driver.vendorID == device_properties.vendorID && driver.deviceID == device_properties.deviceID &&
+        std::memcmp(driver.pipelineCacheUUID, device_properties.pipelineCacheUUID, VK_UUID_SIZE) == 0;
     return header.magic == expected.magic && header.hash == expected.hash && same_driver ? bytes
                                                                                          : std::string();
 }
 
 }  // namespace
 
-void replace_file(const std::filesystem::path& path, std::string_view bytes) {
+void replace_file_atomically(const std::filesystem::path& path, std::string_view bytes) {
     std::error_code failed;
     std::filesystem::create_directories(path.parent_path(), failed);
     // Makes the names of temporary files unique, because one process may close several
@@ -91,20 +92,20 @@ PipelineCache::PipelineCache(VkPhysicalDevice physical, VkDevice device, const s
     vkGetPhysicalDeviceProperties(physical, &properties);
     if (!folder.empty()) path_ = folder / ("pipelines_" + make_device_key(properties));
 
-    const std::string bytes = path_.empty() ? std::string() : read_file(path_, properties);
+    const std::string bytes = path_.empty() ? std::string() : read_cache_file(path_, properties);
     read_bytes_ = bytes.size();
     VkPipelineCacheCreateInfo info{VK_STRUCTURE_TYPE_PIPELINE_CACHE_CREATE_INFO};
     info.initialDataSize = bytes.size();
     info.pInitialData = bytes.data();
     if (vkCreatePipelineCache(device, &info, nullptr, &handle_) == VK_SUCCESS) {
-        name_object(device, VK_OBJECT_TYPE_PIPELINE_CACHE, handle_, "pipelines of relidar");
+        set_object_name(device, VK_OBJECT_TYPE_PIPELINE_CACHE, handle_, "pipelines of relidar");
         return;
     }
     handle_ = VK_NULL_HANDLE;  // Without a handle, pipelines are created without a cache.
     path_.clear();
 }
 
-void PipelineCache::save() const {
+void PipelineCache::save_to_file() const {
     std::size_t n_bytes = 0;
     if (vkGetPipelineCacheData(device_, handle_, &n_bytes, nullptr) != VK_SUCCESS || n_bytes <= read_bytes_)
         return;
@@ -114,12 +115,13 @@ void PipelineCache::save() const {
     std::string bytes(n_bytes, '\0');
     if (vkGetPipelineCacheData(device_, handle_, &n_bytes, bytes.data()) != VK_SUCCESS) return;
     bytes.resize(n_bytes);
-    const FileHeader header = make_file_header(bytes);
-    replace_file(path_, std::string(reinterpret_cast<const char*>(&header), sizeof header) + bytes);
+    const PipelineCacheHeader header = make_file_header(bytes);
+    replace_file_atomically(path_,
+                            std::string(reinterpret_cast<const char*>(&header), sizeof header) + bytes);
 }
 
 PipelineCache::~PipelineCache() {
-    if (!path_.empty()) save();
+    if (!path_.empty()) save_to_file();
     vkDestroyPipelineCache(device_, handle_, nullptr);
 }
 

@@ -15,7 +15,7 @@ namespace relidar::gpu {
 
 /// Replaces a file of the cache folder atomically, because other processes may read it.
 /// Ignores failures, because a missing cache file only makes the next start slower.
-void replace_file(const std::filesystem::path& path, std::string_view bytes);
+void replace_file_atomically(const std::filesystem::path& path, std::string_view bytes);
 
 /// Returns a file name that is unique for the device and its driver version.
 std::string make_device_key(const VkPhysicalDeviceProperties& properties);
@@ -36,7 +36,7 @@ public:
     const std::filesystem::path& path() const { return path_; }
     /// Returns the number of bytes that were read from the cache file. Returns 0 if the
     /// file was missing.
-    std::size_t read_bytes() const { return read_bytes_; }
+    std::size_t get_loaded_byte_count() const { return read_bytes_; }
 
 private:
     VkDevice device_;
@@ -44,7 +44,7 @@ private:
     std::filesystem::path path_;
     std::size_t read_bytes_ = 0;
 
-    void save() const;
+    void save_to_file() const;
 };
 
 }  // namespace relidar::gpu

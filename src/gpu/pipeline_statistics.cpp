@@ -8,7 +8,7 @@
 namespace relidar::gpu {
 namespace {
 
-double convert_statistic(const VkPipelineExecutableStatisticKHR& statistic) {
+double convert_statistic_to_double(const VkPipelineExecutableStatisticKHR& statistic) {
     switch (statistic.format) {
         case VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_BOOL32_KHR:
             return statistic.value.b32 ? 1.0 : 0.0;
@@ -23,16 +23,16 @@ double convert_statistic(const VkPipelineExecutableStatisticKHR& statistic) {
 
 }  // namespace
 
-void read_statistics(VkDevice device, VkPipeline pipeline, PipelineStatistics& statistics) {
+void read_pipeline_statistics(VkDevice device, VkPipeline pipeline, PipelineStatistics& statistics) {
     VkPipelineInfoKHR info{VK_STRUCTURE_TYPE_PIPELINE_INFO_KHR};
     info.pipeline = pipeline;
     std::uint32_t n = 0;
-    check(vkGetPipelineExecutablePropertiesKHR(device, &info, &n, nullptr),
-          "vkGetPipelineExecutablePropertiesKHR");
+    check_vulkan_result(vkGetPipelineExecutablePropertiesKHR(device, &info, &n, nullptr),
+                        "vkGetPipelineExecutablePropertiesKHR");
     std::vector<VkPipelineExecutablePropertiesKHR> executables(
         n, {VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_PROPERTIES_KHR});
-    check(vkGetPipelineExecutablePropertiesKHR(device, &info, &n, executables.data()),
-          "vkGetPipelineExecutablePropertiesKHR");
+    check_vulkan_result(vkGetPipelineExecutablePropertiesKHR(device, &info, &n, executables.data()),
+                        "vkGetPipelineExecutablePropertiesKHR");
     if (n == 0) return;
     // Some drivers (Intel) compile one executable per subgroup size. The last one has the
     // largest subgroups.
@@ -40,14 +40,14 @@ void read_statistics(VkDevice device, VkPipeline pipeline, PipelineStatistics& s
     VkPipelineExecutableInfoKHR program{VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_INFO_KHR};
     program.pipeline = pipeline;
     program.executableIndex = n - 1;
-    check(vkGetPipelineExecutableStatisticsKHR(device, &program, &n, nullptr),
-          "vkGetPipelineExecutableStatisticsKHR");
+    check_vulkan_result(vkGetPipelineExecutableStatisticsKHR(device, &program, &n, nullptr),
+                        "vkGetPipelineExecutableStatisticsKHR");
     std::vector<VkPipelineExecutableStatisticKHR> values(
         n, {VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_STATISTIC_KHR});
-    check(vkGetPipelineExecutableStatisticsKHR(device, &program, &n, values.data()),
-          "vkGetPipelineExecutableStatisticsKHR");
+    check_vulkan_result(vkGetPipelineExecutableStatisticsKHR(device, &program, &n, values.data()),
+                        "vkGetPipelineExecutableStatisticsKHR");
     for (const VkPipelineExecutableStatisticKHR& value : values)
-        statistics.values[value.name] = convert_statistic(value);
+        statistics.values[value.name] = convert_statistic_to_double(value);
 }
 
 }  // namespace relidar::gpu

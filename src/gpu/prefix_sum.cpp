@@ -10,8 +10,8 @@
 namespace relidar {
 
 PrefixSum::PrefixSum(Device& device)
-    : sums_(device, "gpu/scan_sums", {kTileWorkgroup}, Subgroups::full),
-      write_(device, "gpu/scan_write", {kTileWorkgroup}, Subgroups::full) {}
+    : sums_(device, "gpu/scan_sums", {kTileWorkgroup}, SubgroupRequirement::full),
+      write_(device, "gpu/scan_write", {kTileWorkgroup}, SubgroupRequirement::full) {}
 
 void PrefixSum::reserve(Device& device, std::size_t count) {
     for (std::size_t level = 0; count > RELIDAR_TILE_SIZE; ++level) {
@@ -24,18 +24,18 @@ void PrefixSum::reserve(Device& device, std::size_t count) {
 void PrefixSum::run(Stream& stream, const StridedCounts& counts,
                     Address<std::uint32_t, shared::ScanPrefix> prefix, std::uint32_t count,
                     Address<std::uint32_t, shared::ScanTotal> total) const {
-    run_level(stream,
-              {.counts = counts.address,
-               .tile_sums = {},
-               .prefix = prefix,
-               .total = total,
-               .n = count,
-               .offset = counts.offset,
-               .stride = counts.stride},
-              0);
+    scan_one_level(stream,
+                   {.counts = counts.address,
+                    .tile_sums = {},
+                    .prefix = prefix,
+                    .total = total,
+                    .n = count,
+                    .offset = counts.offset,
+                    .stride = counts.stride},
+                   0);
 }
 
-void PrefixSum::run_level(Stream& stream, shared::ScanParams params, std::size_t level) const {
+void PrefixSum::scan_one_level(Stream& stream, shared::ScanParams params, std::size_t level) const {
     if (params.n == 0) return;
     const std::size_t n_tiles = count_tiles(params.n), n_threads = n_tiles * RELIDAR_TILE_THREADS;
     if (n_tiles > 1) {
@@ -43,15 +43,15 @@ void PrefixSum::run_level(Stream& stream, shared::ScanParams params, std::size_t
         RELIDAR_ASSERT_LE(n_tiles, levels_[level].size());
         params.tile_sums = levels_[level].address();
         relidar::run(stream, sums_, n_threads, params);
-        run_level(stream,
-                  {.counts = params.tile_sums.as<shared::ScanCounts>(),
-                   .tile_sums = {},
-                   .prefix = params.tile_sums.as<shared::ScanPrefix>(),
-                   .total = {},
-                   .n = static_cast<std::uint32_t>(n_tiles),
-                   .offset = 0,
-                   .stride = 1},
-                  level + 1);
+        scan_one_level(stream,
+                       {.counts = params.tile_sums.cast_meaning<shared::ScanCounts>(),
+                        .tile_sums = {},
+                        .prefix = params.tile_sums.cast_meaning<shared::ScanPrefix>(),
+                        .total = {},
+                        .n = static_cast<std::uint32_t>(n_tiles),
+                        .offset = 0,
+                        .stride = 1},
+                       level + 1);
     }
     relidar::run(stream, write_, n_threads, params);
 }

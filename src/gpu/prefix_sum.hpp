@@ -34,7 +34,7 @@ private:
     /// higher level, it consists of tiles of the level below.
     std::vector<Array<std::uint32_t, shared::ScanTileSums>> levels_;
 
-    void run_level(Stream& stream, shared::ScanParams params, std::size_t level) const;
+    void scan_one_level(Stream& stream, shared::ScanParams params, std::size_t level) const;
 };
 
 }  // namespace relidar

@@ -25,28 +25,28 @@ static_assert(RELIDAR_SORT_DIGITS == 1u << RELIDAR_SORT_BITS && RELIDAR_SORT_BIT
 
 RadixSort::RadixSort(Device& device, std::uint32_t capacity, std::uint32_t key_words)
     : capacity_(capacity),
-      count_(device, "gpu/radix_count", {kTileWorkgroup, {ConstantId::KEY_WORDS, key_words}},
-             Subgroups::full),
-      scan_(device, "gpu/radix_scan", {kTileWorkgroup}, Subgroups::full),
-      scatter_(device, "gpu/radix_scatter", {kTileWorkgroup, {ConstantId::KEY_WORDS, key_words}},
-               Subgroups::full),
+      count_(device, "gpu/radix_count", {kTileWorkgroup, {SpecialisationConstantId::KEY_WORDS, key_words}},
+             SubgroupRequirement::full),
+      scan_(device, "gpu/radix_scan", {kTileWorkgroup}, SubgroupRequirement::full),
+      scatter_(device, "gpu/radix_scatter",
+               {kTileWorkgroup, {SpecialisationConstantId::KEY_WORDS, key_words}}, SubgroupRequirement::full),
       counts_(device, RELIDAR_SORT_DIGITS * count_tiles(capacity), "sort counts"),
       totals_(device, RELIDAR_SORT_DIGITS, "sort totals") {
     if (const int lanes = device.info().subgroup_size; lanes < 4 || lanes > 64)
         throw DeviceError(
             fmt::format("cannot create a sort on {}: it has subgroups with {} lanes, expected 4 to 64",
                         device.info().name, lanes));
-    if (!device.info().has_known_subgroups)
+    if (!device.info().can_require_subgroup_size)
         throw DeviceError(fmt::format(
             "cannot create a sort on {}: its subgroup size varies, and it lacks subgroupSizeControl "
             "and computeFullSubgroups",
             device.info().name));
 }
 
-SortSet RadixSort::run(Stream& stream, SortSet input, SortSet scratch, std::uint32_t key_bits,
-                       Address<std::uint32_t, shared::SortCount> n_keys) const {
+SortBuffers RadixSort::run(Stream& stream, SortBuffers input, SortBuffers scratch, std::uint32_t key_bits,
+                           Address<std::uint32_t, shared::SortCount> n_keys) const {
     const std::size_t n_threads = count_tiles(capacity_) * RELIDAR_TILE_THREADS;
-    for (std::uint32_t pass = 0; pass < passes(key_bits); ++pass) {
+    for (std::uint32_t pass = 0; pass < count_passes(key_bits); ++pass) {
         const shared::RadixSortParams params{
             .n_keys = n_keys,
             .keys = input.keys,

@@ -9,7 +9,7 @@
 namespace relidar {
 
 /// Addresses of a set of keys.
-struct SortSet {
+struct SortBuffers {
     /// Keys [n,key_words]. The low word of a key is first.
     Address<std::uint32_t, shared::SortKeys> keys;
     Address<std::uint32_t, shared::SortOrder> order;  ///< Original index of each key, [n].
@@ -27,15 +27,17 @@ public:
 
     /// Returns the number of passes that sort keys of `key_bits` bits, 8 bits per pass.
     /// If it is odd, the result is in the second set of arrays.
-    static std::uint32_t passes(std::uint32_t key_bits) { return key_bits > 8 ? (key_bits + 7) / 8 : 1; }
+    static std::uint32_t count_passes(std::uint32_t key_bits) {
+        return key_bits > 8 ? (key_bits + 7) / 8 : 1;
+    }
     /// Submits kernels that sort keys by their low `key_bits` bits. Equal keys keep their
     /// order. Overwrites both sets.
     /// @param input keys to sort. The order array of this set is not read
     /// @param n_keys address of the number of keys. If null, the number equals the
     /// capacity. Keys beyond the capacity are ignored
     /// @return the set that contains the sorted keys
-    SortSet run(Stream& stream, SortSet input, SortSet scratch, std::uint32_t key_bits,
-                Address<std::uint32_t, shared::SortCount> n_keys = {}) const;
+    SortBuffers run(Stream& stream, SortBuffers input, SortBuffers scratch, std::uint32_t key_bits,
+                    Address<std::uint32_t, shared::SortCount> n_keys = {}) const;
     std::uint64_t memory_bytes() const {
         return counts_.buffer().size_bytes() + totals_.buffer().size_bytes();
     }

@@ -8,7 +8,7 @@
 
 namespace relidar {
 
-struct Readback::Impl {
+struct ReadbackBuffer::Impl {
     std::string what;
     /// Host memory that receives the copy. The stream shares it until the copy is
     /// complete.
@@ -19,17 +19,18 @@ struct Readback::Impl {
 
     Impl(Device& device, std::size_t n_bytes, const std::string& name)
         : what(name),
-          host(std::make_shared<Buffer::Impl>(device.impl(), n_bytes ? n_bytes : 1, gpu::MemoryUse::readback,
-                                              name)) {}
+          host(std::make_shared<Buffer::Impl>(device.impl(), n_bytes ? n_bytes : 1,
+                                              gpu::BufferPurpose::readback, name)) {}
 };
 
-Readback::Readback(Device& device, std::size_t n_bytes, const std::string& description)
+ReadbackBuffer::ReadbackBuffer(Device& device, std::size_t n_bytes, const std::string& description)
     : impl_(std::make_unique<Impl>(device, n_bytes, description)) {}
-Readback::~Readback() = default;
-Readback::Readback(Readback&&) noexcept = default;
-Readback& Readback::operator=(Readback&&) noexcept = default;
+ReadbackBuffer::~ReadbackBuffer() = default;
+ReadbackBuffer::ReadbackBuffer(ReadbackBuffer&&) noexcept = default;
+ReadbackBuffer& ReadbackBuffer::operator=(ReadbackBuffer&&) noexcept = default;
 
-void Readback::record(Stream& stream, const Buffer& source, std::size_t n_bytes, std::size_t offset_bytes) {
+void ReadbackBuffer::record_copy_to_host(Stream& stream, const Buffer& source, std::size_t n_bytes,
+                                         std::size_t offset_bytes) {
     Impl& r = *impl_;
     if (n_bytes > r.host->n_bytes || offset_bytes + n_bytes > source.size_bytes())
         throw Error(
@@ -38,21 +39,21 @@ void Readback::record(Stream& stream, const Buffer& source, std::size_t n_bytes,
                 "cannot read back {}: requested bytes {} to {} of a buffer of {} bytes, expected a range "
                 "inside the buffer of at most {} bytes",
                 r.what, offset_bytes, offset_bytes + n_bytes, source.size_bytes(), r.host->n_bytes));
-    stream.impl().read_back(source.impl(), r.host, {offset_bytes, 0, n_bytes});
+    stream.impl().record_copy_to_host(source.impl(), r.host, {offset_bytes, 0, n_bytes});
     r.ticket = stream.impl().last_ticket + 1;
     r.pending = true;
 }
 
-bool Readback::pending() const { return impl_->pending; }
+bool ReadbackBuffer::has_pending_copy() const { return impl_->pending; }
 
-const void* Readback::wait(Stream& stream) {
+const void* ReadbackBuffer::wait_for_copied_bytes(Stream& stream) {
     Impl& r = *impl_;
     if (r.ticket == 0 || r.ticket > stream.impl().last_ticket)
         throw Error(
             ExitCode::bug,
             fmt::format("cannot wait for {}: its copy was not submitted; call record() and submit() first",
                         r.what));
-    stream.wait(r.ticket);
+    stream.wait_for_submission(r.ticket);
     r.pending = false;
     return r.host->mapped;
 }

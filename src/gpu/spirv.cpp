@@ -28,18 +28,18 @@ std::vector<std::uint32_t> add_execution_mode(std::span<const std::uint32_t> wor
                                               const ExecutionMode& mode) {
     std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords), modes;
     bool extended = false;
-    for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
+    for_each_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
         if (!extended && opcode != kOpCapability && opcode != kOpExtension) {
-            append(result, make_extension_instruction(mode.extension));
+            append_instruction(result, make_extension_instruction(mode.extension));
             extended = true;
         }
         if (opcode == kOpEntryPoint) {
             modes.insert(modes.end(), {3u << 16 | kOpExecutionMode, instruction[2], mode.mode});
         } else {  // Inserts the execution mode after the last entry point, as SPIR-V requires.
-            append(result, modes);
+            append_instruction(result, modes);
             modes.clear();
         }
-        append(result, instruction);
+        append_instruction(result, instruction);
     });
     return result;
 }
@@ -49,19 +49,19 @@ std::vector<std::uint32_t> make_parameters_read_only(std::span<const std::uint32
     // Id of the type of the parameter block. SPIR-V lists names before decorations, so
     // the id is known when the decorations are read.
     std::uint32_t block = 0;
-    for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
-        if (opcode == kOpName && std::strcmp(get_name_in(instruction), "ParamsBlock") == 0)
+    for_each_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+        if (opcode == kOpName && std::strcmp(get_name_operand(instruction), "ParamsBlock") == 0)
             block = instruction[1];
-        append(result, instruction);
+        append_instruction(result, instruction);
         if (opcode == kOpMemberDecorate && instruction[1] == block && instruction[3] == kOffset)
             result.insert(result.end(), {4u << 16 | kOpMemberDecorate, block, instruction[2], kNonWritable});
     });
     return result;
 }
 
-std::set<std::uint32_t> list_constant_ids(std::span<const std::uint32_t> words) {
+std::set<std::uint32_t> list_specialisation_constant_ids(std::span<const std::uint32_t> words) {
     std::set<std::uint32_t> ids;
-    for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
+    for_each_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
         if (opcode == kOpDecorate && instruction[2] == kSpecId) ids.insert(instruction[3]);
     });
     return ids;

@@ -39,14 +39,14 @@ std::vector<std::uint32_t> make_parameters_read_only(std::span<const std::uint32
 /// Returns a copy of a SPIR-V module that loads all parameters once, at the start of the
 /// kernel. Used only for the CPU driver lavapipe, which otherwise repeats loads in loops
 /// and branches for each lane. Compilers of GPUs choose a better time for each load.
-std::vector<std::uint32_t> move_parameters_first(std::span<const std::uint32_t> words);
+std::vector<std::uint32_t> hoist_parameter_loads(std::span<const std::uint32_t> words);
 
 /// Returns a copy of a module in which the compiler cannot prove that array indices are
 /// uniform. Used for lavapipe after 25.0, which executes uniform loads even in a branch
 /// that no lane takes. The index is then arbitrary, so the load may crash. Non-uniform
 /// loads run only for active lanes.
 ///
-/// Call this function before move_parameters_first(), which moves the loads of
+/// Call this function before hoist_parameter_loads(), which moves the loads of
 /// parameters.
 std::vector<std::uint32_t> make_indices_nonuniform(std::span<const std::uint32_t> words);
 
@@ -54,14 +54,14 @@ std::vector<std::uint32_t> make_indices_nonuniform(std::span<const std::uint32_t
 /// constants. Unreachable blocks stay in the module. lavapipe then compiles large kernels
 /// faster, because it would remove these branches only after inlining all functions.
 /// @param constants values by id. Other constants keep their default value
-std::vector<std::uint32_t> resolve_branches(std::span<const std::uint32_t> words,
-                                            const std::map<std::uint32_t, std::uint32_t>& constants);
+std::vector<std::uint32_t> remove_constant_branches(std::span<const std::uint32_t> words,
+                                                    const std::map<std::uint32_t, std::uint32_t>& constants);
 
 /// Returns where the parameter block of a SPIR-V module contains device addresses, as
 /// byte offsets.
-std::vector<std::uint32_t> list_parameter_addresses(std::span<const std::uint32_t> words);
+std::vector<std::uint32_t> list_parameter_address_offsets(std::span<const std::uint32_t> words);
 
 /// Returns the ids of the module's specialisation constants.
-std::set<std::uint32_t> list_constant_ids(std::span<const std::uint32_t> words);
+std::set<std::uint32_t> list_specialisation_constant_ids(std::span<const std::uint32_t> words);
 
 }  // namespace relidar::gpu

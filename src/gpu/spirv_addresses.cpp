@@ -15,35 +15,37 @@ namespace {
 class ParameterTypes {
 public:
     explicit ParameterTypes(std::span<const std::uint32_t> words) {
-        for_each_instruction(
-            words, [&](std::uint32_t opcode, Instruction instruction) { read(opcode, instruction); });
+        for_each_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+            process_instruction(opcode, instruction);
+        });
     }
 
-    std::uint32_t block() const { return block_; }
+    std::uint32_t get_params_block_id() const { return block_; }
 
     /// Finds all device addresses in a value of a type. Appends their byte offsets.
-    /// @param begin byte offset of the value
-    void collect(std::uint32_t type, std::uint32_t begin, std::vector<std::uint32_t>& offsets) const {
-        const auto known = types_.find(type);
+    /// @param start_offset byte offset of the value
+    void append_address_offsets(std::uint32_t type_id, std::uint32_t start_offset,
+                                std::vector<std::uint32_t>& offsets) const {
+        const auto type_entry = types_.find(type_id);
         // Numbers and vectors contain no address. The map does not list them.
-        if (known == types_.end()) return;
-        const Instruction t = known->second;
+        if (type_entry == types_.end()) return;
+        const SpirvInstruction t = type_entry->second;
         switch (t[0] & 0xffffu) {
             case type_pointer:
-                offsets.push_back(begin);
+                offsets.push_back(start_offset);
                 break;
             case type_array:
                 for (std::uint32_t k = 0; k < constants_.at(t[3]); ++k)
-                    collect(t[2], begin + k * strides_.at(type), offsets);
+                    append_address_offsets(t[2], start_offset + k * strides_.at(type_id), offsets);
                 break;
             default:
                 for (std::uint32_t k = 0; k + 2 < t.size(); ++k)
-                    collect(t[k + 2], begin + offsets_.at({type, k}), offsets);
+                    append_address_offsets(t[k + 2], start_offset + offsets_.at({type_id, k}), offsets);
         }
     }
 
 private:
-    enum Number : std::uint32_t {
+    enum SpirvAddressNumber : std::uint32_t {
         // SPIR-V opcodes, except the last two values, which are decorations.
         type_array = 28,
         type_struct = 30,
@@ -55,14 +57,14 @@ private:
     };
 
     std::uint32_t block_ = 0;
-    std::map<std::uint32_t, Instruction> types_;  ///< Pointer, array and struct types.
+    std::map<std::uint32_t, SpirvInstruction> types_;  ///< Pointer, array and struct types.
     std::map<std::uint32_t, std::uint32_t> constants_, strides_;
     /// Byte offset of each struct member. The key is the id of the struct and the index
     /// of the member.
     std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t> offsets_;
 
-    void read(std::uint32_t opcode, Instruction instruction) {
-        if (opcode == kOpName && get_name_in(instruction) == std::string("ParamsBlock"))
+    void process_instruction(std::uint32_t opcode, SpirvInstruction instruction) {
+        if (opcode == kOpName && get_name_operand(instruction) == std::string("ParamsBlock"))
             block_ = instruction[1];
         if (opcode == type_pointer || opcode == type_array || opcode == type_struct)
             types_[instruction[1]] = instruction;
@@ -76,10 +78,10 @@ private:
 
 }  // namespace
 
-std::vector<std::uint32_t> list_parameter_addresses(std::span<const std::uint32_t> words) {
+std::vector<std::uint32_t> list_parameter_address_offsets(std::span<const std::uint32_t> words) {
     const ParameterTypes types(words);
     std::vector<std::uint32_t> offsets;
-    types.collect(types.block(), 0, offsets);
+    types.append_address_offsets(types.get_params_block_id(), 0, offsets);
     return offsets;
 }
 

@@ -24,17 +24,18 @@ constexpr std::uint32_t kOpPhi = 245, kOpLoopMerge = 246, kOpSelectionMerge = 24
 
 /// Integers and booleans (0 or 1) of a SPIR-V module that depend only on specialisation
 /// constants.
-class Values {
+class SpirvConstantValues {
 public:
-    explicit Values(const std::map<std::uint32_t, std::uint32_t>& constants) : constants_(constants) {}
+    explicit SpirvConstantValues(const std::map<std::uint32_t, std::uint32_t>& constants)
+        : constants_(constants) {}
 
-    std::optional<std::uint32_t> at(std::uint32_t id) const {
-        const auto found = known_.find(id);
-        return found == known_.end() ? std::nullopt : std::optional(found->second);
+    std::optional<std::uint32_t> find_constant_value(std::uint32_t id) const {
+        const auto match = value_by_id_.find(id);
+        return match == value_by_id_.end() ? std::nullopt : std::optional(match->second);
     }
 
     /// Reads the instructions of a module in their order.
-    void process(std::uint32_t opcode, Instruction instruction) {
+    void process_instruction(std::uint32_t opcode, SpirvInstruction instruction) {
         switch (opcode) {
             case kOpTypeBool:
                 types_.insert(instruction[1]);
@@ -46,14 +47,15 @@ public:
                 if (instruction[2] == kSpecId) spec_ids_[instruction[1]] = instruction[3];
                 break;
             case kOpConstantTrue:
-                known_[instruction[2]] = 1;
+                value_by_id_[instruction[2]] = 1;
                 break;
             case kOpConstantFalse:
-                known_[instruction[2]] = 0;
+                value_by_id_[instruction[2]] = 0;
                 break;
             case kOpConstant:
             case kOpSpecConstant:
-                if (types_.contains(instruction[1])) known_[instruction[2]] = get_constant_value(instruction);
+                if (types_.contains(instruction[1]))
+                    value_by_id_[instruction[2]] = get_constant_value(instruction);
                 break;
             case kOpSpecConstantOp:
                 store_result(instruction, instruction[3], instruction.subspan(4));
@@ -71,23 +73,25 @@ public:
 private:
     const std::map<std::uint32_t, std::uint32_t>& constants_;
     std::set<std::uint32_t> types_;
-    std::map<std::uint32_t, std::uint32_t> spec_ids_, known_;
+    std::map<std::uint32_t, std::uint32_t> spec_ids_, value_by_id_;
 
-    std::uint32_t get_constant_value(Instruction constant) const {
+    std::uint32_t get_constant_value(SpirvInstruction constant) const {
         const auto spec_id = spec_ids_.find(constant[2]);
         const auto override_value =
             spec_id == spec_ids_.end() ? constants_.end() : constants_.find(spec_id->second);
         return override_value == constants_.end() ? constant[3] : override_value->second;
     }
 
-    void store_result(Instruction instruction, std::uint32_t operation, Instruction operands) {
+    void store_result(SpirvInstruction instruction, std::uint32_t operation, SpirvInstruction operands) {
         if (!types_.contains(instruction[1])) return;
-        if (const std::optional<std::uint32_t> value = result(operation, operands))
-            known_[instruction[2]] = *value;
+        if (const std::optional<std::uint32_t> value = evaluate_operation(operation, operands))
+            value_by_id_[instruction[2]] = *value;
     }
 
-    std::optional<std::uint32_t> result(std::uint32_t operation, Instruction operands) const {
-        const std::optional<std::uint32_t> a = at(operands[0]), b = operands.size() > 1 ? at(operands[1]) : a;
+    std::optional<std::uint32_t> evaluate_operation(std::uint32_t operation,
+                                                    SpirvInstruction operands) const {
+        const std::optional<std::uint32_t> a = find_constant_value(operands[0]),
+                                           b = operands.size() > 1 ? find_constant_value(operands[1]) : a;
         if (operation == kOpLogicalOr && (a == 1u || b == 1u)) return 1;
         if (operation == kOpLogicalAnd && (a == 0u || b == 0u)) return 0;
         if (!a || !b) return std::nullopt;
@@ -109,11 +113,11 @@ private:
 };
 
 /// Control flow graph of the blocks of a module.
-class Blocks {
+class ControlFlowGraph {
 public:
-    explicit Blocks(std::span<const std::uint32_t> words) {
+    explicit ControlFlowGraph(std::span<const std::uint32_t> words) {
         std::uint32_t label = 0;
-        for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
+        for_each_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
             switch (opcode) {
                 case kOpLabel:
                     label = instruction[1];
@@ -143,16 +147,17 @@ public:
     /// Returns true if the branch from block `source_block` to block `successor` can be
     /// removed. Blocks behind it become unreachable. They must not be predecessors in a
     /// phi instruction, and must not end or continue an enclosing loop.
-    /// @param merge block in which both paths of the branch join
-    bool can_remove_branch(std::uint32_t source_block, std::uint32_t successor, std::uint32_t merge) const {
-        if (successor == merge) return !with_phi_.contains(merge);
+    /// @param merge_block block in which both paths of the branch join
+    bool can_remove_branch(std::uint32_t source_block, std::uint32_t successor,
+                           std::uint32_t merge_block) const {
+        if (successor == merge_block) return !with_phi_.contains(merge_block);
         std::set<std::uint32_t> behind = {successor};
         for (std::vector<std::uint32_t> open = {successor}; !open.empty();) {
             const auto next = next_.find(open.back());
             open.pop_back();
             if (next == next_.end()) continue;  // A block without a successor returns from the function.
             for (const std::uint32_t block : next->second)
-                if (block != merge && behind.insert(block).second) open.push_back(block);
+                if (block != merge_block && behind.insert(block).second) open.push_back(block);
         }
         return !behind.contains(source_block) &&
                std::all_of(behind.begin(), behind.end(), [&](std::uint32_t block) {
@@ -170,27 +175,28 @@ private:
 
 }  // namespace
 
-std::vector<std::uint32_t> resolve_branches(std::span<const std::uint32_t> words,
-                                            const std::map<std::uint32_t, std::uint32_t>& constants) {
+std::vector<std::uint32_t> remove_constant_branches(std::span<const std::uint32_t> words,
+                                                    const std::map<std::uint32_t, std::uint32_t>& constants) {
     std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
-    Values values(constants);
-    const Blocks blocks(words);
+    SpirvConstantValues values(constants);
+    const ControlFlowGraph blocks(words);
     std::uint32_t block = 0;
-    Instruction merge;  // Merge instruction that belongs to the next branch.
-    for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
-        values.process(opcode, instruction);
+    SpirvInstruction merge;  // Merge instruction that belongs to the next branch.
+    for_each_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+        values.process_instruction(opcode, instruction);
         if (opcode == kOpLabel) block = instruction[1];
         if (opcode == kOpSelectionMerge) {
             merge = instruction;
             return;
         }
         std::optional<std::uint32_t> condition;
-        if (opcode == kOpBranchConditional && !merge.empty()) condition = values.at(instruction[1]);
+        if (opcode == kOpBranchConditional && !merge.empty())
+            condition = values.find_constant_value(instruction[1]);
         if (condition && blocks.can_remove_branch(block, instruction[*condition != 0 ? 3 : 2], merge[1])) {
             result.insert(result.end(), {2u << 16 | kOpBranch, instruction[*condition != 0 ? 2 : 3]});
         } else {
-            append(result, merge);
-            append(result, instruction);
+            append_instruction(result, merge);
+            append_instruction(result, instruction);
         }
         merge = {};
     });

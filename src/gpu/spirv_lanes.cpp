@@ -16,11 +16,11 @@ namespace relidar::gpu {
 
 namespace {
 
-class LaneIndices {
+class LaneIndexRewriter {
 public:
-    explicit LaneIndices(std::span<const std::uint32_t> words) : words_(words), next_(words[3]) {
+    explicit LaneIndexRewriter(std::span<const std::uint32_t> words) : words_(words), next_(words[3]) {
         for_each_instruction(
-            words, [&](std::uint32_t opcode, Instruction instruction) { read(opcode, instruction); });
+            words, [&](std::uint32_t opcode, SpirvInstruction instruction) { read(opcode, instruction); });
         is_new_lane_ = lane_ == 0;
         for (std::uint32_t* id : {&input_pointer_, &private_pointer_, &push_pointer_, &zero_, &constant_0_,
                                   &constant_1_, &constant_255_})
@@ -28,16 +28,17 @@ public:
         if (is_new_lane_) lane_ = next_++;
     }
 
-    std::vector<std::uint32_t> make_module_words() {
+    std::vector<std::uint32_t> make_edited_module() {
         result_.assign(words_.begin(), words_.begin() + kHeaderWords);
-        for_each_instruction(
-            words_, [&](std::uint32_t opcode, Instruction instruction) { write(opcode, instruction); });
+        for_each_instruction(words_, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+            write_edited_instruction(opcode, instruction);
+        });
         result_[3] = next_;
         return result_;
     }
 
 private:
-    enum Number : std::uint32_t {
+    enum SpirvLaneNumber : std::uint32_t {
         entry_point = 15,
         type_int = 21,
         type_pointer = 32,
@@ -72,8 +73,8 @@ private:
     std::set<std::uint32_t> storage_pointers_, parameters_;
     bool is_new_lane_ = false, decorated_ = false, declared_ = false, in_entry_ = false, filled_ = false;
 
-    void read(std::uint32_t opcode, Instruction instruction) {
-        if (opcode == kOpName && get_name_in(instruction) == std::string("ParamsBlock"))
+    void read(std::uint32_t opcode, SpirvInstruction instruction) {
+        if (opcode == kOpName && get_name_operand(instruction) == std::string("ParamsBlock"))
             block_ = instruction[1];
         if (opcode == entry_point) entry_ = instruction[2];
         if (opcode == type_int && instruction[2] == 32 && instruction[3] == 0) uint_ = instruction[1];
@@ -87,61 +88,61 @@ private:
         if (opcode == load && instruction[1] == block_pointer_) parameters_.insert(instruction[2]);
     }
 
-    void emit(Number op, std::initializer_list<std::uint32_t> operands) {
+    void emit_instruction(SpirvLaneNumber op, std::initializer_list<std::uint32_t> operands) {
         result_.push_back(std::uint32_t(operands.size() + 1) << 16 | op);
         result_.insert(result_.end(), operands);
     }
 
-    void declare() {
-        emit(type_pointer, {input_pointer_, input, uint_});
-        emit(type_pointer, {private_pointer_, in_private, uint_});
-        emit(type_pointer, {push_pointer_, push_constant, uint_});
-        emit(constant, {uint_, constant_0_, 0});
-        emit(constant, {uint_, constant_1_, 1});
-        emit(constant, {uint_, constant_255_, 255});
-        emit(variable, {private_pointer_, zero_, in_private});
-        if (is_new_lane_) emit(variable, {input_pointer_, lane_, input});
+    void emit_declarations() {
+        emit_instruction(type_pointer, {input_pointer_, input, uint_});
+        emit_instruction(type_pointer, {private_pointer_, in_private, uint_});
+        emit_instruction(type_pointer, {push_pointer_, push_constant, uint_});
+        emit_instruction(constant, {uint_, constant_0_, 0});
+        emit_instruction(constant, {uint_, constant_1_, 1});
+        emit_instruction(constant, {uint_, constant_255_, 255});
+        emit_instruction(variable, {private_pointer_, zero_, in_private});
+        if (is_new_lane_) emit_instruction(variable, {input_pointer_, lane_, input});
     }
 
-    void fill() {
-        const std::uint32_t place = next_, nothing = next_ + 1, low = next_ + 2, lane = next_ + 3,
+    void emit_zero_computation() {
+        const std::uint32_t member_pointer = next_, nothing = next_ + 1, low = next_ + 2, lane = next_ + 3,
                             value = next_ + 4;
         next_ += 5;
-        emit(access_chain, {push_pointer_, place, push_, constant_1_, constant_0_});
-        emit(load, {uint_, nothing, place});
-        emit(bitwise_and, {uint_, low, nothing, constant_255_});
-        emit(load, {uint_, lane, lane_});
-        emit(bitwise_and, {uint_, value, lane, low});
-        emit(store, {zero_, value});
+        emit_instruction(access_chain, {push_pointer_, member_pointer, push_, constant_1_, constant_0_});
+        emit_instruction(load, {uint_, nothing, member_pointer});
+        emit_instruction(bitwise_and, {uint_, low, nothing, constant_255_});
+        emit_instruction(load, {uint_, lane, lane_});
+        emit_instruction(bitwise_and, {uint_, value, lane, low});
+        emit_instruction(store, {zero_, value});
     }
 
-    void write(std::uint32_t opcode, Instruction instruction) {
+    void write_edited_instruction(std::uint32_t opcode, SpirvInstruction instruction) {
         if (opcode == decorate && !decorated_) {
-            if (is_new_lane_) emit(decorate, {lane_, built_in, local_invocation_index});
+            if (is_new_lane_) emit_instruction(decorate, {lane_, built_in, local_invocation_index});
             decorated_ = true;
         }
         if (opcode == function && !declared_) {
-            declare();
+            emit_declarations();
             declared_ = true;
         }
         in_entry_ = in_entry_ || (opcode == function && instruction[2] == entry_);
         const bool begins = opcode == function || opcode == label || opcode == variable || opcode == line ||
                             opcode == no_line;
         if (in_entry_ && !filled_ && !begins) {
-            fill();
+            emit_zero_computation();
             filled_ = true;
         }
         const std::size_t at = result_.size();
         if (opcode == access_chain && instruction.size() >= 6 && storage_pointers_.contains(instruction[1]) &&
             !parameters_.contains(instruction[3])) {
             const std::uint32_t zero = next_++, index = next_++;
-            emit(load, {uint_, zero, zero_});
-            emit(iadd, {uint_, index, instruction[5], zero});
-            append(result_, instruction);
+            emit_instruction(load, {uint_, zero, zero_});
+            emit_instruction(iadd, {uint_, index, instruction[5], zero});
+            append_instruction(result_, instruction);
             result_[result_.size() - instruction.size() + 5] = index;
             return;
         }
-        append(result_, instruction);
+        append_instruction(result_, instruction);
         if (opcode != entry_point) return;
         result_.push_back(zero_);
         if (is_new_lane_) result_.push_back(lane_);
@@ -152,7 +153,7 @@ private:
 }  // namespace
 
 std::vector<std::uint32_t> make_indices_nonuniform(std::span<const std::uint32_t> words) {
-    return LaneIndices(words).make_module_words();
+    return LaneIndexRewriter(words).make_edited_module();
 }
 
 }  // namespace relidar::gpu

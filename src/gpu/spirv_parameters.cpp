@@ -17,7 +17,7 @@ namespace relidar::gpu {
 
 namespace {
 
-enum Op : std::uint32_t {
+enum SpirvOp : std::uint32_t {
     kEntryPoint = 15,
     kTypeInt = 21,
     kTypeFloat = 22,
@@ -38,43 +38,43 @@ enum Op : std::uint32_t {
 };
 constexpr std::uint32_t kPrivate = 6, kPhysicalStorage = 5349, kAliasedPointer = 5356, kAligned = 2;
 
-using Words = std::vector<std::uint32_t>;
+using SpirvWords = std::vector<std::uint32_t>;
 // Position of a value in the parameter block, as member indices of nested structs.
-using Path = std::vector<std::uint32_t>;
+using MemberPath = std::vector<std::uint32_t>;
 
-Words instruction(Op op, std::initializer_list<std::uint32_t> operands) {
-    Words words{std::uint32_t(operands.size() + 1) << 16 | op};
+SpirvWords make_instruction(SpirvOp op, std::initializer_list<std::uint32_t> operands) {
+    SpirvWords words{std::uint32_t(operands.size() + 1) << 16 | op};
     words.insert(words.end(), operands);
     return words;
 }
 
 /// Types, constants and parameters of a module.
-struct Module {
+struct SpirvModule {
     std::uint32_t bound = 0, block = 0, block_pointer = 0, int_type = 0;
     /// Instruction that computes a pointer to the push constant with the address of the
     /// parameter block.
-    Words push_chain;
+    SpirvWords push_chain;
     std::uint32_t entry = 0;
-    std::map<std::uint32_t, Words> types;              ///< Types by id.
+    std::map<std::uint32_t, SpirvWords> types;         ///< Types by id.
     std::map<std::uint32_t, std::uint32_t> constants;  ///< 32-bit integer constants by id.
     std::set<std::uint32_t> addresses;  ///< Ids that contain the address of the parameter block.
     /// Map from the id of a pointer to the parameter to which it points.
-    std::map<std::uint32_t, Path> places;
+    std::map<std::uint32_t, MemberPath> parameter_paths;
 
-    explicit Module(std::span<const std::uint32_t> words) : bound(words[3]) {
+    explicit SpirvModule(std::span<const std::uint32_t> words) : bound(words[3]) {
         for_each_instruction(
-            words, [&](std::uint32_t opcode, Instruction instruction) { read(opcode, instruction); });
+            words, [&](std::uint32_t opcode, SpirvInstruction instruction) { read(opcode, instruction); });
     }
 
 private:
-    std::map<std::uint32_t, Words> chains_;
+    std::map<std::uint32_t, SpirvWords> chains_;
 
-    void read(std::uint32_t opcode, Instruction instruction) {
-        if (opcode == kOpName && get_name_in(instruction) == std::string("ParamsBlock"))
+    void read(std::uint32_t opcode, SpirvInstruction instruction) {
+        if (opcode == kOpName && get_name_operand(instruction) == std::string("ParamsBlock"))
             block = instruction[1];
         if (opcode == kEntryPoint) entry = instruction[2];
         if (opcode >= 19 && opcode <= 39)
-            types[instruction[1]] = Words(instruction.begin(), instruction.end());
+            types[instruction[1]] = SpirvWords(instruction.begin(), instruction.end());
         if (opcode == kTypePointer && instruction[2] == kPhysicalStorage && instruction[3] == block)
             block_pointer = instruction[1];
         if (opcode == kTypeInt && instruction[2] == 32 && !int_type) int_type = instruction[1];
@@ -87,91 +87,94 @@ private:
             push_chain = chains_[instruction[3]];
         }
     }
-    void read_access_chain(Instruction instruction) {
+    void read_access_chain(SpirvInstruction instruction) {
         if (!addresses.contains(instruction[3])) {
-            chains_[instruction[2]] = Words(instruction.begin(), instruction.end());
+            chains_[instruction[2]] = SpirvWords(instruction.begin(), instruction.end());
             return;
         }
-        Path path;
+        MemberPath path;
         for (const std::uint32_t index : instruction.subspan(4)) {
             if (!constants.contains(index)) return;
             path.push_back(constants.at(index));
         }
-        places[instruction[2]] = path;
+        parameter_paths[instruction[2]] = path;
     }
 };
 
 /// Edits a SPIR-V module so that it loads parameters only once: declares private
 /// variables, and replaces loads of parameters by loads of these variables.
-class ParametersFirst {
+class ParameterLoadHoister {
 public:
-    explicit ParametersFirst(const Module& module) : module_(module), next_(module.bound) {}
+    explicit ParameterLoadHoister(const SpirvModule& module) : module_(module), next_(module.bound) {}
 
     /// Returns true if the edit supports parameters of this type: numbers, vectors,
     /// addresses and structs of these.
-    bool can_store(std::uint32_t type) const {
-        const Words& t = module_.types.at(type);
-        if ((t[0] & 0xffffu) != kTypeStruct) return get_type_alignment(type).has_value();
+    bool can_store_type(std::uint32_t type_id) const {
+        const SpirvWords& t = module_.types.at(type_id);
+        if ((t[0] & 0xffffu) != kTypeStruct) return get_type_alignment(type_id).has_value();
         for (std::size_t k = 2; k < t.size(); ++k)
-            if (!can_store(t[k])) return false;
+            if (!can_store_type(t[k])) return false;
         return true;
     }
 
     /// Appends SPIR-V instructions that load one parameter from its private variable.
-    /// @param code receives the instructions
+    /// @param function_code receives the instructions
     /// @param path member indices of the parameter
-    /// @param id id of the loaded value
-    void load(Words& code, std::uint32_t type, const Path& path, std::uint32_t id) {
-        const Words& t = module_.types.at(type);
+    /// @param result_id id of the loaded value
+    void append_parameter_load(SpirvWords& code, std::uint32_t type_id, const MemberPath& path,
+                               std::uint32_t result_id) {
+        const SpirvWords& t = module_.types.at(type_id);
         if ((t[0] & 0xffffu) != kTypeStruct) {
-            append(code, instruction(kLoad, {type, id, variable(type, path)}));
+            append_instruction(
+                code, make_instruction(kLoad, {type_id, result_id, get_private_variable(type_id, path)}));
             return;
         }
-        Words construct{std::uint32_t(t.size() + 1) << 16 | kCompositeConstruct, type, id};
+        SpirvWords construct{std::uint32_t(t.size() + 1) << 16 | kCompositeConstruct, type_id, result_id};
         for (std::size_t k = 2; k < t.size(); ++k) {
-            Path member = path;
+            MemberPath member = path;
             member.push_back(std::uint32_t(k - 2));
             construct.push_back(next_++);
-            load(code, t[k], member, construct.back());
+            append_parameter_load(code, t[k], member, construct.back());
         }
-        append(code, construct);
+        append_instruction(code, construct);
     }
 
     /// Returns the edited SPIR-V module.
-    /// @param code all functions of the module, in which loads of parameters were already
-    /// replaced
-    Words make_module_words(std::span<const std::uint32_t> words, const Words& code) {
-        const Words first = fill();
-        Words result(words.begin(), words.begin() + kHeaderWords);
+    /// @param function_code all functions of the module, in which loads of parameters
+    /// were already replaced
+    SpirvWords make_edited_module(std::span<const std::uint32_t> words, const SpirvWords& function_code) {
+        const SpirvWords first = make_copy_instructions();
+        SpirvWords result(words.begin(), words.begin() + kHeaderWords);
         bool functions = false, decorated = false;
-        for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
-            if (opcode == kFunction && !functions) append(result, globals_);
+        for_each_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+            if (opcode == kFunction && !functions) append_instruction(result, globals_);
             functions = functions || opcode == kFunction;
             if (functions) return;
-            if (opcode == kDecorate && !decorated) append(result, decorations_);
+            if (opcode == kDecorate && !decorated) append_instruction(result, decorations_);
             decorated = decorated || opcode == kDecorate;
-            append(result, opcode == kEntryPoint ? entry_point(instruction)
-                                                 : Words(instruction.begin(), instruction.end()));
+            append_instruction(result, opcode == kEntryPoint
+                                           ? extend_entry_point(instruction)
+                                           : SpirvWords(instruction.begin(), instruction.end()));
         });
-        append_functions(result, code, first);
+        append_functions(result, function_code, first);
         result[3] = next_;
         return result;
     }
 
 private:
-    struct Variable {
+    struct PrivateVariable {
         std::uint32_t id, type;
     };
-    const Module& module_;
+    const SpirvModule& module_;
     std::uint32_t next_;
-    std::map<Path, Variable> variables_;
+    std::map<MemberPath, PrivateVariable> variables_;
     std::map<std::uint32_t, std::uint32_t> private_pointer_, storage_pointer_, index_;
-    Words globals_, decorations_;
+    SpirvWords globals_, decorations_;
 
     /// Returns the alignment of a type in bytes. Returns nullopt unless the type is a
     /// number, vector or address.
-    std::optional<std::uint32_t> get_type_alignment(std::uint32_t type) const {
-        const Words& t = module_.types.at(type);
+    std::optional<std::uint32_t> get_type_alignment(std::uint32_t type_id) const {
+        const SpirvWords& t = module_.types.at(type_id);
         switch (t[0] & 0xffffu) {
             case kTypeInt:
             case kTypeFloat:
@@ -184,88 +187,96 @@ private:
                 return std::nullopt;
         }
     }
-    std::uint32_t pointer(std::map<std::uint32_t, std::uint32_t>& pointers, std::uint32_t storage,
-                          std::uint32_t type) {
-        const auto [at, is_new] = pointers.try_emplace(type, next_);
-        if (is_new) append(globals_, instruction(kTypePointer, {next_++, storage, type}));
+    std::uint32_t get_pointer_type(std::map<std::uint32_t, std::uint32_t>& pointers,
+                                   std::uint32_t storage_class, std::uint32_t type_id) {
+        const auto [at, is_new] = pointers.try_emplace(type_id, next_);
+        if (is_new)
+            append_instruction(globals_, make_instruction(kTypePointer, {next_++, storage_class, type_id}));
         return at->second;
     }
-    std::uint32_t index(std::uint32_t value) {
+    std::uint32_t get_constant_id(std::uint32_t value) {
         for (const auto& [id, known] : module_.constants)
             if (known == value) return id;
         const auto [at, is_new] = index_.try_emplace(value, next_);
-        if (is_new) append(globals_, instruction(kConstant, {module_.int_type, next_++, value}));
+        if (is_new)
+            append_instruction(globals_, make_instruction(kConstant, {module_.int_type, next_++, value}));
         return at->second;
     }
-    std::uint32_t variable(std::uint32_t type, const Path& path) {
-        if (const auto known = variables_.find(path); known != variables_.end()) return known->second.id;
-        const std::uint32_t pointer_type = pointer(private_pointer_, kPrivate, type), id = next_++;
-        append(globals_, instruction(kVariable, {pointer_type, id, kPrivate}));
-        if ((module_.types.at(type)[0] & 0xffffu) == kTypePointer)
-            append(decorations_, instruction(kDecorate, {id, kAliasedPointer}));
-        variables_[path] = {id, type};
+    std::uint32_t get_private_variable(std::uint32_t type_id, const MemberPath& path) {
+        if (const auto existing_variable = variables_.find(path); existing_variable != variables_.end())
+            return existing_variable->second.id;
+        const std::uint32_t pointer_type = get_pointer_type(private_pointer_, kPrivate, type_id),
+                            id = next_++;
+        append_instruction(globals_, make_instruction(kVariable, {pointer_type, id, kPrivate}));
+        if ((module_.types.at(type_id)[0] & 0xffffu) == kTypePointer)
+            append_instruction(decorations_, make_instruction(kDecorate, {id, kAliasedPointer}));
+        variables_[path] = {id, type_id};
         return id;
     }
     /// Returns the SPIR-V instructions that copy the parameters to the private variables.
-    Words fill() {
-        Words code, chain = module_.push_chain;
+    SpirvWords make_copy_instructions() {
+        SpirvWords code, chain = module_.push_chain;
         const std::uint32_t block = next_ + 1;
         chain[2] = next_;
-        append(code, chain);
-        append(code, instruction(kLoad, {module_.block_pointer, block, chain[2]}));
+        append_instruction(code, chain);
+        append_instruction(code, make_instruction(kLoad, {module_.block_pointer, block, chain[2]}));
         next_ += 2;
         for (const auto& [path, v] : variables_) {
-            const std::uint32_t to_storage = pointer(storage_pointer_, kPhysicalStorage, v.type);
-            // Reserves these ids first, because index() also creates ids.
+            const std::uint32_t to_storage = get_pointer_type(storage_pointer_, kPhysicalStorage, v.type);
+            // Reserves these ids first, because get_constant_id() also creates ids.
             const std::uint32_t at = next_++, value = next_++;
-            Words place{std::uint32_t(path.size() + 4) << 16 | kAccessChain, to_storage, at, block};
-            for (const std::uint32_t member : path) place.push_back(index(member));
-            append(code, place);
-            append(code, instruction(kLoad, {v.type, value, at, kAligned, *get_type_alignment(v.type)}));
-            append(code, instruction(kStore, {v.id, value}));
+            SpirvWords access_chain{std::uint32_t(path.size() + 4) << 16 | kAccessChain, to_storage, at,
+                                    block};
+            for (const std::uint32_t member : path) access_chain.push_back(get_constant_id(member));
+            append_instruction(code, access_chain);
+            append_instruction(
+                code, make_instruction(kLoad, {v.type, value, at, kAligned, *get_type_alignment(v.type)}));
+            append_instruction(code, make_instruction(kStore, {v.id, value}));
         }
         return code;
     }
-    Words entry_point(Instruction instruction) const {
-        Words words(instruction.begin(), instruction.end());
+    SpirvWords extend_entry_point(SpirvInstruction instruction) const {
+        SpirvWords words(instruction.begin(), instruction.end());
         for (const auto& [path, v] : variables_) words.push_back(v.id);
         words[0] = std::uint32_t(words.size()) << 16 | kEntryPoint;
         return words;
     }
     /// Appends all functions to the SPIR-V module. In the entry point, inserts the
-    /// instructions `first` after the variable declarations.
-    void append_functions(Words& result, const Words& code, const Words& first) const {
+    /// instructions `first_instructions` after the variable declarations.
+    void append_functions(SpirvWords& result, const SpirvWords& code,
+                          const SpirvWords& first_instructions) const {
         bool in_entry = false, filled = false;
         for (std::size_t at = 0; at < code.size(); at += code[at] >> 16) {
             const std::uint32_t op = code[at] & 0xffffu;
             in_entry = in_entry || (op == kFunction && code[at + 2] == module_.entry);
             if (in_entry && !filled && op != kFunction && op != kLabel && op != kVariable && op != kLine &&
                 op != kNoLine) {
-                append(result, first);
+                append_instruction(result, first_instructions);
                 filled = true;
             }
-            append(result, std::span(code).subspan(at, code[at] >> 16));
+            append_instruction(result, std::span(code).subspan(at, code[at] >> 16));
         }
     }
 };
 
 }  // namespace
 
-std::vector<std::uint32_t> move_parameters_first(std::span<const std::uint32_t> words) {
-    const Module module(words);
-    ParametersFirst result(module);
-    Words code;
+std::vector<std::uint32_t> hoist_parameter_loads(std::span<const std::uint32_t> words) {
+    const SpirvModule module(words);
+    ParameterLoadHoister result(module);
+    SpirvWords code;
     bool functions = false, any = false;
-    for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
+    for_each_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
         functions = functions || opcode == kFunction;
         if (!functions) return;
-        const auto place = opcode == kLoad ? module.places.find(instruction[3]) : module.places.end();
-        if (place == module.places.end() || !result.can_store(instruction[1]))
-            return append(code, instruction);
-        result.load(code, instruction[1], place->second, instruction[2]);
+        const auto path_entry =
+            opcode == kLoad ? module.parameter_paths.find(instruction[3]) : module.parameter_paths.end();
+        if (path_entry == module.parameter_paths.end() || !result.can_store_type(instruction[1]))
+            return append_instruction(code, instruction);
+        result.append_parameter_load(code, instruction[1], path_entry->second, instruction[2]);
         any = true;
     });
-    return any ? result.make_module_words(words, code) : Words(words.begin(), words.end());
+    return any ? result.make_edited_module(words, code) : SpirvWords(words.begin(), words.end());
 }
 
 }  // namespace relidar::gpu

@@ -13,7 +13,7 @@ namespace relidar::gpu {
 inline constexpr std::size_t kHeaderWords = 5;
 inline constexpr std::uint32_t kOpName = 5, kOpDecorate = 71, kSpecId = 1;
 
-using Instruction = std::span<const std::uint32_t>;
+using SpirvInstruction = std::span<const std::uint32_t>;
 
 /// Calls function(opcode, instruction) for each instruction of a SPIR-V module, in the
 /// order of the module.
@@ -23,10 +23,12 @@ void for_each_instruction(std::span<const std::uint32_t> words, const F& functio
         function(words[at] & 0xffffu, words.subspan(at, words[at] >> 16));
 }
 
-inline void append(std::vector<std::uint32_t>& words, Instruction instruction) {
+inline void append_instruction(std::vector<std::uint32_t>& words, SpirvInstruction instruction) {
     words.insert(words.end(), instruction.begin(), instruction.end());
 }
 
-inline const char* get_name_in(Instruction op_name) { return reinterpret_cast<const char*>(&op_name[2]); }
+inline const char* get_name_operand(SpirvInstruction op_name) {
+    return reinterpret_cast<const char*>(&op_name[2]);
+}
 
 }  // namespace relidar::gpu

@@ -20,20 +20,23 @@ Stream::Impl::Impl(Device& d, bool with_timing)
     VkSemaphoreTypeCreateInfo type{VK_STRUCTURE_TYPE_SEMAPHORE_TYPE_CREATE_INFO};
     type.semaphoreType = VK_SEMAPHORE_TYPE_TIMELINE;
     VkSemaphoreCreateInfo semaphore{VK_STRUCTURE_TYPE_SEMAPHORE_CREATE_INFO, &type};
-    gpu::check(vkCreateSemaphore(device->device, &semaphore, nullptr, &timeline), "vkCreateSemaphore");
-    gpu::name_object(device->device, VK_OBJECT_TYPE_SEMAPHORE, timeline, "submissions of a stream");
-    const bool measures = d.info().timestamps && device->launch_limit.is_set();
-    for (Slot& slot : slots) {
+    gpu::check_vulkan_result(vkCreateSemaphore(device->device, &semaphore, nullptr, &timeline),
+                             "vkCreateSemaphore");
+    gpu::set_object_name(device->device, VK_OBJECT_TYPE_SEMAPHORE, timeline, "submissions of a stream");
+    const bool measures = d.info().timestamps && device->launch_limit.has_time_limit();
+    for (SubmissionSlot& slot : slots) {
         VkCommandPoolCreateInfo pool{VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO};
         pool.queueFamilyIndex = device->queue_family;
-        gpu::check(vkCreateCommandPool(device->device, &pool, nullptr, &slot.pool), "vkCreateCommandPool");
-        gpu::name_object(device->device, VK_OBJECT_TYPE_COMMAND_POOL, slot.pool, "commands of a stream");
+        gpu::check_vulkan_result(vkCreateCommandPool(device->device, &pool, nullptr, &slot.pool),
+                                 "vkCreateCommandPool");
+        gpu::set_object_name(device->device, VK_OBJECT_TYPE_COMMAND_POOL, slot.pool, "commands of a stream");
         if (!timing && !measures) continue;
         VkQueryPoolCreateInfo queries{VK_STRUCTURE_TYPE_QUERY_POOL_CREATE_INFO};
         queries.queryType = VK_QUERY_TYPE_TIMESTAMP;
         queries.queryCount = 2 * kMaxLaunches;
-        gpu::check(vkCreateQueryPool(device->device, &queries, nullptr, &slot.queries), "vkCreateQueryPool");
-        gpu::name_object(device->device, VK_OBJECT_TYPE_QUERY_POOL, slot.queries, "times of launches");
+        gpu::check_vulkan_result(vkCreateQueryPool(device->device, &queries, nullptr, &slot.queries),
+                                 "vkCreateQueryPool");
+        gpu::set_object_name(device->device, VK_OBJECT_TYPE_QUERY_POOL, slot.queries, "times of launches");
     }
 }
 
@@ -41,108 +44,109 @@ Stream::Impl::~Impl() {
     if (device->compile_only) return;
     device->wait_idle();
     if (recording) --device->n_recording;
-    for (Slot& slot : slots) {
+    for (SubmissionSlot& slot : slots) {
         if (slot.queries) vkDestroyQueryPool(device->device, slot.queries, nullptr);
         if (slot.pool) vkDestroyCommandPool(device->device, slot.pool, nullptr);
     }
     if (timeline) vkDestroySemaphore(device->device, timeline, nullptr);
 }
 
-VkCommandBuffer Stream::Impl::commands() {
-    Slot& slot = slots[current];
+VkCommandBuffer Stream::Impl::get_command_buffer() {
+    SubmissionSlot& slot = slots[current];
     if (recording) return slot.commands;
-    wait(slot.ticket);
-    collect_times(slot);
+    wait_for_submission(slot.ticket);
+    collect_launch_times(slot);
     slot.block = slot.block_bytes = 0;
-    slot.kept.clear();
-    gpu::check(vkResetCommandPool(device->device, slot.pool, 0), "vkResetCommandPool");
+    slot.retained_buffers.clear();
+    gpu::check_vulkan_result(vkResetCommandPool(device->device, slot.pool, 0), "vkResetCommandPool");
     if (slot.queries) vkResetQueryPool(device->device, slot.queries, 0, 2 * kMaxLaunches);
     slot.n_buffers = 0;
-    begin_buffer(slot);
+    begin_command_buffer(slot);
     recording = true;
     ++device->n_recording;
     return slot.commands;
 }
 
-void Stream::Impl::begin_buffer(Slot& slot) {
+void Stream::Impl::begin_command_buffer(SubmissionSlot& slot) {
     if (slot.n_buffers == slot.buffers.size()) {
         VkCommandBufferAllocateInfo allocate{VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO};
         allocate.commandPool = slot.pool;
         allocate.commandBufferCount = 1;
         VkCommandBuffer buffer = VK_NULL_HANDLE;
-        gpu::check(vkAllocateCommandBuffers(device->device, &allocate, &buffer), "vkAllocateCommandBuffers");
-        gpu::name_object(device->device, VK_OBJECT_TYPE_COMMAND_BUFFER, buffer, "commands of a stream");
+        gpu::check_vulkan_result(vkAllocateCommandBuffers(device->device, &allocate, &buffer),
+                                 "vkAllocateCommandBuffers");
+        gpu::set_object_name(device->device, VK_OBJECT_TYPE_COMMAND_BUFFER, buffer, "commands of a stream");
         slot.buffers.push_back(buffer);
     }
     slot.commands = slot.buffers[slot.n_buffers++];
     VkCommandBufferBeginInfo begin{VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO};
     begin.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
-    gpu::check(vkBeginCommandBuffer(slot.commands, &begin), "vkBeginCommandBuffer");
+    gpu::check_vulkan_result(vkBeginCommandBuffer(slot.commands, &begin), "vkBeginCommandBuffer");
     recorded_s = 0.0;
 }
 
-void Stream::Impl::submit_part() {
-    Slot& slot = slots[current];
-    gpu::check(vkEndCommandBuffer(slot.commands), "vkEndCommandBuffer");
+void Stream::Impl::submit_recorded_commands() {
+    SubmissionSlot& slot = slots[current];
+    gpu::check_vulkan_result(vkEndCommandBuffer(slot.commands), "vkEndCommandBuffer");
     VkSubmitInfo info{VK_STRUCTURE_TYPE_SUBMIT_INFO};
     info.commandBufferCount = 1;
     info.pCommandBuffers = &slot.commands;
-    device->submit(info);
-    begin_buffer(slot);
+    device->submit_to_queue(info);
+    begin_command_buffer(slot);
 }
 
-void Stream::Impl::begin_label(const std::string& name) {
+void Stream::Impl::begin_debug_label(const std::string& name) {
     if (!vkCmdBeginDebugUtilsLabelEXT) return;
     VkDebugUtilsLabelEXT label{VK_STRUCTURE_TYPE_DEBUG_UTILS_LABEL_EXT};
     label.pLabelName = name.c_str();
-    vkCmdBeginDebugUtilsLabelEXT(commands(), &label);
+    vkCmdBeginDebugUtilsLabelEXT(get_command_buffer(), &label);
 }
 
-void Stream::Impl::end_label() {
-    if (vkCmdEndDebugUtilsLabelEXT) vkCmdEndDebugUtilsLabelEXT(commands());
+void Stream::Impl::end_debug_label() {
+    if (vkCmdEndDebugUtilsLabelEXT) vkCmdEndDebugUtilsLabelEXT(get_command_buffer());
 }
 
-void Stream::Impl::end_concurrent() {
+void Stream::Impl::end_concurrent_scope() {
     if (--n_concurrent > 0 || !owes_barrier) return;
     owes_barrier = false;
-    barrier();
+    request_memory_barrier();
 }
 
-void Stream::Impl::store_lane_command(const std::string& name, Command command) {
-    StreamLane& chosen = lanes[lane];
+void Stream::Impl::store_lane_command(const std::string& name, VulkanCommandRecorder command) {
+    CommandSequence& chosen = lanes[lane];
     if (chosen.empty() || chosen.back().closed) chosen.push_back({name, {}});
     chosen.back().commands.push_back(std::move(command));
-    barrier();
+    request_memory_barrier();
 }
 
 /// Records the commands of all lanes (concurrent sequences), step by step. Each step has
 /// a single pair of timestamps. More timestamps would make its commands wait for each
 /// other.
-void Stream::Impl::record_concurrent_lanes() {
+void Stream::Impl::record_stored_lane_commands() {
     std::size_t n_steps = 0;
-    for (const StreamLane& one : lanes) n_steps = std::max(n_steps, one.size());
+    for (const CommandSequence& one : lanes) n_steps = std::max(n_steps, one.size());
     for (std::size_t k = 0; k < n_steps; ++k) {
-        const auto has_step = [k](const StreamLane& one) { return k < one.size(); };
+        const auto has_step = [k](const CommandSequence& one) { return k < one.size(); };
         const std::string& name = std::ranges::find_if(lanes, has_step)->at(k).name;
         begin_timing(name);
-        begin_label(name);
-        for (const StreamLane& one : lanes)
+        begin_debug_label(name);
+        for (const CommandSequence& one : lanes)
             if (has_step(one))
-                for (const Command& command : one[k].commands) command(commands());
-        end_label();
+                for (const VulkanCommandRecorder& command : one[k].commands) command(get_command_buffer());
+        end_debug_label();
         end_timing();
-        record_barrier();
+        record_memory_barrier();
     }
-    for (StreamLane& one : lanes) one.clear();
+    for (CommandSequence& one : lanes) one.clear();
 }
 
-void Stream::Impl::barrier() {
+void Stream::Impl::request_memory_barrier() {
     if (n_concurrent > 0) owes_barrier = true;
     else if (!lanes.empty()) lanes[lane].back().closed = true;
-    else record_barrier();
+    else record_memory_barrier();
 }
 
-void Stream::Impl::record_barrier() {
+void Stream::Impl::record_memory_barrier() {
     VkMemoryBarrier all{VK_STRUCTURE_TYPE_MEMORY_BARRIER};
     all.srcAccessMask = VK_ACCESS_MEMORY_WRITE_BIT;
     all.dstAccessMask = VK_ACCESS_MEMORY_READ_BIT | VK_ACCESS_MEMORY_WRITE_BIT;
@@ -152,34 +156,34 @@ void Stream::Impl::record_barrier() {
         later |= VK_PIPELINE_STAGE_HOST_BIT;
         host_reads = false;
     }
-    vkCmdPipelineBarrier(commands(), VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, later, 0, 1, &all, 0, nullptr, 0,
-                         nullptr);
+    vkCmdPipelineBarrier(get_command_buffer(), VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, later, 0, 1, &all, 0,
+                         nullptr, 0, nullptr);
 }
 
 void Stream::Impl::begin_timing(const std::string& name, gpu::KernelSpeed* speed, std::uint32_t n_groups,
-                                bool continues) {
+                                bool continues_launch) {
     last_kernel = name;
-    VkCommandBuffer buffer = commands();
-    Slot& slot = slots[current];
-    if (speed && !speed->should_measure(device->launch_limit.piece_s, n_groups)) speed = nullptr;
+    VkCommandBuffer buffer = get_command_buffer();
+    SubmissionSlot& slot = slots[current];
+    if (speed && !speed->should_measure_dispatch(device->launch_limit.piece_s, n_groups)) speed = nullptr;
     timed = slot.queries && (timing || speed) && slot.launches.size() < kMaxLaunches;
     if (!timed) return;
-    slot.launches.push_back({name, speed, n_groups, continues});
+    slot.launches.push_back({name, speed, n_groups, continues_launch});
     vkCmdWriteTimestamp(buffer, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, slot.queries,
                         2 * static_cast<std::uint32_t>(slot.launches.size() - 1));
 }
 
 void Stream::Impl::end_timing() {
-    Slot& slot = slots[current];
+    SubmissionSlot& slot = slots[current];
     if (timed)
         vkCmdWriteTimestamp(slot.commands, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, slot.queries,
                             2 * static_cast<std::uint32_t>(slot.launches.size() - 1) + 1);
 }
 
-Stream::Impl::Stored Stream::Impl::store(const void* bytes, std::size_t n_bytes) {
+Stream::Impl::StagedValue Stream::Impl::store_host_bytes(const void* bytes, std::size_t n_bytes) {
     constexpr std::size_t kAlignment = 64;
-    commands();
-    Slot& slot = slots[current];
+    get_command_buffer();
+    SubmissionSlot& slot = slots[current];
     const std::size_t aligned = (n_bytes + kAlignment - 1) / kAlignment * kAlignment;
     while (slot.block < slot.blocks.size() && slot.block_bytes + aligned > slot.blocks[slot.block]->n_bytes) {
         ++slot.block;
@@ -187,28 +191,30 @@ Stream::Impl::Stored Stream::Impl::store(const void* bytes, std::size_t n_bytes)
     }
     if (slot.block == slot.blocks.size())
         slot.blocks.push_back(std::make_unique<Buffer::Impl>(
-            *device, std::max(kBlockBytes, aligned), gpu::MemoryUse::parameters, "kernel parameters"));
+            *device, std::max(kBlockBytes, aligned), gpu::BufferPurpose::parameters, "kernel parameters"));
     const Buffer::Impl& block = *slot.blocks[slot.block];
     const std::size_t offset = slot.block_bytes;
     slot.block_bytes += aligned;
-    std::memcpy(block.mapped + offset, bytes, n_bytes);
+    if (n_bytes != 0) std::memcpy(block.mapped + offset, bytes, n_bytes);
     return {block.handle, offset, block.address + offset};
 }
 
-void Stream::Impl::write(const Buffer& buffer, const void* bytes, std::size_t n_bytes) {
+void Stream::Impl::record_buffer_write(const Buffer& buffer, const void* bytes, std::size_t n_bytes) {
     if (device->compile_only || n_bytes == 0) return;
-    const Stored from = store(bytes, n_bytes);
-    record("write",
-           [from = from.buffer, to = buffer.impl().handle, region = VkBufferCopy{from.offset, 0, n_bytes}](
-               VkCommandBuffer commands) { vkCmdCopyBuffer(commands, from, to, 1, &region); });
+    const StagedValue from = store_host_bytes(bytes, n_bytes);
+    record_command("write", [from = from.buffer, to = buffer.impl().handle,
+                             region = VkBufferCopy{from.offset, 0, n_bytes}](VkCommandBuffer commands) {
+        vkCmdCopyBuffer(commands, from, to, 1, &region);
+    });
 }
 
-void Stream::Impl::read_back(const Buffer::Impl& source, const std::shared_ptr<const Buffer::Impl>& target,
-                             const VkBufferCopy& region) {
+void Stream::Impl::record_copy_to_host(const Buffer::Impl& source,
+                                       const std::shared_ptr<const Buffer::Impl>& target,
+                                       const VkBufferCopy& region) {
     if (region.size == 0) return;
-    record("read back", [this, source = source.handle, target, region](VkCommandBuffer commands) {
+    record_command("read back", [this, source = source.handle, target, region](VkCommandBuffer commands) {
         vkCmdCopyBuffer(commands, source, target->handle, 1, &region);
-        slots[current].kept.push_back(target);
+        slots[current].retained_buffers.push_back(target);
         host_reads = true;
     });
 }
@@ -222,7 +228,7 @@ std::uint64_t Stream::Impl::store_parameters(const KernelBase& kernel, const voi
         std::memcpy(&address, params.data() + offset, sizeof(address));
         if (address == 0) std::memcpy(params.data() + offset, &device->nothing->address, sizeof(address));
     }
-    return store(params.data(), n_bytes).address;
+    return store_host_bytes(params.data(), n_bytes).address;
 }
 
 /// Launch of a kernel. Its workgroups form rows and columns, because Vulkan limits their
@@ -233,19 +239,19 @@ struct Stream::Impl::Dispatch {
     std::array<std::uint64_t, 2> pushed;
     std::uint32_t rows, columns, rows_per_piece;
 
-    std::uint32_t count_workgroup_rows_from(std::uint32_t row) const {
-        return std::min(rows_per_piece, rows - row);
+    std::uint32_t count_dispatch_rows(std::uint32_t first_row) const {
+        return std::min(rows_per_piece, rows - first_row);
     }
-    void record(VkCommandBuffer commands, VkPipelineLayout layout, std::uint32_t row) const {
+    void record_dispatch(VkCommandBuffer commands, VkPipelineLayout layout, std::uint32_t first_row) const {
         vkCmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, pipeline);
         vkCmdPushConstants(commands, layout, VK_SHADER_STAGE_COMPUTE_BIT, 0, sizeof(pushed), pushed.data());
-        vkCmdDispatchBase(commands, 0, row, 0, columns, count_workgroup_rows_from(row), 1);
+        vkCmdDispatchBase(commands, 0, first_row, 0, columns, count_dispatch_rows(first_row), 1);
     }
 };
 
 namespace {
 
-Stream::Impl::Dispatch make_dispatch(VkPipeline pipeline, const std::array<std::uint64_t, 2>& pushed,
+Stream::Impl::Dispatch make_dispatch(VkPipeline pipeline, const std::array<std::uint64_t, 2>& push_constants,
                                      std::uint32_t n_groups, std::uint32_t groups_per_piece) {
     // Maximum number of workgroups per dimension that every Vulkan device supports.
     constexpr std::uint32_t kMaxGroups = 65535;
@@ -258,55 +264,55 @@ Stream::Impl::Dispatch make_dispatch(VkPipeline pipeline, const std::array<std::
     // rows.
     const std::uint32_t rows_per_piece =
         groups_per_piece >= n_groups ? rows : std::max(1u, groups_per_piece / even_columns);
-    return {pipeline, pushed, rows, even_columns, rows_per_piece};
+    return {pipeline, push_constants, rows, even_columns, rows_per_piece};
 }
 
 }  // namespace
 
-void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, const void* bytes,
-                          std::size_t n_bytes) {
+void Stream::Impl::launch_kernel(const KernelBase& kernel, std::uint32_t n_threads, const void* bytes,
+                                 std::size_t n_bytes) {
     if (device->compile_only)
         throw Error(ExitCode::bug, fmt::format("cannot launch {}: the device was opened only for compilation",
                                                kernel.impl().name));
-    const VkPipeline pipeline = kernel.impl().pipeline();
+    const VkPipeline pipeline = kernel.impl().get_compiled_pipeline();
     const std::array<std::uint64_t, 2> pushed{store_parameters(kernel, bytes, n_bytes),
                                               device->nothing->address};
     const std::string& name = kernel.impl().name;
     const std::uint32_t n_groups = (n_threads - 1) / kernel.impl().workgroup_size + 1;
-    const gpu::LaunchLimit& limit = device->launch_limit;
-    const gpu::KernelSpeed* speed = limit.is_set() ? kernel.impl().speed : nullptr;
-    const Dispatch dispatch = make_dispatch(pipeline, pushed, n_groups,
-                                            speed ? speed->choose_groups_per_piece(limit.piece_s) : n_groups);
+    const gpu::LaunchTimeLimit& limit = device->launch_limit;
+    const gpu::KernelSpeed* speed = limit.has_time_limit() ? kernel.impl().speed : nullptr;
+    const Dispatch dispatch = make_dispatch(
+        pipeline, pushed, n_groups, speed ? speed->choose_groups_per_dispatch(limit.piece_s) : n_groups);
     // Launches in lanes (concurrent sequences) are not split, because their commands are
     // recorded later and in a single submission.
     if (speed && lanes.empty()) return record_dispatch_pieces(kernel.impl(), dispatch);
-    record(name, [layout = device->pipeline_layout, dispatch](VkCommandBuffer commands) {
+    record_command(name, [layout = device->pipeline_layout, dispatch](VkCommandBuffer commands) {
         for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece)
-            dispatch.record(commands, layout, row);
+            dispatch.record_dispatch(commands, layout, row);
     });
 }
 
 void Stream::Impl::record_dispatch_pieces(const KernelBase::Impl& kernel, const Dispatch& dispatch) {
     const double piece_s = device->launch_limit.piece_s;
     for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece) {
-        const std::uint32_t n_groups = dispatch.count_workgroup_rows_from(row) * dispatch.columns;
-        double expected_s = kernel.speed->estimate_seconds(n_groups);
+        const std::uint32_t n_groups = dispatch.count_dispatch_rows(row) * dispatch.columns;
+        double expected_s = kernel.speed->estimate_dispatch_s(n_groups);
         // While the speed of a kernel is unknown, each of its dispatches gets a separate
         // submission.
         if (expected_s == 0.0 && n_groups < dispatch.rows * dispatch.columns) expected_s = piece_s;
-        commands();
-        if (recorded_s > 0.0 && recorded_s + expected_s > piece_s) submit_part();
+        get_command_buffer();
+        if (recorded_s > 0.0 && recorded_s + expected_s > piece_s) submit_recorded_commands();
         begin_timing(kernel.name, kernel.speed, n_groups, row > 0);
-        begin_label(kernel.name);
-        dispatch.record(commands(), device->pipeline_layout, row);
-        end_label();
+        begin_debug_label(kernel.name);
+        dispatch.record_dispatch(get_command_buffer(), device->pipeline_layout, row);
+        end_debug_label();
         end_timing();
         recorded_s += expected_s;
     }
-    barrier();
+    request_memory_barrier();
 }
 
-void Stream::Impl::wait(std::uint64_t ticket) {
+void Stream::Impl::wait_for_submission(std::uint64_t ticket) {
     if (!ticket) return;
     if (ticket == last_ticket) ++device->n_full_waits;
     VkSemaphoreWaitInfo info{VK_STRUCTURE_TYPE_SEMAPHORE_WAIT_INFO};
@@ -315,12 +321,12 @@ void Stream::Impl::wait(std::uint64_t ticket) {
     info.pValues = &ticket;
     const VkResult result = vkWaitSemaphores(device->device, &info, ~std::uint64_t(0));
     if (result != VK_SUCCESS)
-        gpu::fail(result,
-                  fmt::format("waiting for {} failed: the driver returned {} (last recorded kernel: {})",
-                              device->info.name, gpu::get_result_name(result), last_kernel));
+        gpu::throw_vulkan_error(
+            result, fmt::format("waiting for {} failed: the driver returned {} (last recorded kernel: {})",
+                                device->info.name, gpu::get_result_name(result), last_kernel));
 }
 
-void Stream::Impl::collect_times(Slot& slot) {
+void Stream::Impl::collect_launch_times(SubmissionSlot& slot) {
     if (slot.launches.empty()) return;
     std::vector<std::uint64_t> stamps(2 * slot.launches.size());
     const VkResult result =
@@ -334,8 +340,8 @@ void Stream::Impl::collect_times(Slot& slot) {
         const double ms = double(ticks) * device->timestamp_period_ns * 1e-6;
         launch_ms = continues ? launch_ms + ms : ms;
         const bool is_complete = i + 1 == slot.launches.size() || !slot.launches[i + 1].continues;
-        if (timing && is_complete) times.add(name, launch_ms);
-        if (speed) speed->add(n_groups, 1e-3 * ms);
+        if (timing && is_complete) times.add_launch_time(name, launch_ms);
+        if (speed) speed->add_measured_dispatch(n_groups, 1e-3 * ms);
     }
     slot.launches.clear();
 }
@@ -343,28 +349,30 @@ void Stream::Impl::collect_times(Slot& slot) {
 Stream::Stream(Device& device, bool timing) : impl_(std::make_unique<Impl>(device, timing)) {}
 Stream::~Stream() = default;
 Device& Stream::device() const { return *impl_->owner; }
-void Stream::wait(std::uint64_t ticket) { impl_->wait(ticket); }
+void Stream::wait_for_submission(std::uint64_t ticket) { impl_->wait_for_submission(ticket); }
 
 void Stream::fill(const Buffer& buffer, std::uint32_t pattern) {
     if (impl_->device->compile_only) return;
-    impl_->record("fill", [to = buffer.impl().handle, pattern](VkCommandBuffer commands) {
+    impl_->record_command("fill", [to = buffer.impl().handle, pattern](VkCommandBuffer commands) {
         vkCmdFillBuffer(commands, to, 0, VK_WHOLE_SIZE, pattern);
     });
 }
 
 void Stream::copy(const Buffer& source, const Buffer& target, std::size_t n_bytes) {
     if (impl_->device->compile_only) return;
-    impl_->record("copy", [source = source.impl().handle, target = target.impl().handle,
-                           n_bytes](VkCommandBuffer commands) {
+    impl_->record_command("copy", [source = source.impl().handle, target = target.impl().handle,
+                                   n_bytes](VkCommandBuffer commands) {
         const VkBufferCopy region{0, 0, n_bytes};
         vkCmdCopyBuffer(commands, source, target, 1, &region);
     });
 }
 
-Concurrent::Concurrent(Stream& stream) : stream_(stream) { ++stream.impl().n_concurrent; }
-Concurrent::~Concurrent() { stream_.impl().end_concurrent(); }
+ConcurrentLaunchScope::ConcurrentLaunchScope(Stream& stream) : stream_(stream) {
+    ++stream.impl().n_concurrent;
+}
+ConcurrentLaunchScope::~ConcurrentLaunchScope() { stream_.impl().end_concurrent_scope(); }
 
-StreamLanes::StreamLanes(Stream& stream, std::size_t count) : stream_(stream) {
+ConcurrentSequenceScope::ConcurrentSequenceScope(Stream& stream, std::size_t count) : stream_(stream) {
     Stream::Impl& s = stream.impl();
     if (count == 0 || !s.lanes.empty() || s.n_concurrent > 0)
         throw Error(ExitCode::bug,
@@ -374,32 +382,32 @@ StreamLanes::StreamLanes(Stream& stream, std::size_t count) : stream_(stream) {
     s.lane = 0;
 }
 
-StreamLanes::~StreamLanes() {
+ConcurrentSequenceScope::~ConcurrentSequenceScope() {
     Stream::Impl& s = stream_.impl();
     // After an exception the commands are dropped, because the arrays that they use may
     // be destroyed.
-    if (std::uncaught_exceptions() == 0) s.record_concurrent_lanes();
+    if (std::uncaught_exceptions() == 0) s.record_stored_lane_commands();
     s.lanes.clear();
 }
 
-void StreamLanes::select_lane(std::size_t lane) {
+void ConcurrentSequenceScope::select_command_lane(std::size_t lane_index) {
     Stream::Impl& s = stream_.impl();
-    if (lane >= s.lanes.size() || s.n_concurrent > 0)
+    if (lane_index >= s.lanes.size() || s.n_concurrent > 0)
         throw Error(
             ExitCode::bug,
             fmt::format("cannot choose lane {} of {}: expected the index of a lane and no open Concurrent "
                         "scope",
-                        lane, s.lanes.size()));
-    s.lane = lane;
+                        lane_index, s.lanes.size()));
+    s.lane = lane_index;
 }
 
-std::uint64_t Stream::submit() {
+std::uint64_t Stream::submit_commands() {
     Impl& s = *impl_;
     if (s.device->compile_only) return 0;
     if (s.n_concurrent > 0)
         throw Error(ExitCode::bug, "cannot submit commands: a Concurrent scope is still open");
-    s.record_concurrent_lanes();
-    VkCommandBuffer commands = s.commands();
+    s.record_stored_lane_commands();
+    VkCommandBuffer commands = s.get_command_buffer();
     // Marks the end of a frame. RenderDoc and GFXReconstruct need this label to capture a
     // program that has no window.
     if (vkCmdInsertDebugUtilsLabelEXT) {
@@ -407,7 +415,7 @@ std::uint64_t Stream::submit() {
         frame_end.pLabelName = "vr-marker,frame_end,type,application";
         vkCmdInsertDebugUtilsLabelEXT(commands, &frame_end);
     }
-    gpu::check(vkEndCommandBuffer(commands), "vkEndCommandBuffer");
+    gpu::check_vulkan_result(vkEndCommandBuffer(commands), "vkEndCommandBuffer");
     const std::uint64_t ticket = s.last_ticket + 1;
     VkTimelineSemaphoreSubmitInfo values{VK_STRUCTURE_TYPE_TIMELINE_SEMAPHORE_SUBMIT_INFO};
     values.signalSemaphoreValueCount = 1;
@@ -417,7 +425,7 @@ std::uint64_t Stream::submit() {
     info.pCommandBuffers = &commands;
     info.signalSemaphoreCount = 1;
     info.pSignalSemaphores = &s.timeline;
-    s.device->submit(info);
+    s.device->submit_to_queue(info);
     s.recording = false;
     --s.device->n_recording;
     s.recorded_s = 0.0;
@@ -427,36 +435,36 @@ std::uint64_t Stream::submit() {
 }
 
 const KernelTimes& Stream::times() const {
-    for (Impl::Slot& slot : impl_->slots) {
+    for (Impl::SubmissionSlot& slot : impl_->slots) {
         const bool open = impl_->recording && &slot == &impl_->slots[impl_->current];
         if (open || !slot.ticket) continue;
-        impl_->wait(slot.ticket);
-        impl_->collect_times(slot);
+        impl_->wait_for_submission(slot.ticket);
+        impl_->collect_launch_times(slot);
     }
     return impl_->times;
 }
 
-void Stream::reset_times() {
+void Stream::reset_kernel_times() {
     times();
     impl_->times = {};
 }
 
-void KernelTimes::add(const std::string& kernel, double ms) {
-    std::vector<double>& last = milliseconds[kernel];
+void KernelTimes::add_launch_time(const std::string& kernel_name, double duration_ms) {
+    std::vector<double>& last = milliseconds[kernel_name];
     if (std::ssize(last) >= kLast) last.erase(last.begin());
-    last.push_back(ms);
-    Total& total = totals[kernel];
+    last.push_back(duration_ms);
+    LaunchTotals& total = totals[kernel_name];
     total.launches += 1.0;
-    total.ms += ms;
+    total.ms += duration_ms;
 }
 
-void KernelTimes::add(const KernelTimes& later) {
-    for (const auto& [kernel, ms] : later.milliseconds) {
+void KernelTimes::add_times(const KernelTimes& later_times) {
+    for (const auto& [kernel, ms] : later_times.milliseconds) {
         std::vector<double>& last = milliseconds[kernel];
         last.insert(last.end(), ms.begin(), ms.end());
         if (std::ssize(last) > kLast) last.erase(last.begin(), last.end() - kLast);
     }
-    for (const auto& [kernel, more] : later.totals) {
+    for (const auto& [kernel, more] : later_times.totals) {
         totals[kernel].launches += more.launches;
         totals[kernel].ms += more.ms;
     }

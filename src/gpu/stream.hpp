@@ -22,8 +22,8 @@ struct KernelBase::Impl {
     Device::Impl* device = nullptr;
     std::string module;  ///< Name of the embedded SPIR-V module.
     std::string name;    ///< Name of the kernel without its variant.
-    std::vector<Constant> constants;
-    Subgroups subgroups = Subgroups::any;
+    std::vector<SpecialisationConstant> constants;
+    SubgroupRequirement subgroups = SubgroupRequirement::any;
     std::uint32_t workgroup_size = 0;  ///< Number of threads per workgroup.
     /// Measured speed of the kernel. Null if its launches must not be split into several
     /// dispatches.
@@ -34,11 +34,11 @@ struct KernelBase::Impl {
     /// Returns the compute pipeline, which belongs to the device. Waits until it is
     /// compiled.
     /// @throws DeviceError if the driver rejects the kernel
-    VkPipeline pipeline();
+    VkPipeline get_compiled_pipeline();
 
 private:
     friend class KernelBase;
-    std::shared_future<gpu::Pipelines::Made> made_;
+    std::shared_future<gpu::ComputePipelines::CompiledPipeline> made_;
     VkPipeline pipeline_ = VK_NULL_HANDLE;
 };
 
@@ -49,7 +49,7 @@ struct Stream::Impl {
     /// Maximum number of timed launches per submission.
     static constexpr std::uint32_t kMaxLaunches = 256;
 
-    struct Slot {
+    struct SubmissionSlot {
         VkCommandPool pool = VK_NULL_HANDLE;
         /// Command buffer that commands are currently recorded to.
         VkCommandBuffer commands = VK_NULL_HANDLE;
@@ -60,7 +60,7 @@ struct Stream::Impl {
         VkQueryPool queries = VK_NULL_HANDLE;
         /// Commands whose duration is measured with a pair of timestamps. The list has
         /// the order of the timestamps.
-        struct Timed {
+        struct TimedCommands {
             std::string name;
             /// Speed of the measured kernel, which is updated with this measurement. May
             /// be null.
@@ -70,39 +70,39 @@ struct Stream::Impl {
             /// which was split.
             bool continues;
         };
-        std::vector<Timed> launches;
+        std::vector<TimedCommands> launches;
         /// Memory blocks for values that the host sends to kernels. Their number grows
         /// until the largest submission fits.
         std::vector<std::unique_ptr<Buffer::Impl>> blocks;
         /// Position for the next value from the host: index of the block and byte offset.
         std::size_t block = 0, block_bytes = 0;
         /// Buffers that stay allocated until the submission is complete.
-        std::vector<std::shared_ptr<const Buffer::Impl>> kept;
+        std::vector<std::shared_ptr<const Buffer::Impl>> retained_buffers;
         std::uint64_t ticket = 0;  ///< Number of the submission. 0 if nothing was submitted.
     };
 
-    using Command = std::function<void(VkCommandBuffer)>;
+    using VulkanCommandRecorder = std::function<void(VkCommandBuffer)>;
     /// Commands of a lane between two barriers. A lane is one of several concurrent
-    /// sequences of commands (StreamLanes).
-    struct Step {
+    /// sequences of commands (ConcurrentSequenceScope).
+    struct BarrierStep {
         std::string name;  ///< Name of the first command of the step.
-        std::vector<Command> commands;
+        std::vector<VulkanCommandRecorder> commands;
         bool closed = false;
     };
-    using StreamLane = std::vector<Step>;
+    using CommandSequence = std::vector<BarrierStep>;
 
     Device* owner = nullptr;
     Device::Impl* device = nullptr;
     bool timing = false;
-    std::array<Slot, kSlots> slots;
+    std::array<SubmissionSlot, kSlots> slots;
     std::size_t current = 0;
     bool recording = false;  ///< True if commands were recorded but not submitted yet.
     int n_concurrent = 0;    ///< Number of open Concurrent scopes.
     /// True if commands were recorded in the open Concurrent scope, so that a barrier
     /// must follow at its end.
     bool owes_barrier = false;
-    /// Concurrent command sequences (lanes) of the current StreamLanes scope.
-    std::vector<StreamLane> lanes = {};
+    /// Concurrent command sequences (lanes) of the current ConcurrentSequenceScope scope.
+    std::vector<CommandSequence> lanes = {};
     std::size_t lane = 0;  ///< Index of the lane that receives new commands.
     bool timed = false;    ///< True if timestamps measure the launch that is currently recorded.
     /// True if the next barrier must also make device writes visible to the host.
@@ -119,47 +119,49 @@ struct Stream::Impl {
 
     /// Returns the command buffer that commands are recorded to. Starts a new recording
     /// if there is none.
-    VkCommandBuffer commands();
-    /// Records a command with timestamps, and a barrier after it. In a StreamLanes scope,
-    /// only stores the command; record_concurrent_lanes() records it later.
+    VkCommandBuffer get_command_buffer();
+    /// Records a command with timestamps, and a barrier after it. In a
+    /// ConcurrentSequenceScope scope, only stores the command;
+    /// record_stored_lane_commands() records it later.
     /// @param name name of the command in the measured times
     template <class Recorded>
-    void record(const std::string& name, Recorded command) {
+    void record_command(const std::string& name, Recorded command) {
         if (!lanes.empty()) return store_lane_command(name, std::move(command));
         begin_timing(name);
-        begin_label(name);
-        command(commands());
-        end_label();
+        begin_debug_label(name);
+        command(get_command_buffer());
+        end_debug_label();
         end_timing();
-        barrier();
+        request_memory_barrier();
     }
-    void end_concurrent();
+    void end_concurrent_scope();
     /// Records the stored commands of all lanes (concurrent sequences) and clears the
     /// lanes. Step n of a lane may run concurrently with step n of the other lanes.
-    void record_concurrent_lanes();
+    void record_stored_lane_commands();
     /// Where a value from the host is stored until the submission is complete.
-    struct Stored {
+    struct StagedValue {
         VkBuffer buffer;
         std::size_t offset;
         std::uint64_t address;
     };
     /// Stores a value from the host where the kernels of this submission can read it.
-    Stored store(const void* bytes, std::size_t n_bytes);
+    StagedValue store_host_bytes(const void* bytes, std::size_t n_bytes);
     /// Stores an array from the host where the kernels of this submission can read it.
     /// Returns its device address.
     template <class T>
-    Address<T> values(const std::vector<T>& values) {
-        return Address<T>(store(values.data(), values.size() * sizeof(T)).address);
+    Address<T> store_host_values(const std::vector<T>& values) {
+        return Address<T>(store_host_bytes(values.data(), values.size() * sizeof(T)).address);
     }
     /// Records a copy of host bytes to a device buffer.
-    void write(const Buffer& buffer, const void* bytes, std::size_t n_bytes);
+    void record_buffer_write(const Buffer& buffer, const void* bytes, std::size_t n_bytes);
     /// Records a copy from a device buffer to host-readable memory, which stays alive
     /// until the submission is complete.
-    void read_back(const Buffer::Impl& source, const std::shared_ptr<const Buffer::Impl>& target,
-                   const VkBufferCopy& region);
-    void launch(const KernelBase& kernel, std::uint32_t n_threads, const void* params, std::size_t n_bytes);
-    void wait(std::uint64_t ticket);
-    void collect_times(Slot& slot);
+    void record_copy_to_host(const Buffer::Impl& source, const std::shared_ptr<const Buffer::Impl>& target,
+                             const VkBufferCopy& region);
+    void launch_kernel(const KernelBase& kernel, std::uint32_t n_threads, const void* params,
+                       std::size_t n_bytes);
+    void wait_for_submission(std::uint64_t ticket);
+    void collect_launch_times(SubmissionSlot& slot);
     struct Dispatch;
 
 private:
@@ -167,26 +169,26 @@ private:
     /// of a buffer with zeros.
     /// @return device address of the stored struct
     std::uint64_t store_parameters(const KernelBase& kernel, const void* bytes, std::size_t n_bytes);
-    void store_lane_command(const std::string& name, Command command);
+    void store_lane_command(const std::string& name, VulkanCommandRecorder command);
     /// Records a barrier, so that later commands see earlier device writes. In a
     /// Concurrent scope, only the end of the scope records a barrier.
-    void barrier();
-    void record_barrier();
+    void request_memory_barrier();
+    void record_memory_barrier();
     /// Writes the timestamp before a command.
     /// @param speed speed of the launched kernel, or null
     /// @param n_groups number of workgroups of the command
-    /// @param continues true if the command continues a launch that was split
+    /// @param continues_launch true if the command continues a launch that was split
     void begin_timing(const std::string& name, gpu::KernelSpeed* speed = nullptr, std::uint32_t n_groups = 0,
-                      bool continues = false);
+                      bool continues_launch = false);
     void end_timing();
-    /// Begins a named region that debuggers show. end_label() ends it.
-    void begin_label(const std::string& name);
-    void end_label();
+    /// Begins a named region that debuggers show. end_debug_label() ends it.
+    void begin_debug_label(const std::string& name);
+    void end_debug_label();
     void record_dispatch_pieces(const KernelBase::Impl& kernel, const Dispatch& dispatch);
-    void begin_buffer(Slot& slot);
+    void begin_command_buffer(SubmissionSlot& slot);
     /// Sends the commands recorded so far to the device. The submission continues in a
     /// new command buffer.
-    void submit_part();
+    void submit_recorded_commands();
 };
 
 /// Records a kernel launch with n_threads threads. The kernel sees the results of all
@@ -194,7 +196,7 @@ private:
 template <class Params>
 void run(Stream& stream, const Kernel<Params>& kernel, std::size_t n_threads, const Params& params) {
     if (n_threads)
-        stream.impl().launch(kernel, static_cast<std::uint32_t>(n_threads), &params, sizeof(Params));
+        stream.impl().launch_kernel(kernel, static_cast<std::uint32_t>(n_threads), &params, sizeof(Params));
 }
 
 }  // namespace relidar

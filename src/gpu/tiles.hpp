@@ -9,10 +9,11 @@
 
 namespace relidar {
 
-inline constexpr Constant kTileWorkgroup{ConstantId::WORKGROUP_SIZE, RELIDAR_TILE_THREADS};
+inline constexpr SpecialisationConstant kTileWorkgroup{SpecialisationConstantId::WORKGROUP_SIZE,
+                                                       RELIDAR_TILE_THREADS};
 
-inline std::size_t count_tiles(std::size_t count) {
-    return (count + RELIDAR_TILE_SIZE - 1) / RELIDAR_TILE_SIZE;
+inline std::size_t count_tiles(std::size_t n_items) {
+    return (n_items + RELIDAR_TILE_SIZE - 1) / RELIDAR_TILE_SIZE;
 }
 
 }  // namespace relidar

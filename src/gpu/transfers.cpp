@@ -15,28 +15,29 @@ constexpr std::size_t kSmallest = std::size_t(64) << 10, kLargest = std::size_t(
 
 }  // namespace
 
-void Transfers::make_commands() {
+void BufferTransfers::create_command_buffer() {
     VkCommandPoolCreateInfo pool{VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO};
     pool.queueFamilyIndex = device_.queue_family;
-    check(vkCreateCommandPool(device_.device, &pool, nullptr, &pool_), "vkCreateCommandPool");
+    check_vulkan_result(vkCreateCommandPool(device_.device, &pool, nullptr, &pool_), "vkCreateCommandPool");
     VkCommandBufferAllocateInfo allocate{VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO};
     allocate.commandPool = pool_;
     allocate.commandBufferCount = 1;
-    check(vkAllocateCommandBuffers(device_.device, &allocate, &commands_), "vkAllocateCommandBuffers");
-    name_object(device_.device, VK_OBJECT_TYPE_COMMAND_POOL, pool_, "copies");
-    name_object(device_.device, VK_OBJECT_TYPE_COMMAND_BUFFER, commands_, "copies");
+    check_vulkan_result(vkAllocateCommandBuffers(device_.device, &allocate, &commands_),
+                        "vkAllocateCommandBuffers");
+    set_object_name(device_.device, VK_OBJECT_TYPE_COMMAND_POOL, pool_, "copies");
+    set_object_name(device_.device, VK_OBJECT_TYPE_COMMAND_BUFFER, commands_, "copies");
     const VkFenceCreateInfo fence{VK_STRUCTURE_TYPE_FENCE_CREATE_INFO};
-    check(vkCreateFence(device_.device, &fence, nullptr, &done_), "vkCreateFence");
-    name_object(device_.device, VK_OBJECT_TYPE_FENCE, done_, "copy is done");
+    check_vulkan_result(vkCreateFence(device_.device, &fence, nullptr, &done_), "vkCreateFence");
+    set_object_name(device_.device, VK_OBJECT_TYPE_FENCE, done_, "copy is done");
 }
 
-Transfers::~Transfers() {
+BufferTransfers::~BufferTransfers() {
     vkDestroyFence(device_.device, done_, nullptr);
     vkDestroyCommandPool(device_.device, pool_, nullptr);
 }
 
-Buffer::Impl& Transfers::get_staging_buffer(std::unique_ptr<Buffer::Impl>& buffer, MemoryUse use,
-                                            std::size_t n_bytes) {
+Buffer::Impl& BufferTransfers::get_staging_buffer(std::unique_ptr<Buffer::Impl>& buffer, BufferPurpose use,
+                                                  std::size_t n_bytes) {
     const std::size_t staging_bytes = std::clamp(std::bit_ceil(n_bytes), kSmallest, kLargest);
     if (!buffer || buffer->n_bytes < staging_bytes) {
         buffer.reset();
@@ -45,10 +46,10 @@ Buffer::Impl& Transfers::get_staging_buffer(std::unique_ptr<Buffer::Impl>& buffe
     return *buffer;
 }
 
-void Transfers::upload(const Buffer::Impl& target, const void* data, std::size_t n_bytes,
-                       std::size_t offset_bytes) {
+void BufferTransfers::upload(const Buffer::Impl& target, const void* data, std::size_t n_bytes,
+                             std::size_t offset_bytes) {
     const std::lock_guard lock(mutex_);
-    const Buffer::Impl& from = get_staging_buffer(upload_, MemoryUse::upload, n_bytes);
+    const Buffer::Impl& from = get_staging_buffer(upload_, BufferPurpose::upload, n_bytes);
     for (std::size_t done = 0; done < n_bytes; done += kLargest) {
         const std::size_t n = std::min(kLargest, n_bytes - done);
         std::memcpy(from.mapped, static_cast<const std::byte*>(data) + done, n);
@@ -56,10 +57,10 @@ void Transfers::upload(const Buffer::Impl& target, const void* data, std::size_t
     }
 }
 
-void Transfers::download(const Buffer::Impl& source, void* data, std::size_t n_bytes,
-                         std::size_t offset_bytes) {
+void BufferTransfers::download(const Buffer::Impl& source, void* data, std::size_t n_bytes,
+                               std::size_t offset_bytes) {
     const std::lock_guard lock(mutex_);
-    const Buffer::Impl& to = get_staging_buffer(download_, MemoryUse::readback, n_bytes);
+    const Buffer::Impl& to = get_staging_buffer(download_, BufferPurpose::readback, n_bytes);
     for (std::size_t done = 0; done < n_bytes; done += kLargest) {
         const std::size_t n = std::min(kLargest, n_bytes - done);
         copy_and_wait(source.handle, to.handle, {offset_bytes + done, 0, n});
@@ -67,34 +68,36 @@ void Transfers::download(const Buffer::Impl& source, void* data, std::size_t n_b
     }
 }
 
-void Transfers::copy(const Buffer::Impl& source, const Buffer::Impl& target, std::size_t n_bytes) {
+void BufferTransfers::copy(const Buffer::Impl& source, const Buffer::Impl& target, std::size_t n_bytes) {
     const std::lock_guard lock(mutex_);
     copy_and_wait(source.handle, target.handle, {0, 0, n_bytes});
 }
 
 /// Copies and waits until the copy is complete. No barrier is needed before it, because
 /// every submission of a stream ends with a barrier.
-void Transfers::copy_and_wait(VkBuffer source, VkBuffer target, const VkBufferCopy& region) {
-    if (!done_) make_commands();
-    check(vkResetCommandPool(device_.device, pool_, 0), "vkResetCommandPool");
+void BufferTransfers::copy_and_wait(VkBuffer source, VkBuffer target, const VkBufferCopy& region) {
+    if (!done_) create_command_buffer();
+    check_vulkan_result(vkResetCommandPool(device_.device, pool_, 0), "vkResetCommandPool");
     VkCommandBufferBeginInfo begin{VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO};
     begin.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
-    check(vkBeginCommandBuffer(commands_, &begin), "vkBeginCommandBuffer");
+    check_vulkan_result(vkBeginCommandBuffer(commands_, &begin), "vkBeginCommandBuffer");
     vkCmdCopyBuffer(commands_, source, target, 1, &region);
-    VkMemoryBarrier seen{VK_STRUCTURE_TYPE_MEMORY_BARRIER};
-    seen.srcAccessMask = VK_ACCESS_TRANSFER_WRITE_BIT;
-    seen.dstAccessMask = VK_ACCESS_HOST_READ_BIT | VK_ACCESS_MEMORY_READ_BIT | VK_ACCESS_MEMORY_WRITE_BIT;
+    VkMemoryBarrier memory_barrier{VK_STRUCTURE_TYPE_MEMORY_BARRIER};
+    memory_barrier.srcAccessMask = VK_ACCESS_TRANSFER_WRITE_BIT;
+    memory_barrier.dstAccessMask =
+        VK_ACCESS_HOST_READ_BIT | VK_ACCESS_MEMORY_READ_BIT | VK_ACCESS_MEMORY_WRITE_BIT;
     vkCmdPipelineBarrier(commands_, VK_PIPELINE_STAGE_TRANSFER_BIT,
-                         VK_PIPELINE_STAGE_HOST_BIT | VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, 0, 1, &seen, 0,
-                         nullptr, 0, nullptr);
-    check(vkEndCommandBuffer(commands_), "vkEndCommandBuffer");
+                         VK_PIPELINE_STAGE_HOST_BIT | VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, 0, 1,
+                         &memory_barrier, 0, nullptr, 0, nullptr);
+    check_vulkan_result(vkEndCommandBuffer(commands_), "vkEndCommandBuffer");
     VkSubmitInfo info{VK_STRUCTURE_TYPE_SUBMIT_INFO};
     info.commandBufferCount = 1;
     info.pCommandBuffers = &commands_;
-    check(vkResetFences(device_.device, 1, &done_), "vkResetFences");
-    device_.submit(info, done_);
+    check_vulkan_result(vkResetFences(device_.device, 1, &done_), "vkResetFences");
+    device_.submit_to_queue(info, done_);
     ++device_.n_full_waits;
-    check(vkWaitForFences(device_.device, 1, &done_, VK_TRUE, ~std::uint64_t(0)), "vkWaitForFences");
+    check_vulkan_result(vkWaitForFences(device_.device, 1, &done_, VK_TRUE, ~std::uint64_t(0)),
+                        "vkWaitForFences");
 }
 
 }  // namespace relidar::gpu

@@ -10,12 +10,12 @@
 
 namespace relidar::gpu {
 
-class Transfers {
+class BufferTransfers {
 public:
-    explicit Transfers(Device::Impl& device) : device_(device) {}
-    ~Transfers();
-    Transfers(const Transfers&) = delete;
-    Transfers& operator=(const Transfers&) = delete;
+    explicit BufferTransfers(Device::Impl& device) : device_(device) {}
+    ~BufferTransfers();
+    BufferTransfers(const BufferTransfers&) = delete;
+    BufferTransfers& operator=(const BufferTransfers&) = delete;
 
     void upload(const Buffer::Impl& target, const void* data, std::size_t n_bytes, std::size_t offset_bytes);
     void download(const Buffer::Impl& source, void* data, std::size_t n_bytes, std::size_t offset_bytes);
@@ -32,8 +32,8 @@ private:
     /// each direction.
     std::unique_ptr<Buffer::Impl> upload_, download_;
 
-    void make_commands();
-    Buffer::Impl& get_staging_buffer(std::unique_ptr<Buffer::Impl>& buffer, MemoryUse use,
+    void create_command_buffer();
+    Buffer::Impl& get_staging_buffer(std::unique_ptr<Buffer::Impl>& buffer, BufferPurpose use,
                                      std::size_t n_bytes);
     void copy_and_wait(VkBuffer source, VkBuffer target, const VkBufferCopy& region);
 };

@@ -15,8 +15,8 @@
 namespace relidar {
 namespace {
 
-FirstUse& get_first_use() {
-    static FirstUse functions;
+DeviceOpenCallbacks& get_first_use_functions() {
+    static DeviceOpenCallbacks functions;
     return functions;
 }
 
@@ -27,21 +27,21 @@ std::string& get_injected_faults() {
 
 /// Test results of devices that could not be stored in a file. The key consists of the
 /// device, the driver and the faults that a test has forced.
-struct UnstoredTrust {
+struct UnsavedTestResults {
     std::mutex mutex;
-    std::map<std::string, DeviceTrust> by_device;
+    std::map<std::string, DeviceTestResults> by_device;
 };
-UnstoredTrust& get_unstored_trust() {
-    static UnstoredTrust results;
+UnsavedTestResults& get_unsaved_check_results() {
+    static UnsavedTestResults results;
     return results;
 }
 
 /// Test results that a Trusting object has set for this thread, or null.
-thread_local const DeviceTrust* fixed_trust = nullptr;
+thread_local const DeviceTestResults* fixed_trust = nullptr;
 
 /// Returns the text of the file with a device's test results. A file is accepted only if
 /// it equals this text exactly, so that damaged files are ignored.
-std::string format_trust(const std::string& driver, const DeviceTrust& trust) {
+std::string format_check_results(const std::string& driver, const DeviceTestResults& trust) {
     return fmt::format(
         "relidar {} checked this device at its first use. Delete this file to repeat the check.\n"
         "driver {}\nfloat_atomics {}\nfloat_swaps {}\nsubgroup_size {}\nray_query {}\n",
@@ -49,46 +49,50 @@ std::string format_trust(const std::string& driver, const DeviceTrust& trust) {
         int(trust.ray_query));
 }
 
-std::optional<DeviceTrust> read_trust(const std::filesystem::path& path, const std::string& driver) {
+std::optional<DeviceTestResults> read_check_results(const std::filesystem::path& path,
+                                                    const std::string& driver) {
     std::ifstream file(path);
     std::stringstream content;
     content << file.rdbuf();
     const std::string text = content.str();
     const std::size_t values = text.find("\nfloat_atomics ");
     if (values == std::string::npos) return std::nullopt;
-    DeviceTrust trust;
+    DeviceTestResults trust;
     int atomics = 0, swaps = 0, ray_query = 0;
     std::string name;
     std::istringstream(text.substr(values)) >> name >> atomics >> name >> swaps >> name >>
         trust.subgroup_size >> name >> ray_query;
-    if (ray_query < 0 || ray_query > int(Trust::wrong)) return std::nullopt;
+    if (ray_query < 0 || ray_query > int(CheckVerdict::wrong)) return std::nullopt;
     trust.float_atomics = atomics != 0;
     trust.float_swaps = swaps != 0;
-    trust.ray_query = Trust(ray_query);
-    return text == format_trust(driver, trust) ? std::optional(trust) : std::nullopt;
+    trust.ray_query = CheckVerdict(ray_query);
+    return text == format_check_results(driver, trust) ? std::optional(trust) : std::nullopt;
 }
 
 }  // namespace
 
-void set_first_use(FirstUse functions) {
-    get_first_use() = std::move(functions);
-    const std::scoped_lock lock(get_unstored_trust().mutex);
-    get_unstored_trust().by_device.clear();
+void set_first_use_check(DeviceOpenCallbacks first_use_functions) {
+    get_first_use_functions() = std::move(first_use_functions);
+    const std::scoped_lock lock(get_unsaved_check_results().mutex);
+    get_unsaved_check_results().by_device.clear();
 }
 
-Trusting::Trusting(const DeviceTrust& trust) : before_(fixed_trust), trust_(trust) { fixed_trust = &trust_; }
-Trusting::~Trusting() { fixed_trust = before_; }
+ScopedDeviceTestResults::ScopedDeviceTestResults(const DeviceTestResults& trust)
+    : before_(fixed_trust), trust_(trust) {
+    fixed_trust = &trust_;
+}
+ScopedDeviceTestResults::~ScopedDeviceTestResults() { fixed_trust = before_; }
 
 namespace gpu {
 
 void set_injected_faults(const std::string& faults) { get_injected_faults() = faults; }
-bool has_fault(const std::string& fault) {
-    return ("," + get_injected_faults() + ",").find("," + fault + ",") != std::string::npos;
+bool is_fault_injected(const std::string& fault_name) {
+    return ("," + get_injected_faults() + ",").find("," + fault_name + ",") != std::string::npos;
 }
 
-DeviceTrust get_device_trust(const Device::Impl& device, const DeviceOptions& options) {
+DeviceTestResults get_device_check_results(const Device::Impl& device, const DeviceOptions& options) {
     if (fixed_trust) return *fixed_trust;
-    if (!get_first_use().check || options.compile_only) return {};
+    if (!get_first_use_functions().check || options.compile_only) return {};
     VkPhysicalDeviceProperties properties;
     vkGetPhysicalDeviceProperties(device.physical, &properties);
     std::filesystem::path path;
@@ -96,31 +100,32 @@ DeviceTrust get_device_trust(const Device::Impl& device, const DeviceOptions& op
     // not stored.
     if (!options.pipeline_cache.empty() && get_injected_faults().empty())
         path = options.pipeline_cache / ("check_" + make_device_key(properties) + ".txt");
-    const auto is_complete = [&](const std::optional<DeviceTrust>& trust) {
-        return trust && (trust->ray_query != Trust::unknown || device.traversal != Traversal::ray_query);
+    const auto is_complete = [&](const std::optional<DeviceTestResults>& trust) {
+        return trust && (trust->ray_query != CheckVerdict::unknown ||
+                         device.traversal != RayTracingBackend::ray_query);
     };
     const std::string key = make_device_key(properties) + " " + get_injected_faults();
-    UnstoredTrust& unstored = get_unstored_trust();
+    UnsavedTestResults& unstored = get_unsaved_check_results();
     const std::scoped_lock lock(unstored.mutex);
-    const std::optional<DeviceTrust> known = read_trust(path, device.info.driver);
-    if (is_complete(known)) return *known;
+    const std::optional<DeviceTestResults> saved_results = read_check_results(path, device.info.driver);
+    if (is_complete(saved_results)) return *saved_results;
     const auto checked_before = unstored.by_device.find(key);
     if (checked_before != unstored.by_device.end() && is_complete(checked_before->second))
         return checked_before->second;
-    DeviceOptions checked = options;
-    checked.index = device.info.index;
-    checked.traversal = device.traversal;
-    const DeviceTrust trust = get_first_use().check(checked);
-    if (!path.empty()) replace_file(path, format_trust(device.info.driver, trust));
-    if (!read_trust(path, device.info.driver)) unstored.by_device[key] = trust;
+    DeviceOptions check_options = options;
+    check_options.index = device.info.index;
+    check_options.traversal = device.traversal;
+    const DeviceTestResults trust = get_first_use_functions().check(check_options);
+    if (!path.empty()) replace_file_atomically(path, format_check_results(device.info.driver, trust));
+    if (!read_check_results(path, device.info.driver)) unstored.by_device[key] = trust;
     return trust;
 }
 
-void replace_faulty_methods(Device::Impl& device, const DeviceTrust& trust) {
+void apply_device_check_results(Device::Impl& device, const DeviceTestResults& trust) {
     DeviceInfo& info = device.info;
     const auto note = [&](const std::string& text) {
-        if (get_first_use().note && !fixed_trust)
-            get_first_use().note(fmt::format("{}: {}", info.name, text));
+        if (get_first_use_functions().note && !fixed_trust)
+            get_first_use_functions().note(fmt::format("{}: {}", info.name, text));
     };
     if (!trust.float_atomics && info.float_atomics) {
         info.float_atomics = false;
@@ -138,10 +143,10 @@ void replace_faulty_methods(Device::Impl& device, const DeviceTrust& trust) {
         info.subgroup_size = trust.subgroup_size;
         device.forced_lanes = true;
     }
-    if (trust.ray_query != Trust::wrong || device.traversal != Traversal::ray_query) return;
+    if (trust.ray_query != CheckVerdict::wrong || device.traversal != RayTracingBackend::ray_query) return;
     note(fmt::format("ray queries find other surfels than a full search; {}",
                      info.software ? "the software tree is used" : "its renderings are wrong"));
-    if (info.software) device.traversal = Traversal::software;
+    if (info.software) device.traversal = RayTracingBackend::software;
 }
 
 }  // namespace gpu

@@ -16,16 +16,16 @@ namespace relidar::gpu {
 /// valid file exists. Runs the check if the file is missing, damaged, or from another
 /// version of the driver or of relidar. If the results cannot be stored in a file, the
 /// process remembers them. Trusts every method if the program has set no check.
-DeviceTrust get_device_trust(const Device::Impl& device, const DeviceOptions& options);
+DeviceTestResults get_device_check_results(const Device::Impl& device, const DeviceOptions& options);
 
 /// Replaces the methods that failed the device test by others, and prints one line for
 /// each. Call this function before the device is opened.
-void replace_faulty_methods(Device::Impl& device, const DeviceTrust& trust);
+void apply_device_check_results(Device::Impl& device, const DeviceTestResults& trust);
 
 /// Makes parts of the device test fail, for tests. The names are separated by commas:
 /// float_atomics, float_swaps, subgroups:N, ray_query. In builds with RELIDAR_ASSERTS,
 /// apply_environment_variables() reads them from RELIDAR_FAULTS.
 void set_injected_faults(const std::string& faults);
-bool has_fault(const std::string& fault);
+bool is_fault_injected(const std::string& fault_name);
 
 }  // namespace relidar::gpu

@@ -29,7 +29,7 @@ struct TimeSpan {
 };
 
 /// Returns the time interval in which a LiDAR fires the rays of a sweep.
-TimeSpan compute_sweep_span(const Sequence& sequence, const SweepMoment& sweep) {
+TimeSpan compute_sweep_time_span(const LidarSequence& sequence, const SweepTiming& sweep) {
     const Lidar& lidar = sequence.lidars[std::size_t(sweep.lidar)];
     if (!sequence.rolling_shutter) return {sweep.time_s, sweep.time_s};
     const double period_s = lidar.period_s();
@@ -48,7 +48,7 @@ TimeSpan compute_sweep_span(const Sequence& sequence, const SweepMoment& sweep) 
 /// does not scan the azimuths in order.
 double compute_seconds_per_radian(const Lidar& lidar) {
     if (!lidar.pattern) return lidar.sensor.period_s / (2.0 * kPi);
-    const PatternSummary summary = describe_pattern(*lidar.pattern);
+    const ScanPatternSummary summary = summarise_scan_pattern(*lidar.pattern);
     const std::optional<AzimuthSweep>& sweep = summary.sweep;
     return sweep && sweep->columns > 1 ? summary.period_s / std::abs(sweep->last_rad - sweep->first_rad)
                                        : 0.0;
@@ -56,7 +56,7 @@ double compute_seconds_per_radian(const Lidar& lidar) {
 
 /// Returns half the azimuth angle that a box covers in the view of the sensor. Returns pi
 /// if the sensor is inside or above the box.
-double compute_half_angle(const Pose& sensor_from_box, const glm::dvec3& half_size_m) {
+double compute_half_azimuth_width_rad(const Pose& sensor_from_box, const glm::dvec3& half_size_m) {
     const glm::dvec3& centre = sensor_from_box.translation;
     if (std::hypot(centre.x, centre.y) <= glm::length(half_size_m)) return kPi;
     const double azimuth = std::atan2(centre.y, centre.x);
@@ -72,20 +72,20 @@ double compute_half_angle(const Pose& sensor_from_box, const glm::dvec3& half_si
 /// Returns the time interval in which the rotating LiDAR head faces a box, so that its
 /// rays can hit the box. Returns the full sweep if this interval is unknown or not inside
 /// the sweep.
-TimeSpan compute_facing_span(const Sequence& sequence, const PoseTrack& world_from_box,
-                             const glm::dvec3& half_size_m, const SweepMoment& sweep) {
-    const TimeSpan all = compute_sweep_span(sequence, sweep);
+TimeSpan compute_facing_time_span(const LidarSequence& sequence, const PoseTrack& world_from_box,
+                                  const glm::dvec3& half_size_m, const SweepTiming& sweep) {
+    const TimeSpan all = compute_sweep_time_span(sequence, sweep);
     const Lidar& lidar = sequence.lidars[std::size_t(sweep.lidar)];
     const double s_per_rad = compute_seconds_per_radian(lidar);
     if (all.last_s <= all.first_s || s_per_rad <= 0.0 || half_size_m == glm::dvec3(0.0)) return all;
     const auto sensor_from_box = [&](double t_s) {
-        return inverse(sequence.world_from_vehicle.at(t_s, lidar.vehicle_from_sensor)) *
-               world_from_box.at(t_s);
+        return inverse(sequence.world_from_vehicle.interpolate_mounted_pose(t_s, lidar.vehicle_from_sensor)) *
+               world_from_box.interpolate_pose(t_s);
     };
     double faced_s = sweep.time_s;
     for (int step = 0; step < 3; ++step)
-        faced_s = compute_facing_time(sequence, sensor_from_box(faced_s).translation, sweep);
-    const double angle = compute_half_angle(sensor_from_box(faced_s), half_size_m);
+        faced_s = compute_point_scan_time_s(sequence, sensor_from_box(faced_s).translation, sweep);
+    const double angle = compute_half_azimuth_width_rad(sensor_from_box(faced_s), half_size_m);
     const double half_s = ((1.0 + kBesideShare) * angle + kBeside_rad) * s_per_rad;
     const TimeSpan span{faced_s - half_s, faced_s + half_s};
     return angle < kPi && span.first_s >= all.first_s && span.last_s <= all.last_s ? span : all;
@@ -93,21 +93,22 @@ TimeSpan compute_facing_span(const Sequence& sequence, const PoseTrack& world_fr
 
 }  // namespace
 
-InstancePose compute_pose_in_sweep(const Sequence& sequence, const PoseTrack& world_from_box,
-                                   const glm::dvec3& half_size_m, const SweepMoment& sweep) {
-    const TimeSpan span = compute_facing_span(sequence, world_from_box, half_size_m, sweep);
+InstancePose compute_box_pose_in_sweep(const LidarSequence& sequence, const PoseTrack& world_from_box,
+                                       const glm::dvec3& half_size_m, const SweepTiming& sweep) {
+    const TimeSpan span = compute_facing_time_span(sequence, world_from_box, half_size_m, sweep);
     const double half_s = 0.5 * (span.last_s - span.first_s), middle_s = 0.5 * (span.first_s + span.last_s);
     // Without a rolling shutter, all rays fire at one time. The actor then has a
     // velocity, but no motion during the sweep.
     const bool moves = half_s > 0.0;
     const TimeSpan measured = moves ? span : TimeSpan{middle_s - kVelocityStep_s, middle_s + kVelocityStep_s};
-    const Pose first = world_from_box.at(measured.first_s), last = world_from_box.at(measured.last_s);
+    const Pose first = world_from_box.interpolate_pose(measured.first_s),
+               last = world_from_box.interpolate_pose(measured.last_s);
     const Twist twist = compute_twist(first, last);
     const double per_s = 0.5 / (moves ? half_s : kVelocityStep_s);
     const PoseMotion motion{per_s * glm::dvec3(twist[0], twist[1], twist[2]),
                             per_s * glm::dvec3(twist[3], twist[4], twist[5]), middle_s - sweep.time_s,
                             (1.0 + kBeyond) * half_s};
-    if (!moves) return {world_from_box.at(middle_s), true, middle_s, 0.0, motion};
+    if (!moves) return {world_from_box.interpolate_pose(middle_s), true, middle_s, 0.0, motion};
     return {interpolate(first, last, 0.5), true, middle_s, 0.0, motion};
 }
 

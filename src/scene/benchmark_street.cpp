@@ -21,9 +21,9 @@ constexpr double kShC0 = 0.28209479177387814;
 const glm::vec3 kSensor_m(0.0f, -2.0f, 1.8f);
 
 /// Random generator with the same output as numpy.random.RandomState(seed).
-class LegacyRandom {
+class NumpyRandomState {
 public:
-    explicit LegacyRandom(std::uint32_t seed) : generator_(seed) {}
+    explicit NumpyRandomState(std::uint32_t seed) : generator_(seed) {}
 
     /// Returns a uniform random number in [0, 1) with 53 random bits.
     double uniform() {
@@ -63,7 +63,7 @@ struct Rectangle {
 
 /// Adds five faces of a car: right, left, back, front and roof. The body of the car
 /// begins 0.2 m above the ground.
-void add_car(const glm::dvec3& centre, double intensity, std::vector<Rectangle>& rectangles) {
+void append_car_rectangles(const glm::dvec3& centre, double intensity, std::vector<Rectangle>& rectangles) {
     const double length = 4.4, width = 1.8, height = 1.5 - 0.2;
     const glm::dvec3 x(length, 0, 0), y(0, width, 0), z(0, 0, height);
     const glm::dvec3 base = centre + glm::dvec3(-0.5 * length, -0.5 * width, 0.2);
@@ -74,7 +74,7 @@ void add_car(const glm::dvec3& centre, double intensity, std::vector<Rectangle>&
     rectangles.push_back({base + z, x, y, intensity});
 }
 
-void add_facades(int side, LegacyRandom& random, std::vector<Rectangle>& rectangles) {
+void append_facade_rectangles(int side, NumpyRandomState& random, std::vector<Rectangle>& rectangles) {
     const double half = kLength_m / 2;
     for (double x = -half; x < half - 1e-9;) {
         const double width = std::min(8 + 10 * random.uniform(), half - x);
@@ -89,26 +89,26 @@ void add_facades(int side, LegacyRandom& random, std::vector<Rectangle>& rectang
     }
 }
 
-void add_parked_cars(int side, LegacyRandom& random, std::vector<Rectangle>& rectangles) {
+void append_parked_car_rectangles(int side, NumpyRandomState& random, std::vector<Rectangle>& rectangles) {
     const double half = kLength_m / 2;
     for (double x = -half + 3; x < half - 5; x += 6.5) {
         const bool skip = random.uniform() < 0.3;
         const double along = random.uniform();
         const double across = 0.3 * random.uniform();
         const double intensity = 0.3 + 0.6 * random.uniform();
-        if (!skip) add_car({x + along, side * (7.5 + across), 0.0}, intensity, rectangles);
+        if (!skip) append_car_rectangles({x + along, side * (7.5 + across), 0.0}, intensity, rectangles);
     }
 }
 
 /// Returns the rectangles of the ground, the facades and the parked cars. The seed is
 /// fixed, so the layout is always the same.
 std::vector<Rectangle> make_street_layout() {
-    LegacyRandom random(1);
+    NumpyRandomState random(1);
     std::vector<Rectangle> rectangles{
         {{-kLength_m / 2, -kHalfWidth_m, 0}, {kLength_m, 0, 0}, {0, 2 * kHalfWidth_m, 0}, 0.2}};
     for (const int side : {-1, 1}) {
-        add_facades(side, random, rectangles);
-        add_parked_cars(side, random, rectangles);
+        append_facade_rectangles(side, random, rectangles);
+        append_parked_car_rectangles(side, random, rectangles);
     }
     return rectangles;
 }
@@ -116,7 +116,7 @@ std::vector<Rectangle> make_street_layout() {
 /// Picks a random rectangle for each surfel. The probability of a rectangle is
 /// proportional to its area.
 std::vector<std::uint16_t> draw_rectangle_indices(std::size_t count, const std::vector<Rectangle>& rectangles,
-                                                  LegacyRandom& random) {
+                                                  NumpyRandomState& random) {
     std::vector<double> cumulative;
     double total = 0.0;
     for (const Rectangle& r : rectangles) cumulative.push_back(total += r.area);
@@ -130,15 +130,16 @@ std::vector<std::uint16_t> draw_rectangle_indices(std::size_t count, const std::
     return index;
 }
 
-void draw_means(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& index,
-                LegacyRandom& random, Surfels& surfels) {
-    std::vector<glm::dvec2> along(index.size());
+void draw_surfel_positions(const std::vector<Rectangle>& rectangles,
+                           const std::vector<std::uint16_t>& rectangle_index, NumpyRandomState& random,
+                           Surfels& surfels) {
+    std::vector<glm::dvec2> along(rectangle_index.size());
     for (glm::dvec2& ab : along) {
         ab.x = random.uniform();
         ab.y = random.uniform();
     }
-    for (std::size_t i = 0; i < index.size(); ++i) {
-        const Rectangle& r = rectangles[index[i]];
+    for (std::size_t i = 0; i < rectangle_index.size(); ++i) {
+        const Rectangle& r = rectangles[rectangle_index[i]];
         surfels.mean[i] = glm::vec3(r.corner + along[i].x * r.edge_u + along[i].y * r.edge_v +
                                     r.normal * (0.02 * random.normal()));
     }
@@ -161,15 +162,16 @@ glm::dvec4 make_quaternion(const glm::dvec3& x_axis, const glm::dvec3& y_axis, c
 
 /// Draws random rotations of the surfels. The surfel normals scatter around the normal of
 /// their rectangle. The rotation about the normal is uniform.
-void draw_rotations(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& index,
-                    LegacyRandom& random, Surfels& surfels) {
-    std::vector<glm::dvec3> normal(index.size());
-    for (std::size_t i = 0; i < index.size(); ++i) {
+void draw_surfel_rotations(const std::vector<Rectangle>& rectangles,
+                           const std::vector<std::uint16_t>& rectangle_index, NumpyRandomState& random,
+                           Surfels& surfels) {
+    std::vector<glm::dvec3> normal(rectangle_index.size());
+    for (std::size_t i = 0; i < rectangle_index.size(); ++i) {
         glm::dvec3 noise;
         for (int axis = 0; axis < 3; ++axis) noise[axis] = random.normal();
-        normal[i] = glm::normalize(rectangles[index[i]].normal + 0.05 * noise);
+        normal[i] = glm::normalize(rectangles[rectangle_index[i]].normal + 0.05 * noise);
     }
-    for (std::size_t i = 0; i < index.size(); ++i) {
+    for (std::size_t i = 0; i < rectangle_index.size(); ++i) {
         const glm::dvec3 z = normal[i];
         const glm::dvec3 helper = std::abs(z.x) < 0.9 ? glm::dvec3(1, 0, 0) : glm::dvec3(0, 1, 0);
         const glm::dvec3 x0 = glm::normalize(glm::cross(helper, z)), y0 = glm::cross(z, x0);
@@ -179,8 +181,8 @@ void draw_rotations(const std::vector<Rectangle>& rectangles, const std::vector<
     }
 }
 
-void draw_scales_and_opacities(bool refine, LegacyRandom& random, Surfels& surfels) {
-    const double factor = refine ? std::sqrt(1e5 / double(surfels.mean.size())) : 1.0;
+void draw_scales_and_opacities(bool shrink_with_count, NumpyRandomState& random, Surfels& surfels) {
+    const double factor = shrink_with_count ? std::sqrt(1e5 / double(surfels.mean.size())) : 1.0;
     for (glm::vec2& log_scale : surfels.log_scale)
         for (int axis = 0; axis < 2; ++axis)
             log_scale[axis] = float(std::log(0.1 * std::pow(3.0, random.uniform()) * factor));
@@ -192,15 +194,17 @@ void draw_scales_and_opacities(bool refine, LegacyRandom& random, Surfels& surfe
 
 /// Draws random spherical harmonics. Rounds the coefficients to multiples of 1/4096
 /// (degree 0) or 1/256 (other degrees). Rounds half to even like numpy does.
-void draw_sh(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& index,
-             LegacyRandom& random, Surfels& surfels) {
+void draw_spherical_harmonics(const std::vector<Rectangle>& rectangles,
+                              const std::vector<std::uint16_t>& rectangle_index, NumpyRandomState& random,
+                              Surfels& surfels) {
     const auto put_dc = [&](std::size_t surfel, int channel, double value) {
         const double steps = std::clamp(std::nearbyint((value - 0.5) / kShC0 * 4096), -32000.0, 32000.0);
         surfels.sh[surfel * kShFloats + std::size_t(channel) * kShCoefficients] = float(steps / 4096);
     };
-    const std::size_t n = index.size();
+    const std::size_t n = rectangle_index.size();
     for (std::size_t i = 0; i < n; ++i)
-        put_dc(i, 0, std::clamp(rectangles[index[i]].intensity + 0.08 * random.normal(), 0.02, 0.98));
+        put_dc(i, 0,
+               std::clamp(rectangles[rectangle_index[i]].intensity + 0.08 * random.normal(), 0.02, 0.98));
     for (std::size_t i = 0; i < n; ++i) put_dc(i, 1, 1.0 + 0.3 * random.normal());
     for (std::size_t i = 0; i < n; ++i) put_dc(i, 2, 0.3 * random.normal());
     for (std::size_t i = 0; i < n; ++i)
@@ -213,16 +217,16 @@ void draw_sh(const std::vector<Rectangle>& rectangles, const std::vector<std::ui
 
 }  // namespace
 
-Surfels make_benchmark_street(std::uint32_t count, std::uint32_t seed, bool refine) {
+Surfels make_benchmark_street_surfels(std::uint32_t n_surfels, std::uint32_t seed, bool shrink_with_count) {
     const std::vector<Rectangle> rectangles = make_street_layout();
-    LegacyRandom random(seed);
+    NumpyRandomState random(seed);
     Surfels surfels;
-    surfels.resize(count);
-    const std::vector<std::uint16_t> index = draw_rectangle_indices(count, rectangles, random);
-    draw_means(rectangles, index, random, surfels);
-    draw_rotations(rectangles, index, random, surfels);
-    draw_scales_and_opacities(refine, random, surfels);
-    draw_sh(rectangles, index, random, surfels);
+    surfels.resize(n_surfels);
+    const std::vector<std::uint16_t> index = draw_rectangle_indices(n_surfels, rectangles, random);
+    draw_surfel_positions(rectangles, index, random, surfels);
+    draw_surfel_rotations(rectangles, index, random, surfels);
+    draw_scales_and_opacities(shrink_with_count, random, surfels);
+    draw_spherical_harmonics(rectangles, index, random, surfels);
     return surfels;
 }
 
@@ -248,10 +252,10 @@ RayTable make_benchmark_rays(int rows, int columns, double top_deg, double botto
     return table;
 }
 
-RayTable make_benchmark_rays(const std::string& kind) {
-    if (kind == "waymo") return make_benchmark_rays(64, 2650, 2.4, -17.6);
-    if (kind == "kitti") return make_benchmark_rays(66, 1030, 2.0, -24.9);
-    throw UsageError("make_benchmark_rays: found \"" + kind + "\", expected waymo or kitti");
+RayTable make_benchmark_rays(const std::string& sensor_name) {
+    if (sensor_name == "waymo") return make_benchmark_rays(64, 2650, 2.4, -17.6);
+    if (sensor_name == "kitti") return make_benchmark_rays(66, 1030, 2.0, -24.9);
+    throw UsageError("make_benchmark_rays: found \"" + sensor_name + "\", expected waymo or kitti");
 }
 
 }  // namespace relidar

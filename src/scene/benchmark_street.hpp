@@ -10,15 +10,16 @@
 namespace relidar {
 
 /// Returns the surfels of a synthetic street, which depend only on the arguments. If
-/// `refine` is true (benchmark scene B), the surfels become smaller as `count` grows. The
-/// values equal those of the Python generator up to rounding in the last digit. The
-/// surfels are not sorted in kd-tree order.
-Surfels make_benchmark_street(std::uint32_t count, std::uint32_t seed = 20261120, bool refine = false);
+/// `shrink_with_count` is true (benchmark scene B), the surfels become smaller as
+/// `n_surfels` grows. The values equal those of the Python generator up to rounding in
+/// the last digit. The surfels are not sorted in kd-tree order.
+Surfels make_benchmark_street_surfels(std::uint32_t n_surfels, std::uint32_t seed = 20261120,
+                                      bool shrink_with_count = false);
 
-/// Returns the LiDAR rays of the street, with their origin at (0, -2, 1.8) m. `kind` is
-/// "waymo" (64 x 2650 rays) or "kitti" (66 x 1030 rays). The second overload accepts any
-/// number of rays and any vertical field of view.
-RayTable make_benchmark_rays(const std::string& kind);
+/// Returns the LiDAR rays of the street, with their origin at (0, -2, 1.8) m.
+/// `sensor_name` is "waymo" (64 x 2650 rays) or "kitti" (66 x 1030 rays). The second
+/// overload accepts any number of rays and any vertical field of view.
+RayTable make_benchmark_rays(const std::string& sensor_name);
 RayTable make_benchmark_rays(int rows, int columns, double top_deg, double bottom_deg);
 
 }  // namespace relidar

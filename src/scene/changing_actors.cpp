@@ -22,7 +22,7 @@ namespace relidar {
 namespace {
 
 // Maximum distance between points of the same surface.
-constexpr double kNearPlace_m = 0.07;
+constexpr double kSameSurface_m = 0.07;
 // A position counts as static if at least this share of the frames have a point there.
 constexpr double kResting = 0.75;
 // Maximum number of frames that are searched to decide whether a position is static.
@@ -47,18 +47,20 @@ struct FrameSamples {
     double walked_m = 0.0;   ///< Mean walked distance of the samples.
     double spacing_m = 0.0;  ///< Mean difference of walked distance to the previous and the next frame.
 
-    FrameSamples(const std::vector<Sample>& samples, std::vector<std::uint32_t> of)
-        : index(samples, std::move(of)) {
+    FrameSamples(const std::vector<LidarSample>& samples, std::vector<std::uint32_t> sample_indices)
+        : index(samples, std::move(sample_indices)) {
         for (const std::uint32_t i : index.cloud.of)
             walked_m += double(samples[i].walked_m) / double(index.cloud.of.size());
     }
-    bool has_point_at(const glm::vec3& point) const { return index.distance_m(point, 1.0) < kNearPlace_m; }
+    bool has_sample_near(const glm::vec3& point_m) const {
+        return index.compute_nearest_distance_m(point_m, 1.0) < kSameSurface_m;
+    }
 };
-using Frames = std::vector<std::unique_ptr<FrameSamples>>;
+using SamplesByFrame = std::vector<std::unique_ptr<FrameSamples>>;
 
-Frames group_samples_by_frame(const std::vector<Sample>& samples) {
-    Frames frames;
-    for (auto& [frame, of_frame] : group_by_frame(samples))
+SamplesByFrame group_samples_by_frame(const std::vector<LidarSample>& samples) {
+    SamplesByFrame frames;
+    for (auto& [frame, of_frame] : group_indices_by_frame(samples))
         frames.push_back(std::make_unique<FrameSamples>(samples, std::move(of_frame)));
     for (std::size_t k = 0; k < frames.size(); ++k) {
         const std::size_t before = k > 0 ? k - 1 : 0, after = std::min(k + 1, frames.size() - 1);
@@ -71,14 +73,16 @@ Frames group_samples_by_frame(const std::vector<Sample>& samples) {
 
 /// Estimates how the surface around a sample moves, in metres per frame. This shift moves
 /// the points around the sample onto the points of two earlier and two later frames.
-/// @param index index of the sample's frame
-glm::vec3 estimate_shift_per_frame(const Frames& frames, std::size_t index,
-                                   const std::vector<Sample>& samples, const Sample& sample) {
+/// @param frame_index index of the sample's frame
+glm::vec3 estimate_surface_shift_per_frame(const SamplesByFrame& frames, std::size_t frame_index,
+                                           const std::vector<LidarSample>& samples,
+                                           const LidarSample& sample) {
     constexpr float kFarthest_m = 0.3f, kHighest_m = 0.08f, kStep_m = 0.04f;
     constexpr double kPatch_m = 0.12, kFar_m = 0.15;
     constexpr std::size_t kOfPatch = 6;
-    const FrameSamples& here = *frames[index];
-    const std::vector<std::uint32_t> patch = here.index.within(sample.position, kPatch_m, kOfPatch);
+    const FrameSamples& here = *frames[frame_index];
+    const std::vector<std::uint32_t> patch =
+        here.index.find_samples_within_radius(sample.position, kPatch_m, kOfPatch);
     glm::vec3 best(0.0f);
     double least = std::numeric_limits<double>::infinity();
     for (float x = -kFarthest_m; x < kFarthest_m + 0.5f * kStep_m; x += kStep_m)
@@ -87,12 +91,13 @@ glm::vec3 estimate_shift_per_frame(const Frames& frames, std::size_t index,
             // Adds a small cost that grows with the shift. If several shifts fit equally
             // well, the smallest is chosen.
             double sum = 1e-3 * double(glm::length(shift));
-            for (std::size_t f = index - std::min<std::size_t>(index, 2);
-                 f < std::min(index + 3, frames.size()); ++f) {
+            for (std::size_t f = frame_index - std::min<std::size_t>(frame_index, 2);
+                 f < std::min(frame_index + 3, frames.size()); ++f) {
                 const auto n_frames = float((frames[f]->walked_m - here.walked_m) / here.spacing_m);
-                if (f == index || std::abs(n_frames) > 3.0f) continue;
+                if (f == frame_index || std::abs(n_frames) > 3.0f) continue;
                 for (const std::uint32_t i : patch)
-                    sum += frames[f]->index.distance_m(samples[i].position + n_frames * shift, kFar_m);
+                    sum += frames[f]->index.compute_nearest_distance_m(samples[i].position + n_frames * shift,
+                                                                       kFar_m);
             }
             if (sum < least) least = sum, best = shift;
         }
@@ -101,7 +106,7 @@ glm::vec3 estimate_shift_per_frame(const Frames& frames, std::size_t index,
 
 /// Smooths the shifts. Each shift is replaced by the median of the shifts at the nearest
 /// samples, separately for each axis.
-std::vector<glm::vec3> smooth_shifts_by_median(const std::vector<Sample>& samples,
+std::vector<glm::vec3> smooth_shifts_by_median(const std::vector<LidarSample>& samples,
                                                const std::vector<glm::vec3>& shifts) {
     constexpr double kAround_m = 0.15;
     constexpr std::size_t kMost = 9;
@@ -112,60 +117,65 @@ std::vector<glm::vec3> smooth_shifts_by_median(const std::vector<Sample>& sample
     for (std::size_t i = 0; i < samples.size(); ++i)
         for (int axis = 0; axis < 3; ++axis) {
             std::vector<float> values;
-            for (const std::uint32_t j : index.within(samples[i].position, kAround_m, kMost))
+            for (const std::uint32_t j :
+                 index.find_samples_within_radius(samples[i].position, kAround_m, kMost))
                 values.push_back(shifts[j][axis]);
             if (!values.empty()) medians[i][axis] = compute_median(std::move(values));
         }
     return medians;
 }
 
-/// Makes one surfel for each sample. `gait` says when the surfel is visible and how it
+/// Makes one surfel for each sample. `gaits` says when the surfel is visible and how it
 /// moves while the actor walks.
-Surfels make_surfels_at(const std::vector<Sample>& samples, const std::vector<Gait>& gait,
-                        const InitialiseOptions& options, double incidence) {
+Surfels make_surfels_with_gait(const std::vector<LidarSample>& samples,
+                               const std::vector<GaitPhaseWindow>& gaits,
+                               const SceneInitialisationOptions& options, double incidence_coefficient) {
     std::vector<std::uint32_t> order;
-    Surfels surfels = make_surfels_from_points(samples, options, incidence, {}, &order);
-    surfels.add_gait();
-    for (std::size_t i = 0; i < order.size(); ++i) surfels.gait[i] = gait[order[i]];
+    Surfels surfels = make_surfels_from_points(samples, options, incidence_coefficient, {}, &order);
+    surfels.add_gait_without_motion();
+    for (std::size_t i = 0; i < order.size(); ++i) surfels.gait[i] = gaits[order[i]];
     return surfels;
 }
 
 /// Returns true for each sample at a static position, where most frames have a point.
-std::vector<char> find_static_samples(const std::vector<Sample>& samples, const Frames& frames) {
-    std::vector<char> rests(samples.size());
+std::vector<char> mark_static_samples(const std::vector<LidarSample>& samples, const SamplesByFrame& frames) {
+    std::vector<char> is_static(samples.size());
     const std::size_t step = frames.size() / kCompared + 1;
-    for_each_block(samples.size(), [&](std::size_t index) {
-        std::size_t n_seen = 0, n_frames = 0;
+    parallel_for_in_blocks(samples.size(), [&](std::size_t index) {
+        std::size_t n_frames_with_point = 0, n_frames = 0;
         for (std::size_t k = 0; k < frames.size(); k += step, ++n_frames)
-            n_seen += frames[k]->has_point_at(samples[index].position);
-        rests[index] = double(n_seen) >= kResting * double(n_frames);
+            n_frames_with_point += frames[k]->has_sample_near(samples[index].position);
+        is_static[index] = double(n_frames_with_point) >= kResting * double(n_frames);
     });
-    return rests;
+    return is_static;
 }
 
 /// Makes the surfels that represent an actor in one frame. The farther the actor walks
 /// from the position of this frame, the more transparent they become. The curve is a
 /// Gaussian whose standard deviation is the distance between two frames.
-Surfels make_surfels_of_frame(const Frames& frames, std::size_t index, const std::vector<Sample>& samples,
-                              const std::vector<Sample>& changing, double period_m,
-                              const InitialiseOptions& options, double incidence) {
-    const FrameSamples& frame = *frames[index];
-    std::vector<glm::vec3> shifts(changing.size());
-    for_each_block(changing.size(), [&](std::size_t i) {
-        shifts[i] = estimate_shift_per_frame(frames, index, samples, changing[i]);
+Surfels make_surfels_of_frame(const SamplesByFrame& frames, std::size_t frame_index,
+                              const std::vector<LidarSample>& samples,
+                              const std::vector<LidarSample>& changing_samples, double period_m,
+                              const SceneInitialisationOptions& options, double incidence_coefficient) {
+    const FrameSamples& frame = *frames[frame_index];
+    std::vector<glm::vec3> shifts(changing_samples.size());
+    parallel_for_in_blocks(changing_samples.size(), [&](std::size_t i) {
+        shifts[i] = estimate_surface_shift_per_frame(frames, frame_index, samples, changing_samples[i]);
     });
-    std::vector<Gait> gait;
-    for (const glm::vec3& shift : smooth_shifts_by_median(changing, shifts))
+    std::vector<GaitPhaseWindow> gait;
+    for (const glm::vec3& shift : smooth_shifts_by_median(changing_samples, shifts))
         gait.push_back({float(frame.walked_m / period_m), float(period_m / (2.0 * kPi * frame.spacing_m)),
                         float(period_m / (2.0 * kPi * frame.spacing_m)) * shift});
-    return make_surfels_at(changing, gait, options, incidence);
+    return make_surfels_with_gait(changing_samples, gait, options, incidence_coefficient);
 }
 
 }  // namespace
 
-ChangingSurfels make_changing_surfels(const std::vector<Sample>& samples, const InitialiseOptions& options,
-                                      double incidence, std::size_t max_count, const Progress& progress) {
-    const Frames frames = group_samples_by_frame(samples);
+DeformingActorSurfels make_surfels_of_changing_actor(const std::vector<LidarSample>& samples,
+                                                     const SceneInitialisationOptions& options,
+                                                     double incidence_coefficient, std::size_t max_surfels,
+                                                     const ProgressReporter& progress) {
+    const SamplesByFrame frames = group_samples_by_frame(samples);
     if (frames.size() < kFewestChanging)
         return {
             {},
@@ -175,28 +185,30 @@ ChangingSurfels make_changing_surfels(const std::vector<Sample>& samples, const 
     if (recorded_m < kFewestWalked_m)
         return {
             {}, 0.0, fmt::format("it walked {:.1f} m, expected at least {} m", recorded_m, kFewestWalked_m)};
-    ChangingSurfels actor;
+    DeformingActorSurfels actor;
     actor.period_m = recorded_m * (1.0 + kFramesBetween / double(frames.size() - 1));
-    const std::vector<char> rests = find_static_samples(samples, frames);
-    std::vector<Sample> resting;
+    const std::vector<char> rests = mark_static_samples(samples, frames);
+    std::vector<LidarSample> resting;
     for (std::size_t i = 0; i < samples.size(); ++i)
         if (rests[i]) resting.push_back(samples[i]);
     if (!resting.empty()) {
-        resting = thin_samples(resting, max_count / 2);
-        actor.surfels = make_surfels_at(resting, std::vector<Gait>(resting.size()), options, incidence);
+        resting = select_one_sample_per_voxel(resting, max_surfels / 2);
+        actor.surfels = make_surfels_with_gait(resting, std::vector<GaitPhaseWindow>(resting.size()), options,
+                                               incidence_coefficient);
     }
-    const std::size_t most_in_frame = std::max((max_count - actor.surfels.size()) / frames.size(), kInFrame);
+    const std::size_t most_in_frame =
+        std::max((max_surfels - actor.surfels.size()) / frames.size(), kInFrame);
     for (std::size_t k = 0; k < frames.size(); ++k) {
         if (progress) progress("steps of actors", double(k) / double(frames.size()));
-        std::vector<Sample> changing;
+        std::vector<LidarSample> changing;
         for (const std::uint32_t i : frames[k]->index.cloud.of)
             if (!rests[i]) changing.push_back(samples[i]);
         if (changing.empty()) continue;
-        changing = thin_samples(changing, most_in_frame);
-        actor.surfels.append(
-            make_surfels_of_frame(frames, k, samples, changing, actor.period_m, options, incidence));
+        changing = select_one_sample_per_voxel(changing, most_in_frame);
+        actor.surfels.append(make_surfels_of_frame(frames, k, samples, changing, actor.period_m, options,
+                                                   incidence_coefficient));
     }
-    actor.surfels = actor.surfels.reorder(compute_kd_order(actor.surfels.mean));
+    actor.surfels = actor.surfels.reorder(compute_kd_tree_order(actor.surfels.mean));
     return actor;
 }
 

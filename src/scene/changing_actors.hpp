@@ -13,7 +13,7 @@
 namespace relidar {
 
 /// Surfels of an actor whose shape changes.
-struct ChangingSurfels {
+struct DeformingActorSurfels {
     Surfels surfels;
     double period_m = 0.0;       ///< Walked distance after which the motion repeats.
     std::string why_rigid = {};  ///< Reason why there are no such surfels; empty if there are some.
@@ -23,11 +23,13 @@ struct ChangingSurfels {
 /// surfel there is always visible and at rest.
 /// @param samples  points in the frame of the box, each with the distance that the actor
 /// had walked
-/// @param max_count  maximum number of surfels, but at least 200 per frame are allowed
+/// @param max_surfels  maximum number of surfels, but at least 200 per frame are allowed
 /// @param progress called during the work; if it throws an exception, the function stops
 /// @return surfels and their period. The result is empty, with period 0, if there are
 /// fewer than three frames. It is also empty if the actor walks less than half a metre.
-ChangingSurfels make_changing_surfels(const std::vector<Sample>& samples, const InitialiseOptions& options,
-                                      double incidence, std::size_t max_count, const Progress& progress = {});
+DeformingActorSurfels make_surfels_of_changing_actor(const std::vector<LidarSample>& samples,
+                                                     const SceneInitialisationOptions& options,
+                                                     double incidence_coefficient, std::size_t max_surfels,
+                                                     const ProgressReporter& progress = {});
 
 }  // namespace relidar

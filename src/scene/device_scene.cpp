@@ -24,20 +24,20 @@ static_assert(sizeof(shared::SurfelRecord) == 64 && sizeof(shared::InstanceEntry
 
 namespace {
 
-void check_primitive(Primitive primitive, const ImageModel& model) {
-    if (primitive == model.primitive) return;
+void check_primitives_match(PrimitiveType scene_primitive, const ImageFormationModel& image_model) {
+    if (scene_primitive == image_model.primitive) return;
     throw UsageError(
         fmt::format("cannot use image.primitive={}: the scene consists of {}; use image.primitive={}, "
                     "because the primitive cannot change after training",
-                    get_primitive_kind(model.primitive).name, get_primitive_kind(primitive).label,
-                    get_primitive_kind(primitive).name));
+                    get_primitive_kind(image_model.primitive).name, get_primitive_kind(scene_primitive).label,
+                    get_primitive_kind(scene_primitive).name));
 }
 
-void check_layout(const Scene& scene) {
+void check_scene_layout(const Scene& scene) {
     // Checks that the surfels of each model follow those of the previous model. The
     // kernels need this order, because they find the model of a surfel by binary search.
     std::size_t next = 0;
-    for (const Model& model : scene.models) {
+    for (const SurfelModel& model : scene.models) {
         if (model.first != next)
             throw DataError(fmt::format(
                 "cannot load the scene: model {} starts at surfel {}, expected {}, which is the end of "
@@ -48,25 +48,25 @@ void check_layout(const Scene& scene) {
     if (next != scene.surfels.size())
         throw DataError(fmt::format("cannot load the scene: the models end at surfel {}, expected {}", next,
                                     scene.surfels.size()));
-    for (const Instance& instance : scene.instances)
+    for (const ModelInstance& instance : scene.instances)
         if (instance.model >= scene.models.size())
             throw DataError(fmt::format(
                 "cannot load the scene: an instance uses model {}, expected the index of one of {} models",
                 instance.model, scene.models.size()));
 }
 
-std::vector<Constant> make_activation_constants(bool stage_harmonics) {
-    std::vector<Constant> all{{ConstantId::STAGED, stage_harmonics ? 1u : 0u}};
+std::vector<SpecialisationConstant> make_activation_kernel_constants(bool stage_harmonics) {
+    std::vector<SpecialisationConstant> all{{SpecialisationConstantId::STAGED, stage_harmonics ? 1u : 0u}};
     // Limits a workgroup to 64 threads, so that it needs only 4.4 kB of shared memory. It
     // then has one or two subgroups, depending on the device.
-    if (stage_harmonics) all.push_back({ConstantId::WORKGROUP_SIZE, 64u});
+    if (stage_harmonics) all.push_back({SpecialisationConstantId::WORKGROUP_SIZE, 64u});
     return all;
 }
 
 /// Rows of the gradient array for each instance (a model with a pose). The first instance
 /// of a model uses the rows of the model's surfels. The rows of further instances follow
 /// at the end of the array, sorted by model.
-struct Placements {
+struct InstanceGradientRows {
     std::vector<std::uint32_t> first_row;  ///< [instances] first gradient row of each instance
     /// [models] index of the first instance of each model, or -1 if the model has no
     /// instance
@@ -78,13 +78,13 @@ struct Placements {
     std::vector<std::uint32_t> first_more;
     std::uint32_t n_rows;
 
-    Placements(const Scene& scene, std::uint32_t n_surfels)
+    InstanceGradientRows(const Scene& scene, std::uint32_t n_surfels)
         : first_row(scene.instances.size()),
           first_instance(scene.models.size(), -1),
           first_more(scene.models.size() + 1, 0),
           n_rows(n_surfels) {
         std::vector<std::uint32_t> placed(scene.models.size(), 0);
-        for (const Instance& instance : scene.instances) ++placed[instance.model];
+        for (const ModelInstance& instance : scene.instances) ++placed[instance.model];
         std::vector<std::uint32_t> next_row(scene.models.size());
         for (std::size_t model = 0; model < scene.models.size(); ++model) {
             const std::uint32_t n_more = std::max(placed[model], 1u) - 1;
@@ -103,10 +103,10 @@ struct Placements {
     }
 };
 
-std::vector<shared::ModelEntry> make_model_table(const Scene& scene, const Placements& placements) {
+std::vector<shared::ModelEntry> make_model_table(const Scene& scene, const InstanceGradientRows& placements) {
     std::vector<shared::ModelEntry> entries;
     for (std::size_t i = 0; i < scene.models.size(); ++i) {
-        const Model& model = scene.models[i];
+        const SurfelModel& model = scene.models[i];
         entries.push_back({.first_surfel = model.first,
                            .n_surfels = model.count,
                            .half_size = model.half_size_m,
@@ -121,60 +121,61 @@ std::vector<shared::ModelEntry> make_model_table(const Scene& scene, const Place
 
 struct DeviceScene::Impl {
     Scene layout;
-    Placements placements;
+    InstanceGradientRows placements;
     Array<shared::ModelEntry> models;
     Array<std::uint32_t, shared::FurtherRows> more_rows;
     SurfelArrays parameters;
     Array<shared::SurfelRecord> records;
     Array<shared::InstanceEntry> instances;
     std::vector<InstancePose> poses;
-    float alpha_min = ImageModel{}.alpha_min;
+    float alpha_min = ImageFormationModel{}.alpha_min;
     Kernel<shared::ActivateParams> activate;
     Kernel<shared::ActivateVjpParams> activate_vjp;
     /// List of the surfels that have a gradient. Exists only if the kernels do not stage
     /// the spherical harmonics in shared memory.
-    std::optional<TouchedList> list;
+    std::optional<TouchedSurfelList> list;
 
     Impl(Device& device, const Scene& scene, bool stage_harmonics)
-        : layout(copy_layout(scene)),
+        : layout(copy_scene_without_surfels(scene)),
           placements(scene, static_cast<std::uint32_t>(scene.surfels.size())),
           models(device, make_model_table(scene, placements), "model table"),
           more_rows(device, placements.more, "rows of further placements"),
           parameters(device, static_cast<std::uint32_t>(scene.surfels.size()), "surfel",
-                     scene.surfels.parameters()),
+                     scene.surfels.get_parameter_set()),
           records(device, scene.surfels.size(), "surfel records"),
           instances(device, scene.instances.size(), "instance table"),
-          activate(device, "scene/activate", make_activation_constants(stage_harmonics)),
-          activate_vjp(device, "scene/activate_vjp", make_activation_constants(stage_harmonics)) {
+          activate(device, "scene/activate", make_activation_kernel_constants(stage_harmonics)),
+          activate_vjp(device, "scene/activate_vjp", make_activation_kernel_constants(stage_harmonics)) {
         if (!stage_harmonics) list.emplace(device);
     }
 
-    std::uint32_t n_models() const { return static_cast<std::uint32_t>(layout.models.size()); }
+    std::uint32_t count_models() const { return static_cast<std::uint32_t>(layout.models.size()); }
 
     /// Stores the poses of all instances, and returns the instance table for the device.
     /// An entry holds the transform from world to model, the motion, and the range of
     /// surfels. An absent instance has no surfels.
-    std::vector<shared::InstanceEntry> make_instance_table(const std::vector<InstancePose>& placed) {
-        if (placed.size() != layout.instances.size())
+    std::vector<shared::InstanceEntry> store_poses_and_make_table(
+        const std::vector<InstancePose>& instance_poses) {
+        if (instance_poses.size() != layout.instances.size())
             throw DataError(fmt::format("cannot place the instances: found {} poses, expected {}",
-                                        placed.size(), layout.instances.size()));
-        poses = placed;
+                                        instance_poses.size(), layout.instances.size()));
+        poses = instance_poses;
         std::vector<shared::InstanceEntry> entries;
-        for (std::size_t i = 0; i < placed.size(); ++i) {
-            const PoseMotion& motion = placed[i].motion;
-            const Pose model_from_world = inverse(placed[i].world_from_model);
+        for (std::size_t i = 0; i < instance_poses.size(); ++i) {
+            const PoseMotion& motion = instance_poses[i].motion;
+            const Pose model_from_world = inverse(instance_poses[i].world_from_model);
             const glm::mat4 m(to_matrix(model_from_world));
-            const Model& model = layout.models[layout.instances[i].model];
+            const SurfelModel& model = layout.models[layout.instances[i].model];
             entries.push_back({{m[0].x, m[1].x, m[2].x, m[3].x},
                                {m[0].y, m[1].y, m[2].y, m[3].y},
                                {m[0].z, m[1].z, m[2].z, m[3].z},
                                model.first,
-                               placed[i].present ? model.count : 0u,
+                               instance_poses[i].present ? model.count : 0u,
                                placements.first_row[i],
-                               motion.is_none() ? 0u : 1u,
+                               motion.is_stationary() ? 0u : 1u,
                                glm::vec3(model_from_world.rotation * motion.velocity_mps),
                                static_cast<float>(motion.middle_s),
-                               glm::vec3(model_from_world.rotation * motion.turn_radps),
+                               glm::vec3(model_from_world.rotation * motion.angular_velocity_radps),
                                static_cast<float>(motion.half_span_s)});
         }
         return entries;
@@ -183,20 +184,21 @@ struct DeviceScene::Impl {
     /// Returns the view origin in the frame of each model. If a model has several
     /// instances, uses the pose of the first instance.
     /// @return [models], valid for the next submission
-    Address<glm::vec3> upload_view_origins(Stream& stream, const glm::vec3& world) const {
+    Address<glm::vec3> upload_view_origin_per_model(Stream& stream,
+                                                    const glm::vec3& view_origin_world_m) const {
         std::vector<glm::vec3> origins;
         for (const std::int64_t i : placements.first_instance)
-            origins.push_back(i < 0 ? world
+            origins.push_back(i < 0 ? view_origin_world_m
                                     : glm::vec3(inverse(poses[static_cast<std::size_t>(i)].world_from_model) *
-                                                glm::dvec3(world)));
-        return stream.impl().values(origins);
+                                                glm::dvec3(view_origin_world_m)));
+        return stream.impl().store_host_values(origins);
     }
 
     /// Returns the phase of the walking motion of each model. If a model has several
     /// instances, uses the first instance.
     /// @return [models] phase as a fraction of a stride, 0..1; negative for rigid models.
     /// The address is null if all models are rigid.
-    Address<float> upload_gait_phases(Stream& stream) const {
+    Address<float> upload_gait_phase_per_model(Stream& stream) const {
         if (!parameters.bends) return {};
         std::vector<float> all;
         for (std::size_t m = 0; m < layout.models.size(); ++m) {
@@ -205,73 +207,78 @@ struct DeviceScene::Impl {
             all.push_back(layout.models[m].stride_m > 0.0f ? static_cast<float>(turns - std::floor(turns))
                                                            : -1.0f);
         }
-        return stream.impl().values(all);
+        return stream.impl().store_host_values(all);
     }
 };
 
 DeviceScene::DeviceScene(Device& device, const Scene& scene, std::optional<bool> stage_harmonics) {
-    check_layout(scene);
+    check_scene_layout(scene);
     impl_ = std::make_unique<Impl>(device, scene, stage_harmonics.value_or(prefers_coalesced_access(device)));
     impl_->parameters.upload(scene.surfels);
-    set_poses(std::vector<Pose>(scene.instances.size()));
+    set_instance_poses(std::vector<Pose>(scene.instances.size()));
 }
 
 DeviceScene::~DeviceScene() = default;
 
-void DeviceScene::set_poses(const std::vector<Pose>& world_from_instance) {
+void DeviceScene::set_instance_poses(const std::vector<Pose>& world_from_instance) {
     std::vector<InstancePose> placed;
     for (const Pose& pose : world_from_instance) placed.push_back({pose});
-    set_poses(placed);
+    set_instance_poses(placed);
 }
 
-void DeviceScene::set_poses(const std::vector<InstancePose>& placed) {
-    impl_->instances.upload(impl_->make_instance_table(placed));
+void DeviceScene::set_instance_poses(const std::vector<InstancePose>& instance_poses) {
+    impl_->instances.upload(impl_->store_poses_and_make_table(instance_poses));
 }
 
-void DeviceScene::place(Stream& stream, const std::vector<InstancePose>& placed) {
-    const std::vector<shared::InstanceEntry> entries = impl_->make_instance_table(placed);
-    stream.impl().write(impl_->instances.buffer(), entries.data(), entries.size() * sizeof(entries[0]));
+void DeviceScene::record_instance_poses(Stream& stream, const std::vector<InstancePose>& instance_poses) {
+    const std::vector<shared::InstanceEntry> entries = impl_->store_poses_and_make_table(instance_poses);
+    stream.impl().record_buffer_write(impl_->instances.buffer(), entries.data(),
+                                      entries.size() * sizeof(entries[0]));
 }
 
-void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m) {
+void DeviceScene::compute_surfel_records(Stream& stream, const ImageFormationModel& model,
+                                         const glm::vec3& view_origin_m) {
     impl_->alpha_min = model.alpha_min;
     if (size() == 0) return;
-    check_primitive(primitive(), model);
+    check_primitives_match(primitive(), model);
     run(stream, impl_->activate, size(),
         {.surfels = get_surfel_pointers(impl_->parameters),
          .records = impl_->records.address(),
          .models = impl_->models.address(),
-         .view_origins = impl_->upload_view_origins(stream, view_origin_m),
-         .phases = impl_->upload_gait_phases(stream).as<shared::GaitPhases>(),
+         .view_origins = impl_->upload_view_origin_per_model(stream, view_origin_m),
+         .phases = impl_->upload_gait_phase_per_model(stream).cast_meaning<shared::GaitPhases>(),
          .alpha_min = model.alpha_min,
          .n_surfels = size(),
-         .n_models = impl_->n_models(),
+         .n_models = impl_->count_models(),
          .sh_degree = static_cast<std::uint32_t>(model.sh_degree),
          .sh_per_surfel = model.sh_direction == ShDirection::surfel ? 1u : 0u});
 }
 
 bool DeviceScene::can_skip_untouched_surfels() const { return impl_->list.has_value(); }
 
-void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m,
-                               const ActivationGradients& gradients) {
+void DeviceScene::backpropagate_surfel_records(Stream& stream, const ImageFormationModel& model,
+                                               const glm::vec3& view_origin_m,
+                                               const ActivationGradients& gradients) {
     if (size() == 0) return;
     const bool listed =
         gradients.touched_is_marked && can_skip_untouched_surfels() && !gradients.zero_untouched;
-    if (listed) impl_->list->find(stream, gradients.touched->address(), size());
-    run(stream, impl_->activate_vjp, listed ? impl_->list->threads(size()) : size(),
+    if (listed) impl_->list->collect_touched_rows(stream, gradients.touched->address(), size());
+    run(stream, impl_->activate_vjp, listed ? impl_->list->choose_thread_count(size()) : size(),
         {.surfels = get_surfel_pointers(impl_->parameters),
          .d_records = gradients.d_records->address(),
          .models = impl_->models.address(),
          .more_rows = impl_->more_rows.address(),
-         .view_origins = impl_->upload_view_origins(stream, view_origin_m),
-         .phases = impl_->upload_gait_phases(stream).as<shared::GaitPhases>(),
+         .view_origins = impl_->upload_view_origin_per_model(stream, view_origin_m),
+         .phases = impl_->upload_gait_phase_per_model(stream).cast_meaning<shared::GaitPhases>(),
          .d_surfels = get_surfel_pointers(*gradients.d_surfels),
          .touched = gradients.touched->address(),
-         .rows = listed ? impl_->list->rows() : Address<std::uint32_t, shared::TouchedRows>{},
-         .n_listed = listed ? impl_->list->count() : Address<std::uint32_t, shared::TouchedCount>{},
+         .rows =
+             listed ? impl_->list->get_touched_rows_address() : Address<std::uint32_t, shared::TouchedRows>{},
+         .n_listed = listed ? impl_->list->get_touched_count_address()
+                            : Address<std::uint32_t, shared::TouchedCount>{},
          .d_view = get_address(gradients.d_view),
          .n_surfels = size(),
-         .n_models = impl_->n_models(),
+         .n_models = impl_->count_models(),
          .sh_degree = static_cast<std::uint32_t>(model.sh_degree),
          .sh_per_surfel = model.sh_direction == ShDirection::surfel ? 1u : 0u,
          .zero_untouched = gradients.zero_untouched ? 1u : 0u});
@@ -282,7 +289,7 @@ void DeviceScene::reserve(Device& device, std::uint32_t capacity) {
     impl_->records.reserve(device, capacity, "surfel records");
 }
 
-void DeviceScene::set_models(const std::vector<Model>& models) {
+void DeviceScene::set_models(const std::vector<SurfelModel>& models) {
     const std::uint32_t n = models.empty() ? 0u : models.back().first + models.back().count;
     RELIDAR_ASSERT_LE(n, impl_->parameters.capacity());
     RELIDAR_ASSERT_LE(std::size_t(n), impl_->records.size());
@@ -290,33 +297,34 @@ void DeviceScene::set_models(const std::vector<Model>& models) {
     impl_->parameters.n = n;
     // The number of instances does not change, so the new tables are as long as the old
     // tables. They can be uploaded into the same buffers.
-    impl_->placements = Placements(impl_->layout, n);
+    impl_->placements = InstanceGradientRows(impl_->layout, n);
     impl_->models.upload(make_model_table(impl_->layout, impl_->placements));
     impl_->more_rows.upload(impl_->placements.more);
 }
 
-bool DeviceScene::has_new_gait_phases(const std::vector<InstancePose>& placed) const {
+bool DeviceScene::has_new_gait_phases(const std::vector<InstancePose>& instance_poses) const {
     if (!impl_->parameters.bends) return false;
-    for (std::size_t i = 0; i < std::min(placed.size(), impl_->poses.size()); ++i) {
+    for (std::size_t i = 0; i < std::min(instance_poses.size(), impl_->poses.size()); ++i) {
         const bool bends = impl_->layout.models[impl_->layout.instances[i].model].stride_m > 0.0f;
-        if (bends && placed[i].present && placed[i].phase != impl_->poses[i].phase) return true;
+        if (bends && instance_poses[i].present && instance_poses[i].phase != impl_->poses[i].phase)
+            return true;
     }
     return false;
 }
 
-const std::vector<InstancePose>& DeviceScene::poses() const { return impl_->poses; }
-const Scene& DeviceScene::layout() const { return impl_->layout; }
-SurfelArrays& DeviceScene::parameters() { return impl_->parameters; }
-const SurfelArrays& DeviceScene::parameters() const { return impl_->parameters; }
-const Array<shared::SurfelRecord>& DeviceScene::records() const { return impl_->records; }
-const Array<shared::ModelEntry>& DeviceScene::models() const { return impl_->models; }
-const Array<shared::InstanceEntry>& DeviceScene::instances() const { return impl_->instances; }
+const std::vector<InstancePose>& DeviceScene::get_instance_poses() const { return impl_->poses; }
+const Scene& DeviceScene::get_scene_layout() const { return impl_->layout; }
+SurfelArrays& DeviceScene::get_surfel_parameters() { return impl_->parameters; }
+const SurfelArrays& DeviceScene::get_surfel_parameters() const { return impl_->parameters; }
+const Array<shared::SurfelRecord>& DeviceScene::get_surfel_records() const { return impl_->records; }
+const Array<shared::ModelEntry>& DeviceScene::get_model_table() const { return impl_->models; }
+const Array<shared::InstanceEntry>& DeviceScene::get_instance_table() const { return impl_->instances; }
 float DeviceScene::alpha_min() const { return impl_->alpha_min; }
-Primitive DeviceScene::primitive() const { return impl_->parameters.primitive; }
+PrimitiveType DeviceScene::primitive() const { return impl_->parameters.primitive; }
 std::uint32_t DeviceScene::size() const { return impl_->parameters.n; }
 std::uint32_t DeviceScene::get_first_gradient_row(std::size_t instance) const {
     return impl_->placements.first_row[instance];
 }
-std::uint32_t DeviceScene::gradient_rows() const { return impl_->placements.n_rows; }
+std::uint32_t DeviceScene::count_gradient_rows() const { return impl_->placements.n_rows; }
 
 }  // namespace relidar

@@ -32,22 +32,22 @@ constexpr double kSlowest_mps = 0.4, kFastest_mps = 50.0;
 constexpr double kVehicle_m = 1.2;  // objects that are at least this long are vehicles, not people
 // Minimum distance that a moving object must travel, as a multiple of the longer side of
 // its box. A static object can seem to move by less, because its visible part changes.
-constexpr double kWayOfSize = 0.9;
+constexpr double kMinTravelPerSize = 0.9;
 constexpr double kStraightness = 0.5;  // minimum ratio of net motion to path length
 // Maximum turn of a vehicle: radians per metre of its path, plus a constant angle. A
 // vehicle cannot turn on the spot.
-constexpr double kTurnPer_m = 0.4, kTurn_rad = 0.5;
+constexpr double kMaxRotationPer_m = 0.4, kMaxExtraRotation_rad = 0.5;
 
 /// Motion of a box: the distance from the first to the last position, the length of the
 /// path, and the total turn.
-struct Travel {
-    double net_m = 0.0, path_m = 0.0, turned_rad = 0.0;
+struct BoxTravel {
+    double net_m = 0.0, path_m = 0.0, rotation_rad = 0.0;
 };
-Travel measure_travel(const PoseTrack& track) {
-    Travel travel;
+BoxTravel compute_track_travel(const PoseTrack& track) {
+    BoxTravel travel;
     for (std::size_t i = 1; i < track.pose.size(); ++i) {
         travel.path_m += glm::distance(track.pose[i - 1].translation, track.pose[i].translation);
-        travel.turned_rad +=
+        travel.rotation_rad +=
             glm::angle(glm::normalize(glm::inverse(track.pose[i - 1].rotation) * track.pose[i].rotation));
     }
     travel.net_m = glm::distance(track.pose.front().translation, track.pose.back().translation);
@@ -56,15 +56,16 @@ Travel measure_travel(const PoseTrack& track) {
 
 /// Returns true if the size, the speed and the motion of a box are plausible. The box
 /// must move farther than a changing view of a static object can explain.
-bool is_plausible(const BoxTrack& box) {
+bool is_plausible_moving_box(const BoxTrack& box) {
     const std::vector<double> speeds = compute_speeds_mps(box);
     const double fastest = speeds.empty() ? 0.0 : std::ranges::max(speeds),
                  longest = std::max(box.size_m.x, box.size_m.y);
-    const Travel travel = measure_travel(box.world_from_box);
+    const BoxTravel travel = compute_track_travel(box.world_from_box);
     const bool turns_on_the_spot =
-        longest > kVehicle_m && travel.turned_rad > kTurn_rad + kTurnPer_m * travel.path_m;
+        longest > kVehicle_m &&
+        travel.rotation_rad > kMaxExtraRotation_rad + kMaxRotationPer_m * travel.path_m;
     return box.size_m.x < kLongest_m && box.size_m.y < kWidest_m && box.size_m.z < kTallest_m &&
-           fastest > kSlowest_mps && fastest < kFastest_mps && travel.net_m > kWayOfSize * longest &&
+           fastest > kSlowest_mps && fastest < kFastest_mps && travel.net_m > kMinTravelPerSize * longest &&
            travel.net_m > kStraightness * travel.path_m &&
            // `moves()` rejects a track whose only motion is a jump across a gap in time.
            !turns_on_the_spot && box.is_moving();
@@ -73,46 +74,46 @@ bool is_plausible(const BoxTrack& box) {
 /// Fits a box to a track if other frames prove that the object moved. First removes the
 /// returns at positions that are also occupied in other frames. Returns nothing if there
 /// is no proof, or if the motion is implausible.
-std::optional<BoxTrack> find_proven_box(const Visibility& visibility, MoverTrack& track) {
-    EvidenceSum sum;
-    const BoxTrack box = fit_track_box(track);
-    for (Observation& o : track.seen) sum += remove_static_returns(visibility, o.cluster, box);
-    if (!sum.has_proof_of_motion()) return std::nullopt;
-    std::erase_if(track.seen, [](const Observation& observation) {
+std::optional<BoxTrack> fit_box_if_motion_proven(const VisibilityChecker& visibility, MoverTrack& track) {
+    TrackMotionEvidence sum;
+    const BoxTrack box = fit_box_to_track(track);
+    for (MoverObservation& o : track.observations) sum += remove_static_returns(visibility, o.cluster, box);
+    if (!sum.is_proven_moving()) return std::nullopt;
+    std::erase_if(track.observations, [](const MoverObservation& observation) {
         return observation.cluster.points_m.size() < kFewestPoints;
     });
     if (!is_moving_track(track)) return std::nullopt;
-    BoxTrack result = fit_track_box(track);
-    if (!is_plausible(result)) return std::nullopt;
-    complete_size(result, track);
+    BoxTrack result = fit_box_to_track(track);
+    if (!is_plausible_moving_box(result)) return std::nullopt;
+    enlarge_box_to_typical_size(result, track);
     return result;
 }
 
 /// Extends a labelled box to the times before and after its labels. Uses only those parts
 /// of the track in which other frames prove that the object moved. Returns nothing if
 /// there is no such part.
-std::optional<BoxTrack> find_proven_track_extension(const Visibility& visibility, MoverTrack& track,
-                                                    const BoxTrack& label) {
-    const BoxTrack box = make_continued_box(track, label);
-    const double first_s = label.world_from_box.time_s.front();
-    EvidenceSum before, after;
-    const auto is_labelled = [](const Observation& observation) {
+std::optional<BoxTrack> extend_labelled_track_if_proven(const VisibilityChecker& visibility,
+                                                        MoverTrack& track, const BoxTrack& labelled_box) {
+    const BoxTrack box = extend_labelled_box(track, labelled_box);
+    const double first_s = labelled_box.world_from_box.time_s.front();
+    TrackMotionEvidence before, after;
+    const auto is_labelled = [](const MoverObservation& observation) {
         return observation.cluster.label != kNoLabel;
     };
-    for (Observation& o : track.seen)
+    for (MoverObservation& o : track.observations)
         if (!is_labelled(o))
             (o.frame_time_s < first_s ? before : after) += remove_static_returns(visibility, o.cluster, box);
-    std::erase_if(track.seen, [&](const Observation& observation) {
+    std::erase_if(track.observations, [&](const MoverObservation& observation) {
         return !is_labelled(observation) &&
                (observation.cluster.points_m.size() < kFewestPoints ||
-                !(observation.frame_time_s < first_s ? before : after).has_proof_of_motion());
+                !(observation.frame_time_s < first_s ? before : after).is_proven_moving());
     });
-    if (std::ranges::all_of(track.seen, is_labelled)) return std::nullopt;
-    return make_continued_box(track, label);
+    if (std::ranges::all_of(track.observations, is_labelled)) return std::nullopt;
+    return extend_labelled_box(track, labelled_box);
 }
 
 /// Fixed-size data of a box, for the exchange between processes.
-struct BoxHead {
+struct BoxRecord {
     glm::dvec3 size_m;
     std::uint64_t n_poses, n_before, n_after;
     std::int64_t label;
@@ -121,28 +122,29 @@ struct BoxHead {
 
 /// Collects the boxes from all processes of the group. The box of a labelled track gets
 /// the id and the class of the label.
-std::vector<BoxTrack> collect_proven_boxes(const ProcessGroup& group, const std::vector<MoverTrack>& tracks,
-                                           const std::vector<std::optional<BoxTrack>>& found,
-                                           std::size_t first, const Sequence& sequence) {
-    std::vector<BoxHead> heads;
+std::vector<BoxTrack> gather_boxes_of_all_processes(const ProcessGroup& group,
+                                                    const std::vector<MoverTrack>& tracks,
+                                                    const std::vector<std::optional<BoxTrack>>& found_boxes,
+                                                    std::size_t first_track, const LidarSequence& sequence) {
+    std::vector<BoxRecord> heads;
     std::vector<double> times_s;
     std::vector<Pose> poses;
-    for (std::size_t i = 0; i < found.size(); ++i) {
-        if (!found[i]) continue;
-        const BoxTrack& box = *found[i];
+    for (std::size_t i = 0; i < found_boxes.size(); ++i) {
+        if (!found_boxes[i]) continue;
+        const BoxTrack& box = *found_boxes[i];
         const PoseTrack& track = box.world_from_box;
-        BoxHead& head = heads.emplace_back(
-            BoxHead{box.size_m, track.pose.size(), box.n_before, box.n_after, tracks[first + i].label, {}});
+        BoxRecord& head = heads.emplace_back(BoxRecord{
+            box.size_m, track.pose.size(), box.n_before, box.n_after, tracks[first_track + i].label, {}});
         std::strncpy(head.size_guess.data(), box.size_guess.c_str(), head.size_guess.size() - 1);
         times_s.insert(times_s.end(), track.time_s.begin(), track.time_s.end());
         poses.insert(poses.end(), track.pose.begin(), track.pose.end());
     }
-    heads = group.gather_all(std::move(heads));
-    times_s = group.gather_all(std::move(times_s));
-    poses = group.gather_all(std::move(poses));
+    heads = group.gather_from_all_processes(std::move(heads));
+    times_s = group.gather_from_all_processes(std::move(times_s));
+    poses = group.gather_from_all_processes(std::move(poses));
     std::vector<BoxTrack> boxes;
     std::ptrdiff_t at = 0;
-    for (const BoxHead& head : heads) {
+    for (const BoxRecord& head : heads) {
         const std::ptrdiff_t end = at + std::ptrdiff_t(head.n_poses);
         const BoxTrack* label = head.label == kNoLabel ? nullptr : &sequence.boxes[std::size_t(head.label)];
         boxes.push_back(
@@ -160,52 +162,56 @@ std::vector<BoxTrack> collect_proven_boxes(const ProcessGroup& group, const std:
 
 /// Returns the boxes of all objects that are proven to have moved. If several processes
 /// work together, each process checks a share of the tracks.
-std::vector<BoxTrack> find_proven_boxes(Visibility& visibility, std::vector<MoverTrack>& tracks,
-                                        const Sequence& sequence, const Progress& progress,
-                                        const ProcessGroup& group) {
-    const ProcessGroup::Share share = group.share(tracks.size());
+std::vector<BoxTrack> fit_boxes_of_proven_movers(VisibilityChecker& visibility,
+                                                 std::vector<MoverTrack>& tracks,
+                                                 const LidarSequence& sequence,
+                                                 const ProgressReporter& progress,
+                                                 const ProcessGroup& group) {
+    const ProcessGroup::PartRange share = group.compute_assigned_range(tracks.size());
     for (std::size_t i = share.begin; i < share.end; ++i)
-        for (const Observation& o : tracks[i].seen) visibility.request_images(o.cluster.points_m);
-    std::vector<std::optional<BoxTrack>> found(share.end - share.begin);
-    for_each_with_progress(found.size(), progress, "paths of movers", [&](std::size_t index) {
+        for (const MoverObservation& o : tracks[i].observations)
+            visibility.create_range_images(o.cluster.points_m);
+    std::vector<std::optional<BoxTrack>> proven_boxes(share.end - share.begin);
+    parallel_for_with_progress(proven_boxes.size(), progress, "paths of movers", [&](std::size_t index) {
         MoverTrack& track = tracks[share.begin + index];
-        found[index] =
-            track.label == kNoLabel
-                ? find_proven_box(visibility, track)
-                : find_proven_track_extension(visibility, track, sequence.boxes[std::size_t(track.label)]);
+        proven_boxes[index] = track.label == kNoLabel
+                                  ? fit_box_if_motion_proven(visibility, track)
+                                  : extend_labelled_track_if_proven(visibility, track,
+                                                                    sequence.boxes[std::size_t(track.label)]);
     });
-    return collect_proven_boxes(group, tracks, found, share.begin, sequence);
+    return gather_boxes_of_all_processes(group, tracks, proven_boxes, share.begin, sequence);
 }
 
 /// Returns true if two boxes belong to the same object. This is the case if the centre of
-/// `part` is inside `box`, plus a margin, for more than half of the time.
-bool is_part_of_box(const BoxTrack& part, const BoxTrack& box) {
+/// `inner_box` is inside `outer_box`, plus a margin, for more than half of the time.
+bool is_mostly_inside_box(const BoxTrack& inner_box, const BoxTrack& outer_box) {
     const double margin =
-        std::max(box.size_m.x, box.size_m.y) < kVehicle_m ? kFragment_m : kVehicleFragment_m;
+        std::max(outer_box.size_m.x, outer_box.size_m.y) < kVehicle_m ? kFragment_m : kVehicleFragment_m;
     std::size_t inside = 0;
-    for (std::size_t i = 0; i < part.world_from_box.time_s.size(); ++i) {
-        const double t_s = part.world_from_box.time_s[i];
-        inside += box.is_present(t_s) && box.holds(part.world_from_box.pose[i].translation, t_s, margin);
+    for (std::size_t i = 0; i < inner_box.world_from_box.time_s.size(); ++i) {
+        const double t_s = inner_box.world_from_box.time_s[i];
+        inside += outer_box.is_present(t_s) &&
+                  outer_box.contains_point(inner_box.world_from_box.pose[i].translation, t_s, margin);
     }
-    return 2 * inside > part.world_from_box.time_s.size();
+    return 2 * inside > inner_box.world_from_box.time_s.size();
 }
 
-bool is_continued_label(const BoxTrack& box) { return !box.id.empty(); }
+bool is_extension_of_label(const BoxTrack& box) { return !box.id.empty(); }
 
 /// Removes duplicate boxes of an object. Keeps the box with the most observations, or a
 /// box that extends a label. Boxes of different labels are never duplicates.
-std::vector<BoxTrack> remove_parts(std::vector<BoxTrack> boxes) {
+std::vector<BoxTrack> remove_duplicate_boxes(std::vector<BoxTrack> boxes) {
     std::ranges::stable_sort(boxes, [](const BoxTrack& first, const BoxTrack& second) {
-        return std::pair(is_continued_label(first), first.world_from_box.time_s.size()) >
-               std::pair(is_continued_label(second), second.world_from_box.time_s.size());
+        return std::pair(is_extension_of_label(first), first.world_from_box.time_s.size()) >
+               std::pair(is_extension_of_label(second), second.world_from_box.time_s.size());
     });
-    std::vector<BoxTrack> kept;
+    std::vector<BoxTrack> unique_boxes;
     for (const BoxTrack& box : boxes)
-        if (std::ranges::none_of(kept, [&](const BoxTrack& other) {
-                return is_continued_label(box) ? box.id == other.id : is_part_of_box(box, other);
+        if (std::ranges::none_of(unique_boxes, [&](const BoxTrack& other) {
+                return is_extension_of_label(box) ? box.id == other.id : is_mostly_inside_box(box, other);
             }))
-            kept.push_back(box);
-    return kept;
+            unique_boxes.push_back(box);
+    return unique_boxes;
 }
 
 /// Returns true if a box should be fitted to a track. The track must be an unlabelled
@@ -214,39 +220,41 @@ std::vector<BoxTrack> remove_parts(std::vector<BoxTrack> boxes) {
 bool should_fit_box(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
     if (track.label == kNoLabel)
         return is_moving_track(track) && !is_fixed_to_vehicle(track, world_from_vehicle);
-    return !std::ranges::all_of(
-        track.seen, [](const Observation& observation) { return observation.cluster.label != kNoLabel; });
+    return !std::ranges::all_of(track.observations, [](const MoverObservation& observation) {
+        return observation.cluster.label != kNoLabel;
+    });
 }
 
 /// Returns the boxes of the moving objects that one LiDAR observed.
-std::vector<BoxTrack> discover_with_lidar(int lidar, const Sequence& sequence, std::vector<int> positions,
-                                          const Progress& progress, const ProcessGroup& group) {
-    std::erase_if(positions,
-                  [&](int position) { return sequence.frames[std::size_t(position)].lidar != lidar; });
+std::vector<BoxTrack> discover_movers_of_lidar(int lidar_index, const LidarSequence& sequence,
+                                               std::vector<int> frame_indices,
+                                               const ProgressReporter& progress, const ProcessGroup& group) {
+    std::erase_if(frame_indices,
+                  [&](int position) { return sequence.frames[std::size_t(position)].lidar != lidar_index; });
     std::vector<double> times;
-    for (const int position : positions) times.push_back(sequence.frames[std::size_t(position)].time_s);
-    Visibility visibility(sequence, positions);
-    std::vector<MoverTrack> tracks =
-        link_clusters(find_mover_clusters(sequence, positions, visibility, progress, group), times, sequence);
+    for (const int position : frame_indices) times.push_back(sequence.frames[std::size_t(position)].time_s);
+    VisibilityChecker visibility(sequence, frame_indices);
+    std::vector<MoverTrack> tracks = link_clusters_to_tracks(
+        find_mover_clusters(sequence, frame_indices, visibility, progress, group), times, sequence);
     std::erase_if(
         tracks, [&](const MoverTrack& track) { return !should_fit_box(track, sequence.world_from_vehicle); });
-    join_parts(tracks);
-    return remove_parts(find_proven_boxes(visibility, tracks, sequence, progress, group));
+    merge_tracks_of_same_object(tracks);
+    return remove_duplicate_boxes(fit_boxes_of_proven_movers(visibility, tracks, sequence, progress, group));
 }
 
 /// Adds the boxes that another LiDAR found. If both LiDARs found the same object, prefers
 /// the box that extends a label. Otherwise keeps the existing box, unless the new box has
 /// more than 1.5 times as many observations. In this case the first LiDAR lost the
 /// object.
-void merge_movers_of_lidars(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> other_boxes) {
-    for (BoxTrack& other : other_boxes) {
+void merge_boxes_of_lidars(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> boxes_of_other_lidar) {
+    for (BoxTrack& other : boxes_of_other_lidar) {
         const auto is_same = [&](const BoxTrack& b) {
-            return is_continued_label(b) && is_continued_label(other)
+            return is_extension_of_label(b) && is_extension_of_label(other)
                        ? b.id == other.id
-                       : is_part_of_box(other, b) || is_part_of_box(b, other);
+                       : is_mostly_inside_box(other, b) || is_mostly_inside_box(b, other);
         };
         const auto stays = [&](const BoxTrack& b) {
-            if (is_continued_label(b) != is_continued_label(other)) return is_continued_label(b);
+            if (is_extension_of_label(b) != is_extension_of_label(other)) return is_extension_of_label(b);
             return 2 * other.world_from_box.time_s.size() <= 3 * b.world_from_box.time_s.size();
         };
         if (std::ranges::any_of(boxes, [&](const BoxTrack& b) { return is_same(b) && stays(b); })) continue;
@@ -257,18 +265,19 @@ void merge_movers_of_lidars(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> 
 
 }  // namespace
 
-std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions,
-                                      const Progress& progress, const ProcessGroup& group) {
+std::vector<BoxTrack> discover_tracks(const LidarSequence& sequence, const std::vector<int>& train_positions,
+                                      const ProgressReporter& progress, const ProcessGroup& group) {
     std::vector<BoxTrack> boxes;
     // Processes each LiDAR separately. If two LiDARs scan at the same time, joint
     // processing would add an object twice to one track.
     for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)
-        merge_movers_of_lidars(boxes, discover_with_lidar(lidar, sequence, train_positions, progress, group));
+        merge_boxes_of_lidars(boxes,
+                              discover_movers_of_lidar(lidar, sequence, train_positions, progress, group));
     std::stable_partition(boxes.begin(), boxes.end(),
-                          [](const BoxTrack& box) { return !is_continued_label(box); });
+                          [](const BoxTrack& box) { return !is_extension_of_label(box); });
     int n = 0;
     for (BoxTrack& box : boxes)
-        if (!is_continued_label(box)) box.id = fmt::format("mover-{}", n++);
+        if (!is_extension_of_label(box)) box.id = fmt::format("mover-{}", n++);
     return boxes;
 }
 

@@ -15,13 +15,13 @@
 namespace relidar {
 namespace {
 
-using Basis = std::array<double, kShCoefficients>;
+using ShBasis = std::array<double, kShCoefficients>;
 
 /// Evaluates the real spherical harmonics up to degree 3, which are orthonormal on the
 /// sphere. Computes the same values as shaders/scene/gaussian/sh.glsl, but in double
 /// precision.
 /// @param direction [3] unit
-Basis evaluate_harmonics(const glm::dvec3& direction) {
+ShBasis evaluate_spherical_harmonics(const glm::dvec3& direction) {
     const double x = direction.x, y = direction.y, z = direction.z, xx = x * x, yy = y * y, zz = z * z;
     const auto root = [](double part) { return std::sqrt(part / kPi); };
     return {root(0.25),
@@ -42,13 +42,13 @@ Basis evaluate_harmonics(const glm::dvec3& direction) {
             -root(1.09375) * x * (xx - 3.0 * yy)};
 }
 
-using Turn = std::array<std::array<double, kShCoefficients>, kShCoefficients>;
+using ShRotation = std::array<std::array<double, kShCoefficients>, kShCoefficients>;
 
 /// Returns the matrix that rotates SH coefficients from the model frame to the world
 /// frame. An element is the integral of Y_i(R d) Y_j(d) over the sphere. The quadrature
 /// uses four Gauss-Legendre heights and eight azimuths. It is exact, because the
 /// integrands have degree 6.
-Turn make_turn(const glm::dquat& world_from_model) {
+ShRotation make_harmonics_rotation_matrix(const glm::dquat& world_from_model) {
     constexpr std::array<std::array<double, 2>, 4> kHeights{{{-0.8611363115940526, 0.3478548451374538},
                                                              {-0.3399810435848563, 0.6521451548625461},
                                                              {0.3399810435848563, 0.6521451548625461},
@@ -56,75 +56,80 @@ Turn make_turn(const glm::dquat& world_from_model) {
                                                              // weight
                                                              {0.8611363115940526, 0.3478548451374538}}};
     constexpr int kAzimuths = 8;
-    Turn turn{};
+    ShRotation rotation_matrix{};
     for (const auto& [z, weight] : kHeights)
         for (int a = 0; a < kAzimuths; ++a) {
             const double angle = 2.0 * kPi * a / kAzimuths, r = std::sqrt(1.0 - z * z);
             const glm::dvec3 d(r * std::cos(angle), r * std::sin(angle), z);
-            const Basis in_model = evaluate_harmonics(d), in_world = evaluate_harmonics(world_from_model * d);
+            const ShBasis in_model = evaluate_spherical_harmonics(d),
+                          in_world = evaluate_spherical_harmonics(world_from_model * d);
             for (std::size_t i = 0; i < kShCoefficients; ++i)
                 for (std::size_t j = 0; j < kShCoefficients; ++j)
-                    turn[i][j] += weight * 2.0 * kPi / kAzimuths * in_world[i] * in_model[j];
+                    rotation_matrix[i][j] += weight * 2.0 * kPi / kAzimuths * in_world[i] * in_model[j];
         }
-    return turn;
+    return rotation_matrix;
 }
 
-void rotate_harmonics(const Turn& turn, float* channel) {
-    std::array<float, kShCoefficients> turned;
+void rotate_sh_coefficients(const ShRotation& rotation_matrix, float* coefficients) {
+    std::array<float, kShCoefficients> rotated_coefficients;
     for (std::size_t i = 0; i < kShCoefficients; ++i) {
         double sum = 0.0;
-        for (std::size_t j = 0; j < kShCoefficients; ++j) sum += turn[i][j] * double(channel[j]);
-        turned[i] = float(sum);
+        for (std::size_t j = 0; j < kShCoefficients; ++j)
+            sum += rotation_matrix[i][j] * double(coefficients[j]);
+        rotated_coefficients[i] = float(sum);
     }
-    std::ranges::copy(turned, channel);
+    std::ranges::copy(rotated_coefficients, coefficients);
 }
 
 /// Moves a surfel of a walking actor to its position at the given phase of the walk. If
 /// the surfel was recorded at another phase, reduces its opacity
 /// (shaders/scene/gaussian/gait.glsl).
-void apply_gait(Surfels& surfels, std::size_t index, double phase) {
-    const Gait& gait = surfels.gait[index];
-    const double angle = 2.0 * kPi * (phase - double(gait.phase)), sharpness = double(gait.sharpness);
-    surfels.mean[index] =
-        glm::vec3(glm::dvec3(surfels.mean[index]) + std::sin(angle) * glm::dvec3(gait.swing));
+void apply_gait_to_surfel(Surfels& surfels, std::size_t surfel_index, double gait_phase) {
+    const GaitPhaseWindow& gait = surfels.gait[surfel_index];
+    const double angle = 2.0 * kPi * (gait_phase - double(gait.phase)), sharpness = double(gait.sharpness);
+    surfels.mean[surfel_index] =
+        glm::vec3(glm::dvec3(surfels.mean[surfel_index]) + std::sin(angle) * glm::dvec3(gait.swing));
     const double presence = std::exp(sharpness * sharpness * (std::cos(angle) - 1.0));
     if (presence == 1.0) return;
-    const double opacity = presence / (1.0 + std::exp(-double(surfels.opacity_logit[index])));
+    const double opacity = presence / (1.0 + std::exp(-double(surfels.opacity_logit[surfel_index])));
     constexpr double kFaintest = 1e-30;
-    surfels.opacity_logit[index] = float(std::log(std::max(opacity, kFaintest) / (1.0 - opacity)));
+    surfels.opacity_logit[surfel_index] = float(std::log(std::max(opacity, kFaintest) / (1.0 - opacity)));
 }
 
 void transform_surfels(Surfels& surfels, const Pose& world_from_model) {
-    const Turn turn = make_turn(world_from_model.rotation);
-    for_each_block(surfels.size(), [&](std::size_t index) {
+    const ShRotation sh_rotation = make_harmonics_rotation_matrix(world_from_model.rotation);
+    parallel_for_in_blocks(surfels.size(), [&](std::size_t index) {
         surfels.mean[index] = glm::vec3(world_from_model * glm::dvec3(surfels.mean[index]));
         const glm::dquat q(double(surfels.rotation[index].x), double(surfels.rotation[index].y),
                            double(surfels.rotation[index].z), double(surfels.rotation[index].w));
-        const glm::dquat turned = world_from_model.rotation * q;
-        surfels.rotation[index] = glm::vec4(turned.w, turned.x, turned.y, turned.z);
+        const glm::dquat world_rotation = world_from_model.rotation * q;
+        surfels.rotation[index] =
+            glm::vec4(world_rotation.w, world_rotation.x, world_rotation.y, world_rotation.z);
         for (std::size_t c = 0; c < kShChannels; ++c)
-            rotate_harmonics(turn, &surfels.sh[index * kShFloats + c * kShCoefficients]);
+            rotate_sh_coefficients(sh_rotation, &surfels.sh[index * kShFloats + c * kShCoefficients]);
     });
 }
 
 }  // namespace
 
-Surfels bake_instances(const Scene& scene, const std::vector<InstancePose>& placed) {
-    if (placed.size() != scene.instances.size())
-        throw DataError(fmt::format("cannot freeze the scene: found {} poses, expected {}", placed.size(),
-                                    scene.instances.size()));
+Surfels bake_surfels_to_world(const Scene& scene, const std::vector<InstancePose>& instance_poses) {
+    if (instance_poses.size() != scene.instances.size())
+        throw DataError(fmt::format("cannot freeze the scene: found {} poses, expected {}",
+                                    instance_poses.size(), scene.instances.size()));
     Surfels all;
     all.primitive = scene.surfels.primitive;
-    for (std::size_t k = 0; k < placed.size(); ++k) {
-        if (!placed[k].present) continue;
-        const Model& model = scene.models[scene.instances[k].model];
-        Surfels own = scene.surfels.slice(model.first, model.count);
-        if (model.stride_m > 0.0f && own.bends)
-            for (std::size_t i = 0; i < own.size(); ++i) apply_gait(own, i, placed[k].phase);
-        own.gait.clear();
-        own.bends = false;
-        if (!scene.instances[k].track.empty()) transform_surfels(own, placed[k].world_from_model);
-        all.append(own);
+    for (std::size_t k = 0; k < instance_poses.size(); ++k) {
+        if (!instance_poses[k].present) continue;
+        const SurfelModel& model = scene.models[scene.instances[k].model];
+        Surfels instance_surfels = scene.surfels.slice(model.first, model.count);
+        if (model.stride_m > 0.0f && instance_surfels.bends)
+            for (std::size_t i = 0; i < instance_surfels.size(); ++i)
+                apply_gait_to_surfel(instance_surfels, i, instance_poses[k].phase);
+        instance_surfels.gait.clear();
+        instance_surfels.bends = false;
+        if (!scene.instances[k].track.empty())
+            transform_surfels(instance_surfels, instance_poses[k].world_from_model);
+        all.append(instance_surfels);
     }
     return all;
 }

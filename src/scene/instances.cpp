@@ -11,18 +11,18 @@
 
 namespace relidar {
 
-std::uint32_t append_model(Scene& scene, const Scene& other, std::uint32_t model) {
-    Model added = other.models[model];  // copies the box size and the stride too
-    const Surfels surfels = other.surfels.slice(added.first, added.count);
+std::uint32_t append_model(Scene& scene, const Scene& source_scene, std::uint32_t model_index) {
+    SurfelModel added = source_scene.models[model_index];  // copies the box size and the stride too
+    const Surfels surfels = source_scene.surfels.slice(added.first, added.count);
     added.first = static_cast<std::uint32_t>(scene.surfels.size());
     scene.models.push_back(std::move(added));
     scene.surfels.append(surfels);
     return static_cast<std::uint32_t>(scene.models.size() - 1);
 }
 
-Scene copy_shared_models(Scene scene) {
+Scene duplicate_shared_models(Scene scene) {
     std::vector<bool> owned(scene.models.size(), false);
-    for (Instance& instance : scene.instances) {
+    for (ModelInstance& instance : scene.instances) {
         if (!owned[instance.model]) {
             owned[instance.model] = true;
             continue;
@@ -35,13 +35,14 @@ Scene copy_shared_models(Scene scene) {
 
 std::vector<bool> select_instances(const Scene& scene, const std::vector<std::string>& names) {
     std::vector<bool> selected(scene.instances.size(), false);
-    std::vector<std::string> known{"background", "actors"};
-    for (const Instance& instance : scene.instances)
-        if (!instance.track.empty()) known.push_back(instance.track);
+    std::vector<std::string> part_names{"background", "actors"};
+    for (const ModelInstance& instance : scene.instances)
+        if (!instance.track.empty()) part_names.push_back(instance.track);
     for (const std::string& name : names) {
-        if (std::find(known.begin(), known.end(), name) == known.end())
+        if (std::find(part_names.begin(), part_names.end(), name) == part_names.end())
             throw UsageError(fmt::format("cannot select the part \"{}\" of the scene{} (known parts: {})",
-                                         name, suggest_name(name, known, "\""), fmt::join(known, ", ")));
+                                         name, format_name_suggestion(name, part_names, "\""),
+                                         fmt::join(part_names, ", ")));
         for (std::size_t i = 0; i < selected.size(); ++i) {
             const std::string& track = scene.instances[i].track;
             if (track.empty() ? name == "background" : name == "actors" || name == track) selected[i] = true;

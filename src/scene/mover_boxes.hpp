@@ -13,17 +13,17 @@ namespace relidar {
 /// Fits an upright box to the returns of a track. Returns one pose per frame. The x axis
 /// points along the motion. Only the end near the sensor is measured reliably in each
 /// frame. Therefore the size of the box is the largest visible extent over the track.
-BoxTrack fit_track_box(const MoverTrack& track);
+BoxTrack fit_box_to_track(const MoverTrack& track);
 
 /// Enlarges a box away from the sensor if only one side of the object was visible. The
 /// new size is the typical size of a car, a truck or a cyclist. Stores the name of this
 /// kind in the box. Leaves other boxes unchanged.
-void complete_size(BoxTrack& box, const MoverTrack& track);
+void enlarge_box_to_typical_size(BoxTrack& box, const MoverTrack& track);
 
 /// Adds poses to a labelled box for the times when the object was observed without a
 /// label. The size of the box does not change. The offset between the box and the visible
 /// points is computed from the nearest labels.
-BoxTrack make_continued_box(const MoverTrack& track, const BoxTrack& label);
+BoxTrack extend_labelled_box(const MoverTrack& track, const BoxTrack& labelled_box);
 
 /// Returns the speeds of a box in m/s. Each speed is measured over at least half a second
 /// before a pose. Returns an empty vector if the track is shorter than half a second.

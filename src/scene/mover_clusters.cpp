@@ -32,10 +32,10 @@ constexpr double kMaxLength_m = 14.0;
 // A cell counts as moved if the frames that find it empty are at least this share of the
 // frames that find it occupied. The share is low, because a vehicle hides the space
 // behind it.
-constexpr double kSeenThroughShare = 0.25;
+constexpr double kMinEmptyShare = 0.25;
 // A static object is usually seen in more frames than this. If fewer frames have a return
 // in a cell, the program cannot decide whether the object there moved.
-constexpr int kSeldomSeen = 3;
+constexpr int kTooFewFrames = 3;
 // Points that are lower than the lowest moved point of a cluster by more than this belong
 // to the ground.
 constexpr double kGroundBelow_m = 0.05;
@@ -48,16 +48,16 @@ constexpr double kMovedShare = 0.15;  // minimum share of moved returns in a clu
 constexpr std::size_t kStretch = 200;
 
 /// Motion state of a grid cell. `moved` means that other frames find the cell empty.
-/// `seldom_seen` means that too few frames observe the cell, for example at the end of a
-/// log. Such a cell becomes part of an object only next to `moved` cells.
-enum class Motion : char { rests, seldom_seen, moved };
+/// `rarely_observed` means that too few frames observe the cell, for example at the end
+/// of a log. Such a cell becomes part of an object only next to `moved` cells.
+enum class CellMotionState : char { rests, rarely_observed, moved };
 
 /// One return of a frame.
-struct Return {
+struct MoverReturn {
     glm::vec3 point_m;
     double time_s;
     std::uint32_t cell;
-    Motion motion = Motion::rests;
+    CellMotionState motion = CellMotionState::rests;
 };
 
 /// Labelled box at the time of a frame.
@@ -69,7 +69,7 @@ struct LabelledBox {
 /// Returns the labelled boxes at a given time. A moving box is returned only while it has
 /// labels. A static box is returned at all times. If an object is parked during its
 /// labels, it was also parked before and after them.
-std::vector<LabelledBox> find_labelled_boxes_at(const Sequence& sequence, double time_s) {
+std::vector<LabelledBox> find_labelled_boxes_at(const LidarSequence& sequence, double time_s) {
     std::vector<LabelledBox> boxes;
     for (std::size_t i = 0; i < sequence.boxes.size(); ++i) {
         const BoxTrack& box = sequence.boxes[i];
@@ -80,42 +80,44 @@ std::vector<LabelledBox> find_labelled_boxes_at(const Sequence& sequence, double
             continue;
         }
         BoxTrack& still = boxes.emplace_back(LabelledBox{box, kNoLabel}).box;
-        still.world_from_box = {{time_s},
-                                {track.at(std::clamp(time_s, track.time_s.front(), track.time_s.back()))}};
+        still.world_from_box = {
+            {time_s},
+            {track.interpolate_pose(std::clamp(time_s, track.time_s.front(), track.time_s.back()))}};
     }
     return boxes;
 }
 
 /// All LiDAR returns of one frame: points outside all labelled boxes, and clusters of
 /// points inside moving labelled boxes.
-struct Returns {
-    std::vector<Return> others;
+struct FrameMoverReturns {
+    std::vector<MoverReturn> others;
     std::vector<MoverCluster> of_labels;
 };
 
 /// Converts sums to means: divides the time and the centre of a cluster by its number of
 /// points.
-/// @param sum cluster whose time and centre are sums over all points
-MoverCluster average_cluster(MoverCluster sum) {
-    sum.time_s /= double(sum.points_m.size());
-    sum.centre_m /= double(sum.points_m.size());
-    return sum;
+/// @param cluster_sums cluster whose time and centre are sums over all points
+MoverCluster divide_sums_by_point_count(MoverCluster cluster_sums) {
+    cluster_sums.time_s /= double(cluster_sums.points_m.size());
+    cluster_sums.centre_m /= double(cluster_sums.points_m.size());
+    return cluster_sums;
 }
 
-Returns returns_of(const Sequence& sequence, const Frame& frame) {
+FrameMoverReturns collect_returns_of_frame(const LidarSequence& sequence, const LidarFrame& frame) {
     const std::vector<LabelledBox> labelled = find_labelled_boxes_at(sequence, frame.time_s);
     std::vector<MoverCluster> of_boxes(labelled.size());
-    Returns result;
+    FrameMoverReturns result;
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
         if (!(frame.scan.range_m[ray] > 0.0f && frame.scan.range_m[ray] < kMaxRange_m)) continue;
         const WorldReturn w = compute_world_return(sequence, frame, ray);
-        const auto in = std::ranges::find_if(
-            labelled, [&](const LabelledBox& l) { return l.box.holds(w.point_m, w.time_s, kMoverMargin_m); });
+        const auto in = std::ranges::find_if(labelled, [&](const LabelledBox& l) {
+            return l.box.contains_point(w.point_m, w.time_s, kMoverMargin_m);
+        });
         if (in == labelled.end()) {
-            result.others.push_back({glm::vec3(w.point_m), w.time_s, 0, Motion::rests});
+            result.others.push_back({glm::vec3(w.point_m), w.time_s, 0, CellMotionState::rests});
             // Tests the box without a margin, because the margin would contain points of
             // the ground.
-        } else if (in->label != kNoLabel && in->box.holds(w.point_m, w.time_s, 0.0)) {
+        } else if (in->label != kNoLabel && in->box.contains_point(w.point_m, w.time_s, 0.0)) {
             MoverCluster& cluster = of_boxes[std::size_t(in - labelled.begin())];
             cluster.label = in->label;
             cluster.time_s += w.time_s;
@@ -124,26 +126,27 @@ Returns returns_of(const Sequence& sequence, const Frame& frame) {
         }
     }
     for (MoverCluster& cluster : of_boxes)
-        if (!cluster.points_m.empty()) result.of_labels.push_back(average_cluster(std::move(cluster)));
+        if (!cluster.points_m.empty())
+            result.of_labels.push_back(divide_sums_by_point_count(std::move(cluster)));
     return result;
 }
 
 /// Assigns each return to a cell of a world grid.
 /// @return [cells] mean position of the returns in each cell
-std::vector<glm::vec3> average_returns_by_cell(std::vector<Returns>& frames) {
-    std::vector<Return*> all;
-    for (Returns& frame : frames)
-        for (Return& r : frame.others) all.push_back(&r);
-    const CellNumbers numbers = assign_cell_numbers(all.size(), [&](std::size_t index) {
-        return make_cell_key(glm::dvec3(all[index]->point_m), kCell_m);
+std::vector<glm::vec3> assign_cells_and_compute_means(std::vector<FrameMoverReturns>& frames) {
+    std::vector<MoverReturn*> all;
+    for (FrameMoverReturns& frame : frames)
+        for (MoverReturn& r : frame.others) all.push_back(&r);
+    const ItemCellIndices numbers = assign_cell_numbers(all.size(), [&](std::size_t index) {
+        return compute_grid_cell_key(glm::dvec3(all[index]->point_m), kCell_m);
     });
-    const ItemsOfCells items(numbers);
-    for_each_block(all.size(), [&](std::size_t index) { all[index]->cell = numbers.of[index]; });
+    const CellItemLists items(numbers);
+    parallel_for_in_blocks(all.size(), [&](std::size_t index) { all[index]->cell = numbers.of[index]; });
     std::vector<glm::vec3> means(items.size());
-    for_each_block(items.size(), [&](std::size_t cell) {
+    parallel_for_in_blocks(items.size(), [&](std::size_t cell) {
         glm::dvec3 sum(0.0);
-        for (const std::uint32_t i : items.of(cell)) sum += glm::dvec3(all[i]->point_m);
-        means[cell] = glm::vec3(sum / double(items.of(cell).size()));
+        for (const std::uint32_t i : items.get_items_of_cell(cell)) sum += glm::dvec3(all[i]->point_m);
+        means[cell] = glm::vec3(sum / double(items.get_items_of_cell(cell).size()));
     });
     return means;
 }
@@ -166,36 +169,37 @@ std::pair<double, double> find_object_height_range(std::vector<double> heights_m
 
 /// Groups returns that are close to each other in the view from above. If the motion of a
 /// return is unknown, it joins a group only next to a moved return.
-std::vector<MoverCluster> group_returns(const std::vector<Return>& returns) {
+std::vector<MoverCluster> cluster_moved_returns(const std::vector<MoverReturn>& returns) {
     std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> squares;
     const auto square_of = [](const glm::dvec3& point) {
-        return make_cell_key({point.x, point.y, 0.0}, kSquare_m);
+        return compute_grid_cell_key({point.x, point.y, 0.0}, kSquare_m);
     };
     for (std::uint32_t i = 0; i < returns.size(); ++i)
         squares[square_of(glm::dvec3(returns[i].point_m))].push_back(i);
-    std::vector<char> taken(returns.size(), 0);
+    std::vector<char> is_grouped(returns.size(), 0);
     std::vector<MoverCluster> clusters;
     for (std::uint32_t start = 0; start < returns.size(); ++start) {
-        if (taken[start] || returns[start].motion != Motion::moved) continue;
+        if (is_grouped[start] || returns[start].motion != CellMotionState::moved) continue;
         MoverCluster cluster;
         std::vector<std::uint32_t> open{start}, members;
         std::vector<double> moved_at_m;
-        taken[start] = 1;
+        is_grouped[start] = 1;
         while (!open.empty()) {
             members.push_back(open.back());
-            const Return& here = returns[open.back()];
+            const MoverReturn& here = returns[open.back()];
             const glm::dvec3 p(here.point_m);
             open.pop_back();
             // Only moved returns add their neighbours to the group.
-            if (here.motion != Motion::moved) continue;
+            if (here.motion != CellMotionState::moved) continue;
             moved_at_m.push_back(p.z);
             for (int dx = -kReach; dx <= kReach; ++dx)
                 for (int dy = -kReach; dy <= kReach; ++dy) {
-                    const auto near = squares.find(square_of(p + kSquare_m * glm::dvec3(dx, dy, 0.0)));
-                    if (near == squares.end()) continue;
-                    for (const std::uint32_t j : near->second)
-                        if (!std::exchange(taken[j], 1)) open.push_back(j);
-                    near->second.clear();  // all returns of this square have been added
+                    const auto neighbour_square =
+                        squares.find(square_of(p + kSquare_m * glm::dvec3(dx, dy, 0.0)));
+                    if (neighbour_square == squares.end()) continue;
+                    for (const std::uint32_t j : neighbour_square->second)
+                        if (!std::exchange(is_grouped[j], 1)) open.push_back(j);
+                    neighbour_square->second.clear();  // all returns of this square have been added
                 }
         }
         const auto [bottom_m, top_m] = find_object_height_range(std::move(moved_at_m));
@@ -204,7 +208,7 @@ std::vector<MoverCluster> group_returns(const std::vector<Return>& returns) {
         for (const std::uint32_t member : members) {
             const glm::dvec3 p(returns[member].point_m);
             if (p.z < bottom_m || p.z > top_m) continue;
-            n_moved += returns[member].motion == Motion::moved;
+            n_moved += returns[member].motion == CellMotionState::moved;
             cluster.time_s += returns[member].time_s;
             cluster.points_m.push_back(p);
             cluster.centre_m += p;
@@ -212,63 +216,64 @@ std::vector<MoverCluster> group_returns(const std::vector<Return>& returns) {
         }
         if (n_moved >= kMinPoints && n_moved >= kMovedShare * double(cluster.points_m.size()) &&
             glm::length(glm::dvec2(high - low)) < kMaxLength_m)
-            clusters.push_back(average_cluster(std::move(cluster)));
+            clusters.push_back(divide_sums_by_point_count(std::move(cluster)));
     }
     return clusters;
 }
 
 }  // namespace
 
-void MoverCluster::merge(const MoverCluster& other) {
-    const double n = double(points_m.size()), m = double(other.points_m.size());
-    time_s = (n * time_s + m * other.time_s) / (n + m);
-    centre_m = (n * centre_m + m * other.centre_m) / (n + m);
-    points_m.insert(points_m.end(), other.points_m.begin(), other.points_m.end());
+void MoverCluster::merge_cluster(const MoverCluster& other_cluster) {
+    const double n = double(points_m.size()), m = double(other_cluster.points_m.size());
+    time_s = (n * time_s + m * other_cluster.time_s) / (n + m);
+    centre_m = (n * centre_m + m * other_cluster.centre_m) / (n + m);
+    points_m.insert(points_m.end(), other_cluster.points_m.begin(), other_cluster.points_m.end());
 }
 
 namespace {
 
-using Clusters = std::vector<std::vector<MoverCluster>>;  // [frames]
+using ClustersByFrame = std::vector<std::vector<MoverCluster>>;  // [frames]
 
 /// Returns the clusters of points on moving objects in some consecutive frames.
-Clusters find_clusters_of_frames(const Sequence& sequence, std::span<const int> positions,
-                                 Visibility& visibility) {
-    std::vector<Returns> frames(positions.size());
-    parallel_for(static_cast<int>(positions.size()), [&](int index) {
-        frames[std::size_t(index)] =
-            returns_of(sequence, sequence.frames[std::size_t(positions[std::size_t(index)])]);
+ClustersByFrame find_clusters_in_frames(const LidarSequence& sequence, std::span<const int> frame_indices,
+                                        VisibilityChecker& visibility) {
+    std::vector<FrameMoverReturns> frames(frame_indices.size());
+    parallel_for(static_cast<int>(frame_indices.size()), [&](int index) {
+        frames[std::size_t(index)] = collect_returns_of_frame(
+            sequence, sequence.frames[std::size_t(frame_indices[std::size_t(index)])]);
     });
-    const std::vector<glm::vec3> cells = average_returns_by_cell(frames);
-    visibility.request_images(cells);
-    std::vector<Motion> motion(cells.size());
-    for_each_block(cells.size(), [&](std::size_t index) {
-        const Visibility::Votes votes = visibility.count_votes(cells[index]);
-        motion[index] = votes.is_seen_through(kSeenThroughShare) ? Motion::moved
-                        : votes.seen <= kSeldomSeen              ? Motion::seldom_seen
-                                                                 : Motion::rests;
+    const std::vector<glm::vec3> cells = assign_cells_and_compute_means(frames);
+    visibility.create_range_images(cells);
+    std::vector<CellMotionState> motion(cells.size());
+    parallel_for_in_blocks(cells.size(), [&](std::size_t index) {
+        const VisibilityChecker::VisibilityVotes votes = visibility.count_visibility_votes(cells[index]);
+        motion[index] = votes.is_empty_space(kMinEmptyShare) ? CellMotionState::moved
+                        : votes.n_occupied <= kTooFewFrames  ? CellMotionState::rarely_observed
+                                                             : CellMotionState::rests;
     });
-    Clusters clusters(frames.size());
+    ClustersByFrame clusters(frames.size());
     parallel_for(static_cast<int>(frames.size()), [&](int index) {
-        Returns& frame = frames[std::size_t(index)];
-        for (Return& r : frame.others) r.motion = motion[r.cell];
-        std::erase_if(frame.others, [](const Return& r) { return r.motion == Motion::rests; });
-        clusters[std::size_t(index)] = group_returns(frame.others);
+        FrameMoverReturns& frame = frames[std::size_t(index)];
+        for (MoverReturn& r : frame.others) r.motion = motion[r.cell];
+        std::erase_if(frame.others, [](const MoverReturn& r) { return r.motion == CellMotionState::rests; });
+        clusters[std::size_t(index)] = cluster_moved_returns(frame.others);
         std::ranges::move(frame.of_labels, std::back_inserter(clusters[std::size_t(index)]));
     });
     return clusters;
 }
 
 /// Collects the clusters of all frames from all processes of the group.
-Clusters join_clusters(const ProcessGroup& group, const Clusters& local_clusters) {
+ClustersByFrame gather_clusters_of_all_processes(const ProcessGroup& group,
+                                                 const ClustersByFrame& local_clusters) {
     if (group.size == 1) return local_clusters;
-    struct Head {
+    struct ClusterRecord {
         double time_s;
         glm::dvec3 centre_m;
         std::uint64_t n_points;
         std::int64_t label;
     };
     std::vector<std::uint64_t> n_clusters;  // [frames]
-    std::vector<Head> heads;
+    std::vector<ClusterRecord> heads;
     std::vector<glm::dvec3> points;
     for (const std::vector<MoverCluster>& frame : local_clusters) {
         n_clusters.push_back(frame.size());
@@ -277,10 +282,10 @@ Clusters join_clusters(const ProcessGroup& group, const Clusters& local_clusters
             points.insert(points.end(), cluster.points_m.begin(), cluster.points_m.end());
         }
     }
-    n_clusters = group.gather_all(std::move(n_clusters));
-    heads = group.gather_all(std::move(heads));
-    points = group.gather_all(std::move(points));
-    Clusters all;
+    n_clusters = group.gather_from_all_processes(std::move(n_clusters));
+    heads = group.gather_from_all_processes(std::move(heads));
+    points = group.gather_from_all_processes(std::move(points));
+    ClustersByFrame all;
     auto head = heads.begin();
     auto point = points.begin();
     for (const std::uint64_t n : n_clusters) {
@@ -296,22 +301,23 @@ Clusters join_clusters(const ProcessGroup& group, const Clusters& local_clusters
 
 }  // namespace
 
-std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& sequence,
-                                                           const std::vector<int>& positions,
-                                                           Visibility& visibility, const Progress& progress,
+std::vector<std::vector<MoverCluster>> find_mover_clusters(const LidarSequence& sequence,
+                                                           const std::vector<int>& frame_indices,
+                                                           VisibilityChecker& visibility,
+                                                           const ProgressReporter& progress,
                                                            const ProcessGroup& group) {
-    const std::size_t n_stretches = std::max<std::size_t>(1, positions.size() / kStretch);
-    const auto first_of = [&](std::size_t stretch) { return positions.size() * stretch / n_stretches; };
-    const ProcessGroup::Share share = group.share(n_stretches);
-    Clusters own;
+    const std::size_t n_stretches = std::max<std::size_t>(1, frame_indices.size() / kStretch);
+    const auto first_of = [&](std::size_t stretch) { return frame_indices.size() * stretch / n_stretches; };
+    const ProcessGroup::PartRange share = group.compute_assigned_range(n_stretches);
+    ClustersByFrame process_clusters;
     for (std::size_t s = share.begin; s < share.end; ++s) {
         if (progress) progress("what moved", double(s - share.begin) / double(share.end - share.begin));
         const std::span<const int> stretch =
-            std::span(positions).subspan(first_of(s), first_of(s + 1) - first_of(s));
-        Clusters found = find_clusters_of_frames(sequence, stretch, visibility);
-        std::move(found.begin(), found.end(), std::back_inserter(own));
+            std::span(frame_indices).subspan(first_of(s), first_of(s + 1) - first_of(s));
+        ClustersByFrame section_clusters = find_clusters_in_frames(sequence, stretch, visibility);
+        std::move(section_clusters.begin(), section_clusters.end(), std::back_inserter(process_clusters));
     }
-    return join_clusters(group, own);
+    return gather_clusters_of_all_processes(group, process_clusters);
 }
 
 }  // namespace relidar

@@ -20,22 +20,23 @@ struct MoverCluster {
     double time_s = 0.0;               ///< mean firing time of its returns
     glm::dvec3 centre_m{0.0};          ///< mean position of its returns, world
     std::vector<glm::dvec3> points_m;  ///< positions of its returns, world
-    /// Index of the labelled box in Sequence::boxes, or kNoLabel if the cluster has no
-    /// label.
+    /// Index of the labelled box in LidarSequence::boxes, or kNoLabel if the cluster has
+    /// no label.
     int label = kNoLabel;
 
     /// Adds the returns of another cluster of the same frame.
-    void merge(const MoverCluster& other);
+    void merge_cluster(const MoverCluster& other_cluster);
 };
 
 /// Finds the clusters of points on moving objects in the given frames. Splits a long log
 /// into sections, which the processes of a process group share.
-/// @param positions indices of the frames, ascending
+/// @param frame_indices indices of the frames, ascending
 /// @param visibility tells what these frames observe at a point
 /// @return [positions] clusters of each frame, identical in all processes
-std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& sequence,
-                                                           const std::vector<int>& positions,
-                                                           Visibility& visibility, const Progress& progress,
+std::vector<std::vector<MoverCluster>> find_mover_clusters(const LidarSequence& sequence,
+                                                           const std::vector<int>& frame_indices,
+                                                           VisibilityChecker& visibility,
+                                                           const ProgressReporter& progress,
                                                            const ProcessGroup& group);
 
 }  // namespace relidar

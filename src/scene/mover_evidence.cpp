@@ -12,56 +12,63 @@ namespace {
 
 // Two returns closer than this can belong to the same static object, because poses and
 // ranges have errors.
-constexpr double kSamePlace_m = 0.2;
+constexpr double kSamePosition_m = 0.2;
 // Margin around the tracked box. Frames in which the enlarged box covers a point are not
 // used for this point.
 constexpr double kClear_m = 0.4;
 // At least this share of the returns of a track must be proven to lie on a moving object.
-constexpr double kToldShare = 0.25;
+constexpr double kMinMovedReturnShare = 0.25;
 // Other frames confirm or disprove the motion of some returns. At least this share of
 // these returns must be confirmed.
-constexpr double kLeftShare = 0.85;
-constexpr double kProvenShare = 0.5;  // motion must be proven in at least this share of a track's frames
+constexpr double kMinConfirmedShare = 0.85;
+constexpr double kMinMovedFrameShare =
+    0.5;  // motion must be proven in at least this share of a track's frames
 
 }  // namespace
 
-Evidence collect_evidence(const Visibility& visibility, const glm::dvec3& point_m, const BoxTrack& box) {
+MotionEvidence collect_motion_evidence(const VisibilityChecker& visibility, const glm::dvec3& point_m,
+                                       const BoxTrack& box) {
     const std::vector<double>& times = box.world_from_box.time_s;
-    Evidence evidence;
+    MotionEvidence evidence;
     for (const std::uint32_t view : visibility.find_views_near(point_m)) {
-        if (box.holds(point_m, std::clamp(visibility.time_s(view), times.front(), times.back()), kClear_m))
+        if (box.contains_point(
+                point_m, std::clamp(visibility.get_view_time_s(view), times.front(), times.back()), kClear_m))
             continue;
-        if (visibility.has_return_at(view, point_m, kSamePlace_m)) ++evidence.stayed;
-        else if (visibility.look(view, point_m) == Sight::seen_through) ++evidence.left;
+        if (visibility.has_return_at(view, point_m, kSamePosition_m)) ++evidence.n_occupied_frames;
+        else if (visibility.classify_point_in_view(view, point_m) == PointVisibility::empty)
+            ++evidence.n_empty_frames;
     }
     return evidence;
 }
 
-void EvidenceSum::operator+=(const EvidenceSum& other) {
-    looks += other.looks;
-    returns += other.returns, told += other.told, moved += other.moved;
-    frames += other.frames, frames_moved += other.frames_moved;
+void TrackMotionEvidence::operator+=(const TrackMotionEvidence& other) {
+    frame_evidence += other.frame_evidence;
+    n_returns += other.n_returns, n_decided_returns += other.n_decided_returns,
+        n_moved_returns += other.n_moved_returns;
+    n_frames += other.n_frames, n_moved_frames += other.n_moved_frames;
 }
 
-bool EvidenceSum::has_proof_of_motion() const {
-    return looks.has_proof_of_motion() && double(moved) >= kToldShare * double(returns) &&
-           double(moved) >= kLeftShare * double(told) &&
-           double(frames_moved) >= kProvenShare * double(frames);
+bool TrackMotionEvidence::is_proven_moving() const {
+    return frame_evidence.is_proven_moving() &&
+           double(n_moved_returns) >= kMinMovedReturnShare * double(n_returns) &&
+           double(n_moved_returns) >= kMinConfirmedShare * double(n_decided_returns) &&
+           double(n_moved_frames) >= kMinMovedFrameShare * double(n_frames);
 }
 
-EvidenceSum remove_static_returns(const Visibility& visibility, MoverCluster& cluster, const BoxTrack& box) {
-    EvidenceSum sum;
-    std::vector<glm::dvec3> kept;
+TrackMotionEvidence remove_static_returns(const VisibilityChecker& visibility, MoverCluster& cluster,
+                                          const BoxTrack& box) {
+    TrackMotionEvidence sum;
+    std::vector<glm::dvec3> remaining_points_m;
     for (const glm::dvec3& p : cluster.points_m) {
-        const Evidence evidence = collect_evidence(visibility, p, box);
-        sum.looks += evidence;
-        sum.told += evidence.has_observations();
-        sum.moved += evidence.has_proof_of_motion();
-        if (!evidence.has_proof_of_rest()) kept.push_back(p);
+        const MotionEvidence evidence = collect_motion_evidence(visibility, p, box);
+        sum.frame_evidence += evidence;
+        sum.n_decided_returns += evidence.has_observations();
+        sum.n_moved_returns += evidence.is_proven_moving();
+        if (!evidence.is_proven_static()) remaining_points_m.push_back(p);
     }
-    sum.returns = cluster.points_m.size();
-    sum.frames = 1, sum.frames_moved = sum.looks.has_proof_of_motion();
-    cluster.points_m = std::move(kept);
+    sum.n_returns = cluster.points_m.size();
+    sum.n_frames = 1, sum.n_moved_frames = sum.frame_evidence.is_proven_moving();
+    cluster.points_m = std::move(remaining_points_m);
     cluster.centre_m = glm::dvec3(0.0);
     for (const glm::dvec3& p : cluster.points_m) cluster.centre_m += p / double(cluster.points_m.size());
     return sum;

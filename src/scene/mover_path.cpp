@@ -14,7 +14,7 @@ namespace relidar {
 namespace {
 
 // standard deviation of the observed position of an object's near end
-constexpr double kPlaceNoise_m = 0.1;
+constexpr double kPositionNoise_m = 0.1;
 // Noise density q of the jerk, m^2/s^5. With one position every 0.1 s, the path follows
 // motions that take longer than 0.4 s and smooths shorter motions.
 constexpr double kJerk = 0.2;
@@ -31,50 +31,53 @@ constexpr double kTurnsBack = 0.3;
 
 /// State of the Kalman filter. Each column is a world axis. The rows are position,
 /// velocity and acceleration.
-struct Estimate {
+struct KalmanState {
     glm::dmat3 state{0.0};
     glm::dmat3 covariance{0.0};
 };
 
-glm::dmat3 make_transition_matrix(double dt) { return {1.0, 0.0, 0.0, dt, 1.0, 0.0, 0.5 * dt * dt, dt, 1.0}; }
-
-glm::dmat3 make_jerk_noise(double dt) {
-    const double d2 = dt * dt, d3 = d2 * dt, d4 = d3 * dt;
-    return kJerk * glm::dmat3(d4 * dt / 20.0, d4 / 8.0, d3 / 6.0, d4 / 8.0, d3 / 3.0, d2 / 2.0, d3 / 6.0,
-                              d2 / 2.0, dt);
+glm::dmat3 make_transition_matrix(double dt_s) {
+    return {1.0, 0.0, 0.0, dt_s, 1.0, 0.0, 0.5 * dt_s * dt_s, dt_s, 1.0};
 }
 
-Estimate predict_state(const Estimate& state, double dt) {
-    const glm::dmat3 f = make_transition_matrix(dt);
-    return {f * state.state, f * state.covariance * glm::transpose(f) + make_jerk_noise(dt)};
+glm::dmat3 make_process_noise_covariance(double dt_s) {
+    const double d2 = dt_s * dt_s, d3 = d2 * dt_s, d4 = d3 * dt_s;
+    return kJerk * glm::dmat3(d4 * dt_s / 20.0, d4 / 8.0, d3 / 6.0, d4 / 8.0, d3 / 3.0, d2 / 2.0, d3 / 6.0,
+                              d2 / 2.0, dt_s);
 }
 
-void correct(Estimate& estimate, const glm::dvec3& place_m, double weight) {
+KalmanState predict_state(const KalmanState& estimate, double dt_s) {
+    const glm::dmat3 f = make_transition_matrix(dt_s);
+    return {f * estimate.state,
+            f * estimate.covariance * glm::transpose(f) + make_process_noise_covariance(dt_s)};
+}
+
+void update_with_measurement(KalmanState& estimate, const glm::dvec3& position_m, double weight) {
     const glm::dvec3 column = estimate.covariance[0];
-    const glm::dvec3 gain = column / (column.x + kPlaceNoise_m * kPlaceNoise_m / weight);
+    const glm::dvec3 gain = column / (column.x + kPositionNoise_m * kPositionNoise_m / weight);
     for (int axis = 0; axis < 3; ++axis)
-        estimate.state[axis] += gain * (place_m[axis] - estimate.state[axis][0]);
+        estimate.state[axis] += gain * (position_m[axis] - estimate.state[axis][0]);
     estimate.covariance -= glm::outerProduct(gain, column);
 }
 
-std::vector<PathState> smooth_path_once(const std::vector<double>& time_s,
-                                        const std::vector<glm::dvec3>& place_m,
-                                        const std::vector<double>& weights) {
-    const std::size_t n = time_s.size();
-    std::vector<Estimate> filtered(n), before(n);
+std::vector<KinematicState> run_kalman_smoother(const std::vector<double>& times_s,
+                                                const std::vector<glm::dvec3>& positions_m,
+                                                const std::vector<double>& weights) {
+    const std::size_t n = times_s.size();
+    std::vector<KalmanState> filtered(n), before(n);
     before[0].covariance = glm::dmat3(1e3, 0.0, 0.0, 0.0, 1e3, 0.0, 0.0, 0.0, 10.0);
-    for (int axis = 0; axis < 3; ++axis) before[0].state[axis][0] = place_m[0][axis];
+    for (int axis = 0; axis < 3; ++axis) before[0].state[axis][0] = positions_m[0][axis];
     for (std::size_t k = 0; k < n; ++k) {
-        if (k > 0) before[k] = predict_state(filtered[k - 1], time_s[k] - time_s[k - 1]);
+        if (k > 0) before[k] = predict_state(filtered[k - 1], times_s[k] - times_s[k - 1]);
         filtered[k] = before[k];
-        correct(filtered[k], place_m[k], weights[k]);
+        update_with_measurement(filtered[k], positions_m[k], weights[k]);
     }
-    std::vector<PathState> path(n);
+    std::vector<KinematicState> path(n);
     glm::dmat3 state = filtered[n - 1].state;
     for (std::size_t k = n; k-- > 0;) {
         if (k + 1 < n) {
             const glm::dmat3 back = filtered[k].covariance *
-                                    glm::transpose(make_transition_matrix(time_s[k + 1] - time_s[k])) *
+                                    glm::transpose(make_transition_matrix(times_s[k + 1] - times_s[k])) *
                                     glm::inverse(before[k + 1].covariance);
             state = filtered[k].state + back * (state - before[k + 1].state);
         }
@@ -86,15 +89,18 @@ std::vector<PathState> smooth_path_once(const std::vector<double>& time_s,
 
 /// Walks along the path from one of its positions. Returns the first point at the
 /// distance kChord_m, or the end of the path.
-/// @param step 1 for later positions, -1 for earlier positions
-glm::dvec2 find_chord_end(const std::vector<glm::dvec3>& path_m, std::size_t place, int step) {
-    const glm::dvec2 here(path_m[place]);
+/// @param index_step 1 for later positions, -1 for earlier positions
+glm::dvec2 find_chord_end_point(const std::vector<glm::dvec3>& path_m, std::size_t start_index,
+                                int index_step) {
+    const glm::dvec2 here(path_m[start_index]);
     glm::dvec2 last = here;
-    for (auto k = std::ptrdiff_t(place) + step; k >= 0 && k < std::ptrdiff_t(path_m.size()); k += step) {
+    for (auto k = std::ptrdiff_t(start_index) + index_step; k >= 0 && k < std::ptrdiff_t(path_m.size());
+         k += index_step) {
         const glm::dvec2 next(path_m[std::size_t(k)]);
-        const double near_m = glm::distance(here, last), far_m = glm::distance(here, next);
-        if (far_m >= kChord_m)
-            return glm::mix(last, next, (kChord_m - near_m) / std::max(far_m - near_m, 1e-9));
+        const double last_distance_m = glm::distance(here, last), next_distance_m = glm::distance(here, next);
+        if (next_distance_m >= kChord_m)
+            return glm::mix(last, next,
+                            (kChord_m - last_distance_m) / std::max(next_distance_m - last_distance_m, 1e-9));
         last = next;
     }
     return last;
@@ -102,25 +108,25 @@ glm::dvec2 find_chord_end(const std::vector<glm::dvec3>& path_m, std::size_t pla
 
 }  // namespace
 
-std::vector<PathState> smooth_path(const std::vector<double>& time_s,
-                                   const std::vector<glm::dvec3>& place_m) {
-    std::vector<double> weights(time_s.size(), 1.0);
-    std::vector<PathState> path;
+std::vector<KinematicState> smooth_path(const std::vector<double>& times_s,
+                                        const std::vector<glm::dvec3>& positions_m) {
+    std::vector<double> weights(times_s.size(), 1.0);
+    std::vector<KinematicState> path;
     for (int round = 0; round < kPathRounds; ++round) {
-        path = smooth_path_once(time_s, place_m, weights);
+        path = run_kalman_smoother(times_s, positions_m, weights);
         for (std::size_t k = 0; k < path.size(); ++k) {
-            const double off = glm::length(glm::dvec2(place_m[k] - path[k].position_m)) / kFarFromPath_m;
+            const double off = glm::length(glm::dvec2(positions_m[k] - path[k].position_m)) / kFarFromPath_m;
             weights[k] = 1.0 / (1.0 + off * off);
         }
     }
     return path;
 }
 
-std::vector<double> compute_headings_along(const std::vector<glm::dvec3>& path_m) {
+std::vector<double> compute_path_headings_rad(const std::vector<glm::dvec3>& path_m) {
     std::vector<double> result;
     for (std::size_t k = 0; k < path_m.size(); ++k) {
-        const glm::dvec2 from = find_chord_end(path_m, k, -1), here(path_m[k]);
-        glm::dvec2 to = find_chord_end(path_m, k, 1);
+        const glm::dvec2 from = find_chord_end_point(path_m, k, -1), here(path_m[k]);
+        glm::dvec2 to = find_chord_end_point(path_m, k, 1);
         if (glm::distance(from, to) <
             kTurnsBack * std::max(glm::distance(from, here), glm::distance(here, to)))
             to = here;

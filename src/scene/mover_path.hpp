@@ -10,9 +10,9 @@
 namespace relidar {
 
 /// Position and motion of an object at one time.
-struct PathState {
+struct KinematicState {
     glm::dvec3 position_m, velocity_mps, acceleration_mps2;
-    glm::dvec3 after(double seconds) const {
+    glm::dvec3 predict_position_after(double seconds) const {
         return position_m + seconds * (velocity_mps + 0.5 * seconds * acceleration_mps2);
     }
 };
@@ -20,16 +20,17 @@ struct PathState {
 /// Fits a smooth path through all observed positions of a track. The path is a smoothing
 /// spline of the fifth degree that penalizes changes of the acceleration (docs/method.md
 /// section 6). Observed positions far from the path get a low weight.
-/// @param time_s ascending
-/// @param place_m [times] observed positions
+/// @param times_s ascending
+/// @param positions_m [times] observed positions
 /// @return [times]
-std::vector<PathState> smooth_path(const std::vector<double>& time_s, const std::vector<glm::dvec3>& place_m);
+std::vector<KinematicState> smooth_path(const std::vector<double>& times_s,
+                                        const std::vector<glm::dvec3>& positions_m);
 
 /// Returns the heading in radians at each position of a path on the ground. The heading
 /// is the direction from the point 1.5 m back on the path to the point 1.5 m ahead.
 /// Because it is measured by distance, a stopped object keeps its last heading.
 /// @param path_m [positions]
 /// @return [positions]
-std::vector<double> compute_headings_along(const std::vector<glm::dvec3>& path_m);
+std::vector<double> compute_path_headings_rad(const std::vector<glm::dvec3>& path_m);
 
 }  // namespace relidar

@@ -39,7 +39,7 @@ constexpr double kMinPath_m = 0.6;
 // Minimum ratio of net motion to path length. Noise moves back and forth, so its ratio is
 // small.
 constexpr double kMinStraightness = 0.5;
-constexpr double kOwnVehicle_m = 4.0, kRides_m = 0.3;
+constexpr double kEgoVehicleRadius_m = 4.0, kMaxRelativeMotion_m = 0.3;
 // Minimum size of a vehicle part. Larger parts can be joined to one vehicle. Smaller
 // parts can be people who walk together, so they are not joined.
 constexpr double kVehiclePart_m = 1.2;
@@ -51,26 +51,29 @@ constexpr double kRigid_m = 0.5;
 glm::dvec3 compute_velocity_between(const MoverCluster& first, const MoverCluster& second) {
     return (second.centre_m - first.centre_m) / std::max(second.time_s - first.time_s, 1e-3);
 }
-glm::dvec3 estimate_last_velocity(const MoverTrack& track, std::size_t max_count) {
+glm::dvec3 estimate_last_velocity(const MoverTrack& track, std::size_t max_observations) {
     return compute_velocity_between(
-        track.seen[track.seen.size() - std::min(track.seen.size(), max_count)].cluster, track.last());
+        track.observations[track.observations.size() - std::min(track.observations.size(), max_observations)]
+            .cluster,
+        track.get_last_cluster());
 }
-glm::dvec3 estimate_first_velocity(const MoverTrack& track, std::size_t max_count) {
-    return compute_velocity_between(track.seen.front().cluster,
-                                    track.seen[std::min(track.seen.size(), max_count) - 1].cluster);
+glm::dvec3 estimate_first_velocity(const MoverTrack& track, std::size_t max_observations) {
+    return compute_velocity_between(
+        track.observations.front().cluster,
+        track.observations[std::min(track.observations.size(), max_observations) - 1].cluster);
 }
 
 /// Returns the distance between a cluster and the predicted position of a track, divided
 /// by the largest allowed distance. A value above 1 means that the cluster is another
 /// object.
-double compute_mismatch(const MoverTrack& track, const MoverCluster& cluster) {
-    const double dt = cluster.time_s - track.last().time_s;
+double compute_match_cost(const MoverTrack& track, const MoverCluster& cluster) {
+    const double dt = cluster.time_s - track.get_last_cluster().time_s;
     if (!(dt > 0.0 && dt < kMaxGap_s)) return 2.0;
-    const double ratio = double(cluster.points_m.size()) / double(track.last().points_m.size());
+    const double ratio = double(cluster.points_m.size()) / double(track.get_last_cluster().points_m.size());
     if (ratio > kMaxRatio || ratio < 1.0 / kMaxRatio) return 2.0;
-    const double gate = track.seen.size() < 2 ? kAcceleration_m + kFirstSpeed_mps * dt
-                                              : kAcceleration_m + kAcceleration_mps * dt;
-    return glm::length(glm::dvec2(cluster.centre_m - track.last().centre_m -
+    const double gate = track.observations.size() < 2 ? kAcceleration_m + kFirstSpeed_mps * dt
+                                                      : kAcceleration_m + kAcceleration_mps * dt;
+    return glm::length(glm::dvec2(cluster.centre_m - track.get_last_cluster().centre_m -
                                   dt * estimate_last_velocity(track, kNext))) /
            gate;
 }
@@ -78,72 +81,74 @@ double compute_mismatch(const MoverTrack& track, const MoverCluster& cluster) {
 /// Returns how badly a cluster matches a track, which may have a label. While the object
 /// has a label, only clusters with the same label match. A value above 1 means that the
 /// cluster is another object.
-double compute_mismatch(const MoverTrack& track, const MoverCluster& cluster, double frame_time_s,
-                        const Sequence& sequence) {
-    if (track.label == kNoLabel) return compute_mismatch(track, cluster);
+double compute_match_cost(const MoverTrack& track, const MoverCluster& cluster, double frame_time_s,
+                          const LidarSequence& sequence) {
+    if (track.label == kNoLabel) return compute_match_cost(track, cluster);
     if (cluster.label != kNoLabel) return cluster.label == track.label ? 0.0 : 2.0;
-    return sequence.boxes[std::size_t(track.label)].world_from_box.covers(frame_time_s)
+    return sequence.boxes[std::size_t(track.label)].world_from_box.contains_time(frame_time_s)
                ? 2.0
-               : compute_mismatch(track, cluster);
+               : compute_match_cost(track, cluster);
 }
 
 /// Builds tracks frame by frame. A track is open if a cluster of the next frame can
 /// continue it.
-class OpenTracks {
+class OpenTrackSet {
 public:
-    explicit OpenTracks(const Sequence& sequence) : sequence_(sequence) {}
+    explicit OpenTrackSet(const LidarSequence& sequence) : sequence_(sequence) {}
 
-    void add(double frame_time_s, const std::vector<MoverCluster>& clusters) {
-        std::erase_if(open_, [&](std::size_t t) { return has_ended(tracks_[t], frame_time_s); });
+    void add_frame_clusters(double frame_time_s, const std::vector<MoverCluster>& clusters) {
+        std::erase_if(open_, [&](std::size_t t) { return has_track_ended(tracks_[t], frame_time_s); });
         std::vector<char> track_is_used(tracks_.size(), 0), cluster_is_used(clusters.size(), 0);
-        for (const Fit& fit : list_possible_matches(frame_time_s, clusters)) {
+        for (const TrackClusterMatch& fit : list_possible_matches(frame_time_s, clusters)) {
             if (track_is_used[fit.track] || cluster_is_used[fit.cluster]) continue;
             track_is_used[fit.track] = cluster_is_used[fit.cluster] = 1;
-            take(tracks_[fit.track], frame_time_s, clusters[fit.cluster]);
+            append_observation(tracks_[fit.track], frame_time_s, clusters[fit.cluster]);
         }
         for (std::size_t c = 0; c < clusters.size(); ++c) {
             if (cluster_is_used[c]) continue;
             open_.push_back(tracks_.size());
-            take(tracks_.emplace_back(), frame_time_s, clusters[c]);
+            append_observation(tracks_.emplace_back(), frame_time_s, clusters[c]);
         }
     }
 
-    std::vector<MoverTrack> all() && { return std::move(tracks_); }
+    std::vector<MoverTrack> release_tracks() && { return std::move(tracks_); }
 
 private:
-    struct Fit {
+    struct TrackClusterMatch {
         double mismatch;
         std::size_t track, cluster;
     };
-    const Sequence& sequence_;
+    const LidarSequence& sequence_;
     std::vector<MoverTrack> tracks_;
     std::vector<std::size_t> open_;  // indices of the tracks that may continue
 
-    bool has_ended(const MoverTrack& track, double frame_time_s) const {
+    bool has_track_ended(const MoverTrack& track, double frame_time_s) const {
         if (track.label != kNoLabel &&
             sequence_.boxes[std::size_t(track.label)].world_from_box.time_s.back() >= frame_time_s)
             return false;
-        return frame_time_s - track.seen.back().frame_time_s > 2.0 * kMaxGap_s;
+        return frame_time_s - track.observations.back().frame_time_s > 2.0 * kMaxGap_s;
     }
     /// Returns all possible pairs of a track and a cluster. The pairs are sorted from the
     /// best match to the worst.
-    std::vector<Fit> list_possible_matches(double frame_time_s,
-                                           const std::vector<MoverCluster>& clusters) const {
-        std::vector<Fit> result;
+    std::vector<TrackClusterMatch> list_possible_matches(double frame_time_s,
+                                                         const std::vector<MoverCluster>& clusters) const {
+        std::vector<TrackClusterMatch> result;
         for (const std::size_t t : open_)
             for (std::size_t c = 0; c < clusters.size(); ++c)
-                if (const double m = compute_mismatch(tracks_[t], clusters[c], frame_time_s, sequence_);
+                if (const double m = compute_match_cost(tracks_[t], clusters[c], frame_time_s, sequence_);
                     m < 1.0)
                     result.push_back({m, t, c});
-        std::sort(result.begin(), result.end(), [](const Fit& first, const Fit& second) {
-            return std::tie(first.mismatch, first.track, first.cluster) <
-                   std::tie(second.mismatch, second.track, second.cluster);
-        });
+        std::sort(result.begin(), result.end(),
+                  [](const TrackClusterMatch& first, const TrackClusterMatch& second) {
+                      return std::tie(first.mismatch, first.track, first.cluster) <
+                             std::tie(second.mismatch, second.track, second.cluster);
+                  });
         return result;
     }
-    void take(MoverTrack& track, double frame_time_s, const MoverCluster& cluster) const {
-        track.seen.push_back(
-            {frame_time_s, sequence_.world_from_vehicle.at(cluster.time_s).translation, cluster});
+    void append_observation(MoverTrack& track, double frame_time_s, const MoverCluster& cluster) const {
+        track.observations.push_back(
+            {frame_time_s, sequence_.world_from_vehicle.interpolate_pose(cluster.time_s).translation,
+             cluster});
         if (cluster.label != kNoLabel) track.label = cluster.label;
     }
 };
@@ -156,7 +161,7 @@ double compute_visible_width_m(const MoverCluster& cluster) {
     return std::max(high.x - low.x, high.y - low.y);
 }
 
-double compute_gap_between(const MoverCluster& first, const MoverCluster& second) {
+double compute_horizontal_gap_m(const MoverCluster& first, const MoverCluster& second) {
     double nearest = 1e30;
     for (const glm::dvec3& p : first.points_m)
         for (const glm::dvec3& q : second.points_m)
@@ -166,12 +171,12 @@ double compute_gap_between(const MoverCluster& first, const MoverCluster& second
 
 /// Returns the observations of two tracks that are in the same frame, as pairs of
 /// indices.
-std::vector<std::pair<std::size_t, std::size_t>> list_common_frames(const MoverTrack& first,
-                                                                    const MoverTrack& second) {
+std::vector<std::pair<std::size_t, std::size_t>> list_common_observation_pairs(const MoverTrack& first,
+                                                                               const MoverTrack& second) {
     std::vector<std::pair<std::size_t, std::size_t>> pairs;
-    for (std::size_t i = 0, j = 0; i < first.seen.size() && j < second.seen.size();) {
-        if (first.seen[i].frame_time_s < second.seen[j].frame_time_s) ++i;
-        else if (second.seen[j].frame_time_s < first.seen[i].frame_time_s) ++j;
+    for (std::size_t i = 0, j = 0; i < first.observations.size() && j < second.observations.size();) {
+        if (first.observations[i].frame_time_s < second.observations[j].frame_time_s) ++i;
+        else if (second.observations[j].frame_time_s < first.observations[i].frame_time_s) ++j;
         else pairs.push_back({i++, j++});
     }
     return pairs;
@@ -179,18 +184,20 @@ std::vector<std::pair<std::size_t, std::size_t>> list_common_frames(const MoverT
 
 /// Returns true if two tracks are parts of one vehicle. Example: if the beams miss the
 /// roof of a van, its tail and its cabin form separate clusters.
-bool move_as_one(const MoverTrack& track, const MoverTrack& part) {
-    if (part.label != kNoLabel) return false;
-    const auto common = list_common_frames(track, part);
-    if (2 * common.size() < part.seen.size() || common.size() < 4) return false;
+bool are_tracks_of_same_vehicle(const MoverTrack& track, const MoverTrack& other_track) {
+    if (other_track.label != kNoLabel) return false;
+    const auto common = list_common_observation_pairs(track, other_track);
+    if (2 * common.size() < other_track.observations.size() || common.size() < 4) return false;
     const auto& [i, j] = common[common.size() / 2];
-    if (std::min(compute_visible_width_m(track.seen[i].cluster),
-                 compute_visible_width_m(part.seen[j].cluster)) < kVehiclePart_m ||
-        compute_gap_between(track.seen[i].cluster, part.seen[j].cluster) > kBesides_m)
+    if (std::min(compute_visible_width_m(track.observations[i].cluster),
+                 compute_visible_width_m(other_track.observations[j].cluster)) < kVehiclePart_m ||
+        compute_horizontal_gap_m(track.observations[i].cluster, other_track.observations[j].cluster) >
+            kBesides_m)
         return false;
     glm::dvec3 sum(0.0), squares(0.0);
     for (const auto& [a, b] : common) {
-        const glm::dvec3 apart = part.seen[b].cluster.centre_m - track.seen[a].cluster.centre_m;
+        const glm::dvec3 apart =
+            other_track.observations[b].cluster.centre_m - track.observations[a].cluster.centre_m;
         sum += apart, squares += apart * apart;
     }
     const double n = double(common.size());
@@ -201,41 +208,43 @@ bool move_as_one(const MoverTrack& track, const MoverTrack& part) {
 /// Returns how badly one track continues another track after a gap. Predicts the position
 /// across the gap from both sides. A value above 1 means that the tracks are different
 /// objects.
-double compute_mismatch_over_gap(const MoverTrack& earlier_track, const MoverTrack& later_track) {
+double compute_match_cost_over_gap(const MoverTrack& earlier_track, const MoverTrack& later_track) {
     if (earlier_track.label != kNoLabel && later_track.label != kNoLabel) return 2.0;
-    if (std::min(earlier_track.seen.size(), later_track.seen.size()) < kEndsOfGap) return 2.0;
-    const double dt = later_track.seen.front().cluster.time_s - earlier_track.last().time_s;
+    if (std::min(earlier_track.observations.size(), later_track.observations.size()) < kEndsOfGap) return 2.0;
+    const double dt =
+        later_track.observations.front().cluster.time_s - earlier_track.get_last_cluster().time_s;
     if (!(dt > 0.0 && dt < kLongestGap_s)) return 2.0;
     const glm::dvec3 from_velocity = estimate_last_velocity(earlier_track, kFar),
                      to_velocity = estimate_first_velocity(later_track, kFar);
-    const glm::dvec3 way = later_track.seen.front().cluster.centre_m - earlier_track.last().centre_m;
-    const double off = std::max(glm::length(glm::dvec2(way - dt * from_velocity)),
-                                glm::length(glm::dvec2(way - dt * to_velocity)));
+    const glm::dvec3 displacement_m =
+        later_track.observations.front().cluster.centre_m - earlier_track.get_last_cluster().centre_m;
+    const double off = std::max(glm::length(glm::dvec2(displacement_m - dt * from_velocity)),
+                                glm::length(glm::dvec2(displacement_m - dt * to_velocity)));
     return std::max(off / (kAcceleration_m + kOverGap_mps * dt),
                     glm::length(glm::dvec2(from_velocity - to_velocity)) / kOtherSpeed_mps);
 }
 
 /// Two tracks that may belong to the same object: `after` begins some time after the end
 /// of `before`.
-struct GapFit {
+struct TrackPairMatch {
     double mismatch;
     std::size_t before, after;
 };
 // Returns the pairs of tracks that may be joined across a gap, sorted from best to worst.
 // @param tracks sorted by their first frames
-std::vector<GapFit> find_fits_over_gaps(const std::vector<MoverTrack>& tracks) {
-    std::vector<GapFit> fits;
-    const auto starts_s = [&](std::size_t t) { return tracks[t].seen.front().frame_time_s; };
+std::vector<TrackPairMatch> find_track_pairs_over_gaps(const std::vector<MoverTrack>& tracks) {
+    std::vector<TrackPairMatch> fits;
+    const auto starts_s = [&](std::size_t t) { return tracks[t].observations.front().frame_time_s; };
     std::vector<std::size_t> all(tracks.size());
     std::iota(all.begin(), all.end(), std::size_t(0));
     for (const std::size_t a : all) {
-        const double end_s = tracks[a].seen.back().frame_time_s;
+        const double end_s = tracks[a].observations.back().frame_time_s;
         for (auto b = std::ranges::upper_bound(all, end_s, {}, starts_s);
              b != all.end() && starts_s(*b) < end_s + kLongestGap_s; ++b)
-            if (const double m = compute_mismatch_over_gap(tracks[a], tracks[*b]); m < 1.0)
+            if (const double m = compute_match_cost_over_gap(tracks[a], tracks[*b]); m < 1.0)
                 fits.push_back({m, a, *b});
     }
-    std::sort(fits.begin(), fits.end(), [](const GapFit& first, const GapFit& second) {
+    std::sort(fits.begin(), fits.end(), [](const TrackPairMatch& first, const TrackPairMatch& second) {
         return std::tie(first.mismatch, first.before, first.after) <
                std::tie(second.mismatch, second.before, second.after);
     });
@@ -244,10 +253,10 @@ std::vector<GapFit> find_fits_over_gaps(const std::vector<MoverTrack>& tracks) {
 
 /// Joins tracks of the same object across gaps. Does not join tracks with different
 /// labels.
-std::vector<MoverTrack> join_across_gaps(std::vector<MoverTrack> tracks) {
+std::vector<MoverTrack> join_tracks_across_gaps(std::vector<MoverTrack> tracks) {
     std::vector<std::size_t> next(tracks.size(), tracks.size());
     std::vector<char> follows(tracks.size(), 0);
-    for (const GapFit& fit : find_fits_over_gaps(tracks))
+    for (const TrackPairMatch& fit : find_track_pairs_over_gaps(tracks))
         if (next[fit.before] == tracks.size() && !follows[fit.after])
             next[fit.before] = fit.after, follows[fit.after] = 1;
     std::vector<MoverTrack> joined;
@@ -255,13 +264,13 @@ std::vector<MoverTrack> join_across_gaps(std::vector<MoverTrack> tracks) {
         if (follows[first]) continue;
         joined.push_back(std::move(tracks[first]));
         for (std::size_t t = next[first]; t < tracks.size(); t = next[t]) {
-            MoverTrack& whole = joined.back();
-            if (whole.label != kNoLabel && tracks[t].label != kNoLabel) {
+            MoverTrack& joined_track = joined.back();
+            if (joined_track.label != kNoLabel && tracks[t].label != kNoLabel) {
                 joined.push_back(std::move(tracks[t]));
                 continue;
             }
-            whole.label = std::max(whole.label, tracks[t].label);
-            std::ranges::move(tracks[t].seen, std::back_inserter(whole.seen));
+            joined_track.label = std::max(joined_track.label, tracks[t].label);
+            std::ranges::move(tracks[t].observations, std::back_inserter(joined_track.observations));
         }
     }
     return joined;
@@ -269,24 +278,27 @@ std::vector<MoverTrack> join_across_gaps(std::vector<MoverTrack> tracks) {
 
 }  // namespace
 
-std::vector<double> MoverTrack::times() const {
+std::vector<double> MoverTrack::get_observation_times() const {
     std::vector<double> times;
-    for (const Observation& o : seen) times.push_back(o.cluster.time_s);
+    for (const MoverObservation& o : observations) times.push_back(o.cluster.time_s);
     return times;
 }
 
-std::vector<MoverTrack> link_clusters(const std::vector<std::vector<MoverCluster>>& clusters,
-                                      const std::vector<double>& frame_times_s, const Sequence& sequence) {
-    OpenTracks open(sequence);
-    for (std::size_t f = 0; f < clusters.size(); ++f) open.add(frame_times_s[f], clusters[f]);
-    return join_across_gaps(std::move(open).all());
+std::vector<MoverTrack> link_clusters_to_tracks(
+    const std::vector<std::vector<MoverCluster>>& clusters_per_frame,
+    const std::vector<double>& frame_times_s, const LidarSequence& sequence) {
+    OpenTrackSet open(sequence);
+    for (std::size_t f = 0; f < clusters_per_frame.size(); ++f)
+        open.add_frame_clusters(frame_times_s[f], clusters_per_frame[f]);
+    return join_tracks_across_gaps(std::move(open).release_tracks());
 }
 
 bool is_moving_track(const MoverTrack& track) {
-    if (track.seen.size() < kMinObservations) return false;
+    if (track.observations.size() < kMinObservations) return false;
     std::vector<glm::dvec3> centres;
-    for (const Observation& o : track.seen) centres.push_back(o.cluster.centre_m * glm::dvec3(1.0, 1.0, 0.0));
-    const std::vector<PathState> path = smooth_path(track.times(), centres);
+    for (const MoverObservation& o : track.observations)
+        centres.push_back(o.cluster.centre_m * glm::dvec3(1.0, 1.0, 0.0));
+    const std::vector<KinematicState> path = smooth_path(track.get_observation_times(), centres);
     double length = 0.0;
     for (std::size_t i = 1; i < path.size(); ++i)
         length += glm::distance(path[i - 1].position_m, path[i].position_m);
@@ -295,25 +307,28 @@ bool is_moving_track(const MoverTrack& track) {
 }
 
 bool is_fixed_to_vehicle(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
-    std::vector<glm::dvec3> places;
-    for (const Observation& o : track.seen)
-        places.push_back(inverse(world_from_vehicle.at(o.cluster.time_s)) * o.cluster.centre_m);
-    const auto is_near = [&](const glm::dvec3& point) {
-        return glm::distance(point, places[places.size() / 2]) < kRides_m;
+    std::vector<glm::dvec3> positions_in_vehicle_m;
+    for (const MoverObservation& o : track.observations)
+        positions_in_vehicle_m.push_back(inverse(world_from_vehicle.interpolate_pose(o.cluster.time_s)) *
+                                         o.cluster.centre_m);
+    const auto is_near_middle_position = [&](const glm::dvec3& point) {
+        return glm::distance(point, positions_in_vehicle_m[positions_in_vehicle_m.size() / 2]) <
+               kMaxRelativeMotion_m;
     };
-    return glm::length(places[places.size() / 2]) < kOwnVehicle_m &&
-           std::count_if(places.begin(), places.end(), is_near) > std::ptrdiff_t(places.size() * 3 / 4);
+    return glm::length(positions_in_vehicle_m[positions_in_vehicle_m.size() / 2]) < kEgoVehicleRadius_m &&
+           std::count_if(positions_in_vehicle_m.begin(), positions_in_vehicle_m.end(),
+                         is_near_middle_position) > std::ptrdiff_t(positions_in_vehicle_m.size() * 3 / 4);
 }
 
-void join_parts(std::vector<MoverTrack>& tracks) {
+void merge_tracks_of_same_object(std::vector<MoverTrack>& tracks) {
     std::stable_sort(tracks.begin(), tracks.end(), [](const MoverTrack& first, const MoverTrack& second) {
-        return first.seen.size() > second.seen.size();
+        return first.observations.size() > second.observations.size();
     });
     for (std::size_t a = 0; a < tracks.size(); ++a)
         for (std::size_t b = a + 1; b < tracks.size(); ++b) {
-            if (!move_as_one(tracks[a], tracks[b])) continue;
-            for (const auto& [i, j] : list_common_frames(tracks[a], tracks[b]))
-                tracks[a].seen[i].cluster.merge(tracks[b].seen[j].cluster);
+            if (!are_tracks_of_same_vehicle(tracks[a], tracks[b])) continue;
+            for (const auto& [i, j] : list_common_observation_pairs(tracks[a], tracks[b]))
+                tracks[a].observations[i].cluster.merge_cluster(tracks[b].observations[j].cluster);
             tracks.erase(tracks.begin() + std::ptrdiff_t(b--));
         }
 }

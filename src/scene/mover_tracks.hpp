@@ -11,7 +11,7 @@
 namespace relidar {
 
 /// Observation of an object in one frame.
-struct Observation {
+struct MoverObservation {
     double frame_time_s;
     glm::dvec3 sensor_m;  ///< position of the sensor, world
     MoverCluster cluster;
@@ -21,21 +21,22 @@ struct Observation {
 /// be observed before and after its labels. Its track then contains both kinds of
 /// observations.
 struct MoverTrack {
-    std::vector<Observation> seen;
-    int label = kNoLabel;  ///< index in Sequence::boxes, or kNoLabel
+    std::vector<MoverObservation> observations;
+    int label = kNoLabel;  ///< index in LidarSequence::boxes, or kNoLabel
 
-    const MoverCluster& last() const { return seen.back().cluster; }
+    const MoverCluster& get_last_cluster() const { return observations.back().cluster; }
     /// Returns the time of each observation, which is the mean firing time of its
     /// returns.
-    std::vector<double> times() const;
+    std::vector<double> get_observation_times() const;
 };
 
 /// Links the clusters of consecutive frames to tracks. Links the best match of each frame
 /// first. While an object has a label, the label decides which clusters are linked.
 /// Before and after the labels, the predicted position decides.
-/// @param clusters [frames]
-std::vector<MoverTrack> link_clusters(const std::vector<std::vector<MoverCluster>>& clusters,
-                                      const std::vector<double>& frame_times_s, const Sequence& sequence);
+/// @param clusters_per_frame [frames]
+std::vector<MoverTrack> link_clusters_to_tracks(
+    const std::vector<std::vector<MoverCluster>>& clusters_per_frame,
+    const std::vector<double>& frame_times_s, const LidarSequence& sequence);
 
 /// Returns true if a track has enough observations, moves far enough, and is fairly
 /// straight.
@@ -47,6 +48,6 @@ bool is_fixed_to_vehicle(const MoverTrack& track, const PoseTrack& world_from_ve
 
 /// Merges tracks that are parts of one object. Adds their returns to the longest track of
 /// the object.
-void join_parts(std::vector<MoverTrack>& tracks);
+void merge_tracks_of_same_object(std::vector<MoverTrack>& tracks);
 
 }  // namespace relidar

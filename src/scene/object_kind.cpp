@@ -38,7 +38,7 @@ constexpr std::string_view kPersons[] = {"pedestrian",
                                          "human.pedestrian.stroller",
                                          "human.pedestrian.wheelchair"};
 
-bool has(std::span<const std::string_view> words, std::string_view word) {
+bool is_word_in_list(std::span<const std::string_view> words, std::string_view word) {
     return std::ranges::find(words, word) != words.end();
 }
 
@@ -48,10 +48,10 @@ ObjectKind parse_object_kind(std::string_view category) {
     std::string word(category);
     std::ranges::transform(word, word.begin(),
                            [](unsigned char character) { return char(std::tolower(character)); });
-    return has(kVehicles, word)   ? ObjectKind::vehicle
-           : has(kCyclists, word) ? ObjectKind::cyclist
-           : has(kPersons, word)  ? ObjectKind::person
-                                  : ObjectKind::other;
+    return is_word_in_list(kVehicles, word)   ? ObjectKind::vehicle
+           : is_word_in_list(kCyclists, word) ? ObjectKind::cyclist
+           : is_word_in_list(kPersons, word)  ? ObjectKind::person
+                                              : ObjectKind::other;
 }
 
 const char* get_name(ObjectKind kind) {

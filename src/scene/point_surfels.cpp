@@ -27,8 +27,8 @@ constexpr int kScaleNeighbours = 3;
 constexpr double kGap = 2.5;
 
 /// Adapter that gives nanoflann access to the samples.
-struct Cloud {
-    const std::vector<Sample>& samples;
+struct SampleKdTreeAdapter {
+    const std::vector<LidarSample>& samples;
     std::size_t kdtree_get_point_count() const { return samples.size(); }
     float kdtree_get_pt(std::size_t index, std::size_t axis) const {
         return samples[index].position[static_cast<int>(axis)];
@@ -38,11 +38,11 @@ struct Cloud {
         return false;
     }
 };
-using Tree =
-    nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, Cloud>, Cloud, 3, std::size_t>;
+using Tree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, SampleKdTreeAdapter>,
+                                                 SampleKdTreeAdapter, 3, std::size_t>;
 
 /// Plane through the neighbours of a point.
-struct Plane {
+struct NeighbourPlane {
     glm::dvec3 point{0.0};
     glm::dvec3 normal{0.0};
     bool is_line = false;  ///< true if the points spread along one axis only
@@ -57,14 +57,15 @@ struct Plane {
 /// points form no surface, the normal points to the sensor. With another normal, the
 /// surfel could be edge-on to the sensor. Rays of the next scan would then miss the
 /// surfel and hit the background.
-Plane fit_plane(const std::vector<Sample>& samples, const std::vector<std::size_t>& neighbours,
-                const glm::dvec3& view, double flatness) {
+NeighbourPlane fit_plane(const std::vector<LidarSample>& samples,
+                         const std::vector<std::size_t>& neighbour_indices, const glm::dvec3& view_direction,
+                         double max_flatness) {
     Eigen::Vector3d mean = Eigen::Vector3d::Zero();
-    for (const std::size_t j : neighbours)
+    for (const std::size_t j : neighbour_indices)
         mean += Eigen::Vector3d(samples[j].position.x, samples[j].position.y, samples[j].position.z);
-    mean /= double(neighbours.size());
+    mean /= double(neighbour_indices.size());
     Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();
-    for (const std::size_t j : neighbours) {
+    for (const std::size_t j : neighbour_indices) {
         const Eigen::Vector3d d =
             Eigen::Vector3d(samples[j].position.x, samples[j].position.y, samples[j].position.z) - mean;
         covariance += d * d.transpose();
@@ -76,25 +77,29 @@ Plane fit_plane(const std::vector<Sample>& samples, const std::vector<std::size_
     const bool is_line = values[1] < 0.02 * values[2];
     if (is_line || !(values[2] > 0.0)) {
         const glm::dvec3 line(axes(0, 2), axes(1, 2), axes(2, 2));
-        normal = -view + (values[2] > 0.0 ? glm::dot(view, line) * line : glm::dvec3(0.0));
+        normal =
+            -view_direction + (values[2] > 0.0 ? glm::dot(view_direction, line) * line : glm::dvec3(0.0));
     }
-    const bool is_surface = !is_line && values[0] < flatness * values[1];
-    if (!is_line && !is_surface) normal = -view;
+    const bool is_surface = !is_line && values[0] < max_flatness * values[1];
+    if (!is_line && !is_surface) normal = -view_direction;
     const double length = glm::length(normal);
-    return {{mean.x(), mean.y(), mean.z()}, length > 1e-9 ? normal / length : -view, is_line, is_surface};
+    return {{mean.x(), mean.y(), mean.z()},
+            length > 1e-9 ? normal / length : -view_direction,
+            is_line,
+            is_surface};
 }
 
 /// Returns a unit vector perpendicular to a normal. The angle selects one of these
 /// vectors by rotating it about the normal.
-glm::dvec3 is_direction_within(const glm::dvec3& normal, double angle) {
+glm::dvec3 make_perpendicular_direction(const glm::dvec3& normal, double angle_rad) {
     const glm::dvec3 helper = std::abs(normal.x) < 0.9 ? glm::dvec3(1, 0, 0) : glm::dvec3(0, 1, 0);
     const glm::dvec3 x = glm::normalize(glm::cross(helper, normal));
-    return std::cos(angle) * x + std::sin(angle) * glm::cross(normal, x);
+    return std::cos(angle_rad) * x + std::sin(angle_rad) * glm::cross(normal, x);
 }
 
 /// Returns the rotation (w, x, y, z) whose first and third columns are `x_axis` and
-/// `normal`.
-glm::vec4 make_normal_rotation(const glm::dvec3& x_axis, const glm::dvec3& normal) {
+/// `draw_standard_normal`.
+glm::vec4 make_quaternion_from_axes(const glm::dvec3& x_axis, const glm::dvec3& normal) {
     const glm::dquat q = glm::quat_cast(glm::dmat3(x_axis, glm::cross(normal, x_axis), normal));
     return {float(q.w), float(q.x), float(q.y), float(q.z)};
 }
@@ -102,19 +107,20 @@ glm::vec4 make_normal_rotation(const glm::dvec3& x_axis, const glm::dvec3& norma
 /// Distances to the neighbouring scan lines on a surface. `across` is the direction in
 /// the surface that is perpendicular to the scan lines. `left_m` and `right_m` are the
 /// distances to the nearest points on the next scan lines, or 0 if no such point exists.
-struct Gap {
+struct ScanLineGap {
     glm::dvec3 across{0.0};
     double left_m = 0.0, right_m = 0.0;
 
-    bool is_open() const { return left_m == 0.0 || right_m == 0.0; }
-    double width_m() const { return std::max(left_m, right_m); }
+    bool is_one_side_missing() const { return left_m == 0.0 || right_m == 0.0; }
+    double get_larger_distance_m() const { return std::max(left_m, right_m); }
 };
 
 /// Measures the distance from a point to the next scan line on each side.
-/// @param neighbours indices of points on the surface, sorted by distance; the first is
-/// the point itself
-Gap measure_gap_between_lines(const std::vector<Sample>& samples, const std::vector<std::size_t>& neighbours,
-                              const glm::dvec3& normal) {
+/// @param neighbour_indices indices of points on the surface, sorted by distance; the
+/// first is the point itself
+ScanLineGap measure_scan_line_gap(const std::vector<LidarSample>& samples,
+                                  const std::vector<std::size_t>& neighbour_indices,
+                                  const glm::dvec3& normal) {
     // number of nearest neighbours that lie on the same scan line as the point
     constexpr std::size_t kOnLine = 4;
     // Minimum cosine of the angle between `across` and the direction to a neighbour. A
@@ -123,18 +129,18 @@ Gap measure_gap_between_lines(const std::vector<Sample>& samples, const std::vec
     // maximum distance of a neighbour from the plane: a share of its distance from the
     // point, plus a constant
     constexpr double kSlope = 0.1, kNoise_m = 0.05;
-    const glm::dvec3 point(samples[neighbours[0]].position), x = is_direction_within(normal, 0.0),
-                                                             y = glm::cross(normal, x);
+    const glm::dvec3 point(samples[neighbour_indices[0]].position),
+        x = make_perpendicular_direction(normal, 0.0), y = glm::cross(normal, x);
     // Averages directions of lines. Doubling each angle makes opposite directions equal.
     double even = 0.0, odd = 0.0;
-    for (std::size_t j = 1; j < std::min(neighbours.size(), kOnLine + 1); ++j) {
-        const glm::dvec3 d = glm::dvec3(samples[neighbours[j]].position) - point;
+    for (std::size_t j = 1; j < std::min(neighbour_indices.size(), kOnLine + 1); ++j) {
+        const glm::dvec3 d = glm::dvec3(samples[neighbour_indices[j]].position) - point;
         const double u = glm::dot(d, x), v = glm::dot(d, y), length2 = std::max(u * u + v * v, 1e-12);
         even += (u * u - v * v) / length2, odd += 2.0 * u * v / length2;
     }
-    Gap gap{is_direction_within(normal, 0.5 * std::atan2(odd, even) + 0.5 * kPi)};
-    for (std::size_t j = 1; j < neighbours.size() && gap.is_open(); ++j) {
-        const glm::dvec3 d = glm::dvec3(samples[neighbours[j]].position) - point;
+    ScanLineGap gap{make_perpendicular_direction(normal, 0.5 * std::atan2(odd, even) + 0.5 * kPi)};
+    for (std::size_t j = 1; j < neighbour_indices.size() && gap.is_one_side_missing(); ++j) {
+        const glm::dvec3 d = glm::dvec3(samples[neighbour_indices[j]].position) - point;
         const double length = glm::length(d), across = glm::dot(d, gap.across);
         double& on_side = across > 0.0 ? gap.right_m : gap.left_m;
         if (on_side == 0.0 && std::abs(across) > kAcross * length &&
@@ -145,7 +151,8 @@ Gap measure_gap_between_lines(const std::vector<Sample>& samples, const std::vec
 }
 
 glm::dvec3 draw_random_direction(Random& random) {
-    const glm::dvec3 d(random.normal(), random.normal(), random.normal());
+    const glm::dvec3 d(random.draw_standard_normal(), random.draw_standard_normal(),
+                       random.draw_standard_normal());
     return d / std::max(glm::length(d), 1e-12);
 }
 
@@ -153,32 +160,35 @@ glm::dvec3 draw_random_direction(Random& random) {
 /// cos)) with cos = -n . d, where d is the direction of a ray towards the surface. At a
 /// grazing angle, the sample determines the albedo a poorly. Therefore the cosine has a
 /// lower limit.
-/// @param normal zero if unknown; then the intensity is the same from all directions
-void fill_intensity(float* sh, const Sample& sample, const glm::dvec3& normal, double incidence) {
+/// @param draw_standard_normal zero if unknown; then the intensity is the same from all
+/// directions
+void set_intensity_harmonics(float* sh_coefficients, const LidarSample& sample, const glm::dvec3& normal,
+                             double incidence_coefficient) {
     constexpr double kGrazing = 0.1;
     const double facing = -glm::dot(normal, glm::normalize(glm::dvec3(sample.view)));
     const glm::dvec3 n = facing < 0.0 ? -normal : normal;
-    const double q = normal == glm::dvec3(0.0) ? 0.0 : incidence,
+    const double q = normal == glm::dvec3(0.0) ? 0.0 : incidence_coefficient,
                  albedo = double(sample.intensity) / (1.0 - q * (1.0 - std::max(std::abs(facing), kGrazing)));
     const glm::dvec3 slope = -albedo * q / kSh1 * n;  // SH coefficients of degree 1 for the axes x, y, z
-    sh[0] = (static_cast<float>(albedo * (1.0 - q)) - 0.5f) / kSh0;
-    sh[1] = static_cast<float>(-slope.y);
-    sh[2] = static_cast<float>(slope.z);
-    sh[3] = static_cast<float>(-slope.x);
+    sh_coefficients[0] = (static_cast<float>(albedo * (1.0 - q)) - 0.5f) / kSh0;
+    sh_coefficients[1] = static_cast<float>(-slope.y);
+    sh_coefficients[2] = static_cast<float>(slope.z);
+    sh_coefficients[3] = static_cast<float>(-slope.x);
 }
 
 /// Indices of the n samples nearest to a sample, sorted by distance, and their squared
 /// distances.
-struct Neighbours {
+struct NearestSamples {
     std::vector<std::size_t> samples;
     std::vector<float> distance2;
 
-    Neighbours(const Tree& tree, const Sample& sample, std::size_t count) : samples(count), distance2(count) {
+    NearestSamples(const Tree& tree, const LidarSample& sample, std::size_t count)
+        : samples(count), distance2(count) {
         samples.resize(tree.knnSearch(&sample.position.x, count, samples.data(), distance2.data()));
     }
     /// Returns the mean distance to the nearest other samples, or 0 if there are no other
     /// samples.
-    double spacing_m() const {
+    double compute_mean_spacing_m() const {
         double sum = 0.0;
         std::size_t n = 0;
         for (std::size_t j = 1; j < samples.size() && n < kScaleNeighbours; ++j, ++n)
@@ -189,67 +199,75 @@ struct Neighbours {
 
 /// Plane in which a new surfel lies, and the distances to the scan lines on both sides of
 /// the surfel.
-struct Place {
-    Plane plane;
-    Gap gap;
+struct SurfelPlacement {
+    NeighbourPlane plane;
+    ScanLineGap gap;
 };
 
 /// Finds the plane and the scan-line distances at a sample from its nearest neighbours.
 /// If all neighbours lie on one scan line or on one side of a gap, searches again with
 /// more neighbours. Points of a single line do not determine the rotation of the plane
 /// about this line.
-Place estimate_surface_at(const Tree& tree, const std::vector<Sample>& samples, std::size_t index,
-                          std::vector<std::size_t> nearest, const InitialiseOptions& options) {
+SurfelPlacement estimate_surface_at(const Tree& tree, const std::vector<LidarSample>& samples,
+                                    std::size_t sample_index, std::vector<std::size_t> nearest_indices,
+                                    const SceneInitialisationOptions& options) {
     constexpr int kWider = 2;  // maximum number of repeated searches with more neighbours
-    Place place{fit_plane(samples, nearest, samples[index].view, options.flatness), {}};
-    if (options.max_gap_m <= 0.0) return place;
+    SurfelPlacement placement{
+        fit_plane(samples, nearest_indices, samples[sample_index].view, options.flatness), {}};
+    if (options.max_gap_m <= 0.0) return placement;
     const auto widen = [&] {
-        nearest = Neighbours(tree, samples[index], std::min(4 * nearest.size(), samples.size())).samples;
+        nearest_indices =
+            NearestSamples(tree, samples[sample_index], std::min(4 * nearest_indices.size(), samples.size()))
+                .samples;
     };
-    const bool is_line = place.plane.is_line;
-    for (int k = 0; is_line && !place.plane.is_surface && k < kWider; ++k) {
+    const bool is_line = placement.plane.is_line;
+    for (int k = 0; is_line && !placement.plane.is_surface && k < kWider; ++k) {
         widen();
-        const Plane wider = fit_plane(samples, nearest, samples[index].view, options.flatness);
+        const NeighbourPlane wider =
+            fit_plane(samples, nearest_indices, samples[sample_index].view, options.flatness);
         // Uses only the normal of the wider plane. That plane is too coarse for the
         // position of the surfel.
-        if (wider.is_surface) place.plane = {samples[index].position, wider.normal, true, true};
+        if (wider.is_surface) placement.plane = {samples[sample_index].position, wider.normal, true, true};
     }
-    if (!place.plane.is_surface) return place;
-    place.gap = measure_gap_between_lines(samples, nearest, place.plane.normal);
-    if (is_line || !place.gap.is_open()) return place;
+    if (!placement.plane.is_surface) return placement;
+    placement.gap = measure_scan_line_gap(samples, nearest_indices, placement.plane.normal);
+    if (is_line || !placement.gap.is_one_side_missing()) return placement;
     widen();
-    place.gap = measure_gap_between_lines(samples, nearest, place.plane.normal);
-    return place;
+    placement.gap = measure_scan_line_gap(samples, nearest_indices, placement.plane.normal);
+    return placement;
 }
 
 /// Computes all parameters of surfel i from its sample and the samples nearby.
-void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& samples, const Tree& tree,
-                 const InitialiseOptions& options, double incidence) {
+void compute_surfel_parameters(Surfels& surfels, std::size_t index, const std::vector<LidarSample>& samples,
+                               const Tree& tree, const SceneInitialisationOptions& options,
+                               double incidence_coefficient) {
     const std::size_t k =
         std::min<std::size_t>(std::max(options.normal_neighbours, kScaleNeighbours) + 1, samples.size());
-    Neighbours nearest(tree, samples[i], k);
-    const double spacing = nearest.samples.size() > 1 ? nearest.spacing_m() : options.voxel_m;
-    Random random(combine_hashes(options.seed, i));
+    NearestSamples nearest(tree, samples[index], k);
+    const double spacing = nearest.samples.size() > 1 ? nearest.compute_mean_spacing_m() : options.voxel_m;
+    Random random(hash_integer_pair(options.seed, index));
     nearest.samples.resize(std::min(nearest.samples.size(), std::size_t(options.normal_neighbours) + 1));
-    Place place{{{}, draw_random_direction(random)}, {}};
+    SurfelPlacement placement{{{}, draw_random_direction(random)}, {}};
     if (options.normals && nearest.samples.size() >= 3)
-        place = estimate_surface_at(tree, samples, i, std::move(nearest.samples), options);
-    const Plane& plane = place.plane;
-    surfels.mean[i] = samples[i].position;
+        placement = estimate_surface_at(tree, samples, index, std::move(nearest.samples), options);
+    const NeighbourPlane& plane = placement.plane;
+    surfels.mean[index] = samples[index].position;
     if (options.flatness < 1.0 && plane.is_surface)
-        surfels.mean[i] -=
-            glm::vec3(glm::dot(glm::dvec3(samples[i].position) - plane.point, plane.normal) * plane.normal);
-    glm::dvec3 x = is_direction_within(plane.normal, random.uniform(0.0, 2.0 * kPi));
-    const double width = place.gap.width_m(),
+        surfels.mean[index] -= glm::vec3(
+            glm::dot(glm::dvec3(samples[index].position) - plane.point, plane.normal) * plane.normal);
+    glm::dvec3 x = make_perpendicular_direction(plane.normal, random.draw_uniform(0.0, 2.0 * kPi));
+    const double width = placement.gap.get_larger_distance_m(),
                  round = std::min(spacing * options.scale_factor, options.max_scale_m);
-    const bool reaches = !place.gap.is_open() && width > kGap * spacing && width < options.max_gap_m;
-    if (reaches) x = place.gap.across;
-    surfels.rotation[i] = make_normal_rotation(x, plane.normal);
+    const bool reaches =
+        !placement.gap.is_one_side_missing() && width > kGap * spacing && width < options.max_gap_m;
+    if (reaches) x = placement.gap.across;
+    surfels.rotation[index] = make_quaternion_from_axes(x, plane.normal);
     const auto log_scale = [](double m) { return static_cast<float>(std::log(std::max(m, 1e-3))); };
-    surfels.log_scale[i] = {log_scale(reaches ? width * options.scale_factor : round), log_scale(round)};
-    surfels.opacity_logit[i] = static_cast<float>(std::log(options.opacity / (1.0 - options.opacity)));
-    float* sh = surfels.sh.data() + i * kShFloats;
-    fill_intensity(sh, samples[i], plane.is_surface ? plane.normal : glm::dvec3(0.0), incidence);
+    surfels.log_scale[index] = {log_scale(reaches ? width * options.scale_factor : round), log_scale(round)};
+    surfels.opacity_logit[index] = static_cast<float>(std::log(options.opacity / (1.0 - options.opacity)));
+    float* sh = surfels.sh.data() + index * kShFloats;
+    set_intensity_harmonics(sh, samples[index], plane.is_surface ? plane.normal : glm::dvec3(0.0),
+                            incidence_coefficient);
     const double hit_logit = options.one_logit ? 0.0 : 0.5 * (1.0 + options.hit_margin),
                  drop_logit = hit_logit - options.hit_margin;
     sh[kShCoefficients] = (static_cast<float>(hit_logit) - 0.5f) / kSh0;
@@ -258,47 +276,48 @@ void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& sam
 
 }  // namespace
 
-Surfels make_surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options,
-                                 double incidence, const Progress& progress,
-                                 std::vector<std::uint32_t>* order) {
-    const Cloud cloud{samples};
+Surfels make_surfels_from_points(const std::vector<LidarSample>& samples,
+                                 const SceneInitialisationOptions& options, double incidence_coefficient,
+                                 const ProgressReporter& progress, std::vector<std::uint32_t>* sample_order) {
+    const SampleKdTreeAdapter cloud{samples};
     const Tree tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(16));
     Surfels surfels;
     surfels.resize(samples.size());
     std::fill(surfels.sh.begin(), surfels.sh.end(), 0.0f);
-    for_each_block_with_progress(samples.size(), progress, "normals", [&](std::size_t index) {
-        fill_surfel(surfels, index, samples, tree, options, incidence);
+    parallel_for_blocks_with_progress(samples.size(), progress, "normals", [&](std::size_t index) {
+        compute_surfel_parameters(surfels, index, samples, tree, options, incidence_coefficient);
     });
-    const std::vector<std::uint32_t> sorted = compute_kd_order(surfels.mean);
-    if (order) *order = sorted;
+    const std::vector<std::uint32_t> sorted = compute_kd_tree_order(surfels.mean);
+    if (sample_order) *sample_order = sorted;
     return surfels.reorder(sorted);
 }
 
-std::vector<Sample> thin_samples(const std::vector<Sample>& samples, std::size_t max_count,
-                                 std::vector<std::uint32_t>* kept) {
+std::vector<LidarSample> select_one_sample_per_voxel(const std::vector<LidarSample>& samples,
+                                                     std::size_t max_count,
+                                                     std::vector<std::uint32_t>* selected_indices) {
     // edge length of a voxel; the jitter of labelled boxes blurs smaller details
     constexpr double kVoxel_m = 0.06;
-    std::unordered_set<std::uint64_t> seen;
+    std::unordered_set<std::uint64_t> occupied_voxels;
     std::vector<std::uint32_t> first;
     for (std::size_t i = 0; i < samples.size(); ++i) {
         const glm::ivec3 cell = glm::ivec3(glm::floor(glm::dvec3(samples[i].position) / kVoxel_m)) + 512;
         const std::uint64_t key = std::uint64_t(cell.x & 1023) << 20 | std::uint64_t(cell.y & 1023) << 10 |
                                   std::uint64_t(cell.z & 1023);
-        if (seen.insert(key).second) first.push_back(static_cast<std::uint32_t>(i));
+        if (occupied_voxels.insert(key).second) first.push_back(static_cast<std::uint32_t>(i));
     }
     if (first.size() > max_count) {
         const auto order = [&](std::uint32_t index) {
             const glm::vec3& p = samples[index].position;
-            return combine_hashes(std::uint64_t(std::int64_t(p.x * 1e4f)),
-                                  std::uint64_t(std::int64_t(p.y * 1e4f + p.z * 1e7f)));
+            return hash_integer_pair(std::uint64_t(std::int64_t(p.x * 1e4f)),
+                                     std::uint64_t(std::int64_t(p.y * 1e4f + p.z * 1e7f)));
         };
         std::sort(first.begin(), first.end(),
                   [&](std::uint32_t left, std::uint32_t right) { return order(left) < order(right); });
         first.resize(max_count);
     }
-    std::vector<Sample> thin;
+    std::vector<LidarSample> thin;
     for (const std::uint32_t i : first) thin.push_back(samples[i]);
-    if (kept) *kept = std::move(first);
+    if (selected_indices) *selected_indices = std::move(first);
     return thin;
 }
 

@@ -11,7 +11,7 @@ namespace relidar {
 
 /// A point of the log: position, intensity, and direction from the sensor. Coordinates
 /// are in the world frame or in the frame of an actor's box.
-struct Sample {
+struct LidarSample {
     glm::vec3 position;
     float intensity;
     glm::vec3 view;         ///< unit vector from the sensor to the point
@@ -20,33 +20,36 @@ struct Sample {
 };
 
 /// Calls work(WorldReturn) for each return of a frame, ray by ray.
-/// @param second_returns if true, the second returns are included
+/// @param include_second_returns if true, the second returns are included
 template <class Work>
-void for_each_return(const Sequence& sequence, const Frame& frame, bool second_returns, const Work& work) {
+void for_each_return(const LidarSequence& sequence, const LidarFrame& frame, bool include_second_returns,
+                     const Work& visit_return) {
     const Scan& scan = frame.scan;
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
         if (!(scan.range_m[ray] > 0.0f)) continue;
-        work(compute_world_return(sequence, frame, ray));
-        for (std::size_t k = 0; second_returns && k < scan.second_returns.size(); ++k)
+        visit_return(compute_world_return(sequence, frame, ray));
+        for (std::size_t k = 0; include_second_returns && k < scan.second_returns.size(); ++k)
             if (scan.second_returns[k].range_m[ray] > 0.0f)
-                work(compute_world_return(sequence, frame, ray, k + 1));
+                visit_return(compute_world_return(sequence, frame, ray, k + 1));
     }
 }
 
 /// Makes one surfel for each sample, sorted in kd-tree order. If normals are estimated,
 /// the initial intensity depends on the angle of incidence.
 /// @param samples must not be empty
-/// @param incidence strength of this dependence (IntensityResponse)
-/// @param order output [n]: the index of each surfel's sample
-Surfels make_surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options,
-                                 double incidence, const Progress& progress = {},
-                                 std::vector<std::uint32_t>* order = nullptr);
+/// @param incidence_coefficient strength of this dependence (IntensityResponse)
+/// @param sample_order output [n]: the index of each surfel's sample
+Surfels make_surfels_from_points(const std::vector<LidarSample>& samples,
+                                 const SceneInitialisationOptions& options, double incidence_coefficient,
+                                 const ProgressReporter& progress = {},
+                                 std::vector<std::uint32_t>* sample_order = nullptr);
 
 /// Divides the samples of an actor into voxels, and returns the first sample of each
 /// voxel. Returns at most `max_count` samples. The samples of a voxel are not averaged:
 /// labels jitter, so averages would shrink the actor.
-/// @param kept output: indices of the returned samples
-std::vector<Sample> thin_samples(const std::vector<Sample>& samples, std::size_t max_count,
-                                 std::vector<std::uint32_t>* kept = nullptr);
+/// @param selected_indices output: indices of the returned samples
+std::vector<LidarSample> select_one_sample_per_voxel(const std::vector<LidarSample>& samples,
+                                                     std::size_t max_count,
+                                                     std::vector<std::uint32_t>* selected_indices = nullptr);
 
 }  // namespace relidar

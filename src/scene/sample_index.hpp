@@ -18,7 +18,8 @@
 namespace relidar {
 
 /// Maps the number of each frame to the indices of the samples of this frame.
-inline std::map<int, std::vector<std::uint32_t>> group_by_frame(const std::vector<Sample>& samples) {
+inline std::map<int, std::vector<std::uint32_t>> group_indices_by_frame(
+    const std::vector<LidarSample>& samples) {
     std::map<int, std::vector<std::uint32_t>> groups;
     for (std::size_t i = 0; i < samples.size(); ++i) groups[samples[i].frame].push_back(std::uint32_t(i));
     return groups;
@@ -26,7 +27,7 @@ inline std::map<int, std::vector<std::uint32_t>> group_by_frame(const std::vecto
 
 /// Adapter that gives nanoflann access to some of the samples.
 struct SampleCloud {
-    const std::vector<Sample>& samples;
+    const std::vector<LidarSample>& samples;
     std::vector<std::uint32_t> of;  ///< indices of the samples
 
     std::size_t kdtree_get_point_count() const { return of.size(); }
@@ -45,27 +46,29 @@ using SampleTree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adap
 struct SampleIndex {
     SampleCloud cloud;
     SampleTree tree;
-    SampleIndex(const std::vector<Sample>& samples, std::vector<std::uint32_t> of)
-        : cloud{samples, std::move(of)}, tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(8)) {}
+    SampleIndex(const std::vector<LidarSample>& samples, std::vector<std::uint32_t> sample_indices)
+        : cloud{samples, std::move(sample_indices)},
+          tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(8)) {}
 
     /// Returns the distance to the nearest sample, limited to `max_distance_m`.
-    double distance_m(const glm::vec3& point, double max_distance_m) const {
+    double compute_nearest_distance_m(const glm::vec3& point_m, double max_distance_m) const {
         if (cloud.of.empty()) return max_distance_m;
         std::size_t nearest;
         float distance2;
-        tree.knnSearch(&point.x, 1, &nearest, &distance2);
+        tree.knnSearch(&point_m.x, 1, &nearest, &distance2);
         return std::min(max_distance_m, std::sqrt(double(distance2)));
     }
-    /// Returns the indices of at most `max_count` samples within a radius around `point`,
-    /// sorted by distance.
-    std::vector<std::uint32_t> within(const glm::vec3& point, double radius_m, std::size_t max_count) const {
-        std::vector<std::size_t> found(max_count);
+    /// Returns the indices of at most `max_count` samples within a radius around
+    /// `point_m`, sorted by distance.
+    std::vector<std::uint32_t> find_samples_within_radius(const glm::vec3& point_m, double radius_m,
+                                                          std::size_t max_count) const {
+        std::vector<std::size_t> tree_indices(max_count);
         std::vector<float> distance2(max_count);
         if (cloud.of.empty()) return {};
-        found.resize(tree.knnSearch(&point.x, max_count, found.data(), distance2.data()));
+        tree_indices.resize(tree.knnSearch(&point_m.x, max_count, tree_indices.data(), distance2.data()));
         std::vector<std::uint32_t> numbers;
-        for (std::size_t k = 0; k < found.size() && double(distance2[k]) < radius_m * radius_m; ++k)
-            numbers.push_back(cloud.of[found[k]]);
+        for (std::size_t k = 0; k < tree_indices.size() && double(distance2[k]) < radius_m * radius_m; ++k)
+            numbers.push_back(cloud.of[tree_indices[k]]);
         return numbers;
     }
 };

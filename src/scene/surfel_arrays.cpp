@@ -17,36 +17,37 @@ namespace relidar {
 
 static_assert(RELIDAR_SH_COEFFICIENTS == kShCoefficients && RELIDAR_SH_FLOATS == kShFloats);
 
-std::vector<std::size_t> ParameterGroup::shape(std::size_t count) const {
-    if (row[1] > 1) return {count, row[0], row[1]};
-    if (row[0] > 1) return {count, row[0]};
-    return {count};
+std::vector<std::size_t> SurfelParameterGroup::get_array_shape(std::size_t n_surfels) const {
+    if (row[1] > 1) return {n_surfels, row[0], row[1]};
+    if (row[0] > 1) return {n_surfels, row[0]};
+    return {n_surfels};
 }
 
-ParameterSet read_parameter_set(const std::map<std::string, std::string>& texts, const std::string& key,
-                                const std::function<bool(const char*)>& has_array) {
+SurfelParameterSet read_parameter_set(const std::map<std::string, std::string>& metadata,
+                                      const std::string& primitive_key,
+                                      const std::function<bool(const char*)>& has_array) {
     std::vector<std::string> names;
-    for (const PrimitiveKind& kind : kPrimitives) names.emplace_back(kind.name);
-    const auto text = texts.find(key);
-    if (text == texts.end())
-        throw DataError(fmt::format("the metadata key \"{}\" is missing, expected one of {}", key,
+    for (const PrimitiveProperties& kind : kPrimitives) names.emplace_back(kind.name);
+    const auto text = metadata.find(primitive_key);
+    if (text == metadata.end())
+        throw DataError(fmt::format("the metadata key \"{}\" is missing, expected one of {}", primitive_key,
                                     fmt::join(names, ", ")));
-    for (const PrimitiveKind& kind : kPrimitives)
+    for (const PrimitiveProperties& kind : kPrimitives)
         if (kind.name == text->second) return {kind.primitive, has_array(kParameterGroups.front().name)};
-    throw DataError(fmt::format("{}: found \"{}\", expected one of {}", key, text->second.substr(0, 40),
-                                fmt::join(names, ", ")));
+    throw DataError(fmt::format("{}: found \"{}\", expected one of {}", primitive_key,
+                                text->second.substr(0, 40), fmt::join(names, ", ")));
 }
 
 SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::string& description,
-                           ParameterSet parameter_set)
+                           SurfelParameterSet parameter_set)
     : n(count), primitive(parameter_set.primitive), bends(parameter_set.bends) {
-    for (const ParameterGroup& group : list_parameter_groups(parameter_set))
-        group.mutable_device(*this) = Array<float>(device, std::size_t(group.floats()) * count,
+    for (const SurfelParameterGroup& group : list_parameter_groups(parameter_set))
+        group.mutable_device(*this) = Array<float>(device, std::size_t(group.count_floats()) * count,
                                                    fmt::format("{} {}", description, group.name));
 }
 
 void SurfelArrays::upload(const Surfels& surfels) {
-    surfels.check_shapes();
+    surfels.check_array_lengths();
     if (surfels.size() > 0 && surfels.primitive != primitive)
         throw DataError(fmt::format("cannot upload surfels: found {}, expected {} like in the arrays",
                                     get_primitive_kind(surfels.primitive).label,
@@ -54,14 +55,14 @@ void SurfelArrays::upload(const Surfels& surfels) {
     if (surfels.size() > 0 && surfels.bends != bends)
         throw DataError(fmt::format("cannot upload surfels: found {}, expected {} like in the arrays",
                                     surfels.bends ? "a gait" : "no gait", bends ? "a gait" : "no gait"));
-    for (const ParameterGroup& group : list_parameter_groups(parameters()))
+    for (const SurfelParameterGroup& group : list_parameter_groups(get_parameter_set()))
         group.mutable_device(*this).upload(group.values(surfels));
 }
 
 Surfels SurfelArrays::download() const {
     Surfels s;
-    s.resize(n, parameters());
-    for (const ParameterGroup& group : list_parameter_groups(parameters())) {
+    s.resize(n, get_parameter_set());
+    for (const SurfelParameterGroup& group : list_parameter_groups(get_parameter_set())) {
         const std::span<float> values = group.mutable_values(s);
         if (n > 0) group.device(*this).buffer().download(values.data(), values.size_bytes());
     }
@@ -70,19 +71,20 @@ Surfels SurfelArrays::download() const {
 
 std::uint32_t SurfelArrays::capacity() const {
     std::size_t least = std::numeric_limits<std::uint32_t>::max();
-    for (const ParameterGroup& group : list_parameter_groups(parameters()))
-        least = std::min(least, group.device(*this).size() / group.floats());
+    for (const SurfelParameterGroup& group : list_parameter_groups(get_parameter_set()))
+        least = std::min(least, group.device(*this).size() / group.count_floats());
     return static_cast<std::uint32_t>(least);
 }
 
 void SurfelArrays::reserve(Device& device, std::uint32_t count, const std::string& description) {
-    for (const ParameterGroup& group : list_parameter_groups(parameters()))
-        group.mutable_device(*this).reserve(device, std::size_t(group.floats()) * count,
+    for (const SurfelParameterGroup& group : list_parameter_groups(get_parameter_set()))
+        group.mutable_device(*this).reserve(device, std::size_t(group.count_floats()) * count,
                                             fmt::format("{} {}", description, group.name));
 }
 
 void SurfelArrays::fill_zero(Stream& stream) {
-    for (const ParameterGroup& group : list_parameter_groups(parameters())) stream.fill(group.device(*this));
+    for (const SurfelParameterGroup& group : list_parameter_groups(get_parameter_set()))
+        stream.fill(group.device(*this));
 }
 
 shared::SurfelPointers get_surfel_pointers(const SurfelArrays& arrays) {

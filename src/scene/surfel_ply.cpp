@@ -39,42 +39,42 @@ const auto& [kGait, kMean, kRotation, kLogScale, kOpacityLogit, kSh, kLogScaleW]
 
 /// A property of the PLY file. It holds a surfel parameter, or a value that only other
 /// tools need. The second and the third colour repeat the values of the first colour.
-struct Property {
+struct PlyProperty {
     std::string name;
-    const ParameterGroup* group = nullptr;  ///< parameter group of the property, or null
+    const SurfelParameterGroup* group = nullptr;  ///< parameter group of the property, or null
     std::uint32_t index = 0;  ///< index in a row of the group, or component (x, y, z) of the normal
     bool read = true;
     enum Kind { parameter, normal, thickness, model } kind = parameter;
 };
 
-std::vector<Property> list_properties(ParameterSet parameter_set) {
-    std::vector<Property> list;
-    const auto add = [&](const std::string& prefix, std::uint32_t count, const ParameterGroup& group,
+std::vector<PlyProperty> list_ply_properties(SurfelParameterSet parameter_set) {
+    std::vector<PlyProperty> list;
+    const auto add = [&](const std::string& prefix, std::uint32_t count, const SurfelParameterGroup& group,
                          std::uint32_t first) {
         for (std::uint32_t k = 0; k < count; ++k)
             list.push_back({fmt::format("{}{}", prefix, k), &group, first + k});
     };
     for (std::uint32_t k = 0; k < 3; ++k) list.push_back({std::string(1, "xyz"[k]), &kMean, k});
     for (std::uint32_t k = 0; k < 3; ++k)
-        list.push_back({std::string("n") + "xyz"[k], nullptr, k, false, Property::normal});
+        list.push_back({std::string("n") + "xyz"[k], nullptr, k, false, PlyProperty::normal});
     for (std::uint32_t c = 0; c < kColours; ++c) list.push_back({fmt::format("f_dc_{}", c), &kSh, 0, c == 0});
     for (std::uint32_t k = 0; k < kColours * kRest; ++k)
         list.push_back({fmt::format("f_rest_{}", k), &kSh, k % kRest + 1, k < kRest});
     list.push_back({"opacity", &kOpacityLogit});
     add("scale_", 2, kLogScale, 0);
     if (get_primitive_kind(parameter_set.primitive).third_scale) list.push_back({"scale_2", &kLogScaleW});
-    else list.push_back({"scale_2", nullptr, 0, false, Property::thickness});
+    else list.push_back({"scale_2", nullptr, 0, false, PlyProperty::thickness});
     add("rot_", 4, kRotation, 0);
     add("hit_", kShCoefficients, kSh, kShCoefficients);
     add("drop_", kShCoefficients, kSh, 2 * kShCoefficients);
-    if (parameter_set.bends) add("gait_", kGait.floats(), kGait, 0);
-    list.push_back({"model", nullptr, 0, true, Property::model});
+    if (parameter_set.bends) add("gait_", kGait.count_floats(), kGait, 0);
+    list.push_back({"model", nullptr, 0, true, PlyProperty::model});
     return list;
 }
 
 /// Returns the normal of a surfel, which is the third column of its rotation matrix.
 /// Returns zero if the quaternion is zero or not a number.
-glm::vec3 compute_normal(const glm::vec4& wxyz) {
+glm::vec3 compute_normal_from_quaternion(const glm::vec4& wxyz) {
     const float length = glm::length(wxyz);
     if (!(length > 0.0f)) return glm::vec3(0.0f);
     const glm::vec4 q = wxyz / length;
@@ -82,33 +82,37 @@ glm::vec3 compute_normal(const glm::vec4& wxyz) {
             1.0f - 2.0f * (q.y * q.y + q.z * q.z)};
 }
 
-float get_property_value(const Property& property, const Surfels& surfels, std::size_t index,
-                         std::size_t model) {
+float get_property_value(const PlyProperty& property, const Surfels& surfels, std::size_t surfel_index,
+                         std::size_t model_index) {
     switch (property.kind) {
-        case Property::parameter:
-            return property.group->values(surfels)[index * property.group->floats() + property.index];
-        case Property::normal:
-            return compute_normal(surfels.rotation[index])[static_cast<int>(property.index)];
-        case Property::thickness:
+        case PlyProperty::parameter:
+            return property.group->values(
+                surfels)[surfel_index * property.group->count_floats() + property.index];
+        case PlyProperty::normal:
+            return compute_normal_from_quaternion(
+                surfels.rotation[surfel_index])[static_cast<int>(property.index)];
+        case PlyProperty::thickness:
             return kFlat;
-        case Property::model:
-            return float(model);
+        case PlyProperty::model:
+            return float(model_index);
     }
     return 0.0f;
 }
 
-/// Stores the value of a PLY property in surfel `index`, or in `model` if the property is
-/// the index of the model.
+/// Stores the value of a PLY property in surfel `surfel_index`, or in `model_index` if
+/// the property is the index of the model.
 /// @param property a property that the reader uses
-void set_value(const Property& property, Surfels& surfels, std::size_t index, std::uint32_t& model,
-               float value) {
-    if (property.kind == Property::model) model = static_cast<std::uint32_t>(value);
-    else property.group->mutable_values(surfels)[index * property.group->floats() + property.index] = value;
+void set_property_value(const PlyProperty& property, Surfels& surfels, std::size_t surfel_index,
+                        std::uint32_t& model_index, float value) {
+    if (property.kind == PlyProperty::model) model_index = static_cast<std::uint32_t>(value);
+    else
+        property.group->mutable_values(
+            surfels)[surfel_index * property.group->count_floats() + property.index] = value;
 }
 
 /// Layout of the records in a PLY file, parsed from its header. Holds the number of
 /// records, and the name and byte offset of each property.
-struct Layout {
+struct PlyRecordLayout {
     std::size_t count = 0;
     std::size_t stride = 0;
     struct Field {
@@ -119,39 +123,41 @@ struct Layout {
     std::vector<Field> fields;
 };
 
-std::size_t get_size_of_type(const std::string& type) {
+std::size_t get_ply_type_size_bytes(const std::string& type_name) {
     for (const char* t : {"char", "uchar", "int8", "uint8"})
-        if (type == t) return 1;
+        if (type_name == t) return 1;
     for (const char* t : {"short", "ushort", "int16", "uint16"})
-        if (type == t) return 2;
+        if (type_name == t) return 2;
     for (const char* t : {"int", "uint", "int32", "uint32", "float", "float32"})
-        if (type == t) return 4;
+        if (type_name == t) return 4;
     for (const char* t : {"double", "float64"})
-        if (type == t) return 8;
+        if (type_name == t) return 8;
     throw DataError(
         fmt::format("found a property of type \"{}\", expected a number type (lists are not supported)",
-                    make_excerpt(type)));
+                    shorten_for_error_message(type_name)));
 }
 
-std::size_t parse_count(const std::string& text) {
+std::size_t parse_vertex_count(const std::string& text) {
     std::size_t count = 0;
     const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), count);
     if (error != std::errc() || stop != text.data() + text.size() || count > kMaxSurfels)
         throw DataError(fmt::format("found \"element vertex {}\", expected a count of at most {}",
-                                    make_excerpt(text), kMaxSurfels));
+                                    shorten_for_error_message(text), kMaxSurfels));
     return count;
 }
 
-void add_field(Layout& layout, const std::string& type, const std::string& name) {
+void append_record_field(PlyRecordLayout& layout, const std::string& type_name,
+                         const std::string& field_name) {
     if (std::any_of(layout.fields.begin(), layout.fields.end(),
-                    [&](const Layout::Field& f) { return f.name == name; }))
-        throw DataError(fmt::format("property {} occurs twice, expected it once", make_excerpt(name)));
-    layout.fields.push_back({name, type == "float" || type == "float32", layout.stride});
-    layout.stride += get_size_of_type(type);
+                    [&](const PlyRecordLayout::Field& f) { return f.name == field_name; }))
+        throw DataError(
+            fmt::format("property {} occurs twice, expected it once", shorten_for_error_message(field_name)));
+    layout.fields.push_back({field_name, type_name == "float" || type_name == "float32", layout.stride});
+    layout.stride += get_ply_type_size_bytes(type_name);
 }
 
-Layout parse_ply_header(const std::string& header) {
-    Layout layout;
+PlyRecordLayout parse_ply_header(const std::string& header) {
+    PlyRecordLayout layout;
     bool has_vertex = false, has_format = false;
     std::istringstream lines(header);
     std::string line;
@@ -166,19 +172,19 @@ Layout parse_ply_header(const std::string& header) {
             if (first != "binary_little_endian")
                 throw DataError(
                     fmt::format("found format {}, expected binary_little_endian (export as binary PLY)",
-                                make_excerpt(first)));
+                                shorten_for_error_message(first)));
         } else if (what == "element") {
             if (first != "vertex" || has_vertex)
                 throw DataError(fmt::format("found the PLY element {}, expected only one element, vertex",
-                                            make_excerpt(first)));
+                                            shorten_for_error_message(first)));
             has_vertex = true;
-            layout.count = parse_count(second);
+            layout.count = parse_vertex_count(second);
         } else if (what == "property") {
             if (!has_vertex)
                 throw DataError(
                     fmt::format("the PLY property {} comes before the element vertex, expected after it",
-                                make_excerpt(second)));
-            add_field(layout, first, second);
+                                shorten_for_error_message(second)));
+            append_record_field(layout, first, second);
         }
     }
     if (!has_format || !has_vertex)
@@ -187,17 +193,17 @@ Layout parse_ply_header(const std::string& header) {
 }
 
 /// Properties that the reader uses, and their byte offsets in a record.
-struct Columns {
-    std::vector<Property> property;
+struct PlyColumns {
+    std::vector<PlyProperty> property;
     std::vector<std::size_t> offset;
 };
 
-Columns find_columns(const Layout& layout, ParameterSet parameter_set) {
-    Columns columns;
-    for (const Property& p : list_properties(parameter_set)) {
+PlyColumns find_property_columns(const PlyRecordLayout& layout, SurfelParameterSet parameter_set) {
+    PlyColumns columns;
+    for (const PlyProperty& p : list_ply_properties(parameter_set)) {
         if (!p.read) continue;
         const auto it = std::find_if(layout.fields.begin(), layout.fields.end(),
-                                     [&](const Layout::Field& f) { return f.name == p.name; });
+                                     [&](const PlyRecordLayout::Field& f) { return f.name == p.name; });
         if (it == layout.fields.end())
             throw DataError(fmt::format(
                 "property {} is missing, expected all properties that `relidar export` writes", p.name));
@@ -209,31 +215,33 @@ Columns find_columns(const Layout& layout, ParameterSet parameter_set) {
     return columns;
 }
 
-float check_property_value(float value, const Property& property, std::size_t row, std::size_t n_models) {
+float check_property_value(float value, const PlyProperty& property, std::size_t vertex_index,
+                           std::size_t n_models) {
     if (!std::isfinite(value))
         throw DataError(
-            fmt::format("vertex {}: {} is {}, expected a finite number", row, property.name, value));
-    if (property.kind == Property::model &&
+            fmt::format("vertex {}: {} is {}, expected a finite number", vertex_index, property.name, value));
+    if (property.kind == PlyProperty::model &&
         (value < 0.0f || value != std::floor(value) || value >= float(n_models)))
         throw DataError(
             fmt::format("vertex {}: model is {}, expected an index below {}, the number of models in the run",
-                        row, value, n_models));
+                        vertex_index, value, n_models));
     return value;
 }
 
 /// Sorts the surfels by model. Keeps the order of the file within each model.
-Scene group_surfels_by_model(const Surfels& surfels, const std::vector<std::uint32_t>& model,
-                             const Scene& layout) {
-    std::vector<std::uint32_t> order(model.size());
+Scene group_surfels_by_model(const Surfels& surfels, const std::vector<std::uint32_t>& model_per_surfel,
+                             const Scene& scene_layout) {
+    std::vector<std::uint32_t> order(model_per_surfel.size());
     std::iota(order.begin(), order.end(), 0u);
-    std::stable_sort(order.begin(), order.end(),
-                     [&](std::uint32_t first, std::uint32_t second) { return model[first] < model[second]; });
-    Scene scene = copy_layout(layout);
+    std::stable_sort(order.begin(), order.end(), [&](std::uint32_t first, std::uint32_t second) {
+        return model_per_surfel[first] < model_per_surfel[second];
+    });
+    Scene scene = copy_scene_without_surfels(scene_layout);
     scene.surfels = surfels.reorder(order);
     std::uint32_t first = 0;
     for (std::size_t k = 0; k < scene.models.size(); ++k) {
-        const auto count =
-            static_cast<std::uint32_t>(std::count(model.begin(), model.end(), static_cast<std::uint32_t>(k)));
+        const auto count = static_cast<std::uint32_t>(
+            std::count(model_per_surfel.begin(), model_per_surfel.end(), static_cast<std::uint32_t>(k)));
         scene.models[k].first = first;
         scene.models[k].count = count;
         first += count;
@@ -243,26 +251,27 @@ Scene group_surfels_by_model(const Surfels& surfels, const std::vector<std::uint
 
 /// Returns the position of the line end before "end_header", or npos if the header has no
 /// end.
-std::size_t find_end_of_header(const std::string& start) {
-    std::size_t at = start.find(kEndOfHeader);
+std::size_t find_end_of_header(const std::string& file_start) {
+    std::size_t at = file_start.find(kEndOfHeader);
     while (at != std::string::npos) {
-        const std::string_view behind = std::string_view(start).substr(at + kEndOfHeader.size(), 2);
+        const std::string_view behind = std::string_view(file_start).substr(at + kEndOfHeader.size(), 2);
         if (behind.starts_with('\n') || behind == "\r\n") break;
-        at = start.find(kEndOfHeader, at + 1);
+        at = file_start.find(kEndOfHeader, at + 1);
     }
     return at;
 }
 
-Scene parse_surfels(const std::vector<std::byte>& file, const Scene& scene_layout,
-                    ParameterSet parameter_set) {
-    const std::string start(reinterpret_cast<const char*>(file.data()), std::min(file.size(), kMaxPlyHeader));
+Scene parse_ply_surfels(const std::vector<std::byte>& file_bytes, const Scene& scene_layout,
+                        SurfelParameterSet parameter_set) {
+    const std::string start(reinterpret_cast<const char*>(file_bytes.data()),
+                            std::min(file_bytes.size(), kMaxPlyHeader));
     const std::size_t end = find_end_of_header(start);
     if (!start.starts_with("ply")) throw DataError("the file does not begin with \"ply\"");
     if (end == std::string::npos)
         throw DataError(fmt::format("end_header is missing in the first {} bytes", start.size()));
-    const Layout layout = parse_ply_header(start.substr(0, end));
-    const std::size_t data = start.find('\n', end + 1) + 1, n_bytes = file.size() - data;
-    const Columns columns = find_columns(layout, parameter_set);
+    const PlyRecordLayout layout = parse_ply_header(start.substr(0, end));
+    const std::size_t data = start.find('\n', end + 1) + 1, n_bytes = file_bytes.size() - data;
+    const PlyColumns columns = find_property_columns(layout, parameter_set);
     if (n_bytes / layout.stride != layout.count || n_bytes % layout.stride != 0)
         throw DataError(fmt::format("found {} bytes of data, expected {} vertices of {} bytes", n_bytes,
                                     layout.count, layout.stride));
@@ -272,40 +281,44 @@ Scene parse_surfels(const std::vector<std::byte>& file, const Scene& scene_layou
     for (std::size_t i = 0; i < layout.count; ++i)
         for (std::size_t k = 0; k < columns.property.size(); ++k) {
             float value;
-            std::memcpy(&value, file.data() + data + i * layout.stride + columns.offset[k], sizeof value);
-            set_value(columns.property[k], surfels, i, model[i],
-                      check_property_value(value, columns.property[k], i, scene_layout.models.size()));
+            std::memcpy(&value, file_bytes.data() + data + i * layout.stride + columns.offset[k],
+                        sizeof value);
+            set_property_value(
+                columns.property[k], surfels, i, model[i],
+                check_property_value(value, columns.property[k], i, scene_layout.models.size()));
         }
     return group_surfels_by_model(surfels, model, scene_layout);
 }
 
 /// Returns the header of a PLY file.
-/// @param frame name of the coordinate frame of the positions
-std::string make_ply_header_text(const Surfels& surfels, const std::vector<Property>& list, const char* frame,
-                                 const FileNotes& notes = {}) {
+/// @param frame_name name of the coordinate frame of the positions
+std::string make_ply_header_text(const Surfels& surfels, const std::vector<PlyProperty>& properties,
+                                 const char* frame_name, const FileMetadata& notes = {}) {
     std::string text = "ply\nformat binary_little_endian 1.0\ncomment relidar ";
-    const PrimitiveKind& kind = get_primitive_kind(surfels.primitive);
-    text += fmt::format("{}: metres, {}{}\n", kind.label, frame,
+    const PrimitiveProperties& kind = get_primitive_kind(surfels.primitive);
+    text += fmt::format("{}: metres, {}{}\n", kind.label, frame_name,
                         kind.third_scale ? "" : "; scale_2 only makes them flat");
-    for (const auto& note : notes) text += fmt::format("comment {}\n", report_detail::format_note_line(note));
+    for (const auto& note : notes)
+        text += fmt::format("comment {}\n", report_detail::format_metadata_line(note));
     text += fmt::format("element vertex {}\n", surfels.size());
-    for (const Property& p : list) text += fmt::format("property float {}\n", p.name);
+    for (const PlyProperty& p : properties) text += fmt::format("property float {}\n", p.name);
     return text + "end_header\n";
 }
 
-void write_records(report_detail::OutputFile& file, const Surfels& surfels, const std::vector<Property>& list,
-                   const Model& model, std::size_t number) {
-    std::vector<float> record(list.size());
+void write_ply_records(report_detail::OutputFile& file, const Surfels& surfels,
+                       const std::vector<PlyProperty>& properties, const SurfelModel& model,
+                       std::size_t model_index) {
+    std::vector<float> record(properties.size());
     for (std::size_t i = model.first; i < std::size_t(model.first) + model.count; ++i) {
-        for (std::size_t k = 0; k < list.size(); ++k)
-            record[k] = get_property_value(list[k], surfels, i, number);
+        for (std::size_t k = 0; k < properties.size(); ++k)
+            record[k] = get_property_value(properties[k], surfels, i, model_index);
         file.write(record.data(), record.size() * sizeof(float));
     }
 }
 
-void check_models(const Scene& scene) {
+void check_model_ranges(const Scene& scene) {
     std::size_t next = 0;
-    for (const Model& m : scene.models) {
+    for (const SurfelModel& m : scene.models) {
         if (m.first != next)
             throw DataError(fmt::format("model {} starts at surfel {}, expected {}", m.name, m.first, next));
         next += m.count;
@@ -319,36 +332,37 @@ void check_models(const Scene& scene) {
 }  // namespace
 
 void write_surfel_ply(const std::filesystem::path& path, const Scene& scene) {
-    write_atomically(path, [&](const std::filesystem::path& temporary) {
-        scene.surfels.check_shapes();
-        check_models(scene);
-        const std::vector<Property> list = list_properties(scene.surfels.parameters());
+    write_file_atomically(path, [&](const std::filesystem::path& temporary) {
+        scene.surfels.check_array_lengths();
+        check_model_ranges(scene);
+        const std::vector<PlyProperty> list = list_ply_properties(scene.surfels.get_parameter_set());
         report_detail::OutputFile file(temporary);
         file.write(make_ply_header_text(scene.surfels, list, "frame of each model"));
         for (std::size_t model = 0; model < scene.models.size(); ++model)
-            write_records(file, scene.surfels, list, scene.models[model], model);
+            write_ply_records(file, scene.surfels, list, scene.models[model], model);
         file.close();
     });
 }
 
-void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels, const FileNotes& notes) {
-    write_atomically(path, [&](const std::filesystem::path& temporary) {
-        surfels.check_shapes();
-        std::vector<Property> list = list_properties(surfels.parameters());
-        std::erase_if(list, [](const Property& property) { return property.kind == Property::model; });
+void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels,
+                      const FileMetadata& header_comments) {
+    write_file_atomically(path, [&](const std::filesystem::path& temporary) {
+        surfels.check_array_lengths();
+        std::vector<PlyProperty> list = list_ply_properties(surfels.get_parameter_set());
+        std::erase_if(list, [](const PlyProperty& property) { return property.kind == PlyProperty::model; });
         report_detail::OutputFile file(temporary);
-        file.write(make_ply_header_text(surfels, list, "world", notes));
-        write_records(file, surfels, list, {"", 0, static_cast<std::uint32_t>(surfels.size())}, 0);
+        file.write(make_ply_header_text(surfels, list, "world", header_comments));
+        write_ply_records(file, surfels, list, {"", 0, static_cast<std::uint32_t>(surfels.size())}, 0);
         file.close();
     });
 }
 
-Scene read_surfel_ply(const std::filesystem::path& path, const Scene& layout, Primitive primitive) {
+Scene read_surfel_ply(const std::filesystem::path& path, const Scene& layout, PrimitiveType primitive) {
     const std::vector<std::byte> file = report_detail::read_file(path);
     try {
-        const bool walks =
-            std::ranges::any_of(layout.models, [](const Model& model) { return model.stride_m > 0.0f; });
-        return parse_surfels(file, layout, {primitive, walks});
+        const bool walks = std::ranges::any_of(
+            layout.models, [](const SurfelModel& model) { return model.stride_m > 0.0f; });
+        return parse_ply_surfels(file, layout, {primitive, walks});
     } catch (const DataError& error) {
         throw DataError(fmt::format("cannot read PLY '{}': {}", path.string(), error.what()));
     }

@@ -16,19 +16,19 @@ namespace relidar {
 
 namespace {
 
-constexpr bool are_terms_in_order() {
+constexpr bool are_primitives_in_order() {
     for (std::size_t i = 0; i < kPrimitives.size(); ++i)
-        if (kPrimitives[i].primitive != static_cast<Primitive>(i)) return false;
+        if (kPrimitives[i].primitive != static_cast<PrimitiveType>(i)) return false;
     return true;
 }
-static_assert(are_terms_in_order(), "the numbers of primitives count up from 0");
+static_assert(are_primitives_in_order(), "the numbers of primitives count up from 0");
 
 /// Returns true if surfels of this kind need the parameter group.
-bool has_group(ParameterSet parameter_set, const ParameterGroup& group) {
+bool has_parameter_group(SurfelParameterSet parameter_set, const SurfelParameterGroup& group) {
     switch (group.of) {
-        case ParameterGroup::Of::third_scale:
+        case SurfelParameterGroup::SceneRequirement::third_scale:
             return get_primitive_kind(parameter_set.primitive).third_scale;
-        case ParameterGroup::Of::bends:
+        case SurfelParameterGroup::SceneRequirement::bends:
             return parameter_set.bends;
         default:
             return true;
@@ -37,28 +37,28 @@ bool has_group(ParameterSet parameter_set, const ParameterGroup& group) {
 
 }  // namespace
 
-void Surfels::resize(std::size_t count, ParameterSet parameter_set) {
+void Surfels::resize(std::size_t count, SurfelParameterSet parameter_set) {
     primitive = parameter_set.primitive;
     bends = parameter_set.bends;
-    for (const ParameterGroup& group : kParameterGroups)
-        group.resize(*this, has_group(parameter_set, group) ? count * group.floats() : 0);
+    for (const SurfelParameterGroup& group : kParameterGroups)
+        group.resize(*this, has_parameter_group(parameter_set, group) ? count * group.count_floats() : 0);
 }
 
-void Surfels::add_gait() {
+void Surfels::add_gait_without_motion() {
     bends = true;
     gait.resize(size());
 }
 
-void Surfels::check_shapes() const {
-    for (const ParameterGroup& group : kParameterGroups) {
-        const bool is_there = has_group(parameters(), group);
-        const std::size_t found = group.values(*this).size(),
-                          expected = is_there ? size() * group.floats() : 0;
-        if (found != expected)
+void Surfels::check_array_lengths() const {
+    for (const SurfelParameterGroup& group : kParameterGroups) {
+        const bool is_there = has_parameter_group(get_parameter_set(), group);
+        const std::size_t n_values = group.values(*this).size(),
+                          n_expected_values = is_there ? size() * group.count_floats() : 0;
+        if (n_values != n_expected_values)
             throw DataError(fmt::format(
                 "cannot use {}: {} has {} values, expected {}, which is {} for each of the {} means",
-                get_primitive_kind(primitive).label, group.name, found, expected,
-                is_there ? group.floats() : 0, size()));
+                get_primitive_kind(primitive).label, group.name, n_values, n_expected_values,
+                is_there ? group.count_floats() : 0, size()));
     }
 }
 
@@ -70,9 +70,9 @@ void Surfels::append(const Surfels& other) {
                         size(), other.size(), get_primitive_kind(primitive).label,
                         get_primitive_kind(other.primitive).label));
     if (other.size() > 0) primitive = other.primitive;
-    if (other.bends) add_gait();
+    if (other.bends) add_gait_without_motion();
     const std::size_t n = size() + other.size();
-    for (const ParameterGroup& group : kParameterGroups) {
+    for (const SurfelParameterGroup& group : kParameterGroups) {
         const std::size_t before = group.values(*this).size();
         const std::span<const float> more = group.values(other);
         group.resize(*this, before + more.size());
@@ -83,11 +83,11 @@ void Surfels::append(const Surfels& other) {
 
 Surfels Surfels::reorder(const std::vector<std::uint32_t>& order) const {
     Surfels result;
-    result.resize(order.size(), parameters());
-    for (const ParameterGroup& group : list_parameter_groups(parameters())) {
+    result.resize(order.size(), get_parameter_set());
+    for (const SurfelParameterGroup& group : list_parameter_groups(get_parameter_set())) {
         const std::span<const float> from = group.values(*this);
         const std::span<float> to = group.mutable_values(result);
-        const std::size_t n = group.floats();
+        const std::size_t n = group.count_floats();
         for (std::size_t i = 0; i < order.size(); ++i)
             std::ranges::copy(from.subspan(order[i] * n, n), to.subspan(i * n).begin());
     }
@@ -100,20 +100,20 @@ Surfels Surfels::slice(std::size_t first, std::size_t count) const {
     return reorder(order);
 }
 
-void make_primitive(Surfels& surfels, Primitive primitive, double thickness) {
+void convert_to_primitive(Surfels& surfels, PrimitiveType primitive, double relative_thickness) {
     surfels.primitive = primitive;
     surfels.log_scale_w.clear();
     if (!get_primitive_kind(primitive).third_scale) return;
     for (const glm::vec2& s : surfels.log_scale)
-        surfels.log_scale_w.push_back(0.5f * (s.x + s.y) + static_cast<float>(std::log(thickness)));
+        surfels.log_scale_w.push_back(0.5f * (s.x + s.y) + static_cast<float>(std::log(relative_thickness)));
 }
 
-Scene add_background(const Scene& scene, const Surfels& background) {
+Scene replace_background(const Scene& scene, const Surfels& background) {
     const std::uint32_t before = scene.models.front().count,
                         n = static_cast<std::uint32_t>(background.size());
-    Scene other = copy_layout(scene);
+    Scene other = copy_scene_without_surfels(scene);
     other.blocks.clear();
-    other.surfels = background.reorder(compute_kd_order(background.mean));
+    other.surfels = background.reorder(compute_kd_tree_order(background.mean));
     other.models.front().count = n;
     // Subtracts modulo 2^32. The result is therefore also right if the new background is
     // smaller than the old background.
@@ -122,7 +122,7 @@ Scene add_background(const Scene& scene, const Surfels& background) {
     return other;
 }
 
-Scene copy_layout(const Scene& scene) {
+Scene copy_scene_without_surfels(const Scene& scene) {
     return {{}, scene.models, scene.instances, scene.sensor_drop, scene.blocks};
 }
 
@@ -140,7 +140,7 @@ Scene make_background_scene(Surfels surfels) {
     return scene;
 }
 
-std::vector<std::uint32_t> compute_kd_order(const std::vector<glm::vec3>& points) {
+std::vector<std::uint32_t> compute_kd_tree_order(const std::vector<glm::vec3>& points) {
     std::vector<std::uint32_t> order(points.size());
     std::iota(order.begin(), order.end(), 0u);
     std::vector<std::pair<std::size_t, std::size_t>> ranges{{0, order.size()}};
@@ -172,7 +172,7 @@ double compute_box_extent(const glm::vec3& half_size_m) { return 8.0 * double(gl
 
 double compute_model_extent(const Scene& scene, std::size_t model) {
     if (model >= scene.models.size() || scene.models[model].count == 0) return 1.0;
-    const Model& range = scene.models[model];
+    const SurfelModel& range = scene.models[model];
     if (range.half_size_m.x > 0.0f) return compute_box_extent(range.half_size_m);
     const auto first = scene.surfels.mean.begin() + range.first, last = first + range.count;
     glm::dvec3 centre(0.0);

@@ -9,40 +9,45 @@
 
 namespace relidar {
 
-struct TouchedList::Impl {
+struct TouchedSurfelList::Impl {
     Device& device;
     Array<std::uint32_t, shared::TouchedRows> rows;
     Array<std::uint32_t, shared::TouchedCount> count;
     Kernel<shared::ListTouchedParams> kernel;
 };
 
-TouchedList::TouchedList(Device& device)
+TouchedSurfelList::TouchedSurfelList(Device& device)
     : impl_(new Impl{device,
                      {},
                      {device, 1, "number of rows with a gradient"},
-                     {device, "scene/list_touched", {{ConstantId::WORKGROUP_SIZE, 128u}}}}) {}
-TouchedList::~TouchedList() = default;
+                     {device, "scene/list_touched", {{SpecialisationConstantId::WORKGROUP_SIZE, 128u}}}}) {}
+TouchedSurfelList::~TouchedSurfelList() = default;
 
-void TouchedList::find(Stream& stream, Address<std::uint32_t, shared::TouchedSurfels> touched,
-                       std::uint32_t n_rows) {
+void TouchedSurfelList::collect_touched_rows(Stream& stream,
+                                             Address<std::uint32_t, shared::TouchedSurfels> touched_flags,
+                                             std::uint32_t n_rows) {
     Impl& l = *impl_;
     if (l.rows.size() < n_rows) {
-        stream.finish();  // earlier submissions may still use the old array
+        stream.submit_and_wait();  // earlier submissions may still use the old array
         l.rows.reserve(l.device, n_rows, "rows with a gradient");
     }
     stream.fill(l.count);
     run(stream, l.kernel, (n_rows + RELIDAR_LIST_STRETCH - 1) / RELIDAR_LIST_STRETCH,
-        {.touched = touched, .rows = l.rows.address(), .count = l.count.address(), .n_rows = n_rows});
+        {.touched = touched_flags, .rows = l.rows.address(), .count = l.count.address(), .n_rows = n_rows});
 }
 
-Address<std::uint32_t, shared::TouchedRows> TouchedList::rows() const { return impl_->rows.address(); }
-Address<std::uint32_t, shared::TouchedCount> TouchedList::count() const { return impl_->count.address(); }
+Address<std::uint32_t, shared::TouchedRows> TouchedSurfelList::get_touched_rows_address() const {
+    return impl_->rows.address();
+}
+Address<std::uint32_t, shared::TouchedCount> TouchedSurfelList::get_touched_count_address() const {
+    return impl_->count.address();
+}
 
-std::size_t TouchedList::threads(std::size_t max_count) const {
+std::size_t TouchedSurfelList::choose_thread_count(std::size_t max_rows) const {
     // Uses fewer threads on a CPU than on a GPU, because each CPU thread should process
     // more surfels.
     const bool is_cpu = !prefers_coalesced_access(impl_->device);
-    return std::min(max_count, is_cpu ? std::size_t(1) << 12 : std::size_t(1) << 17);
+    return std::min(max_rows, is_cpu ? std::size_t(1) << 12 : std::size_t(1) << 17);
 }
 
 }  // namespace relidar

@@ -33,9 +33,9 @@ constexpr double kBehind = 1.5;
 constexpr double kTile_m = 8.0;
 // Maximum distance between the sensor and a tile of the ground. At a larger distance, a
 // person has only one or two returns.
-constexpr double kNear_m = 40.0;
-// If no sensor is within kNear_m of a tile, frames are used that are at most this factor
-// farther away than the nearest frame.
+constexpr double kMaxTileDistance_m = 40.0;
+// If no sensor is within kMinComparedRange_m of a tile, frames are used that are at most
+// this factor farther away than the nearest frame.
 constexpr double kHardlyFarther = 1.25;
 constexpr std::size_t kMostViews = 64;
 
@@ -45,7 +45,7 @@ double compute_elevation_rad(const glm::vec3& direction) {
 
 /// Returns the elevations of the rows of a scan, descending. If the rays have no rows,
 /// returns evenly spaced elevations over the field of view.
-std::vector<double> compute_row_elevations(const RayTable& rays) {
+std::vector<double> compute_row_elevations_rad(const RayTable& rays) {
     std::vector<double> rows;
     if (rays.rows > 1) {
         rows.resize(std::size_t(rays.rows));
@@ -64,7 +64,7 @@ std::vector<double> compute_row_elevations(const RayTable& rays) {
 
 /// Returns the number of columns of the range image per turn. Each column is a little
 /// narrower than the spacing between the rays of a row.
-int count_columns(const RayTable& rays) {
+int choose_range_image_columns(const RayTable& rays) {
     if (rays.rows <= 1 || rays.columns <= 1) return kMostColumns;
     const auto azimuth = [&](int column) {
         const glm::vec3 d =
@@ -78,24 +78,26 @@ int count_columns(const RayTable& rays) {
     return static_cast<int>(std::clamp(std::round(columns), double(kFewestColumns), double(kMostColumns)));
 }
 
-glm::dvec3 compute_tile_centre(const glm::dvec3& point) {
-    return kTile_m * (glm::floor(glm::dvec3(point.x, point.y, 0.0) / kTile_m) + glm::dvec3(0.5, 0.5, 0.0));
+glm::dvec3 compute_ground_tile_centre(const glm::dvec3& point_m) {
+    return kTile_m *
+           (glm::floor(glm::dvec3(point_m.x, point_m.y, 0.0) / kTile_m) + glm::dvec3(0.5, 0.5, 0.0));
 }
 
 /// Shortens the list to at most kMostViews views, which are evenly spaced in the list.
-void thin_view_list(std::vector<std::uint32_t>& views) {
-    if (views.size() <= kMostViews) return;
-    std::vector<std::uint32_t> kept;
-    for (std::size_t k = 0; k < kMostViews; ++k) kept.push_back(views[k * views.size() / kMostViews]);
-    views = std::move(kept);
+void limit_view_count(std::vector<std::uint32_t>& view_indices) {
+    if (view_indices.size() <= kMostViews) return;
+    std::vector<std::uint32_t> selected_indices;
+    for (std::size_t k = 0; k < kMostViews; ++k)
+        selected_indices.push_back(view_indices[k * view_indices.size() / kMostViews]);
+    view_indices = std::move(selected_indices);
 }
 
 }  // namespace
 
 BeamGrid::BeamGrid(const Scan& scan) {
     if (scan.rays.direction.empty()) return;
-    columns_ = count_columns(scan.rays);
-    const std::vector<double> elevations = compute_row_elevations(scan.rays);
+    columns_ = choose_range_image_columns(scan.rays);
+    const std::vector<double> elevations = compute_row_elevations_rad(scan.rays);
     const double least_height = (elevations.front() - elevations.back()) / kMostRows;
     for (auto first = elevations.begin(); first != elevations.end();) {
         const auto end = std::find_if(first, elevations.end(),
@@ -105,29 +107,29 @@ BeamGrid::BeamGrid(const Scan& scan) {
     }
 }
 
-std::optional<BeamGrid::Place> BeamGrid::place(const glm::dvec3& point_m) const {
+std::optional<BeamGrid::BeamGridCell> BeamGrid::find_grid_cell(const glm::dvec3& point_m) const {
     const double range = glm::length(point_m);
     if (!(range > 0.0) || row_rad_.empty()) return std::nullopt;
     const double elevation = std::asin(std::clamp(point_m.z / range, -1.0, 1.0));
-    Place place;
-    place.is_beyond = elevation > row_rad_.front() + kBeyond_rad || elevation < row_rad_.back() - kBeyond_rad;
-    place.row_below = static_cast<int>(
+    BeamGridCell cell;
+    cell.is_beyond = elevation > row_rad_.front() + kBeyond_rad || elevation < row_rad_.back() - kBeyond_rad;
+    cell.row_below = static_cast<int>(
         std::upper_bound(row_rad_.begin(), row_rad_.end(), elevation, std::greater<>()) - row_rad_.begin());
     const auto off = [&](int row) {
         return row < 0 || row >= rows() ? 1e9 : std::abs(row_rad_[std::size_t(row)] - elevation);
     };
-    place.row = off(place.row_below) < off(place.row_below - 1) ? place.row_below : place.row_below - 1;
-    place.column = static_cast<int>(
+    cell.row = off(cell.row_below) < off(cell.row_below - 1) ? cell.row_below : cell.row_below - 1;
+    cell.column = static_cast<int>(
         std::lround((1.0 - std::atan2(point_m.y, point_m.x) / kPi) / 2.0 * columns_) % columns_);
-    return place;
+    return cell;
 }
 
-std::vector<float> BeamGrid::compute_nearest_m(const Scan& scan) const {
+std::vector<float> BeamGrid::compute_nearest_ranges_m(const Scan& scan) const {
     std::vector<float> nearest(std::size_t(rows()) * std::size_t(columns_));
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
         if (!(scan.range_m[ray] > 0.0f)) continue;
-        const glm::vec3 point = scan.point(ray);
-        const std::optional<Place> at = place(glm::dvec3(point));
+        const glm::vec3 point = scan.compute_end_point(ray);
+        const std::optional<BeamGridCell> at = find_grid_cell(glm::dvec3(point));
         if (!at) continue;
         float& here = nearest[std::size_t(at->row * columns_ + at->column)];
         const float range = glm::length(point);
@@ -136,95 +138,100 @@ std::vector<float> BeamGrid::compute_nearest_m(const Scan& scan) const {
     return nearest;
 }
 
-Visibility::Visibility(const Sequence& sequence, const std::vector<int>& positions)
+VisibilityChecker::VisibilityChecker(const LidarSequence& sequence, const std::vector<int>& positions)
     : sequence_(sequence), positions_(positions) {
     // If a LiDAR has none of these frames, its grid stays empty and is never read.
     grids_.resize(sequence.lidars.size());
     std::vector<char> has_grid(grids_.size());
     for (const int position : positions) {
-        const Frame& frame = sequence.frames[std::size_t(position)];
+        const LidarFrame& frame = sequence.frames[std::size_t(position)];
         const std::size_t lidar = std::size_t(frame.lidar);
         if (!std::exchange(has_grid[lidar], 1)) grids_[lidar] = BeamGrid(frame.scan);
         views_.push_back({frame.time_s, frame.lidar, {}, {}});
     }
-    sort_views_by_tile();
+    assign_views_to_tiles();
 }
 
-void Visibility::request_point_images(const glm::dvec3& point_m) {
-    const auto tile = tiles_.find(make_cell_key(compute_tile_centre(point_m), kTile_m));
-    if (tile == tiles_.end() || std::exchange(tile->second.wanted, true)) return;
+void VisibilityChecker::request_range_images(const glm::dvec3& point_m) {
+    const auto tile = tiles_.find(compute_grid_cell_key(compute_ground_tile_centre(point_m), kTile_m));
+    if (tile == tiles_.end() || std::exchange(tile->second.is_requested, true)) return;
     for (const std::uint32_t view : tile->second.views)
-        if (views_[view].sensor_from_world.empty()) wanted_.push_back(view);
+        if (views_[view].sensor_from_world.empty()) requested_views_.push_back(view);
 }
 
-void Visibility::make_requested_images() {
-    std::sort(wanted_.begin(), wanted_.end());
-    wanted_.erase(std::unique(wanted_.begin(), wanted_.end()), wanted_.end());
-    parallel_for(static_cast<int>(wanted_.size()), [&](int index) {
-        const std::uint32_t view = wanted_[std::size_t(index)];
-        make(views_[view], sequence_.frames[std::size_t(positions_[view])]);
+void VisibilityChecker::make_requested_range_images() {
+    std::sort(requested_views_.begin(), requested_views_.end());
+    requested_views_.erase(std::unique(requested_views_.begin(), requested_views_.end()),
+                           requested_views_.end());
+    parallel_for(static_cast<int>(requested_views_.size()), [&](int index) {
+        const std::uint32_t view = requested_views_[std::size_t(index)];
+        make_range_image(views_[view], sequence_.frames[std::size_t(positions_[view])]);
     });
-    wanted_.clear();
+    requested_views_.clear();
 }
 
-void Visibility::make(View& view, const Frame& frame) const {
+void VisibilityChecker::make_range_image(VisibilityImage& view, const LidarFrame& frame) const {
     const Pose& mounted = sequence_.get_lidar(frame).vehicle_from_sensor;
     const int n_sectors = sequence_.rolling_shutter ? kSectors : 1;
     for (int sector = 0; sector < n_sectors; ++sector) {
         const double azimuth = 2.0 * kPi * ((sector + 0.5) / n_sectors - 0.5);
-        view.sensor_from_world.push_back(inverse(sequence_.world_from_vehicle.at(
-            compute_facing_time(sequence_, {std::cos(azimuth), std::sin(azimuth), 0.0},
-                                get_sweep_moment(frame)),
+        view.sensor_from_world.push_back(inverse(sequence_.world_from_vehicle.interpolate_mounted_pose(
+            compute_point_scan_time_s(sequence_, {std::cos(azimuth), std::sin(azimuth), 0.0},
+                                      get_sweep_moment(frame)),
             mounted)));
     }
-    view.range_m = grids_[std::size_t(frame.lidar)].compute_nearest_m(frame.scan);
+    view.range_m = grids_[std::size_t(frame.lidar)].compute_nearest_ranges_m(frame.scan);
 }
 
-void Visibility::sort_views_by_tile() {
-    struct Seen {
+void VisibilityChecker::assign_views_to_tiles() {
+    struct ImageDistance {
         std::uint32_t view;
         double distance_m;
     };
-    std::unordered_map<std::uint64_t, std::vector<Seen>> all;
+    std::unordered_map<std::uint64_t, std::vector<ImageDistance>> all;
     for (std::uint32_t v = 0; v < views_.size(); ++v) {
         const Lidar& lidar = sequence_.lidars[std::size_t(views_[v].lidar)];
         const double farthest = lidar.sensor.max_range_m + kTile_m;
         glm::dvec3 sensor =
-            sequence_.world_from_vehicle.at(views_[v].time_s, lidar.vehicle_from_sensor).translation;
+            sequence_.world_from_vehicle.interpolate_mounted_pose(views_[v].time_s, lidar.vehicle_from_sensor)
+                .translation;
         sensor.z = 0.0;
         for (double dx = -farthest; dx <= farthest; dx += kTile_m)
             for (double dy = -farthest; dy <= farthest; dy += kTile_m) {
-                const glm::dvec3 tile = compute_tile_centre(sensor + glm::dvec3(dx, dy, 0.0));
+                const glm::dvec3 tile = compute_ground_tile_centre(sensor + glm::dvec3(dx, dy, 0.0));
                 if (const double distance = glm::distance(tile, sensor); distance < farthest)
-                    all[make_cell_key(tile, kTile_m)].push_back({v, distance});
+                    all[compute_grid_cell_key(tile, kTile_m)].push_back({v, distance});
             }
     }
     for (const auto& [key, seen] : all) {
-        const double nearest =
-            std::min_element(seen.begin(), seen.end(), [](const Seen& first, const Seen& second) {
-                return first.distance_m < second.distance_m;
-            })->distance_m;
+        const double nearest = std::min_element(seen.begin(), seen.end(),
+                                                [](const ImageDistance& first, const ImageDistance& second) {
+                                                    return first.distance_m < second.distance_m;
+                                                })
+                                   ->distance_m;
         std::vector<std::uint32_t>& views = tiles_[key].views;
-        for (const Seen& s : seen)
-            if (s.distance_m <= std::max(kNear_m, kHardlyFarther * nearest)) views.push_back(s.view);
-        thin_view_list(views);
+        for (const ImageDistance& s : seen)
+            if (s.distance_m <= std::max(kMaxTileDistance_m, kHardlyFarther * nearest))
+                views.push_back(s.view);
+        limit_view_count(views);
     }
 }
 
-const std::vector<std::uint32_t>& Visibility::find_views_near(const glm::dvec3& point_m) const {
+const std::vector<std::uint32_t>& VisibilityChecker::find_views_near(const glm::dvec3& point_m) const {
     static const std::vector<std::uint32_t> none;
-    const auto tile = tiles_.find(make_cell_key(compute_tile_centre(point_m), kTile_m));
+    const auto tile = tiles_.find(compute_grid_cell_key(compute_ground_tile_centre(point_m), kTile_m));
     return tile == tiles_.end() ? none : tile->second.views;
 }
 
-Visibility::Surroundings Visibility::find_surroundings(const View& view, const glm::dvec3& point_m) const {
+VisibilityChecker::NeighbourRanges VisibilityChecker::find_surrounding_ranges(
+    const VisibilityImage& view, const glm::dvec3& point_m) const {
     const int n_sectors = static_cast<int>(view.sensor_from_world.size());
     const glm::dvec3 roughly = view.sensor_from_world[std::size_t(n_sectors / 2)] * point_m;
     const int sector = static_cast<int>((0.5 + std::atan2(roughly.y, roughly.x) / (2.0 * kPi)) * n_sectors);
     const glm::dvec3 p = view.sensor_from_world[std::size_t(std::clamp(sector, 0, n_sectors - 1))] * point_m;
-    Surroundings result;
+    NeighbourRanges result;
     const BeamGrid& grid = grids_[std::size_t(view.lidar)];
-    const std::optional<BeamGrid::Place> at = grid.place(p);
+    const std::optional<BeamGrid::BeamGridCell> at = grid.find_grid_cell(p);
     if (!at || at->is_beyond) return result;
     result.range_m = glm::length(p);
     for (int r = std::max(at->row_below - 1, 0); r <= std::min(at->row_below, grid.rows() - 1); ++r)
@@ -236,27 +243,30 @@ Visibility::Surroundings Visibility::find_surroundings(const View& view, const g
     return result;
 }
 
-Sight Visibility::look(std::uint32_t view, const glm::dvec3& point_m) const {
-    const Surroundings here = find_surroundings(views_[view], point_m);
-    if (here.n < kMinReturns) return Sight::nothing;
+PointVisibility VisibilityChecker::classify_point_in_view(std::uint32_t view_index,
+                                                          const glm::dvec3& point_m) const {
+    const NeighbourRanges here = find_surrounding_ranges(views_[view_index], point_m);
+    if (here.n < kMinReturns) return PointVisibility::unknown;
     const auto [nearest, farthest] = std::minmax_element(here.returned_m, here.returned_m + here.n);
     const double range = here.range_m, margin = 0.3 + 0.02 * range;
-    if (*nearest > range + kBehind * margin) return Sight::seen_through;
-    return range > *nearest - margin && range < *farthest + margin ? Sight::seen : Sight::nothing;
+    if (*nearest > range + kBehind * margin) return PointVisibility::empty;
+    return range > *nearest - margin && range < *farthest + margin ? PointVisibility::occupied
+                                                                   : PointVisibility::unknown;
 }
 
-bool Visibility::has_return_at(std::uint32_t view, const glm::dvec3& point_m, double tolerance_m) const {
-    const Surroundings here = find_surroundings(views_[view], point_m);
+bool VisibilityChecker::has_return_at(std::uint32_t view_index, const glm::dvec3& point_m,
+                                      double tolerance_m) const {
+    const NeighbourRanges here = find_surrounding_ranges(views_[view_index], point_m);
     return std::any_of(here.returned_m, here.returned_m + here.n,
                        [&](float returned) { return std::abs(returned - here.range_m) < tolerance_m; });
 }
 
-Visibility::Votes Visibility::count_votes(const glm::vec3& point_m) const {
-    Votes votes;
+VisibilityChecker::VisibilityVotes VisibilityChecker::count_visibility_votes(const glm::vec3& point_m) const {
+    VisibilityVotes votes;
     for (const std::uint32_t view : find_views_near(glm::dvec3(point_m))) {
-        const Sight sight = look(view, glm::dvec3(point_m));
-        votes.seen += sight == Sight::seen;
-        votes.seen_through += sight == Sight::seen_through;
+        const PointVisibility sight = classify_point_in_view(view, glm::dvec3(point_m));
+        votes.n_occupied += sight == PointVisibility::occupied;
+        votes.n_empty += sight == PointVisibility::empty;
     }
     return votes;
 }

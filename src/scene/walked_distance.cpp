@@ -14,12 +14,13 @@ constexpr double kStands_mps = 0.2;
 
 }  // namespace
 
-WalkedDistance::WalkedDistance(const PoseTrack& track) : time_s_(track.time_s) {
+WalkedDistanceTrack::WalkedDistanceTrack(const PoseTrack& track) : time_s_(track.time_s) {
     const auto average = [&](double t_s) {
         const double half = std::min({0.5 * kAverage_s, t_s - time_s_.front(), time_s_.back() - t_s});
         constexpr int kSteps = 5;  // number of steps in each direction
         glm::dvec3 sum(0.0);
-        for (int k = -kSteps; k <= kSteps; ++k) sum += track.at(t_s + half * k / kSteps).translation;
+        for (int k = -kSteps; k <= kSteps; ++k)
+            sum += track.interpolate_pose(t_s + half * k / kSteps).translation;
         return sum / double(2 * kSteps + 1);
     };
     glm::dvec3 before(0.0);
@@ -33,7 +34,7 @@ WalkedDistance::WalkedDistance(const PoseTrack& track) : time_s_(track.time_s) {
     }
 }
 
-double WalkedDistance::at(double t_s) const {
+double WalkedDistanceTrack::compute_walked_distance_m(double t_s) const {
     if (time_s_.size() < 2) return 0.0;
     const auto after = std::upper_bound(time_s_.begin() + 1, time_s_.end() - 1, t_s);
     const std::size_t i = std::size_t(after - time_s_.begin());

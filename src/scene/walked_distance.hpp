@@ -11,12 +11,12 @@ namespace relidar {
 /// Computes the distance that an actor has walked along its track. Averages the positions
 /// over one second, because labelled positions jitter. Motion slower than 0.2 m/s counts
 /// as standing.
-class WalkedDistance {
+class WalkedDistanceTrack {
 public:
-    explicit WalkedDistance(const PoseTrack& world_from_box);
+    explicit WalkedDistanceTrack(const PoseTrack& world_from_box);
     /// Returns the distance walked since the first pose, in metres. Before and after the
     /// track, extrapolates with the speed at that end of the track.
-    double at(double t_s) const;
+    double compute_walked_distance_m(double t_s) const;
 
 private:
     std::vector<double> time_s_, walked_m_;

@@ -18,24 +18,24 @@ namespace relidar {
 namespace {
 
 /// A setting whose value changes a kernel or its specialisation constants.
-struct Setting {
+struct KernelSetting {
     const char* key;
     const char* value;
 };
 
 // Settings that change a kernel. For each row, the kernels are compiled with the preset
 // `default` and this one setting. Add a row for each new specialisation constant.
-constexpr Setting kSettings[] = {{"image.sh_direction", "ray"},
-                                 {"image.sh_direction", "surfel"},
-                                 {"image.single_drop_logit", "true"},
-                                 {"train.deterministic", "true"},
-                                 {"train.refine_poses", "sensor,actors"},
-                                 {"render.range", "mode"},
-                                 {"trace.chunk", "16"},
-                                 {"trace.chunk", "64"},
-                                 {"densify.strategy", "adaptive"}};
+constexpr KernelSetting kSettings[] = {{"image.sh_direction", "ray"},
+                                       {"image.sh_direction", "surfel"},
+                                       {"image.single_drop_logit", "true"},
+                                       {"train.deterministic", "true"},
+                                       {"train.refine_poses", "sensor,actors"},
+                                       {"render.range", "mode"},
+                                       {"trace.chunk", "16"},
+                                       {"trace.chunk", "64"},
+                                       {"densify.strategy", "adaptive"}};
 
-Scene make_smallest_scene(const Sequence& street, Primitive primitive) {
+Scene make_minimal_scene(const LidarSequence& street, PrimitiveType primitive) {
     Scene scene;
     scene.surfels.resize(2, primitive);
     scene.models = {{"background", 0, 1}, {"actor", 1, 1}};
@@ -43,9 +43,9 @@ Scene make_smallest_scene(const Sequence& street, Primitive primitive) {
     return scene;
 }
 
-void compile_training_pipelines(Device& device, const Sequence& street, const Config& config) {
-    const Scene scene = make_smallest_scene(street, config.image.primitive);
-    Split split;
+void compile_training_pipelines(Device& device, const LidarSequence& street, const Config& config) {
+    const Scene scene = make_minimal_scene(street, config.image.primitive);
+    TrainTestSplit split;
     split.train = {0, 1};
     const TrainLoop loop(device, street, split, scene, config);
     const ScanRenderer renderer(device, scene, config, street);
@@ -53,18 +53,18 @@ void compile_training_pipelines(Device& device, const Sequence& street, const Co
 
 /// Compiles all variants of the ray traversal. A running program uses only one variant,
 /// which depends on the type of the device.
-void compile_search_variants(Device& device, const Sequence& street) {
+void compile_traversal_variants(Device& device, const LidarSequence& street) {
     const Config config = make_preset("default");
-    const Scene scene = make_smallest_scene(street, config.image.primitive);
-    for (const Walk walk : {Walk::lane, Walk::subgroup})
-        for (const Proxy proxy : {Proxy::triangles, Proxy::boxes}) {
+    const Scene scene = make_minimal_scene(street, config.image.primitive);
+    for (const BvhTraversalMode traversal_mode : {BvhTraversalMode::lane, BvhTraversalMode::subgroup})
+        for (const ProxyShape proxy : {ProxyShape::triangles, ProxyShape::boxes}) {
             RendererOptions options{.accel = {.proxy = proxy}, .trace = make_training_trace_options(config)};
-            options.trace.walk = walk;
-            for (const HitOrder order : {HitOrder::chunks, HitOrder::lists}) {
+            options.trace.traversal_mode = traversal_mode;
+            for (const HitSortMethod order : {HitSortMethod::chunks, HitSortMethod::lists}) {
                 options.trace.order = order;
                 const Renderer renderer(device, scene, config.image, options);
             }
-            for (const Reduction sums : {Reduction::atomics, Reduction::gather})
+            for (const GradientReduction sums : {GradientReduction::atomics, GradientReduction::gather})
                 const DifferentiableRenderer renderer(device, scene, config.image, options,
                                                       {.sums = {.reduction = sums}});
         }
@@ -72,34 +72,34 @@ void compile_search_variants(Device& device, const Sequence& street) {
 
 }  // namespace
 
-void compile_pipelines(Device& device, const std::function<void(const std::string&)>& progress) {
-    const Sequence street = make_synthetic_street({.n_frames = 2, .rows = 2, .columns = 16});
+void compile_all_pipelines(Device& device, const std::function<void(const std::string&)>& report_progress) {
+    const LidarSequence street = make_synthetic_street({.n_frames = 2, .rows = 2, .columns = 16});
     const auto report = [&](const std::string& description) {
-        if (progress) progress(description);
+        if (report_progress) report_progress(description);
     };
     for (const char* preset : {"paper", "released", "default", "quick"}) {
         report(preset);
         compile_training_pipelines(device, street, make_preset(preset));
     }
-    std::vector<Setting> settings(std::begin(kSettings), std::end(kSettings));
+    std::vector<KernelSetting> settings(std::begin(kSettings), std::end(kSettings));
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) \
     settings.push_back({"loss." #setting, "0.1"});
     RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
-    for (const PrimitiveKind& kind : kPrimitives) settings.push_back({"image.primitive", kind.name});
-    for (const Setting& setting : settings) {
+    for (const PrimitiveProperties& kind : kPrimitives) settings.push_back({"image.primitive", kind.name});
+    for (const KernelSetting& setting : settings) {
         report(std::string(setting.key) + "=" + setting.value);
         Config config = make_preset("default");
         set_config_value(config, setting.key, setting.value);
         compile_training_pipelines(device, street, config);
     }
     report("kernels of the ray traversal and of sums");
-    compile_search_variants(device, street);
+    compile_traversal_variants(device, street);
     for (const char* network : {"small", "paper", "pixel"}) {
         report(std::string("refine.network=") + network);
-        RefineOptions options;
+        RayDropNetworkOptions options;
         options.network = network;
-        compile_drop_network(device, options);
+        compile_network_pipelines(device, options);
     }
     report("summation of hits in a fixed order");
     // Compiles the sort kernels of BackwardPass, which creates them only for its first

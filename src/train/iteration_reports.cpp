@@ -12,7 +12,7 @@
 
 namespace relidar {
 
-IterationReports::Slot::Slot(Device& device)
+IterationReports::ReportReadbackSlot::ReportReadbackSlot(Device& device)
     : terms(device, kRows * kLossTerms * sizeof(float), "loss terms"),
       pass_cap(device, sizeof(std::uint32_t), "pass cap count"),
       most_hits(device, sizeof(std::uint32_t), "most hits"),
@@ -23,45 +23,47 @@ IterationReports::IterationReports(Device& device)
     while (slots_.size() < kReadbackLag) slots_.emplace_back(device);
 }
 
-void IterationReports::close(Stream& stream, const DeviceCounts& counts, const std::optional<LogLine>& line) {
+void IterationReports::record_report_readback(Stream& stream, const DeviceHitCounters& counts,
+                                              const std::optional<TrainLogLine>& log_line) {
     if (iterations_.empty()) return;
-    Slot& slot = slots_[std::size_t(iterations_.back().step) % kReadbackLag];
-    const auto take = [&](Readback& readback, const Buffer& source, std::size_t n_bytes) {
-        readback.record(stream, source, n_bytes);
+    ReportReadbackSlot& slot = slots_[std::size_t(iterations_.back().step) % kReadbackLag];
+    const auto record_and_clear = [&](ReadbackBuffer& readback, const Buffer& source, std::size_t n_bytes) {
+        readback.record_copy_to_host(stream, source, n_bytes);
         stream.fill(source);
     };
-    take(slot.terms, terms_.buffer(), iterations_.size() * kLossTerms * sizeof(float));
-    take(slot.pass_cap, counts.pass_cap->buffer(), sizeof(std::uint32_t));
-    if (counts.most_hits) take(slot.most_hits, counts.most_hits->buffer(), sizeof(std::uint32_t));
-    take(slot.overfull, counts.overfull->buffer(), sizeof(std::uint32_t));
+    record_and_clear(slot.terms, terms_.buffer(), iterations_.size() * kLossTerms * sizeof(float));
+    record_and_clear(slot.pass_cap, counts.pass_cap->buffer(), sizeof(std::uint32_t));
+    if (counts.most_hits) record_and_clear(slot.most_hits, counts.most_hits->buffer(), sizeof(std::uint32_t));
+    record_and_clear(slot.overfull, counts.overfull->buffer(), sizeof(std::uint32_t));
     closed_.push_back({std::exchange(iterations_, {}), counts.most_hits != nullptr, counts.hit_capacity,
-                       counts.kept_hits, line});
+                       counts.stored_hits_per_ray, log_line});
 }
 
-std::optional<IterationReports::Report> IterationReports::take(Stream& stream, int last) {
-    if (closed_.empty() || closed_.front().iterations.back().step > last) return std::nullopt;
-    const Closed report = std::move(closed_.front());
+std::optional<IterationReports::IterationGroupReport> IterationReports::read_oldest_report(Stream& stream,
+                                                                                           int max_step) {
+    if (closed_.empty() || closed_.front().iterations.back().step > max_step) return std::nullopt;
+    const ClosedIterationGroup report = std::move(closed_.front());
     closed_.pop_front();
     const int first_step = report.iterations.front().step, last_step = report.iterations.back().step;
-    Slot& slot = slots_[std::size_t(last_step) % kReadbackLag];
-    const auto count = [&](Readback& readback) {
-        return *static_cast<const std::uint32_t*>(readback.wait(stream));
+    ReportReadbackSlot& slot = slots_[std::size_t(last_step) % kReadbackLag];
+    const auto count = [&](ReadbackBuffer& readback) {
+        return *static_cast<const std::uint32_t*>(readback.wait_for_copied_bytes(stream));
     };
-    add_report_terms(report, static_cast<const float*>(slot.terms.wait(stream)));
-    if (report.line) complete_log_line(*report.line);
-    return Report{.first_step = first_step,
-                  .last_step = last_step,
-                  .pass_cap = count(slot.pass_cap),
-                  .most_hits = report.counts_hits ? count(slot.most_hits) : 0u,
-                  .overfull = count(slot.overfull),
-                  .hit_capacity = report.hit_capacity,
-                  .kept_hits = report.kept_hits};
+    add_loss_terms(report, static_cast<const float*>(slot.terms.wait_for_copied_bytes(stream)));
+    if (report.line) store_log_line_with_means(*report.line);
+    return IterationGroupReport{.first_step = first_step,
+                                .last_step = last_step,
+                                .pass_cap = count(slot.pass_cap),
+                                .most_hits = report.counts_hits ? count(slot.most_hits) : 0u,
+                                .overfull = count(slot.overfull),
+                                .hit_capacity = report.hit_capacity,
+                                .stored_hits_per_ray = report.stored_hits_per_ray};
 }
 
-void IterationReports::add_report_terms(const Closed& report, const float* terms) {
+void IterationReports::add_loss_terms(const ClosedIterationGroup& report, const float* loss_terms) {
     for (const auto& [step, frame] : report.iterations) {
         for (std::size_t k = 0; k < kLossTerms; ++k) {
-            const float term = *terms++;
+            const float term = *loss_terms++;
             if (!std::isfinite(term))
                 throw DataError(fmt::format(
                     "training failed at iteration {}, frame {}: the {} loss is {}, expected a finite number",
@@ -72,11 +74,11 @@ void IterationReports::add_report_terms(const Closed& report, const float* terms
     n_summed_ += report.iterations.size();
 }
 
-void IterationReports::complete_log_line(LogLine line) {
+void IterationReports::store_log_line_with_means(TrainLogLine log_line) {
     for (std::size_t k = 0; k < kLossTerms; ++k)
-        line.terms[k] = std::exchange(sums_[k], 0.0) / static_cast<double>(n_summed_);
+        log_line.terms[k] = std::exchange(sums_[k], 0.0) / static_cast<double>(n_summed_);
     n_summed_ = 0;
-    lines_.push_back(std::move(line));
+    lines_.push_back(std::move(log_line));
 }
 
 }  // namespace relidar

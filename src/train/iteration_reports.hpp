@@ -18,7 +18,7 @@
 namespace relidar {
 
 /// A line of the training log.
-struct LogLine {
+struct TrainLogLine {
     int step = 0;
     std::array<double, kLossTerms> terms{};  ///< mean losses over the iterations since the last line
     std::uint32_t n_surfels = 0;             ///< number of surfels after this step
@@ -27,7 +27,7 @@ struct LogLine {
 };
 
 /// Counters on the device. Each report copies the counters and resets them to 0.
-struct DeviceCounts {
+struct DeviceHitCounters {
     /// [1] number of rays whose traversal was cut off at the maximum number of passes
     /// (ForwardPass::pass_cap_count)
     const Array<std::uint32_t>* pass_cap = nullptr;
@@ -35,9 +35,10 @@ struct DeviceCounts {
     /// null if not needed
     const Array<std::uint32_t>* most_hits = nullptr;
     std::uint64_t hit_capacity = 0;
-    /// [1] number of rays with more hits than can be stored (ForwardPass::overfull_count)
+    /// [1] number of rays with more hits than can be stored
+    /// (ForwardPass::get_hit_overflow_ray_count)
     const Array<std::uint32_t>* overfull = nullptr;
-    std::uint32_t kept_hits = 0;  ///< maximum number of stored hits per ray
+    std::uint32_t stored_hits_per_ray = 0;  ///< maximum number of stored hits per ray
 };
 
 class IterationReports {
@@ -45,31 +46,35 @@ public:
     explicit IterationReports(Device& device);
 
     /// Returns the row of the loss table to which the current iteration adds its losses.
-    TermRow row() const { return {terms_, static_cast<std::uint32_t>(iterations_.size())}; }
+    LossTermRow get_current_loss_row() const {
+        return {terms_, static_cast<std::uint32_t>(iterations_.size())};
+    }
     /// Adds an iteration after its GPU commands were recorded.
-    /// @param frame  frame number of the dataset
-    void add(int step, int frame) { iterations_.push_back({step, frame}); }
+    /// @param frame_number  frame number of the dataset
+    void add_iteration(int step, int frame_number) { iterations_.push_back({step, frame_number}); }
     bool is_full() const { return iterations_.size() == kRows; }
     /// Starts to copy all losses and counters since the last report to the host. Does not
-    /// wait. Call it after add(), at most once per iteration.
-    /// @param line  log line that ends with these iterations, if any
-    void close(Stream& stream, const DeviceCounts& counts, const std::optional<LogLine>& line);
+    /// wait. Call it after add_iteration(), at most once per iteration.
+    /// @param log_line  log line that ends with these iterations, if any
+    void record_report_readback(Stream& stream, const DeviceHitCounters& counts,
+                                const std::optional<TrainLogLine>& log_line);
 
     /// Counters of a group of iterations, copied from the device.
-    struct Report {
+    struct IterationGroupReport {
         int first_step, last_step;
         std::uint32_t pass_cap, most_hits, overfull;
-        /// capacity of the hit buffer, and stored hits per ray, when close() was called
+        /// capacity of the hit buffer, and stored hits per ray, when
+        /// record_report_readback() was called
         std::uint64_t hit_capacity;
-        std::uint32_t kept_hits;
+        std::uint32_t stored_hits_per_ray;
     };
-    /// Returns the oldest unread report if it ends at iteration `last` or earlier. Waits
-    /// if the device has not finished the report.
+    /// Returns the oldest unread report if it ends at iteration `max_step` or earlier.
+    /// Waits if the device has not finished the report.
     /// @throws DataError naming iteration, frame and term if a loss is not finite
-    std::optional<Report> take(Stream& stream, int last);
-    /// Returns the log lines of the reports that take() has returned, and removes them
-    /// here.
-    std::vector<LogLine> collect_lines() { return std::exchange(lines_, {}); }
+    std::optional<IterationGroupReport> read_oldest_report(Stream& stream, int max_step);
+    /// Returns the log lines of the reports that read_oldest_report() has returned, and
+    /// removes them here.
+    std::vector<TrainLogLine> take_log_lines() { return std::exchange(lines_, {}); }
 
     template <class Visitor>
     void visit_state(Visitor&& visit) {
@@ -77,7 +82,7 @@ public:
         visit("n_summed", n_summed_);
     }
     /// Returns true if the state that was read from a checkpoint is valid.
-    bool is_sound() const { return sums_.size() == kLossTerms; }
+    bool has_valid_state() const { return sums_.size() == kLossTerms; }
 
 private:
     static constexpr std::size_t kRows = 64;
@@ -86,30 +91,30 @@ private:
         int step;
         int frame;
     };
-    struct Closed {
+    struct ClosedIterationGroup {
         std::vector<Iteration> iterations;
         bool counts_hits;
         std::uint64_t hit_capacity;
-        std::uint32_t kept_hits;
-        std::optional<LogLine> line;
+        std::uint32_t stored_hits_per_ray;
+        std::optional<TrainLogLine> line;
     };
-    struct Slot {
-        Readback terms, pass_cap, most_hits, overfull;
-        explicit Slot(Device& device);
+    struct ReportReadbackSlot {
+        ReadbackBuffer terms, pass_cap, most_hits, overfull;
+        explicit ReportReadbackSlot(Device& device);
     };
 
     Array<float> terms_;                 ///< [kRows, kLossTerms] losses of iterations_
     std::vector<Iteration> iterations_;  ///< iterations since the last report
     /// [kReadbackLag] host buffers; iteration i uses buffer i modulo kReadbackLag
-    std::vector<Slot> slots_;
-    std::deque<Closed> closed_;  ///< reports that the host has not read yet, oldest first
+    std::vector<ReportReadbackSlot> slots_;
+    std::deque<ClosedIterationGroup> closed_;  ///< reports that the host has not read yet, oldest first
     /// [kLossTerms] sum of each loss over the iterations since the last log line
     std::vector<double> sums_;
     std::uint64_t n_summed_ = 0;  ///< number of iterations in sums_
-    std::vector<LogLine> lines_;
+    std::vector<TrainLogLine> lines_;
 
-    void add_report_terms(const Closed& report, const float* terms);
-    void complete_log_line(LogLine line);
+    void add_loss_terms(const ClosedIterationGroup& report, const float* loss_terms);
+    void store_log_line_with_means(TrainLogLine log_line);
 };
 
 }  // namespace relidar

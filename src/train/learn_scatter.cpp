@@ -14,17 +14,17 @@ namespace {
 
 constexpr int kMostFrames = 16;  // maximum number of frames per LiDAR
 
-std::vector<int> list_lidar_training_frames(const Run& run, int lidar) {
+std::vector<int> list_lidar_training_frames(const TrainedRun& run, int lidar_index) {
     std::vector<int> frames;
     for (const int position : run.split.train)
-        if (run.sequence.frames[std::size_t(position)].lidar == lidar) frames.push_back(position);
-    return select_evenly_spaced(frames, kMostFrames);
+        if (run.sequence.frames[std::size_t(position)].lidar == lidar_index) frames.push_back(position);
+    return select_evenly_spaced_frames(frames, kMostFrames);
 }
 
-std::vector<float> collect_measured_intensities(const Sequence& sequence, const Frame& frame,
-                                                const Unknown& masks) {
+std::vector<float> collect_measured_intensities(const LidarSequence& sequence, const LidarFrame& frame,
+                                                const IgnoredMeasurements& mask_rules) {
     std::vector<float> measured;
-    const std::vector<float> dropped = find_measured_drops(sequence, frame, masks);
+    const std::vector<float> dropped = find_measured_drops(sequence, frame, mask_rules);
     for (std::size_t i = 0; i < dropped.size(); ++i)
         measured.push_back(dropped[i] == 0.0f ? frame.scan.intensity[i] : kNoIntensity);
     return measured;
@@ -32,27 +32,28 @@ std::vector<float> collect_measured_intensities(const Sequence& sequence, const 
 
 }  // namespace
 
-std::vector<IntensityScatter> learn_scatter(Device& device, const Run& run, const ScatterSession& session) {
+std::vector<IntensityScatterModel> learn_scatter(Device& device, const TrainedRun& run,
+                                                 const ScatterFitCallbacks& session) {
     Config config = run.config;
     config.sensor.sub_rays = config.sensor.returns = 1;
     ScanRenderer renderer(device, run.scene, config, run.sequence);
-    const Unknown masks = make_masks(config, run.scene);
-    std::vector<IntensityScatter> result;
+    const IgnoredMeasurements masks = make_scene_mask_rules(config, run.scene);
+    std::vector<IntensityScatterModel> result;
     for (int lidar = 0; lidar < int(run.sequence.lidars.size()); ++lidar) {
         const std::vector<int> positions = list_lidar_training_frames(run, lidar);
-        std::vector<MeasuredIntensities> images;
+        std::vector<PairedIntensities> images;
         for (const int position : positions) {
             if (session.stop && session.stop()) return {};
             if (session.progress)
                 session.progress("learning the scatter of intensities",
                                  double(images.size()) / double(positions.size()));
-            const Frame& frame = run.sequence.frames[std::size_t(position)];
+            const LidarFrame& frame = run.sequence.frames[std::size_t(position)];
             const RenderedScan scan =
-                renderer.render(make_nominal_rays_of_frame(config, run.sequence, frame), frame.time_s);
+                renderer.render(choose_nominal_sensor_of_frame(config, run.sequence, frame), frame.time_s);
             images.push_back(
                 {get_rendered_intensities(scan), collect_measured_intensities(run.sequence, frame, masks)});
         }
-        result.push_back(fit_scatter(images));
+        result.push_back(fit_intensity_scatter(images));
         if (session.progress) session.progress("learning the scatter of intensities", 1.0);
     }
     return result;

@@ -20,10 +20,10 @@
 
 namespace relidar {
 
-Sequence load_log(const Config& config, const Progress& progress, int max_scans) {
+LidarSequence load_log(const Config& config, const ProgressReporter& progress, int max_scans) {
     DatasetOptions options;
     options.sequence = config.dataset.sequence;
-    options.lidars = split_words(config.dataset.lidars);
+    options.lidars = split_comma_separated_list(config.dataset.lidars);
     options.frames = {config.dataset.frames_begin, config.dataset.frames_end};
     options.poses_file = config.dataset.poses;
     options.skip_broken = config.dataset.skip_broken;
@@ -44,33 +44,35 @@ namespace {
 
 /// Returns true if the log provides vehicle poses from which the registration of scans
 /// can start.
-bool has_poses(const Sequence& sequence, const Config& config) {
+bool has_usable_poses(const LidarSequence& sequence, const Config& config) {
     return config.dataset.poses != kNoPoses && sequence.has_poses;
 }
 
 /// How much the registration changed the poses of a log: median and maximum of the shift
 /// and of the rotation.
-struct PoseCorrections {
+struct PoseCorrectionStatistics {
     double median_m = 0.0, most_m = 0.0, median_deg = 0.0, most_deg = 0.0;
 
     /// Computes the median and the maximum of the corrections.
     /// @param from  [poses] poses of the log
     /// @param to  [poses] registered poses
-    PoseCorrections(const PoseTrack& from, const PoseTrack& to) {
+    PoseCorrectionStatistics(const PoseTrack& from, const PoseTrack& to) {
         std::vector<double> metres, degrees;
         for (std::size_t k = 0; k < from.pose.size(); ++k) {
-            const glm::dquat turn = glm::conjugate(from.pose[k].rotation) * to.pose[k].rotation;
+            const glm::dquat rotation_change = glm::conjugate(from.pose[k].rotation) * to.pose[k].rotation;
             metres.push_back(glm::length(to.pose[k].translation - from.pose[k].translation));
-            degrees.push_back(2.0 *
-                              std::atan2(glm::length(glm::dvec3(turn.x, turn.y, turn.z)), std::abs(turn.w)) *
-                              180.0 / kPi);
+            degrees.push_back(
+                2.0 *
+                std::atan2(glm::length(glm::dvec3(rotation_change.x, rotation_change.y, rotation_change.z)),
+                           std::abs(rotation_change.w)) *
+                180.0 / kPi);
         }
         std::ranges::sort(metres);
         std::ranges::sort(degrees);
         median_m = metres[metres.size() / 2], most_m = metres.back();
         median_deg = degrees[degrees.size() / 2], most_deg = degrees.back();
     }
-    std::string text() const {
+    std::string describe_corrections() const {
         return fmt::format(
             "poses were corrected by a median of {:.3f} m and {:.2f} degrees, and by at most {:.3f} m and "
             "{:.2f} degrees",
@@ -78,7 +80,7 @@ struct PoseCorrections {
     }
     /// Returns a warning if the corrections are larger than the usual errors of good
     /// vehicle poses. Otherwise returns an empty text.
-    std::string warning() const {
+    std::string make_warning_if_large() const {
         constexpr double kLarge_m = 0.5, kLarge_deg = 5.0;
         if (most_m <= kLarge_m && most_deg <= kLarge_deg) return "";
         return fmt::format(
@@ -86,18 +88,18 @@ struct PoseCorrections {
             "w order instead of w x y z, poses of another frame, a missing lever arm between the "
             "vehicle and the LiDAR, drifting GNSS, or wrong times. Use dataset.poses=none to "
             "estimate the poses from the scans only",
-            text());
+            describe_corrections());
     }
 };
 
-std::string describe_path(const PoseTrack& track) {
+std::string describe_path_length(const PoseTrack& track) {
     double metres = 0.0;
     for (std::size_t k = 1; k < track.pose.size(); ++k)
         metres += glm::distance(track.pose[k].translation, track.pose[k - 1].translation);
     return fmt::format("{:.1f} m driven", metres);
 }
 
-std::string describe_loops(const Registration& registration) {
+std::string describe_loop_closures(const RegistrationResult& registration) {
     if (registration.n_loop_closures == 0) return "";
     return fmt::format(
         "; {} loops closed, where the vehicle returned to the same position, with corrections of "
@@ -111,11 +113,11 @@ constexpr double kMostLost = 0.05;
 
 /// Prints which scans could not be registered.
 /// @throws DataError if too many scans failed
-void report_lost_scans(const Sequence& sequence, const Registration& registration, const Config& config,
-                       const PrepareSession& session) {
+void report_unregistered_scans(const LidarSequence& sequence, const RegistrationResult& registration,
+                               const Config& config, const LogPreparationCallbacks& session) {
     if (registration.lost.empty()) return;
     std::vector<int> frames;
-    for (const Frame& frame : sequence.frames) {
+    for (const LidarFrame& frame : sequence.frames) {
         const bool is_lost = std::ranges::binary_search(registration.lost, sequence.get_pose_index(frame));
         if (is_lost && (frames.empty() || frames.back() != frame.index)) frames.push_back(frame.index);
     }
@@ -128,59 +130,61 @@ void report_lost_scans(const Sequence& sequence, const Registration& registratio
                         "train.allow_lost_scans=true to interpolate their poses from their neighbours, or "
                         "train.refine_poses=none to keep the poses of the log",
                         sequence.name, text, 100.0 * kMostLost));
-    session.tell(text + "; their poses are interpolated from their neighbours");
+    session.report_line(text + "; their poses are interpolated from their neighbours");
 }
 
 /// Estimates the vehicle poses by registering the scans of the log with each other.
 /// @return a registration; its `done` is set if it has new poses
-Registration register_log(Sequence& sequence, const Split& split, const Config& config,
-                          const PrepareSession& session) {
-    Registration registration;
+RegistrationResult register_log_scans(LidarSequence& sequence, const TrainTestSplit& split,
+                                      const Config& config, const LogPreparationCallbacks& session) {
+    RegistrationResult registration;
     try {
-        RegisterOptions options = make_register_options(sequence, config);
+        RegistrationOptions options = make_registration_options(sequence, config);
         options.stop = session.stop;
         options.progress = session.progress;
         options.group = session.group;
         registration = register_scans(sequence, split, options);
     } catch (const DataError& error) {
         if (!config.train.allow_lost_scans) throw;
-        session.tell(fmt::format("{}; the poses of the log are used instead", error.what()));
+        session.report_line(fmt::format("{}; the poses of the log are used instead", error.what()));
         return {};
     }
     if (registration.stopped)
         throw Error(ExitCode::interrupted,
                     "interrupted during the registration of scans, before the training started");
     if (!registration.done) return registration;
-    const PoseCorrections corrections(sequence.world_from_vehicle, registration.world_from_vehicle);
-    session.tell(fmt::format(
+    const PoseCorrectionStatistics corrections(sequence.world_from_vehicle, registration.world_from_vehicle);
+    session.report_line(fmt::format(
         "scans registered: {:.0f} % of the points are on planes that several scans have "
         "observed, with a mean distance of {:.3f} m from these planes; {}{}",
         100.0 * registration.on_planes, registration.rounds.back().residual_m,
-        has_poses(sequence, config) ? corrections.text() : describe_path(registration.world_from_vehicle),
-        describe_loops(registration)));
-    if (const std::string warning = corrections.warning(); has_poses(sequence, config) && !warning.empty()) {
-        session.tell(warning);
+        has_usable_poses(sequence, config) ? corrections.describe_corrections()
+                                           : describe_path_length(registration.world_from_vehicle),
+        describe_loop_closures(registration)));
+    if (const std::string warning = corrections.make_warning_if_large();
+        has_usable_poses(sequence, config) && !warning.empty()) {
+        session.report_line(warning);
         sequence.notes.push_back(warning);  // stored as a note, so that the command `info` shows it
     }
-    report_lost_scans(sequence, registration, config, session);
+    report_unregistered_scans(sequence, registration, config, session);
     return registration;
 }
 
-void register_sensor(Sequence& sequence, const Split& split, const Config& config,
-                     const PrepareSession& session) {
-    Registration registration = register_log(sequence, split, config, session);
+void register_and_set_vehicle_poses(LidarSequence& sequence, const TrainTestSplit& split,
+                                    const Config& config, const LogPreparationCallbacks& session) {
+    RegistrationResult registration = register_log_scans(sequence, split, config, session);
     if (!registration.done) registration.world_from_vehicle.pose.clear();
-    PoseTrack track{sequence.world_from_vehicle.time_s,
-                    session.group.broadcast(std::move(registration.world_from_vehicle.pose))};
+    PoseTrack track{sequence.world_from_vehicle.time_s, session.group.broadcast_from_first_process(
+                                                            std::move(registration.world_from_vehicle.pose))};
     if (!track.pose.empty()) set_vehicle_poses(sequence, std::move(track));
 }
 
-void calibrate_beams(Sequence& sequence, const Split& split, const SensorConfig& config,
-                     const PrepareSession& session) {
+void calibrate_beam_range_offsets(LidarSequence& sequence, const TrainTestSplit& split,
+                                  const SensorConfig& config, const LogPreparationCallbacks& session) {
     const std::size_t n = sequence.count_beams();
     if (n > 1 && config.should_calibrate("range")) {
-        const LaserCalibration calibration = calibrate_ranges(sequence, split.train);
-        session.tell(fmt::format(
+        const RangeCalibrationResult calibration = calibrate_beam_ranges(sequence, split.train);
+        session.report_line(fmt::format(
             "range calibration of {} beams ({:.1f} million returns): mean distance from planes "
             "{:.1f} mm, {:.1f} mm with one offset per beam; {}",
             n, double(calibration.returns) * 1e-6, calibration.rms_before * 1e3, calibration.rms_after * 1e3,
@@ -188,38 +192,41 @@ void calibrate_beams(Sequence& sequence, const Split& split, const SensorConfig&
     }
 }
 
-void calibrate_intensities(Sequence& sequence, const Split& split, const PrepareSession& session) {
-    const IntensityCalibration calibration = calibrate_intensity(sequence, split.train);
+void calibrate_intensities(LidarSequence& sequence, const TrainTestSplit& split,
+                           const LogPreparationCallbacks& session) {
+    const IntensityCalibrationResult calibration = calibrate_intensity(sequence, split.train);
     const IntensityResponse& r = sequence.intensity_response;
     const std::string fall = fmt::format(
         "the intensity decreases to a factor of {:.2f} at 40 m and {:.2f} at an incidence angle "
         "of 60 degrees, relative to 10 m and 0 degrees",
-        r.at_range(40.0) / r.at_range(10.0), r.at_cosine(0.5));
+        r.compute_range_factor(40.0) / r.compute_range_factor(10.0), r.compute_incidence_factor(0.5));
     const std::string start = fmt::format(
         "intensity calibration ({:.1f} million returns): intensities of the same surface differ "
         "by {:.3f} (RMS)",
         double(calibration.returns) * 1e-6, calibration.rms_before);
-    session.tell(!calibration.shared && !calibration.beams
-                     ? start + "; a correction does not reduce this difference, so no correction is used"
-                     : fmt::format("{}, {:.3f} after the correction; {}{}{}", start, calibration.rms_after,
-                                   calibration.beams ? "one gain and offset per beam" : "",
-                                   calibration.beams && calibration.shared ? "; " : "",
-                                   calibration.shared ? fall : ""));
+    session.report_line(
+        !calibration.shared && !calibration.beams
+            ? start + "; a correction does not reduce this difference, so no correction is used"
+            : fmt::format("{}, {:.3f} after the correction; {}{}{}", start, calibration.rms_after,
+                          calibration.beams ? "one gain and offset per beam" : "",
+                          calibration.beams && calibration.shared ? "; " : "",
+                          calibration.shared ? fall : ""));
 }
 
-void report_noise(const Sequence& sequence, const PrepareSession& session) {
+void report_range_noise(const LidarSequence& sequence, const LogPreparationCallbacks& session) {
     for (const Lidar& lidar : sequence.lidars)
         if (!lidar.range_noise.sigma_m.empty())
-            session.tell(fmt::format(
+            session.report_line(fmt::format(
                 "range noise{}: {:.0f} mm at 10 m and {:.0f} mm at 40 m (standard deviation on surfaces "
                 "perpendicular to the beam)",
-                lidar.name.empty() ? "" : " of " + lidar.name, 1e3 * lidar.range_noise.at(10.0, 1.0),
-                1e3 * lidar.range_noise.at(40.0, 1.0)));
+                lidar.name.empty() ? "" : " of " + lidar.name,
+                1e3 * lidar.range_noise.get_noise_sigma_m(10.0, 1.0),
+                1e3 * lidar.range_noise.get_noise_sigma_m(40.0, 1.0)));
 }
 
 /// Throws an error if the user has interrupted the program.
 /// @throws Error with exit code 130
-void throw_if_interrupted(const PrepareSession& session) {
+void throw_if_interrupted(const LogPreparationCallbacks& session) {
     if (session.stop && session.stop())
         throw Error(ExitCode::interrupted,
                     "interrupted during the preparation of the log, before the training started");
@@ -227,19 +234,19 @@ void throw_if_interrupted(const PrepareSession& session) {
 
 /// Calibrates the beams of all LiDARs. The first process computes the results and sends
 /// them to the other processes.
-void calibrate(Sequence& sequence, const Split& split, const SensorConfig& config,
-               const PrepareSession& session) {
-    if (session.group.is_first()) {
+void calibrate_lidars(LidarSequence& sequence, const TrainTestSplit& split, const SensorConfig& config,
+                      const LogPreparationCallbacks& session) {
+    if (session.group.is_first_process()) {
         throw_if_interrupted(session);
-        calibrate_beams(sequence, split, config, session);
+        calibrate_beam_range_offsets(sequence, split, config, session);
         throw_if_interrupted(session);
         measure_range_noise(sequence, split.train);
-        report_noise(sequence, session);
+        report_range_noise(sequence, session);
         throw_if_interrupted(session);
         if (config.should_calibrate("intensity")) calibrate_intensities(sequence, split, session);
     }
     const auto broadcast_from_first = [&](auto& values) {
-        values = session.group.broadcast(std::move(values));
+        values = session.group.broadcast_from_first_process(std::move(values));
     };
     for (Lidar& lidar : sequence.lidars) {
         broadcast_from_first(lidar.sensor.beams);
@@ -250,7 +257,8 @@ void calibrate(Sequence& sequence, const Split& split, const SensorConfig& confi
     broadcast_from_first(sequence.intensity_response.range_m);
     broadcast_from_first(sequence.intensity_response.factor);
     sequence.intensity_response.incidence =
-        session.group.broadcast(std::vector{sequence.intensity_response.incidence}).front();
+        session.group.broadcast_from_first_process(std::vector{sequence.intensity_response.incidence})
+            .front();
 }
 
 /// Returns a text with the id, size and speed of a box.
@@ -267,49 +275,52 @@ std::string describe_box(const BoxTrack& box) {
 
 /// Describes a labelled object that was also observed without a label: its id, and the
 /// numbers of frames before and after the labels.
-std::string describe_continuation(const BoxTrack& box) {
+std::string describe_label_extension(const BoxTrack& box) {
     std::vector<std::string> sides;
     if (box.n_before > 0) sides.push_back(fmt::format("{} frames before the first label", box.n_before));
     if (box.n_after > 0) sides.push_back(fmt::format("{} frames after the last label", box.n_after));
     return fmt::format("{} ({}) {}", box.id, box.category, fmt::join(sides, " and "));
 }
 
-void add_discovered(Sequence& sequence, const Split& split, const PrepareSession& session) {
+void add_discovered_movers(LidarSequence& sequence, const TrainTestSplit& split,
+                           const LogPreparationCallbacks& session) {
     std::vector<std::string> movers, extended;
-    const Progress progress = [&](std::string_view description, double done) {
+    const ProgressReporter progress = [&](std::string_view description, double done) {
         throw_if_interrupted(session);
         if (session.progress) session.progress(description, done);
     };
     for (BoxTrack& box : discover_tracks(sequence, split.train, progress, session.group)) {
         if (box.n_before + box.n_after > 0) {
-            extended.push_back(describe_continuation(box));
+            extended.push_back(describe_label_extension(box));
             *std::ranges::find(sequence.boxes, box.id, &BoxTrack::id) = std::move(box);
         } else {
             movers.push_back(describe_box(box));
             sequence.boxes.push_back(std::move(box));
         }
     }
-    session.tell(fmt::format("detected {} moving object{} without a labelled box{}{}", movers.size(),
-                             movers.size() == 1 ? "" : "s", movers.empty() ? "" : ": ",
-                             fmt::join(movers, ", ")));
+    session.report_line(fmt::format("detected {} moving object{} without a labelled box{}{}", movers.size(),
+                                    movers.size() == 1 ? "" : "s", movers.empty() ? "" : ": ",
+                                    fmt::join(movers, ", ")));
     if (!extended.empty())
-        session.tell(fmt::format("tracks of labelled objects extended to frames without a label: {}",
-                                 fmt::join(extended, ", ")));
+        session.report_line(fmt::format("tracks of labelled objects extended to frames without a label: {}",
+                                        fmt::join(extended, ", ")));
 }
 
 /// Refines the poses of moving boxes by registering their points. The first process
 /// computes the poses and sends them to the other processes.
-void register_boxes(Sequence& sequence, const Split& split, const PrepareSession& session) {
-    ActorRegistration registration;
-    if (session.group.is_first())
+void refine_moving_box_poses(LidarSequence& sequence, const TrainTestSplit& split,
+                             const LogPreparationCallbacks& session) {
+    ActorRegistrationResult registration;
+    if (session.group.is_first_process())
         registration = register_actors(sequence, split.train, [&](std::string_view description, double done) {
             throw_if_interrupted(session);
             if (session.progress) session.progress(description, done);
         });
     for (BoxTrack& box : sequence.boxes)
-        box.world_from_box.pose = session.group.broadcast(std::move(box.world_from_box.pose));
+        box.world_from_box.pose =
+            session.group.broadcast_from_first_process(std::move(box.world_from_box.pose));
     if (registration.n_actors == 0) return;
-    session.tell(fmt::format(
+    session.report_line(fmt::format(
         "{} of {} moving boxes aligned to their points, moved by {:.3f} m (median); {} boxes "
         "have moving labels but their points do not move",
         registration.n_registered, registration.n_actors, registration.moved_m, registration.n_standing));
@@ -317,9 +328,9 @@ void register_boxes(Sequence& sequence, const Split& split, const PrepareSession
 
 }  // namespace
 
-RegisterOptions make_register_options(const Sequence& sequence, const Config& config) {
-    RegisterOptions options;
-    options.use_pose_motion = has_poses(sequence, config);
+RegistrationOptions make_registration_options(const LidarSequence& sequence, const Config& config) {
+    RegistrationOptions options;
+    options.use_pose_motion = has_usable_poses(sequence, config);
     // Without vehicle poses, the motion of a box in the world is unknown. All boxes are
     // then treated as moving.
     for (const BoxTrack& box : sequence.boxes)
@@ -327,19 +338,23 @@ RegisterOptions make_register_options(const Sequence& sequence, const Config& co
     return options;
 }
 
-void prepare_log(Sequence& sequence, const Split& split, const Config& config, PrepareSession session) {
-    if (!session.tell || !session.group.is_first()) session.tell = [](const std::string&) {};
-    if (!has_poses(sequence, config) && !should_register_sensor(config.train))
+void prepare_log(LidarSequence& sequence, const TrainTestSplit& split, const Config& config,
+                 LogPreparationCallbacks session) {
+    if (!session.report_line || !session.group.is_first_process())
+        session.report_line = [](const std::string&) {};
+    if (!has_usable_poses(sequence, config) && !should_register_sensor_poses(config.train))
         throw UsageError(
             "the log has no poses, or dataset.poses=none is set, so the poses must be estimated from "
             "the scans; use train.refine_poses=sensor");
     begin_stage(session.stages, "register");
-    if (should_register_sensor(config.train)) register_sensor(sequence, split, config, session);
+    if (should_register_sensor_poses(config.train))
+        register_and_set_vehicle_poses(sequence, split, config, session);
     begin_stage(session.stages, "calibrate");
-    calibrate(sequence, split, config.sensor, session);
+    calibrate_lidars(sequence, split, config.sensor, session);
     begin_stage(session.stages, "movers");
-    if (config.init.unlabelled_movers == UnlabelledMovers::actors) add_discovered(sequence, split, session);
-    if (should_register_sensor(config.train)) register_boxes(sequence, split, session);
+    if (config.init.unlabelled_movers == UnlabelledMoverPolicy::actors)
+        add_discovered_movers(sequence, split, session);
+    if (should_register_sensor_poses(config.train)) refine_moving_box_poses(sequence, split, session);
 }
 
 }  // namespace relidar

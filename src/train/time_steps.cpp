@@ -18,7 +18,8 @@ constexpr int kWarmUp = 5;
 
 }  // namespace
 
-StepTimes time_steps(Device& device, const Run& run, int n_steps, const std::function<bool()>& stop) {
+TrainingStepTimes measure_step_times(Device& device, const TrainedRun& run, int n_steps,
+                                     const std::function<bool()>& should_stop) {
     if (!run.scene.blocks.empty())
         throw UsageError(fmt::format(
             "cannot measure the training speed of {}: the run is divided into blocks; use a run that "
@@ -31,10 +32,10 @@ StepTimes time_steps(Device& device, const Run& run, int n_steps, const std::fun
     const int first = std::max(1, run.config.train.iterations - n_steps - kWarmUp + 1);
     for (int k = 0; k < kWarmUp; ++k) loop.run_iteration(first + k);
     loop.wait_for_iterations();
-    const std::map<std::string, KernelTimes::Total> before = loop.times().totals;
-    StepTimes result;
+    const std::map<std::string, KernelTimes::LaunchTotals> before = loop.times().totals;
+    TrainingStepTimes result;
     const auto start = std::chrono::steady_clock::now();
-    for (; result.n_steps < n_steps && !(stop && stop()); ++result.n_steps)
+    for (; result.n_steps < n_steps && !(should_stop && should_stop()); ++result.n_steps)
         loop.run_iteration(first + kWarmUp + result.n_steps);
     loop.wait_for_iterations();
     if (result.n_steps == 0) return result;
@@ -42,15 +43,16 @@ StepTimes time_steps(Device& device, const Run& run, int n_steps, const std::fun
                      result.n_steps;
     for (const auto& [kernel, sum] : loop.times().totals) {
         const auto earlier = before.find(kernel);
-        const KernelTimes::Total had = earlier == before.end() ? KernelTimes::Total{} : earlier->second;
+        const KernelTimes::LaunchTotals had =
+            earlier == before.end() ? KernelTimes::LaunchTotals{} : earlier->second;
         if (sum.launches == had.launches) continue;
         result.kernels[kernel] = {(sum.launches - had.launches) / result.n_steps,
                                   (sum.ms - had.ms) / result.n_steps};
         result.kernels_ms += result.kernels[kernel].ms;
     }
-    result.surfels = loop.n_surfels();
+    result.surfels = loop.get_surfel_count();
     result.rays = loop.count_rays_of_last_batch();
-    result.kept_hits = loop.kept_hits();
+    result.stored_hits_per_ray = loop.kept_hits();
     return result;
 }
 

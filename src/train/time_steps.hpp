@@ -13,19 +13,20 @@
 namespace relidar {
 
 /// Mean times per training step, measured by training a finished run for more steps.
-struct StepTimes {
+struct TrainingStepTimes {
     /// Mean number of launches and mean time of a kernel in one step.
-    struct Kernel {
+    struct StepKernelTime {
         double launches = 0.0, ms = 0.0;
     };
     int n_steps = 0;
-    std::map<std::string, Kernel> kernels;  ///< times by kernel; empty if the device has no timestamps
-    double kernels_ms = 0.0;                ///< sum over all kernels
+    std::map<std::string, StepKernelTime>
+        kernels;              ///< times by kernel; empty if the device has no timestamps
+    double kernels_ms = 0.0;  ///< sum over all kernels
     double wall_ms = 0.0;
-    std::size_t surfels = 0, rays = 0;  ///< surfels in the scene; rays in the last batch
-    std::uint32_t kept_hits = 0;        ///< maximum number of stored hits per ray after the last step
+    std::size_t surfels = 0, rays = 0;      ///< surfels in the scene; rays in the last batch
+    std::uint32_t stored_hits_per_ray = 0;  ///< maximum number of stored hits per ray after the last step
 
-    double compute_interval_ms() const { return wall_ms - kernels_ms; }  ///< time in which no kernel runs
+    double compute_idle_ms() const { return wall_ms - kernels_ms; }  ///< time in which no kernel runs
 };
 
 /// Maximum number of timed steps, because the times of all kernel launches are kept in
@@ -36,8 +37,9 @@ inline constexpr int kMostTimedSteps = 500;
 /// the learning rates of the run's last steps. Does not change the run.
 /// @param run  a run with the scans of its training frames
 /// @param n_steps  number of timed steps after a few warm-up steps, 1 to kMostTimedSteps
-/// @param stop  polled after each step; if it returns true, the measurement ends
+/// @param should_stop  polled after each step; if it returns true, the measurement ends
 /// @throws UsageError if the run has blocks; otherwise the same errors as train()
-StepTimes time_steps(Device& device, const Run& run, int n_steps, const std::function<bool()>& stop = {});
+TrainingStepTimes measure_step_times(Device& device, const TrainedRun& run, int n_steps,
+                                     const std::function<bool()>& should_stop = {});
 
 }  // namespace relidar

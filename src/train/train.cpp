@@ -27,60 +27,58 @@ double measure_seconds_since(Clock::time_point start) {
 
 /// Returns the options for the initial scene. A single drop logit starts with the
 /// difference of the usual two logits, for the same ray-drop probability (M6).
-InitialiseOptions make_initialise_options(const Config& config) {
-    InitialiseOptions options = config.init;
+SceneInitialisationOptions make_initialise_options(const Config& config) {
+    SceneInitialisationOptions options = config.init;
     options.seed = config.train.seed;
     options.one_logit = config.image.single_drop_logit;
     return options;
 }
 
 /// Returns the initial scene of a training.
-Scene make_initial_scene(const Sequence& sequence, const Split& split, const Config& config,
+Scene make_initial_scene(const LidarSequence& sequence, const TrainTestSplit& split, const Config& config,
                          const TrainSession& session) {
     std::vector<std::string> notes;
     Scene scene =
         initialise_scene(sequence, split.train, make_initialise_options(config), session.progress, &notes);
     for (const std::string& note : notes)
         if (session.note) session.note(note);
-    make_primitive(scene.surfels, config.image.primitive, config.init.thickness);
+    convert_to_primitive(scene.surfels, config.image.primitive, config.init.thickness);
     return scene;
 }
 
 /// Prints the moving boxes without surfels. Training ignores the returns in these boxes.
-void report_masked_boxes(const Scene& scene, const Sequence& sequence, const Config& config,
+void report_masked_boxes(const Scene& scene, const LidarSequence& sequence, const Config& config,
                          const TrainSession& session) {
-    const std::vector<BoxTrack> masked = find_masked_boxes(scene, sequence, config.init);
+    const std::vector<BoxTrack> masked = find_boxes_without_model(scene, sequence, config.init);
     if (masked.empty() || !session.note) return;
     session.note(
         fmt::format("points and losses in {} moving boxes are ignored: {}. Only classes in "
                     "init.actor_classes with at least init.actor_min_points points become actors",
-                    masked.size(), list_boxes(masked)));
+                    masked.size(), format_box_list(masked)));
 }
 
-/// Prints how many training frames are kept in device memory. Prints nothing if all
-/// frames are kept.
+/// Prints how many training frames are kept in device memory, unless all are kept.
 void report_resident_frames(const TrainingFrames& frames, const Config& config, const TrainSession& session) {
-    if (frames.n_resident() == frames.all().size() || !session.note) return;
-    session.note(
-        fmt::format("{} of {} training frames fit into the device memory for frames "
-                    "(train.frame_memory_mib={}); the others are uploaded whenever a step uses them",
-                    frames.n_resident(), frames.all().size(), config.train.frame_memory_mib));
+    if (frames.count_resident_frames() == frames.get_all_frames().size() || !session.note) return;
+    session.note(fmt::format(
+        "{} of {} training frames fit into the device memory for frames "
+        "(train.frame_memory_mib={}); the others are uploaded whenever a step uses them",
+        frames.count_resident_frames(), frames.get_all_frames().size(), config.train.frame_memory_mib));
 }
 
 /// Turns the refinement of the sensor's poses off if all training frames belong to one
 /// sweep. Nothing constrains the pose of a single sweep, so its pose and the scene would
 /// drift away from the poses of the other sweeps.
-Config disable_undetermined_poses(Config config, const Sequence& sequence, const Split& split,
-                                  const Scene& initial, const TrainSession& session) {
-    const auto frame = [&](int position) -> const Frame& { return sequence.frames[std::size_t(position)]; };
-    const auto of_first_sweep = [&](int position) {
-        return frame(position).index == frame(split.train[0]).index;
-    };
+Config disable_useless_pose_refinement(Config config, const LidarSequence& sequence,
+                                       const TrainTestSplit& split, const Scene& initial,
+                                       const TrainSession& session) {
+    const auto get_sweep = [&](int frame) { return sequence.frames[std::size_t(frame)].index; };
+    const auto is_in_first_sweep = [&](int frame) { return get_sweep(frame) == get_sweep(split.train[0]); };
     const auto report = [&](const char* note) {
         if (session.note) session.note(note);
     };
-    if (config.train.refines("sensor") && std::ranges::all_of(split.train, of_first_sweep)) {
-        config.train.refine_poses = config.train.refines("actors") ? "actors" : "none";
+    if (config.train.should_refine_poses("sensor") && std::ranges::all_of(split.train, is_in_first_sweep)) {
+        config.train.refine_poses = config.train.should_refine_poses("actors") ? "actors" : "none";
         report(
             "train.refine_poses=sensor has no effect, because training uses only one sweep, whose "
             "pose is fixed");
@@ -96,47 +94,48 @@ bool should_log_at(int step, const TrainConfig& config) {
 
 /// Downloads the trained scene and its poses. Estimates the ray-drop of the sensor, the
 /// coverage, and the classes of the background.
-void read_scene(TrainLoop& loop, Device& device, const Sequence& sequence, const Split& split,
-                const Config& config, const TrainSession& session, TrainResult& result) {
+void download_trained_scene(TrainLoop& loop, Device& device, const LidarSequence& sequence,
+                            const TrainTestSplit& split, const Config& config, const TrainSession& session,
+                            TrainResult& result) {
     result.interrupted = result.iterations < config.train.iterations;
     result.scene = loop.download();
-    result.poses = loop.copy_refined_poses();
+    result.poses = loop.get_refined_poses();
     begin_stage(session.stages, "drops");
     if (config.train.sensor_drop && !result.interrupted)
-        result.scene.sensor_drop = loop.estimate_sensor_drop(device, sequence);
+        result.scene.sensor_drop = loop.estimate_sensor_drop_rates(device, sequence);
     begin_stage(session.stages, "coverage");
     const PoseTrack& poses = result.poses ? result.poses->world_from_vehicle : sequence.world_from_vehicle;
-    result.coverage = find_coverage(sequence, poses, split.train,
-                                    use_farthest_return(config, sequence).dataset.max_range_m);
-    result.classes = find_classes(sequence, poses, split.train);
+    result.coverage = compute_observed_coverage(sequence, poses, split.train,
+                                                resolve_max_range(config, sequence).dataset.max_range_m);
+    result.classes = compute_class_map(sequence, poses, split.train);
 }
 
 }  // namespace
 
-TrainResult train(Device& device, const Sequence& sequence, const Split& split, const Config& config,
-                  const ProgressCallback& progress, const TrainSession& session) {
+TrainResult train(Device& device, const LidarSequence& sequence, const TrainTestSplit& split,
+                  const Config& config, const TrainProgressCallback& progress, const TrainSession& session) {
     if (split.train.empty())
         throw DataError(fmt::format("cannot train on {}: it has no training frames; expected at least one",
                                     sequence.name));
-    if (session.start) check_resumable(*session.start, sequence, split, config);
+    if (session.start) check_training_resumable(*session.start, sequence, split, config);
     TrainResult result;
     const Clock::time_point begin = Clock::now();
     begin_stage(session.stages, "initialise");
-    const Scene initial =
-        session.start ? read_scene(*session.start) : make_initial_scene(sequence, split, config, session);
+    const Scene initial = session.start ? read_checkpoint_scene(*session.start)
+                                        : make_initial_scene(sequence, split, config, session);
     result.initialise_s = measure_seconds_since(begin);
     report_masked_boxes(initial, sequence, config, session);
 
     begin_stage(session.stages, "train");
     // must outlive the training loop, which stores a reference to these settings
-    const Config findable = disable_undetermined_poses(config, sequence, split, initial, session);
+    const Config training_config = disable_useless_pose_refinement(config, sequence, split, initial, session);
     if (session.progress) session.progress("allocating memory and loading kernels", 0.0);
-    TrainLoop loop(device, sequence, split, initial, findable);
+    TrainLoop loop(device, sequence, split, initial, training_config);
     if (session.progress) session.progress("allocating memory and loading kernels", 1.0);
-    report_resident_frames(loop.frames(), config, session);
+    report_resident_frames(loop.get_training_frames(), config, session);
     if (session.start) {
-        loop.restore(*session.start);
-        read_result(*session.start, config, result);
+        loop.restore_state(*session.start);
+        read_training_result(*session.start, config, result);
     }
     CheckpointKeeper checkpoints(sequence, split, config, session);
     const Clock::time_point start = Clock::now();
@@ -144,8 +143,8 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     const auto trained_s = [&] { return trained_before_s + measure_seconds_since(start); };
     bool stop = false;
     const auto collect_lines = [&] {
-        for (const LogLine& line : loop.collect_lines()) {
-            add_line(result.log, line, config, trained_s());
+        for (const TrainLogLine& line : loop.take_log_lines()) {
+            append_log_line(result.log, line, config, trained_s());
             stop = !progress(result.log.back()) || stop;
         }
     };
@@ -154,23 +153,24 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
         loop.run_iteration(step, should_log_at(step, config.train));
         collect_lines();
         stop = stop || (session.stop && session.stop());
-        if (!stop && !checkpoints.should_save(step)) continue;
+        if (!stop && !checkpoints.should_save_checkpoint(step)) continue;
         loop.wait_for_iterations();
         collect_lines();  // A checkpoint includes the log lines.
-        checkpoints.save(loop, result, trained_s());
+        checkpoints.save_training_state(loop, result, trained_s());
     }
-    loop.finish();
+    loop.complete_training();
     collect_lines();
-    read_scene(loop, device, sequence, split, config, session, result);
+    download_trained_scene(loop, device, sequence, split, config, session, result);
     result.train_s = trained_s();
     result.times = loop.times();
-    result.peak_device_bytes = device.peak_bytes();
+    result.peak_device_bytes = device.peak_allocated_bytes();
     return result;
 }
 
-void move_result_into_run(Run& run, TrainResult& result) {
+void move_result_into_run(TrainedRun& run, TrainResult& result) {
     run.scene = std::move(result.scene);
-    run.coverage = std::move(result.coverage), run.classes = std::move(result.classes);
+    run.coverage = std::move(result.coverage);
+    run.classes = std::move(result.classes);
     if (!result.poses) return;
     run.sequence.world_from_vehicle = std::move(result.poses->world_from_vehicle);
     run.sequence.boxes = std::move(result.poses->boxes);

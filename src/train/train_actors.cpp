@@ -35,73 +35,78 @@ constexpr float kBlind = 0.5f;
 
 /// An actor in one sweep, and the sensor position at the time when the LiDAR head faces
 /// the actor.
-struct Sight {
+struct ActorSighting {
     glm::dvec3 sensor_m;
     InstancePose placed;
     glm::dvec3 half_size_m;
 
     /// Returns true if a ray hits the box of the actor, enlarged by kBeside_m.
-    /// @param after_s  firing time of the ray, relative to the reference time of the
-    /// sweep
-    bool is_hit_by(const WorldRay& ray, double after_s) const {
-        return intersects_ray(ray, after_s, kBeside_m);
+    /// @param time_offset_s  firing time of the ray, relative to the reference time of
+    /// the sweep
+    bool is_box_hit_by_ray(const WorldRay& ray, double time_offset_s) const {
+        return is_enlarged_box_hit_by_ray(ray, time_offset_s, kBeside_m);
     }
     /// Returns true if a ray to the actor's box can also hit this sphere, in front of the
     /// actor or behind it.
-    bool can_observe(const glm::dvec3& point_m, double reach_m) const {
+    bool can_ray_also_hit_sphere(const glm::dvec3& centre_m, double radius_m) const {
         const double driven_length_m = glm::length(placed.motion.velocity_mps) * placed.motion.half_span_s;
-        return intersects_ray({sensor_m, glm::normalize(point_m - sensor_m)}, placed.motion.middle_s,
-                              kBeside_m + kSweep_m + driven_length_m + reach_m);
+        return is_enlarged_box_hit_by_ray({sensor_m, glm::normalize(centre_m - sensor_m)},
+                                          placed.motion.middle_s,
+                                          kBeside_m + kSweep_m + driven_length_m + radius_m);
     }
 
 private:
-    bool intersects_ray(const WorldRay& ray, double after_s, double grown_m) const {
-        const PlacedBox box{inverse(placed.motion.at(placed.world_from_model, after_s)), half_size_m};
-        const glm::dvec2 inside = box.compute_ray_interval(ray, grown_m);
+    bool is_enlarged_box_hit_by_ray(const WorldRay& ray, double time_offset_s, double margin_m) const {
+        const PosedBox box{inverse(placed.motion.compute_pose_at(placed.world_from_model, time_offset_s)),
+                           half_size_m};
+        const glm::dvec2 inside = box.compute_ray_entry_exit_m(ray, margin_m);
         return inside.x <= inside.y;
     }
 };
 
 /// A training frame, and the actors that can be visible in this frame.
-struct SightedFrame {
-    int position = 0;  ///< index into Sequence::frames
+struct FrameWithSightings {
+    int position = 0;  ///< index into LidarSequence::frames
     glm::dvec3 sensor_m{0.0};
     double reach_m = 0.0;  ///< range of the farthest return in the frame
-    std::vector<Sight> sights;
+    std::vector<ActorSighting> sights;
 
-    bool can_reach_block(const SceneBlock& block) const {
-        return block.count > 0 && block.distance_m(sensor_m) <= reach_m + kAlong_m;
+    bool can_rays_reach_block(const SceneBlock& block) const {
+        return block.count > 0 && block.compute_distance_to_box_m(sensor_m) <= reach_m + kAlong_m;
     }
 };
 
 /// Section of the log: frames that are trained together, and the scene blocks that their
 /// rays can reach.
-struct Stretch {
-    std::vector<SightedFrame> frames;
+struct ActorTrainingSection {
+    std::vector<FrameWithSightings> frames;
     std::set<std::size_t> blocks;
 };
 
 /// Returns the track of each LiDAR. The result should be reused, because each track has
 /// as many poses as the log has sweeps.
-std::vector<PoseTrack> list_sensor_tracks(const Sequence& sequence) {
+std::vector<PoseTrack> list_sensor_tracks(const LidarSequence& sequence) {
     std::vector<PoseTrack> tracks;
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
-        tracks.push_back(sequence.world_from_sensor(static_cast<int>(l)));
+        tracks.push_back(sequence.get_world_from_sensor(static_cast<int>(l)));
     return tracks;
 }
 
 /// Returns a frame and the actors that are near enough to have returns in it.
-SightedFrame find_visible_actors(const Run& run, int position, const std::vector<PoseTrack>& tracks) {
-    const Frame& frame = run.sequence.frames[std::size_t(position)];
-    const PoseTrack& world_from_sensor = tracks[std::size_t(frame.lidar)];
+FrameWithSightings find_visible_actors(const TrainedRun& run, int frame_index,
+                                       const std::vector<PoseTrack>& sensor_tracks) {
+    const LidarFrame& frame = run.sequence.frames[std::size_t(frame_index)];
+    const PoseTrack& world_from_sensor = sensor_tracks[std::size_t(frame.lidar)];
     const std::vector<InstancePose> placed =
-        place_instances(run.scene, run.sequence, get_sweep_moment(frame));
-    SightedFrame result{position, world_from_sensor.at(frame.time_s).translation, 0.0, {}};
+        compute_instance_poses(run.scene, run.sequence, get_sweep_moment(frame));
+    FrameWithSightings result{
+        frame_index, world_from_sensor.interpolate_pose(frame.time_s).translation, 0.0, {}};
     for (const float range_m : frame.scan.range_m) result.reach_m = std::max(result.reach_m, double(range_m));
     for (std::size_t i = 0; i < placed.size(); ++i) {
         const BoxTrack* box = find_box(run.sequence, run.scene.instances[i].track);
         if (!box || !placed[i].present) continue;
-        const Sight sight{world_from_sensor.at(placed[i].time_s).translation, placed[i], 0.5 * box->size_m};
+        const ActorSighting sight{world_from_sensor.interpolate_pose(placed[i].time_s).translation, placed[i],
+                                  0.5 * box->size_m};
         if (glm::distance(sight.sensor_m, placed[i].world_from_model.translation) <
             result.reach_m + 0.5 * glm::length(box->size_m))
             result.sights.push_back(sight);
@@ -111,14 +116,15 @@ SightedFrame find_visible_actors(const Run& run, int position, const std::vector
 
 /// Divides the training frames into sections. Starts a new section if the blocks of the
 /// current section would exceed kTogether surfels. Each section has at least one frame.
-std::vector<Stretch> divide_into_stretches(const Run& run, const std::vector<PoseTrack>& tracks) {
-    std::vector<Stretch> stretches(1);
+std::vector<ActorTrainingSection> divide_log_into_sections(const TrainedRun& run,
+                                                           const std::vector<PoseTrack>& sensor_tracks) {
+    std::vector<ActorTrainingSection> stretches(1);
     for (const int position : run.split.train) {
-        SightedFrame frame = find_visible_actors(run, position, tracks);
+        FrameWithSightings frame = find_visible_actors(run, position, sensor_tracks);
         if (frame.sights.empty()) continue;
         std::set<std::size_t> reached, together = stretches.back().blocks;
         for (std::size_t i = 0; i < run.scene.blocks.size(); ++i)
-            if (frame.can_reach_block(run.scene.blocks[i])) reached.insert(i);
+            if (frame.can_rays_reach_block(run.scene.blocks[i])) reached.insert(i);
         together.insert(reached.begin(), reached.end());
         std::size_t n = 0;
         for (const std::size_t i : together) n += run.scene.blocks[i].count;
@@ -131,98 +137,103 @@ std::vector<Stretch> divide_into_stretches(const Run& run, const std::vector<Pos
 
 /// Returns the rays of a scan that pass near an actor, as a list without rows and
 /// columns. Leaves out rays that the sensor itself usually drops.
-Scan select_rays_near(const Run& run, const Frame& frame, const PoseTrack& world_from_sensor,
-                      const std::vector<Sight>& sights) {
+Scan select_rays_near_actors(const TrainedRun& run, const LidarFrame& frame,
+                             const PoseTrack& world_from_sensor,
+                             const std::vector<ActorSighting>& visible_actors) {
     const Scan& all = frame.scan;
-    std::vector<std::size_t> near;
+    std::vector<std::size_t> nearby_ray_indices;
     Scan scan;
     for (std::size_t i = 0; i < all.range_m.size(); ++i) {
         const WorldRay ray =
             make_world_ray(world_from_sensor, frame.time_s, all.rays, i, run.sequence.rolling_shutter);
         const double after_s = run.sequence.rolling_shutter ? double(all.rays.time_offset_s[i]) : 0.0;
-        if (std::none_of(sights.begin(), sights.end(),
-                         [&](const Sight& sight) { return sight.is_hit_by(ray, after_s); }))
+        if (std::none_of(visible_actors.begin(), visible_actors.end(),
+                         [&](const ActorSighting& sight) { return sight.is_box_hit_by_ray(ray, after_s); }))
             continue;
-        const auto beam = run.sequence.find_beam_number(frame.lidar, all.rays.channel[i]);
-        if (beam && run.scene.sensor_drop.at(*beam, all.rays.direction[i]) > kBlind) continue;
-        near.push_back(i);
+        const auto beam = run.sequence.find_global_beam_number(frame.lidar, all.rays.channel[i]);
+        if (beam && run.scene.sensor_drop.get_drop_probability(*beam, all.rays.direction[i]) > kBlind)
+            continue;
+        nearby_ray_indices.push_back(i);
         scan.range_m.push_back(all.range_m[i]);
         scan.intensity.push_back(all.intensity[i]);
     }
-    scan.rays = select_rays(all.rays, near);
+    scan.rays = select_rays(all.rays, nearby_ray_indices);
     return scan;
 }
 
 /// Returns the part of the log for one section. Its frames contain only rays near actors.
-Sequence select_stretch_log(const Run& run, const Stretch& stretch, const std::vector<PoseTrack>& tracks) {
-    std::vector<Frame> frames(stretch.frames.size());
+LidarSequence make_log_of_section(const TrainedRun& run, const ActorTrainingSection& section,
+                                  const std::vector<PoseTrack>& sensor_tracks) {
+    std::vector<LidarFrame> frames(section.frames.size());
     parallel_for(static_cast<int>(frames.size()), [&](int index) {
-        const SightedFrame& sighted = stretch.frames[std::size_t(index)];
-        const Frame& from = run.sequence.frames[std::size_t(sighted.position)];
-        const PoseTrack& world_from_sensor = tracks[std::size_t(from.lidar)];
+        const FrameWithSightings& sighted = section.frames[std::size_t(index)];
+        const LidarFrame& from = run.sequence.frames[std::size_t(sighted.position)];
+        const PoseTrack& world_from_sensor = sensor_tracks[std::size_t(from.lidar)];
         frames[std::size_t(index)] = {from.index, from.time_s,
-                                      select_rays_near(run, from, world_from_sensor, sighted.sights),
+                                      select_rays_near_actors(run, from, world_from_sensor, sighted.sights),
                                       from.lidar, from.start};
     });
-    Sequence log = copy_without_frames(run.sequence);
-    for (Frame& frame : frames)
+    LidarSequence log = copy_without_frames(run.sequence);
+    for (LidarFrame& frame : frames)
         if (frame.scan.rays.columns > 0) log.frames.push_back(std::move(frame));
     return log;
 }
 
 /// Returns the surfels that a ray can hit if it passes near an actor.
-Surfels select_surfels_along_rays(const Surfels& surfels, const std::vector<const SightedFrame*>& frames) {
-    std::vector<std::uint8_t> kept(surfels.size(), 0);
-    for_each_block(surfels.size(), [&](std::size_t index) {
+Surfels select_surfels_along_rays(const Surfels& surfels,
+                                  const std::vector<const FrameWithSightings*>& frames) {
+    std::vector<std::uint8_t> is_selected(surfels.size(), 0);
+    parallel_for_in_blocks(surfels.size(), [&](std::size_t index) {
         const glm::dvec3 mean = surfels.mean[index];
         const double reach_m =
             kReach_sigmas *
             std::exp(double(std::max(surfels.log_scale[index].x, surfels.log_scale[index].y)));
-        kept[index] = std::any_of(frames.begin(), frames.end(), [&](const SightedFrame* frame) {
-            return std::any_of(frame->sights.begin(), frame->sights.end(),
-                               [&](const Sight& s) { return s.can_observe(mean, reach_m); });
+        is_selected[index] = std::any_of(frames.begin(), frames.end(), [&](const FrameWithSightings* frame) {
+            return std::any_of(frame->sights.begin(), frame->sights.end(), [&](const ActorSighting& s) {
+                return s.can_ray_also_hit_sphere(mean, reach_m);
+            });
         });
     });
     std::vector<std::uint32_t> order;
-    for (std::uint32_t i = 0; i < kept.size(); ++i)
-        if (kept[i]) order.push_back(i);
+    for (std::uint32_t i = 0; i < is_selected.size(); ++i)
+        if (is_selected[i]) order.push_back(i);
     return surfels.reorder(order);
 }
 
 /// Scene in which the actors of one section of the log are trained. `extent_m` is the
 /// mean extent of its background blocks.
-struct StretchScene {
+struct SectionScene {
     Scene scene;
     double extent_m = 1.0;
 };
 
-StretchScene make_scene_of_stretch(const Run& run, const Stretch& stretch) {
-    std::vector<const SightedFrame*> all;
-    for (const SightedFrame& frame : stretch.frames) all.push_back(&frame);
+SectionScene make_scene_of_section(const TrainedRun& run, const ActorTrainingSection& section) {
+    std::vector<const FrameWithSightings*> all;
+    for (const FrameWithSightings& frame : section.frames) all.push_back(&frame);
     Surfels background =
         select_surfels_along_rays(run.scene.surfels.slice(0, run.scene.models.front().count), all);
-    double extent_m = stretch.blocks.empty() ? compute_background_extent(run.scene) : 0.0;
-    for (const std::size_t i : stretch.blocks) {
-        const Scene block = make_background_scene(read_block(run.scene.blocks[i]));
-        std::vector<const SightedFrame*> near;
-        for (const SightedFrame& frame : stretch.frames)
-            if (frame.can_reach_block(run.scene.blocks[i])) near.push_back(&frame);
-        background.append(select_surfels_along_rays(block.surfels, near));
-        extent_m += compute_background_extent(block) / double(stretch.blocks.size());
+    double extent_m = section.blocks.empty() ? compute_background_extent(run.scene) : 0.0;
+    for (const std::size_t i : section.blocks) {
+        const Scene block = make_background_scene(load_block_surfels(run.scene.blocks[i]));
+        std::vector<const FrameWithSightings*> nearby_frames;
+        for (const FrameWithSightings& frame : section.frames)
+            if (frame.can_rays_reach_block(run.scene.blocks[i])) nearby_frames.push_back(&frame);
+        background.append(select_surfels_along_rays(block.surfels, nearby_frames));
+        extent_m += compute_background_extent(block) / double(section.blocks.size());
     }
-    return {add_background(run.scene, background), extent_m};
+    return {replace_background(run.scene, background), extent_m};
 }
 
 /// Returns the settings for training only the actors. Uses all rays, and does not refine
 /// poses or change the number of surfels.
-Config make_actor_config(const Config& config, std::size_t n_frames) {
+Config make_actor_training_config(const Config& config, std::size_t n_frames) {
     Config c = config;
     TrainConfig& t = c.train;
     t.iterations = static_cast<int>(
         std::min<std::size_t>(std::size_t(config.blocks.actor_epochs) * n_frames, 1'000'000'000));
     t.rays_per_iteration = 0;
     t.only_touched = true;
-    t.sensor_drop = false;  // not needed, because select_rays_near() has already removed these rays
+    t.sensor_drop = false;  // not needed, because select_rays_near_actors() has already removed these rays
     t.refine_poses = "none";
     t.sh_degree_start = c.image.sh_degree;
     c.densify.strategy = DensifyStrategy::none;
@@ -232,37 +243,38 @@ Config make_actor_config(const Config& config, std::size_t n_frames) {
 
 }  // namespace
 
-TrainingEnd train_actors(Device& device, Run& run, const ActorSession& session) {
-    if (run.config.blocks.actor_epochs == 0 || run.scene.instances.size() < 2) return TrainingEnd::finished;
+TrainingEndReason train_actors(Device& device, TrainedRun& run, const ActorTrainingCallbacks& session) {
+    if (run.config.blocks.actor_epochs == 0 || run.scene.instances.size() < 2)
+        return TrainingEndReason::finished;
     const std::vector<PoseTrack> tracks = list_sensor_tracks(run.sequence);
-    const std::vector<Stretch> stretches = divide_into_stretches(run, tracks);
+    const std::vector<ActorTrainingSection> stretches = divide_log_into_sections(run, tracks);
     const std::uint32_t n_before = run.scene.models.front().count;
     const std::size_t n_actors = run.scene.surfels.size() - n_before;
     std::size_t n_frames = 0, done = 0;
-    for (const Stretch& stretch : stretches) n_frames += stretch.frames.size();
-    for (const Stretch& stretch : stretches) {
-        const Sequence log = select_stretch_log(run, stretch, tracks);
+    for (const ActorTrainingSection& stretch : stretches) n_frames += stretch.frames.size();
+    for (const ActorTrainingSection& stretch : stretches) {
+        const LidarSequence log = make_log_of_section(run, stretch, tracks);
         if (log.frames.empty()) continue;
-        Split split;
+        TrainTestSplit split;
         for (std::size_t i = 0; i < log.frames.size(); ++i) split.train.push_back(static_cast<int>(i));
-        const auto [scene, extent_m] = make_scene_of_stretch(run, stretch);
-        const Config config = make_actor_config(run.config, log.frames.size());
+        const auto [scene, extent_m] = make_scene_of_section(run, stretch);
+        const Config config = make_actor_training_config(run.config, log.frames.size());
         TrainLoop loop(device, log, split, scene, config, scene.models.front().count, extent_m);
         for (int step = 1; step <= config.train.iterations; ++step) {
             loop.run_iteration(step);
             if (session.step)
                 session.step(static_cast<int>(done) + step,
                              run.config.blocks.actor_epochs * static_cast<int>(n_frames));
-            if (session.stop && session.stop()) return TrainingEnd::stopped;
+            if (session.stop && session.stop()) return TrainingEndReason::stopped;
         }
-        loop.finish();
+        loop.complete_training();
         done += std::size_t(config.train.iterations);
         const Scene trained = loop.download();
         Surfels surfels = run.scene.surfels.slice(0, n_before);
         surfels.append(trained.surfels.slice(trained.surfels.size() - n_actors, n_actors));
         run.scene.surfels = std::move(surfels);
     }
-    return TrainingEnd::finished;
+    return TrainingEndReason::finished;
 }
 
 }  // namespace relidar

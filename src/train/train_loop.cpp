@@ -25,9 +25,10 @@ FrameSampler::FrameSampler(std::size_t count, std::uint64_t seed) : order_(count
     std::iota(order_.begin(), order_.end(), std::uint64_t(0));
 }
 
-std::size_t FrameSampler::next() {
+std::size_t FrameSampler::draw_next_frame() {
     if (position_ == 0)
-        for (std::size_t i = order_.size(); i > 1; --i) std::swap(order_[i - 1], order_[random_.next() % i]);
+        for (std::size_t i = order_.size(); i > 1; --i)
+            std::swap(order_[i - 1], order_[random_.draw_uint64() % i]);
     const std::size_t frame = order_[position_];
     position_ = (position_ + 1) % order_.size();
     return frame;
@@ -37,11 +38,11 @@ std::optional<std::size_t> FrameSampler::peek_next_frame() const {
     return position_ == 0 ? std::nullopt : std::optional(std::size_t(order_[position_]));
 }
 
-bool FrameSampler::is_sound(std::size_t count) const {
-    std::vector<std::uint64_t> sorted = order_, all(count);
+bool FrameSampler::has_valid_state(std::size_t n_frames) const {
+    std::vector<std::uint64_t> sorted = order_, all(n_frames);
     std::sort(sorted.begin(), sorted.end());
     std::iota(all.begin(), all.end(), std::uint64_t(0));
-    return sorted == all && position_ < count;
+    return sorted == all && position_ < n_frames;
 }
 
 namespace {
@@ -75,9 +76,9 @@ LearningRates compute_learning_rates(const TrainConfig& config, double extent_m,
 /// surfels are cloned and split by fractions of this extent, as in the paper. A dense
 /// initialisation uses a tenth of the paper's rate.
 /// @return [models] factors
-std::vector<float> compute_mean_factors(const Scene& layout, double background_extent_m) {
+std::vector<float> compute_position_rate_factors(const Scene& layout, double background_extent_m) {
     std::vector<float> factors;
-    for (const Model& model : layout.models)
+    for (const SurfelModel& model : layout.models)
         factors.push_back(
             model.half_size_m.x > 0.0f
                 ? static_cast<float>(compute_box_extent(model.half_size_m) / background_extent_m)
@@ -87,13 +88,13 @@ std::vector<float> compute_mean_factors(const Scene& layout, double background_e
 
 /// Returns the degree of the spherical harmonics that is active in a training step. The
 /// image model can limit the degree further.
-int get_sh_degree_at(const TrainConfig& config, int step) {
+int get_active_sh_degree(const TrainConfig& config, int step) {
     return config.sh_degree_start + std::max(step - 1, 0) / std::max(1, config.sh_degree_interval);
 }
 
 /// Describes how often the acceleration structures are refitted to the moving surfels.
 /// Between two refits, a margin around the surfels' boxes prevents missed hits.
-struct TreeFits {
+struct TreeRefitSchedule {
     int every = 1;  ///< iterations between two refits
     AccelOptions accel;
 };
@@ -104,40 +105,41 @@ struct TreeFits {
 /// the interval is longer, because refitting for few trained surfels would take most of
 /// the time. Without per-surfel harmonics, every iteration refits, because only a refit
 /// updates the hit records.
-TreeFits choose_tree_fits(const Config& config, std::uint32_t n_fixed) {
+TreeRefitSchedule choose_tree_refit_options(const Config& config, std::uint32_t n_fixed_surfels) {
     if (config.image.sh_direction == ShDirection::ray) return {};
-    if (n_fixed > 0) return {4, {.margin_scale = 1.1f, .margin_m = 0.01f}};
+    if (n_fixed_surfels > 0) return {4, {.margin_scale = 1.1f, .margin_m = 0.01f}};
     return {2, {.margin_scale = 1.05f, .margin_m = 0.003f}};
 }
 
 /// Returns true if the acceleration structures must be refitted in this step. Refits in
 /// every step while the learning rate is so high that surfels could outgrow the margin.
-bool should_fit_tree(const TreeFits& fits, const TrainConfig& config, int step) {
+bool should_refit_tree(const TreeRefitSchedule& refit_options, const TrainConfig& config, int step) {
     // Share of the tree's margin that surfels may use by growing before a refit. The
     // remainder is needed because rising opacity also enlarges surfels.
     constexpr double kShare = 0.9;
-    const double growth = (fits.every - 1) * compute_learning_rates(config, 1.0, step).log_scale;
-    return growth > kShare * std::log(fits.accel.margin_scale) || (step - 1) % fits.every == 0;
+    const double growth = (refit_options.every - 1) * compute_learning_rates(config, 1.0, step).log_scale;
+    return growth > kShare * std::log(refit_options.accel.margin_scale) ||
+           (step - 1) % refit_options.every == 0;
 }
 
 RendererOptions make_renderer_options(const Config& config, const TrainingFrames& frames,
-                                      std::uint32_t n_fixed) {
-    return {.accel = choose_tree_fits(config, n_fixed).accel,
+                                      std::uint32_t n_fixed_surfels) {
+    return {.accel = choose_tree_refit_options(config, n_fixed_surfels).accel,
             .trace = make_training_trace_options(config),
-            .n_rays = find_max_rays(frames.all()),
+            .n_rays = find_max_rays_per_frame(frames.get_all_frames()),
             .keep_hits = static_cast<std::uint32_t>(config.trace.keep_hits)};
 }
 
 /// Returns the maximum scale of each surfel, proportional to its initial scale. Surfels
 /// close to each other start small and need little growth. Surfels far apart must be able
 /// to close the holes between them.
-std::vector<float> compute_scale_limits(const Surfels& surfels, double max_growth) {
+std::vector<float> compute_max_log_scales(const Surfels& surfels, double max_growth_factor) {
     std::vector<float> bounds;
     for (std::size_t i = 0; i < surfels.size(); ++i) {
         float largest = std::max(surfels.log_scale[i].x, surfels.log_scale[i].y);
         if (get_primitive_kind(surfels.primitive).third_scale)
             largest = std::max(largest, surfels.log_scale_w[i]);
-        bounds.push_back(largest + static_cast<float>(std::log(max_growth)));
+        bounds.push_back(largest + static_cast<float>(std::log(max_growth_factor)));
     }
     return bounds;
 }
@@ -148,12 +150,13 @@ bool has_dense_gradients(const Config& config) {
     return config.loss.box > 0.0f && !config.train.only_touched;
 }
 
-Unknown make_mask_rules(const Sequence& sequence, const Split& split, const Scene& scene,
-                        const Config& config) {
-    Unknown masks{config.init,
-                  {},
-                  config.train.sensor_drop ? estimate_observed_drops(sequence, split.train) : DropTable{}};
-    for (const Instance& instance : scene.instances)
+IgnoredMeasurements make_training_mask_rules(const LidarSequence& sequence, const TrainTestSplit& split,
+                                             const Scene& scene, const Config& config) {
+    IgnoredMeasurements masks{
+        config.init,
+        {},
+        config.train.sensor_drop ? estimate_observed_drop_rates(sequence, split.train) : RayDropTable{}};
+    for (const ModelInstance& instance : scene.instances)
         if (!instance.track.empty()) masks.actors.push_back(instance.track);
     return masks;
 }
@@ -161,7 +164,7 @@ Unknown make_mask_rules(const Sequence& sequence, const Split& split, const Scen
 /// Returns the range grid whose cells are used as training rays, or nothing if training
 /// uses the rays of the sensor.
 /// @throws UsageError if another setting requires the rays of the sensor
-std::optional<RangeGrid> get_trained_grid(const Config& config) {
+std::optional<RangeImageGrid> find_training_range_grid(const Config& config) {
     if (config.train.grid == "native") return std::nullopt;
     const std::pair<bool, const char*> needs_sensor_rays[] = {
         {config.train.sensor_drop, "train.sensor_drop"}, {config.blocks.length_m > 0.0, "blocks.length_m"}};
@@ -171,210 +174,221 @@ std::optional<RangeGrid> get_trained_grid(const Config& config) {
                 "the setting train.grid={} cannot be combined with {}, which needs the rays of the "
                 "sensor (train.grid=native)",
                 config.train.grid, setting));
-    return find_grid(config.train.grid);
+    return find_range_grid(config.train.grid);
 }
 
-FrameUse choose_frame_use(const Sequence& sequence, const Split& split, const Scene& scene,
-                          const Config& config) {
-    return {.unknown = make_mask_rules(sequence, split, scene, config),
-            .moves_rays = config.train.refines("sensor"),
+FrameUploadOptions make_frame_upload_options(const LidarSequence& sequence, const TrainTestSplit& split,
+                                             const Scene& scene, const Config& config) {
+    return {.unknown = make_training_mask_rules(sequence, split, scene, config),
+            .moves_rays = config.train.should_refine_poses("sensor"),
             .resident_bytes = std::uint64_t(config.train.frame_memory_mib) << 20,
-            .grid = get_trained_grid(config)};
+            .grid = find_training_range_grid(config)};
 }
 
 }  // namespace
 
-TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& split, const Scene& initial,
-                     const Config& config, std::uint32_t n_fixed, std::optional<double> extent_m)
+TrainLoop::TrainLoop(Device& device, const LidarSequence& sequence, const TrainTestSplit& split,
+                     const Scene& initial, const Config& config, std::uint32_t n_fixed_surfels,
+                     std::optional<double> extent_m)
     : config_(config),
-      n_fixed_(n_fixed),
-      frames_(device, sequence, split.train, choose_frame_use(sequence, split, initial, config)),
-      batches_(device, config, frames_.all()),
+      n_fixed_(n_fixed_surfels),
+      frames_(device, sequence, split.train, make_frame_upload_options(sequence, split, initial, config)),
+      batches_(device, config, frames_.get_all_frames()),
       refiner_(device, sequence, initial, config.train, frames_),
-      differentiable_(device, initial, config.image, make_renderer_options(config, frames_, n_fixed),
-                      {make_backward_options(config), refiner_.wanted(), has_dense_gradients(config)}),
+      differentiable_(
+          device, initial, config.image, make_renderer_options(config, frames_, n_fixed_surfels),
+          {make_backward_options(config), refiner_.get_required_gradients(), has_dense_gradients(config)}),
       renderer_(differentiable_.renderer()),
       stream_(renderer_.stream()),
-      losses_(make_losses(device, config.loss, find_max_rays(frames_.all()))),
-      adam_(device, n_surfels(), {.only_touched = config.train.only_touched, .n_fixed = n_fixed},
-            initial.surfels.parameters()),
+      losses_(make_losses(device, config.loss, find_max_rays_per_frame(frames_.get_all_frames()))),
+      adam_(device, get_surfel_count(),
+            {.only_touched = config.train.only_touched, .n_fixed = n_fixed_surfels},
+            initial.surfels.get_parameter_set()),
       densifier_(device, initial, config.densify, config.image.alpha_min,
-                 static_cast<std::uint32_t>(frames_.all().size()), config.train.seed),
+                 static_cast<std::uint32_t>(frames_.get_all_frames().size()), config.train.seed),
       reports_(device),
       extent_m_(extent_m ? *extent_m : compute_background_extent(initial)),
-      sampler_(frames_.all().size(), config.train.seed) {
-    for (std::size_t i = 0; i < frames_.all().size(); ++i)
-        frames_[i].placed = place_instances(
+      sampler_(frames_.get_all_frames().size(), config.train.seed) {
+    for (std::size_t i = 0; i < frames_.get_all_frames().size(); ++i)
+        frames_[i].placed = compute_instance_poses(
             initial, sequence, get_sweep_moment(sequence.frames[std::size_t(frames_[i].position)]));
     // Limits the size of surfels. With densification, large surfels are split, so no
     // limit is needed.
     if (config.densify.strategy == DensifyStrategy::none)
-        adam_.bound_scales(device, compute_scale_limits(initial.surfels, config.train.max_growth));
+        adam_.set_max_log_scales(device, compute_max_log_scales(initial.surfels, config.train.max_growth));
 }
 
 TrainLoop::~TrainLoop() {
     try {
         // Waits for the device, because it may still use the arrays if training ended
         // with an exception.
-        stream_.finish();
+        stream_.submit_and_wait();
     } catch (const Error&) {
         // Ignores the error, because it was already reported. A lost device no longer
         // uses the arrays.
     }
 }
 
-const FrameData& TrainLoop::make_resident(std::size_t frame_index, bool surfels_changed) {
-    FrameData& frame = frames_.make_resident(stream_, frame_index);
-    refiner_.place(stream_, frame);
-    if (surfels_changed) renderer_.place(frame.placed, frame.sensor_position_m);
-    else renderer_.move(frame.placed, frame.sensor_position_m);
+const TrainingFrameData& TrainLoop::upload_and_place_frame(std::size_t frame_index, bool surfels_changed) {
+    TrainingFrameData& frame = frames_.make_frame_resident(stream_, frame_index);
+    refiner_.move_frame_to_corrected_poses(stream_, frame);
+    if (surfels_changed) renderer_.prepare_view(frame.placed, frame.sensor_position_m);
+    else renderer_.move_instances(frame.placed, frame.sensor_position_m);
     return frame;
 }
 
-const FrameData& TrainLoop::place(std::size_t frame_index, int step) {
-    renderer_.set_sh_degree(get_sh_degree_at(config_.train, step));
-    return make_resident(frame_index,
-                         should_fit_tree(choose_tree_fits(config_, n_fixed_), config_.train, step));
+const TrainingFrameData& TrainLoop::prepare_frame_for_step(std::size_t frame_index, int step) {
+    renderer_.set_sh_degree(get_active_sh_degree(config_.train, step));
+    return upload_and_place_frame(
+        frame_index, should_refit_tree(choose_tree_refit_options(config_, n_fixed_), config_.train, step));
 }
 
-void TrainLoop::record_batch(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms) {
-    renderer_.record_forward(rays);  // renders the batch (equations 2-4)
+void TrainLoop::record_render_and_backward(const RayBatch& rays, const TargetBatch& targets,
+                                           const LossTermRow& loss_terms) {
+    renderer_.record_forward_pass(rays);  // renders the batch (equations 2-4)
     // Computes the losses (equations 10-11).
     for (const std::unique_ptr<Loss>& loss : losses_)
-        loss->compare(stream_, differentiable_.batch(), targets, terms);
-    differentiable_.record_backward();  // computes the gradients (equation 9)
+        loss->record_ray_losses(stream_, differentiable_.get_last_rendered_batch(), targets, loss_terms);
+    differentiable_.record_backward_pass();  // computes the gradients (equation 9)
 }
 
-void TrainLoop::run_iteration(int step, bool ends_line) {
+void TrainLoop::run_iteration(int step, bool ends_log_line) {
     check_iteration_reports(step - kReadbackLag);
-    refiner_.apply_steps(stream_, step - kReadbackLag);
-    const std::size_t frame_index = sampler_.next();
+    refiner_.apply_pose_updates_until(stream_, step - kReadbackLag);
+    const std::size_t frame_index = sampler_.draw_next_frame();
     DeviceScene& scene = renderer_.scene();
 
-    const FrameData& frame = place(frame_index, step);
-    if (const std::optional<std::size_t> coming = sampler_.peek_next_frame()) frames_.expect(*coming);
-    const SampledBatch batch = batches_.sample(stream_, frame, sampler_.random());
-    const TermRow terms = reports_.row();
-    record_batch(batch.rays, batch.targets, terms);
-    Gradients& gradients = differentiable_.gradients();
-    refiner_.record(stream_, frame_index, frame, batch, gradients, step);
+    const TrainingFrameData& frame = prepare_frame_for_step(frame_index, step);
+    if (const std::optional<std::size_t> next_frame_index = sampler_.peek_next_frame())
+        frames_.prefetch_frame(*next_frame_index);
+    const SampledBatch batch = batches_.sample_random_batch(stream_, frame, sampler_.get_random_generator());
+    const LossTermRow terms = reports_.get_current_loss_row();
+    record_render_and_backward(batch.rays, batch.targets, terms);
+    DeviceGradients& gradients = differentiable_.gradients();
+    refiner_.record_pose_gradients(stream_, frame_index, frame, batch, gradients, step);
     for (const std::unique_ptr<Loss>& loss : losses_)
-        loss->regularise(stream_, scene,
-                         {&gradients.surfels, config_.train.only_touched ? &gradients.touched : nullptr},
-                         terms);
+        loss->record_regularisation_losses(
+            stream_, scene, {&gradients.surfels, config_.train.only_touched ? &gradients.touched : nullptr},
+            terms);
     const bool is_full_frame = batch.rays.n_rays == frame.n_rays;
-    densifier_.observe(
+    densifier_.accumulate_gradient_statistics(
         stream_, scene,
         {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(frame_index), is_full_frame});
     LearningRates rates = compute_learning_rates(config_.train, extent_m_, step);
     if (config_.densify.strategy == DensifyStrategy::adaptive)
-        rates.models = &scene.models(), rates.mean_factors = compute_mean_factors(scene.layout(), extent_m_);
+        rates.models = &scene.get_model_table(),
+        rates.mean_factors = compute_position_rate_factors(scene.get_scene_layout(), extent_m_);
     const Array<std::uint32_t, shared::TouchedSurfels>* touched =
         has_dense_gradients(config_) ? nullptr : &gradients.touched;
-    adam_.step(stream_, scene.parameters(), gradients.surfels, touched, rates, step,
-               renderer_.model().sh_degree);
-    reports_.add(step, frame.index);
+    adam_.record_adam_step(stream_, scene.get_surfel_parameters(), gradients.surfels, touched, rates, step,
+                           renderer_.model().sh_degree);
+    reports_.add_iteration(step, frame.index);
     if (densifier_.should_densify(step))
-        change_surfels([&](double other_allocation_bytes) {
-            return densifier_.run(stream_, scene, adam_, step, other_allocation_bytes);
+        apply_surfel_change([&](double other_allocation_bytes) {
+            return densifier_.densify_surfels(stream_, scene, adam_, step, other_allocation_bytes);
         });
-    densifier_.after_step(stream_, scene, adam_, step);
-    if (ends_line || reports_.is_full()) request_report(step, ends_line);
-    if (step % kGrowthEvery == 0) renderer_.accel().measure_tree_cost(stream_);
-    submitted_ = stream_.submit();
+    densifier_.reset_opacities_if_scheduled(stream_, scene, adam_, step);
+    if (ends_log_line || reports_.is_full()) request_report(step, ends_log_line);
+    if (step % kGrowthEvery == 0) renderer_.accel().measure_bvh_traversal_cost(stream_);
+    submitted_ = stream_.submit_commands();
     last_step_ = step;
 }
 
-void TrainLoop::change_surfels(const std::function<DensifyReport(double other_allocation_bytes)>& change) {
-    differentiable_.change_surfels(
-        [&](double other_allocation_bytes) { densified_.add(change(other_allocation_bytes)); });
+void TrainLoop::apply_surfel_change(
+    const std::function<DensifyReport(double other_allocation_bytes)>& change) {
+    differentiable_.apply_surfel_change(
+        [&](double other_allocation_bytes) { densified_.add_counts(change(other_allocation_bytes)); });
 }
 
-void TrainLoop::request_report(int step, bool ends_line) {
+void TrainLoop::request_report(int step, bool ends_log_line) {
     const BackwardPass& backward = differentiable_.backward_pass();
-    const DeviceCounts counts{&renderer_.forward_pass().pass_cap_count(),
-                              config_.train.deterministic ? backward.most_hits() : nullptr,
-                              backward.hit_capacity(), &renderer_.forward_pass().overfull_count(),
-                              renderer_.kept_hits()};
-    reports_.close(stream_, counts,
-                   ends_line ? std::optional(LogLine{step, {}, n_surfels(), std::exchange(densified_, {})})
-                             : std::nullopt);
+    const DeviceHitCounters counts{
+        &renderer_.forward_pass().get_truncated_ray_count(),
+        config_.train.deterministic ? backward.get_device_max_hit_count() : nullptr,
+        backward.get_hit_capacity(), &renderer_.forward_pass().get_hit_overflow_ray_count(),
+        renderer_.get_stored_hits_per_ray()};
+    reports_.record_report_readback(
+        stream_, counts,
+        ends_log_line
+            ? std::optional(TrainLogLine{step, {}, get_surfel_count(), std::exchange(densified_, {})})
+            : std::nullopt);
 }
 
-void TrainLoop::check_iteration_reports(int last) {
-    while (const std::optional<IterationReports::Report> report = reports_.take(stream_, last)) {
+void TrainLoop::check_iteration_reports(int last_step) {
+    while (const std::optional<IterationReports::IterationGroupReport> report =
+               reports_.read_oldest_report(stream_, last_step)) {
         if (report->pass_cap > 0)
             throw DeviceError(fmt::format(
                 "training failed in iterations {} to {}: {} rays exceeded the maximum number of "
                 "traversal passes or the traversal stack; the scene may have too many overlapping surfels",
                 report->first_step, report->last_step, report->pass_cap));
-        adapt_hit_capacity(*report);
-        increase_kept_hits(*report);
+        increase_hit_capacity_if_needed(*report);
+        increase_hits_kept_per_ray(*report);
     }
 }
 
-void TrainLoop::adapt_hit_capacity(const IterationReports::Report& report) {
+void TrainLoop::increase_hit_capacity_if_needed(const IterationReports::IterationGroupReport& report) {
     if (report.most_hits > report.hit_capacity)
         throw DeviceError(fmt::format(
             "training failed in iterations {} to {} with train.deterministic=true: one iteration has "
             "{} hits, expected at most {}; use fewer rays per iteration (train.rays_per_iteration)",
             report.first_step, report.last_step, report.most_hits, report.hit_capacity));
-    if (report.most_hits <= differentiable_.backward_pass().hit_capacity() / 2) return;
+    if (report.most_hits <= differentiable_.backward_pass().get_hit_capacity() / 2) return;
     // The capacity for hits changes now. Requests the report of the steps so far, because
     // they used the old capacity.
     request_report(last_step_, false);
     // Doubles the reserved space before the number of hits exceeds it.
-    differentiable_.backward_pass().reserve_hits(stream_, 2 * std::uint64_t(report.most_hits));
+    differentiable_.backward_pass().reserve_hit_memory(stream_, 2 * std::uint64_t(report.most_hits));
 }
 
-void TrainLoop::increase_kept_hits(const IterationReports::Report& report) {
+void TrainLoop::increase_hits_kept_per_ray(const IterationReports::IterationGroupReport& report) {
     // Ignores reports from before the last increase of the hits per ray.
-    if (report.kept_hits != renderer_.kept_hits() || no_room_to_keep_more_) return;
-    const std::uint32_t n_hits = recommend_kept_hits(report.kept_hits, report.overfull);
-    if (n_hits == report.kept_hits) return;
+    if (report.stored_hits_per_ray != renderer_.get_stored_hits_per_ray() || hit_memory_exhausted_) return;
+    const std::uint32_t n_hits = recommend_stored_hits_per_ray(report.stored_hits_per_ray, report.overfull);
+    if (n_hits == report.stored_hits_per_ray) return;
     // The number of hits per ray changes now. Requests the report of the steps so far,
     // because they used the old number.
     request_report(last_step_, false);
     try {
-        renderer_.keep_hits(n_hits);
+        renderer_.set_stored_hits_per_ray(n_hits);
     } catch (const OutOfDeviceMemory&) {
-        no_room_to_keep_more_ = true;
+        hit_memory_exhausted_ = true;
     }
 }
 
 void TrainLoop::wait_for_iterations() {
     request_report(last_step_, false);
-    submitted_ = stream_.submit();
+    submitted_ = stream_.submit_commands();
     check_iteration_reports(last_step_);
-    refiner_.fetch(stream_);
-    stream_.wait(submitted_);
+    refiner_.fetch_pending_gradients(stream_);
+    stream_.wait_for_submission(submitted_);
 }
 
-void TrainLoop::finish() {
+void TrainLoop::complete_training() {
     wait_for_iterations();
-    refiner_.apply_steps(stream_, last_step_);
+    refiner_.apply_pose_updates_until(stream_, last_step_);
 }
 
-void TrainLoop::save(Checkpoint& checkpoint) {
+void TrainLoop::save_state(Checkpoint& checkpoint) {
     wait_for_iterations();
-    checkpoint.texts["layout"] = layout_to_json(renderer_.scene().layout());
-    visit_state(StateWriter(checkpoint));
+    checkpoint.texts["layout"] = format_scene_layout_json(renderer_.scene().get_scene_layout());
+    visit_state(CheckpointWriter(checkpoint));
 }
 
-void TrainLoop::restore(const Checkpoint& checkpoint) {
+void TrainLoop::restore_state(const Checkpoint& checkpoint) {
     // waits for pending iterations, because they would overwrite the restored state
     wait_for_iterations();
-    visit_state(StateReader(checkpoint));
+    visit_state(CheckpointReader(checkpoint));
     last_step_ = checkpoint.iteration;
-    if (!sampler_.is_sound(frames_.all().size()) || !reports_.is_sound())
+    if (!sampler_.has_valid_state(frames_.get_all_frames().size()) || !reports_.has_valid_state())
         throw DataError(
             fmt::format("cannot resume from iteration {}: the stored frame order and loss sums do not fit {} "
                         "frames and {} loss terms",
-                        checkpoint.iteration, frames_.all().size(), kLossTerms));
-    refiner_.restore();
+                        checkpoint.iteration, frames_.get_all_frames().size(), kLossTerms));
+    refiner_.update_poses_after_restore();
 }
 
-DropTable TrainLoop::estimate_sensor_drop(Device& device, const Sequence& sequence) {
+RayDropTable TrainLoop::estimate_sensor_drop_rates(Device& device, const LidarSequence& sequence) {
     // Number of rays in a batch of one frame. In a full log, each bin of the drop table
     // then gets hundreds of rays.
     constexpr std::uint32_t kRays = 20000;
@@ -386,43 +400,45 @@ DropTable TrainLoop::estimate_sensor_drop(Device& device, const Sequence& sequen
     // Turns the image loss off, because it needs a window of columns. Without it, a batch
     // contains rays of all directions.
     some_rays.loss.intensity_ssim = 0.0f;
-    BatchSampler batches(device, some_rays, frames_.all());
-    DropCounts counts(sequence);
-    renderer_.set_sh_degree(get_sh_degree_at(config_.train, config_.train.iterations));
+    BatchSampler batches(device, some_rays, frames_.get_all_frames());
+    RayDropCounts counts(sequence);
+    renderer_.set_sh_degree(get_active_sh_degree(config_.train, config_.train.iterations));
     // number of rays to use from each frame
     const std::size_t rays_of_frame =
-        kRaysPerBin * counts.bins() / std::max<std::size_t>(1, frames_.all().size());
-    for (std::size_t k = 0; k < frames_.all().size(); ++k) {
+        kRaysPerBin * counts.get_bin_count() / std::max<std::size_t>(1, frames_.get_all_frames().size());
+    for (std::size_t k = 0; k < frames_.get_all_frames().size(); ++k) {
         // The last iteration moved the surfels, so the tree is refitted before the first
         // frame.
-        const FrameData& frame = make_resident(k, k == 0);
-        if (k + 1 < frames_.all().size()) frames_.expect(k + 1);
-        const std::uint32_t first = batches.draw_first(frame, sampler_.random());
+        const TrainingFrameData& frame = upload_and_place_frame(k, k == 0);
+        if (k + 1 < frames_.get_all_frames().size()) frames_.prefetch_frame(k + 1);
+        const std::uint32_t first = batches.draw_first_column(frame, sampler_.get_random_generator());
         const auto passes = static_cast<std::uint32_t>(
-            std::clamp<std::size_t>(rays_of_frame / kRays, 1, batches.n_batches(frame)));
+            std::clamp<std::size_t>(rays_of_frame / kRays, 1, batches.count_batches(frame)));
         for (std::uint32_t pass = 0; pass < passes; ++pass)
-            count_dropped_rays(counts, sequence, frame, batches.take(stream_, frame, first, pass));
+            count_dropped_rays(counts, sequence, frame,
+                               batches.gather_nth_batch(stream_, frame, first, pass));
     }
-    DropTable drops = counts.estimate_drop_rate();
-    add_unseen_sectors(drops, frames_.unknown().observed_drops, sequence);
+    RayDropTable drops = counts.estimate_drop_rates();
+    mark_unobserved_sectors_as_dropped(drops, frames_.get_mask_rules().observed_drops, sequence);
     return drops;
 }
 
-void TrainLoop::count_dropped_rays(DropCounts& counts, const Sequence& sequence, const FrameData& frame,
-                                   const SampledBatch& batch) {
+void TrainLoop::count_dropped_rays(RayDropCounts& counts, const LidarSequence& sequence,
+                                   const TrainingFrameData& frame, const SampledBatch& batch) {
     // A ray hits a solid surface if its blending weight is above this value. Other rays
     // are not counted, except in blind directions, for which no surface was trained.
     constexpr float kSolid = 0.9f;
-    const Frame& sweep = sequence.frames[std::size_t(frame.position)];
-    const DropTable& observed = frames_.unknown().observed_drops;
-    renderer_.record_forward(batch.rays);
-    stream_.finish();
-    const Rendering r = to_rendering(renderer_.rendered().rendered->download(batch.rays.n_rays));
+    const LidarFrame& sweep = sequence.frames[std::size_t(frame.position)];
+    const RayDropTable& observed = frames_.get_mask_rules().observed_drops;
+    renderer_.record_forward_pass(batch.rays);
+    stream_.submit_and_wait();
+    const RenderedRayValues r =
+        to_rendering(renderer_.get_last_rendered_batch().rendered->download(batch.rays.n_rays));
     for (std::uint32_t j = 0; j < batch.rays.n_rays; ++j) {
-        const std::size_t ray = batch.get_ray_of_frame(j);
+        const std::size_t ray = batch.get_frame_ray_index(j);
         if (r.hit_logit[j] > r.drop_logit[j] &&
-            (r.weight[j] > kSolid || is_blind(observed, sequence, sweep, ray)))
-            counts.add(sweep, ray);
+            (r.weight[j] > kSolid || is_ray_in_blind_sector(observed, sequence, sweep, ray)))
+            counts.count_ray(sweep, ray);
     }
 }
 

@@ -27,20 +27,20 @@ namespace relidar {
 class FrameSampler {
 public:
     FrameSampler(std::size_t n, std::uint64_t seed);
-    std::size_t next();
-    /// Returns the frame that next() will return. Returns nothing at the end of an epoch,
-    /// because the order of the next epoch is not drawn yet.
+    std::size_t draw_next_frame();
+    /// Returns the frame that draw_next_frame() will return. Returns nothing at the end
+    /// of an epoch, because the order of the next epoch is not drawn yet.
     std::optional<std::size_t> peek_next_frame() const;
-    Random& random() { return random_; }
+    Random& get_random_generator() { return random_; }
 
     template <class Visitor>
     void visit_state(Visitor&& visit) {
         visit("sampler/order", order_);
         visit("sampler/position", position_);
-        visit("sampler/random", random_.state());
+        visit("sampler/random", random_.get_mutable_state());
     }
     /// Returns true if a state that was read from a checkpoint is valid.
-    bool is_sound(std::size_t count) const;
+    bool has_valid_state(std::size_t n_frames) const;
 
 private:
     std::vector<std::uint64_t> order_;
@@ -51,11 +51,13 @@ private:
 class TrainLoop {
 public:
     /// Creates the loop and its arrays on the device.
-    /// @param n_fixed  the first n_fixed surfels of the scene are not trained
+    /// @param n_fixed_surfels  the first n_fixed_surfels surfels of the scene are not
+    /// trained
     /// @param extent_m  extent of the background in metres; if empty, it is computed from
     /// the initial scene
-    TrainLoop(Device& device, const Sequence& sequence, const Split& split, const Scene& initial,
-              const Config& config, std::uint32_t n_fixed = 0, std::optional<double> extent_m = std::nullopt);
+    TrainLoop(Device& device, const LidarSequence& sequence, const TrainTestSplit& split,
+              const Scene& initial, const Config& config, std::uint32_t n_fixed_surfels = 0,
+              std::optional<double> extent_m = std::nullopt);
     ~TrainLoop();
     TrainLoop(const TrainLoop&) = delete;
     TrainLoop& operator=(const TrainLoop&) = delete;
@@ -65,42 +67,42 @@ public:
     /// has more rays or hits than all earlier batches, or if too many rays have more hits
     /// than can be stored.
     /// @param step  counts from 1
-    /// @param ends_line  true if a log line ends with this iteration
+    /// @param ends_log_line  true if a log line ends with this iteration
     /// @throws DataError naming iteration, frame and term if a loss was not finite in the
     /// last 64 + kReadbackLag iterations
-    void run_iteration(int step, bool ends_line = false);
+    void run_iteration(int step, bool ends_log_line = false);
     /// Returns the new log lines since the last call. The line of an iteration becomes
     /// available kReadbackLag iterations later, or after wait_for_iterations().
-    std::vector<LogLine> collect_lines() { return reports_.collect_lines(); }
+    std::vector<TrainLogLine> take_log_lines() { return reports_.take_log_lines(); }
     /// Waits for all submitted iterations and reads their reports.
     /// @throws DataError if a loss of these iterations was not finite
     void wait_for_iterations();
     /// Completes training after the last iteration. Waits for all iterations, then
     /// applies the pending pose updates.
-    void finish();
+    void complete_training();
     /// Writes the complete training state into a checkpoint. First waits for all
     /// submitted iterations.
     /// @throws DataError if a loss of these iterations was not finite
-    void save(Checkpoint& checkpoint);
+    void save_state(Checkpoint& checkpoint);
     /// Restores the state from a checkpoint. The loop must have been created with the
     /// scene and the log of the checkpoint.
     /// @throws DataError if the state does not match
-    void restore(const Checkpoint& checkpoint);
+    void restore_state(const Checkpoint& checkpoint);
     /// Estimates the probability that the sensor itself drops a ray. Uses only rays for
     /// which the scene predicts a return. Waits for the device.
-    DropTable estimate_sensor_drop(Device& device, const Sequence& sequence);
+    RayDropTable estimate_sensor_drop_rates(Device& device, const LidarSequence& sequence);
     /// Returns the current poses, or nothing if no poses are refined.
-    std::optional<RefinedPoses> copy_refined_poses() const {
-        return refiner_.is_active() ? std::optional(refiner_.poses()) : std::nullopt;
+    std::optional<RefinedPoses> get_refined_poses() const {
+        return refiner_.is_active() ? std::optional(refiner_.get_refined_poses()) : std::nullopt;
     }
     /// Downloads the current scene. Waits for the device.
-    Scene download() { return renderer_.download(); }
+    Scene download() { return renderer_.download_scene(); }
     const KernelTimes& times() { return renderer_.stream().times(); }
-    std::uint32_t n_surfels() const { return renderer_.scene().size(); }
-    std::uint32_t count_rays_of_last_batch() const { return renderer_.rendered().rays.n_rays; }
+    std::uint32_t get_surfel_count() const { return renderer_.scene().size(); }
+    std::uint32_t count_rays_of_last_batch() const { return renderer_.get_last_rendered_batch().rays.n_rays; }
     /// Returns the number of hits that are currently stored for each ray.
-    std::uint32_t kept_hits() const { return renderer_.kept_hits(); }
-    const TrainingFrames& frames() const { return frames_; }
+    std::uint32_t kept_hits() const { return renderer_.get_stored_hits_per_ray(); }
+    const TrainingFrames& get_training_frames() const { return frames_; }
 
 private:
     const Config& config_;
@@ -122,28 +124,28 @@ private:
     std::uint64_t submitted_ = 0;  ///< submission ticket of the last iteration
     int last_step_ = 0;
     /// true if device memory was too small to store more hits per ray
-    bool no_room_to_keep_more_ = false;
+    bool hit_memory_exhausted_ = false;
 
     /// Passes every state variable of the loop to a visitor, which reads or writes a
     /// checkpoint. A state variable that is missing here is lost when training is
     /// resumed.
     template <class Visitor>
     void visit_state(Visitor&& visit) {
-        visit("parameters", renderer_.scene().parameters());
-        visit("moment1", adam_.moment1());
-        visit("moment2", adam_.moment2());
-        if (adam_.max_log_scale().size() > 0) visit("max_log_scale", adam_.max_log_scale());
+        visit("parameters", renderer_.scene().get_surfel_parameters());
+        visit("moment1", adam_.get_first_moments());
+        visit("moment2", adam_.get_second_moments());
+        if (adam_.get_max_log_scales().size() > 0) visit("max_log_scale", adam_.get_max_log_scales());
         visit("extent_m", extent_m_);
         reports_.visit_state(visit);
         sampler_.visit_state(visit);
         refiner_.visit_state(visit);
-        if (!densifier_.is_active()) return;
-        visit("densify/extents_m", densifier_.extents_m());
+        if (!densifier_.is_densification_enabled()) return;
+        visit("densify/extents_m", densifier_.get_model_extents_m());
         SurfelStatistics& s = densifier_.statistics();
-        visit("densify/gradient_sum", FirstOf<float>{s.gradient_sum, renderer_.scene().size()});
-        visit("densify/n_seen", FirstOf<std::uint32_t>{s.n_seen, renderer_.scene().size()});
+        visit("densify/gradient_sum", ArrayPrefix<float>{s.gradient_sum, renderer_.scene().size()});
+        visit("densify/n_seen", ArrayPrefix<std::uint32_t>{s.n_observing_batches, renderer_.scene().size()});
         visit("densify/frames",
-              FirstOf<std::uint32_t>{s.frames, std::size_t(renderer_.scene().size()) * s.n_words});
+              ArrayPrefix<std::uint32_t>{s.frames, std::size_t(renderer_.scene().size()) * s.n_words});
         for (const auto& [name, count] : kDensifyCounts)
             visit(std::string("densify/report/") + name, densified_.*count);
     }
@@ -151,28 +153,29 @@ private:
     /// Sets up one frame for this step: its rays, the poses of its instances, and the
     /// surfel intensities seen from its sensor position. Records the GPU commands for
     /// this.
-    const FrameData& place(std::size_t frame_index, int step);
+    const TrainingFrameData& prepare_frame_for_step(std::size_t frame_index, int step);
     /// Uploads a frame if it is not on the device, and moves the instances to their poses
     /// in this frame.
     /// @param surfels_changed  true if surfels have changed since the last frame
-    const FrameData& make_resident(std::size_t frame_index, bool surfels_changed);
+    const TrainingFrameData& upload_and_place_frame(std::size_t frame_index, bool surfels_changed);
     /// Records GPU commands that render a batch, and compute its losses and gradients.
-    void record_batch(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms);
-    /// Checks the losses and counters of all iterations up to `last`.
-    void check_iteration_reports(int last);
-    void request_report(int step, bool ends_line);
+    void record_render_and_backward(const RayBatch& rays, const TargetBatch& targets,
+                                    const LossTermRow& loss_terms);
+    /// Checks the losses and counters of all iterations up to `last_step`.
+    void check_iteration_reports(int last_step);
+    void request_report(int step, bool ends_log_line);
     /// Compares the number of hits in a report with the capacity of the hit buffer.
     /// Increases the capacity if more than half of it was used.
     /// @throws DeviceError if a deterministic step exceeded the capacity
-    void adapt_hit_capacity(const IterationReports::Report& report);
+    void increase_hit_capacity_if_needed(const IterationReports::IterationGroupReport& report);
     /// Increases the number of hits that are stored per ray if too many rays had more
     /// hits, because these rays must be traced twice.
-    void increase_kept_hits(const IterationReports::Report& report);
+    void increase_hits_kept_per_ray(const IterationReports::IterationGroupReport& report);
     /// Counts the rays of a batch for which the scene predicts a return, and how many
     /// were dropped.
-    void count_dropped_rays(DropCounts& counts, const Sequence& sequence, const FrameData& frame,
-                            const SampledBatch& batch);
-    void change_surfels(const std::function<DensifyReport(double other_allocation_bytes)>& change);
+    void count_dropped_rays(RayDropCounts& counts, const LidarSequence& sequence,
+                            const TrainingFrameData& frame, const SampledBatch& batch);
+    void apply_surfel_change(const std::function<DensifyReport(double other_allocation_bytes)>& change);
 };
 
 }  // namespace relidar

@@ -135,7 +135,7 @@ TEST(ParallelFor, IsCompleteInACancelledTaskOfTheCaller) {
 TEST(ForEachBlock, MeetsEveryItemOnce) {
     for (const std::size_t n : {0, 1, 127, 128, 129, 5000, 1000003}) {
         std::vector<std::atomic<char>> met(n);
-        for_each_block(n, [&](std::size_t index) { ++met[index]; });
+        parallel_for_in_blocks(n, [&](std::size_t index) { ++met[index]; });
         EXPECT_TRUE(std::ranges::all_of(met, [](const std::atomic<char>& m) { return m == 1; })) << n;
     }
 }
@@ -162,7 +162,7 @@ TEST(ParallelReduce, IsTheSameForAnyNumberOfThreads) {
     constexpr std::size_t kItems = 100003, kPart = 128;
     std::vector<float> values;
     for (std::size_t i = 0; i < kItems; ++i)
-        values.push_back(static_cast<float>(combine_hashes(i) % 1000003) / (1.0f + float(i % 97)));
+        values.push_back(static_cast<float>(hash_integer(i) % 1000003) / (1.0f + float(i % 97)));
     const auto sum = [&](std::size_t begin, std::size_t end) {
         return std::accumulate(values.begin() + std::ptrdiff_t(begin), values.begin() + std::ptrdiff_t(end),
                                0.0f);
@@ -181,7 +181,7 @@ TEST(ParallelReduce, IsTheSameForAnyNumberOfThreads) {
 
 TEST(ParallelSort, SortsAsSortDoes) {
     std::vector<std::uint64_t> values;
-    for (std::uint64_t i = 0; i < 300000; ++i) values.push_back(combine_hashes(i) % 100000);
+    for (std::uint64_t i = 0; i < 300000; ++i) values.push_back(hash_integer(i) % 100000);
     std::vector<std::uint64_t> expected = values;
     std::sort(expected.begin(), expected.end());
     parallel_sort(values, std::less<>());
@@ -192,7 +192,7 @@ TEST(ForEachTold, TellsFromTheCallingThreadAndEndsWhereThatThrows) {
     const std::thread::id caller = std::this_thread::get_id();
     double last = -1.0;
     std::atomic<int> n{0};
-    for_each_with_progress(
+    parallel_for_with_progress(
         200,
         [&](std::string_view description, double done) {
             EXPECT_EQ(description, "counting");
@@ -211,16 +211,16 @@ TEST(ForEachTold, TellsFromTheCallingThreadAndEndsWhereThatThrows) {
         ++n;
         std::this_thread::sleep_for(std::chrono::microseconds(100));
     };
-    EXPECT_THROW(for_each_with_progress(1000000, stop, "counting", count_slowly), std::runtime_error);
+    EXPECT_THROW(parallel_for_with_progress(1000000, stop, "counting", count_slowly), std::runtime_error);
     EXPECT_LT(n, 1000000);
 }
 
 TEST(CellNumbers, CountCellsAsTheyAreFirstNamed) {
     std::vector<std::uint64_t> keys;
-    for (std::uint64_t i = 0; i < 200000; ++i) keys.push_back(combine_hashes(combine_hashes(i) % 30000));
+    for (std::uint64_t i = 0; i < 200000; ++i) keys.push_back(hash_integer(hash_integer(i) % 30000));
     std::map<std::uint64_t, std::uint32_t> numbers;
-    const CellNumbers cells = assign_cell_numbers(keys);
-    const ItemsOfCells items(cells);
+    const ItemCellIndices cells = assign_cell_numbers(keys);
+    const CellItemLists items(cells);
     for (std::size_t i = 0; i < keys.size(); ++i) {
         const auto expected =
             numbers.try_emplace(keys[i], static_cast<std::uint32_t>(numbers.size())).first->second;
@@ -230,9 +230,9 @@ TEST(CellNumbers, CountCellsAsTheyAreFirstNamed) {
     ASSERT_EQ(items.size(), numbers.size());
     std::size_t n = 0;
     for (std::size_t cell = 0; cell < items.size(); ++cell) {
-        EXPECT_TRUE(std::ranges::is_sorted(items.of(cell)));
-        for (const std::uint32_t i : items.of(cell)) EXPECT_EQ(cells.of[i], cell);
-        n += items.of(cell).size();
+        EXPECT_TRUE(std::ranges::is_sorted(items.get_items_of_cell(cell)));
+        for (const std::uint32_t i : items.get_items_of_cell(cell)) EXPECT_EQ(cells.of[i], cell);
+        n += items.get_items_of_cell(cell).size();
     }
     EXPECT_EQ(n, keys.size());
     EXPECT_EQ(assign_cell_numbers({}).n_cells, 0u);

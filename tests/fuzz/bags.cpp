@@ -32,7 +32,7 @@ constexpr std::uint64_t kSecond_ns = 1000000000, kStart_ns = 1700000000 * kSecon
 
 std::string sized(std::string_view bytes) {
     std::string all;
-    append(all, std::uint32_t(bytes.size()));
+    append_binary_value(all, std::uint32_t(bytes.size()));
     return all.append(bytes);
 }
 
@@ -43,7 +43,7 @@ public:
     template <class T>
     Draft& add(T value) {
         while (!is_ros1_ && bytes_.size() % sizeof(T) != 0) bytes_ += '\0';
-        append(bytes_, value);
+        append_binary_value(bytes_, value);
         return *this;
     }
     Draft& add_text(std::string_view text) {
@@ -79,9 +79,9 @@ std::string cloud(bool is_ros1, std::uint64_t stamp_ns) {
         for (int ring = 0; ring < 4; ++ring) {
             const float azimuth = 3.14f - 0.2618f * float(column);
             for (const float v : {9.0f * std::cos(azimuth), 9.0f * std::sin(azimuth), 0.5f * float(ring)})
-                append(points, v);
-            append(points, std::uint16_t(7)), append(points, std::uint16_t(ring)),
-                append(points, 0.004f * float(column));
+                append_binary_value(points, v);
+            append_binary_value(points, std::uint16_t(7)), append_binary_value(points, std::uint16_t(ring)),
+                append_binary_value(points, 0.004f * float(column));
         }
     Draft draft(is_ros1);
     draft.add_header(stamp_ns, "lidar")
@@ -109,11 +109,13 @@ std::string transform(bool is_ros1, std::uint64_t stamp_ns, double value) {
 std::string make_packet(int number) {
     std::string bytes;
     for (int b = 0; b < 12; ++b) {
-        append(bytes, std::uint16_t(0xEEFF)),
-            append(bytes, std::uint16_t((b * 1500 + number * 18000) % 36000));
-        for (int l = 0; l < 32; ++l) append(bytes, std::uint16_t(2000)), append(bytes, std::uint8_t(9));
+        append_binary_value(bytes, std::uint16_t(0xEEFF)),
+            append_binary_value(bytes, std::uint16_t((b * 1500 + number * 18000) % 36000));
+        for (int l = 0; l < 32; ++l)
+            append_binary_value(bytes, std::uint16_t(2000)), append_binary_value(bytes, std::uint8_t(9));
     }
-    append(bytes, std::uint32_t(number * 50000)), append(bytes, std::uint16_t(0x2239));
+    append_binary_value(bytes, std::uint32_t(number * 50000)),
+        append_binary_value(bytes, std::uint16_t(0x2239));
     return bytes;
 }
 
@@ -149,7 +151,7 @@ std::vector<SeedMessage> make_seed_messages(bool is_ros1) {
 
 std::string make_mcap_record(std::uint8_t code, std::string_view body) {
     std::string bytes(1, char(code));
-    append(bytes, std::uint64_t(body.size()));
+    append_binary_value(bytes, std::uint64_t(body.size()));
     return bytes.append(body);
 }
 
@@ -157,14 +159,15 @@ std::string make_mcap(const std::string& compression) {
     std::string records;
     for (int t = 0; t < 2; ++t) {
         std::string id, channel;
-        append(id, std::uint16_t(t + 1));
+        append_binary_value(id, std::uint16_t(t + 1));
         records += make_mcap_record(3, id + sized(kTypes[t]) + sized("ros2msg") + sized(""));
         records += make_mcap_record(4, id + id + sized(kTopics[t]) + sized("cdr") + sized(""));
     }
     for (const SeedMessage& message : make_seed_messages(false)) {
         std::string body;
-        append(body, std::uint16_t(message.topic + 1)), append(body, std::uint32_t(0));
-        append(body, message.time_ns), append(body, message.time_ns);
+        append_binary_value(body, std::uint16_t(message.topic + 1)),
+            append_binary_value(body, std::uint32_t(0));
+        append_binary_value(body, message.time_ns), append_binary_value(body, message.time_ns);
         records += make_mcap_record(5, body + message.bytes);
     }
     const std::string magic("\x89MCAP0\r\n", 8);
@@ -179,9 +182,9 @@ std::string make_mcap(const std::string& compression) {
         packed.resize(ZSTD_compress(packed.data(), packed.size(), records.data(), records.size(), 3));
     }
     std::string chunk(16, '\0');
-    append(chunk, std::uint64_t(records.size())), append(chunk, std::uint32_t(0));
+    append_binary_value(chunk, std::uint64_t(records.size())), append_binary_value(chunk, std::uint32_t(0));
     chunk += sized(compression);
-    append(chunk, std::uint64_t(packed.size()));
+    append_binary_value(chunk, std::uint64_t(packed.size()));
     return magic + make_mcap_record(6, chunk + packed);
 }
 
@@ -198,7 +201,7 @@ std::string make_ros1_record(const std::vector<std::pair<std::string, std::strin
 
 std::string pack_four_bytes(std::uint32_t value) {
     std::string bytes;
-    append(bytes, value);
+    append_binary_value(bytes, value);
     return bytes;
 }
 
@@ -308,13 +311,15 @@ std::vector<std::string> make_message_seeds(const fs::path&) {
 }
 
 /// Reads the turns of the sensor from messages that all contain the same packets.
-void read_turns(packets::PacketLog& log, const std::vector<packets::PacketView>& views) {
+void read_turns(packets::PacketIndex& log, const std::vector<packets::ReceivedPacket>& views) {
     if (log.empty()) return;
-    log.finish();
-    log.problems();
-    const SpinningSensor sensor = log.sensor();
-    for (const packets::PacketTurn& turn : log.turns())
-        log.scan(turn, std::vector(log.messages(turn).size(), views), sensor, turn.forward_ns);
+    log.sort_packets_and_find_revolutions();
+    log.describe_problems();
+    const SpinningSensor sensor = log.make_spinning_sensor_model();
+    for (const packets::PacketRevolution& revolution : log.get_revolutions())
+        log.decode_revolution(revolution,
+                              std::vector(log.find_messages_of_revolution(revolution).size(), views), sensor,
+                              revolution.forward_ns);
 }
 
 void read_message(std::string_view input, const fs::path&) {
@@ -337,26 +342,27 @@ void read_message(std::string_view input, const fs::path&) {
     const unsigned kind = static_cast<unsigned char>(input[0]);
     const std::size_t type = kind / 2 % std::size(kMessages);
     const std::string topic_type = kMessages[type];
-    const bag::Topic topic{"/t", topic_type,
-                           topic_type.starts_with("foxglove.") ? "protobuf"
-                           : kind % 2                          ? "ros1"
-                                                               : "cdr"};
+    const bag::BagTopic topic{"/t", topic_type,
+                              topic_type.starts_with("foxglove.") ? "protobuf"
+                              : kind % 2                          ? "ros1"
+                                                                  : "cdr"};
     const std::string_view bytes = input.substr(1);
-    if (bag::get_topic_use(topic) == bag::Use::cloud) {
-        const SharedBytes message = share_bytes(std::string(bytes));
-        bag::make_point_table(bag::read_cloud(topic, message.bytes), message);
-    } else if (bag::get_topic_use(topic) == bag::Use::packets) {
-        bag::Header header;
-        packets::PacketLog log;
-        const std::vector<packets::PacketView> views = packets::read_packets(topic, bytes, 0, header);
-        for (int k = 0; k < 2; ++k) log.add(views, 0, {}, {});
+    if (bag::get_topic_use(topic) == bag::MessagePurpose::cloud) {
+        const SharedBytes message = move_to_shared_bytes(std::string(bytes));
+        bag::make_point_table(bag::read_cloud_of_message(topic, message.bytes), message);
+    } else if (bag::get_topic_use(topic) == bag::MessagePurpose::packets) {
+        bag::MessageHeader header;
+        packets::PacketIndex log;
+        const std::vector<packets::ReceivedPacket> views =
+            packets::read_packets_of_message(topic, bytes, 0, header);
+        for (int k = 0; k < 2; ++k) log.add_packets_of_message(views, 0, {}, {});
         read_turns(log, views);
-    } else if (bag::get_topic_use(topic) == bag::Use::boxes) {
-        bag::read_boxes(topic, bytes);
+    } else if (bag::get_topic_use(topic) == bag::MessagePurpose::boxes) {
+        bag::read_boxes_of_message(topic, bytes);
     } else if (topic_type == "std_msgs/String") {
         packets::read_text_message(topic, bytes);
     } else {
-        bag::read_transforms(topic, bytes);
+        bag::read_transforms_of_message(topic, bytes);
     }
 }
 
@@ -385,12 +391,15 @@ std::vector<std::string> make_ouster_seeds(const fs::path&) {
                                     R"(, "config_params": {"lidar_mode": "4x10", "udp_port_lidar": 7502}})"
                               : "{" + beams + ", \"data_format\": " + layout + R"(, "lidar_mode": "4x10"})");
         for (int column = 0; column < 24; ++column) {
-            if (!is_legacy && column % 2 == 0) append(seed, std::uint32_t(1)), seed.append(28, '\0');
-            append(seed, std::uint64_t(column) * 25000000), append(seed, std::uint16_t(column % 4));
+            if (!is_legacy && column % 2 == 0)
+                append_binary_value(seed, std::uint32_t(1)), seed.append(28, '\0');
+            append_binary_value(seed, std::uint64_t(column) * 25000000),
+                append_binary_value(seed, std::uint16_t(column % 4));
             seed.append(is_legacy ? 6 : 2, '\1');
             for (int pixel = 0; pixel < 2; ++pixel)
-                append(seed, std::uint32_t(0x05000400)), seed.append(profile.pixel_bytes - 4, '\2');
-            if (is_legacy) append(seed, std::uint32_t(0xFFFFFFFF));
+                append_binary_value(seed, std::uint32_t(0x05000400)),
+                    seed.append(profile.pixel_bytes - 4, '\2');
+            if (is_legacy) append_binary_value(seed, std::uint32_t(0xFFFFFFFF));
             if (!is_legacy && column % 2 == 1) seed.append(32, '\0');
         }
         seeds.push_back(seed);
@@ -401,16 +410,17 @@ std::vector<std::string> make_ouster_seeds(const fs::path&) {
 void read_ousters(std::string_view input, const fs::path&) {
     constexpr std::size_t kMostPackets = 64;
     bag::ByteReader reader(input);
-    packets::Calibration calibration;
-    calibration.ouster = packets::read_ouster_metadata(std::string(reader.read_sized_string()), "metadata");
-    std::vector<packets::PacketView> views;
-    while (reader.left() >= calibration.ouster->packet_bytes && views.size() < kMostPackets)
+    packets::DecoderCalibration calibration;
+    calibration.ouster =
+        packets::parse_ouster_metadata(std::string(reader.read_length_prefixed_string()), "metadata");
+    std::vector<packets::ReceivedPacket> views;
+    while (reader.count_remaining_bytes() >= calibration.ouster->packet_bytes && views.size() < kMostPackets)
         views.push_back(
-            {std::int64_t(views.size()) * 50000000, reader.take(calibration.ouster->packet_bytes)});
-    packets::match_ouster_format({calibration.ouster}, "/ouster/lidar_packets",
-                                 views.empty() ? std::string_view() : views.front().bytes);
-    packets::PacketLog log;
-    log.add(views, 0, {}, calibration);
+            {std::int64_t(views.size()) * 50000000, reader.read_bytes(calibration.ouster->packet_bytes)});
+    packets::find_ouster_format_of_packet({calibration.ouster}, "/ouster/lidar_packets",
+                                          views.empty() ? std::string_view() : views.front().bytes);
+    packets::PacketIndex log;
+    log.add_packets_of_message(views, 0, {}, calibration);
     read_turns(log, views);
 }
 
@@ -437,7 +447,7 @@ std::vector<std::string> make_block_seeds(const fs::path&) {
     std::vector<std::string> seeds;
     for (const BlockPacket& packet : kPackets) {
         std::string seed;
-        append(seed, std::uint16_t(packet.bytes));
+        append_binary_value(seed, std::uint16_t(packet.bytes));
         for (int k = 0; k < 8; ++k)
             seed.append(packet.head).append(packet.bytes - packet.head.size(), char(k));
         seeds.push_back(seed);
@@ -450,16 +460,18 @@ std::vector<std::string> pcap_seeds(const fs::path&) {
     constexpr std::size_t kPacket = 1206, kHeads = 14 + 20 + 8;  // Ethernet, IPv4 and UDP
     std::string capture("\xd4\xc3\xb2\xa1\2\0\4\0\0\0\0\0\0\0\0\0\xff\xff\0\0\1\0\0\0", 24);
     for (int k = 0; k < 8; ++k) {
-        append(capture, std::uint32_t(0)), append(capture, std::uint32_t(50000 * k));
-        append(capture, std::uint32_t(kHeads + kPacket)), append(capture, std::uint32_t(kHeads + kPacket));
+        append_binary_value(capture, std::uint32_t(0)),
+            append_binary_value(capture, std::uint32_t(50000 * k));
+        append_binary_value(capture, std::uint32_t(kHeads + kPacket)),
+            append_binary_value(capture, std::uint32_t(kHeads + kPacket));
         capture.append(12, '\1').append("\x08\0\x45\0\x04\xd2\0\0\0\0\x40\x11\0\0", 14);
         capture.append("\xc0\xa8\1\xc9\xff\xff\xff\xff\x09\x40\x09\x40\x04\xbe\0\0", 16);
         for (int block = 0; block < 12; ++block) {
             capture += "\xff\xee";
-            append(capture, std::uint16_t(4500 * k + 370 * block));
+            append_binary_value(capture, std::uint16_t(4500 * k + 370 * block));
             capture.append(96, '\x10');
         }
-        append(capture, std::uint32_t(50000 * k));
+        append_binary_value(capture, std::uint32_t(50000 * k));
         capture += "\x37\x22";
     }
     return {capture};
@@ -473,18 +485,18 @@ void read_pcap(std::string_view input, const fs::path& folder) {
 void read_blocks(std::string_view input, const fs::path&) {
     constexpr std::size_t kMostPackets = 64;
     bag::ByteReader reader(input);
-    const std::size_t bytes = std::max<std::size_t>(reader.number<std::uint16_t>(), 1);
-    std::vector<packets::PacketView> views;
+    const std::size_t bytes = std::max<std::size_t>(reader.read_number<std::uint16_t>(), 1);
+    std::vector<packets::ReceivedPacket> views;
     std::string run;
-    while (reader.left() >= bytes && views.size() < kMostPackets) {
+    while (reader.count_remaining_bytes() >= bytes && views.size() < kMostPackets) {
         const std::int64_t stamp_ns = std::int64_t(views.size()) * 50000000;
-        views.push_back({stamp_ns, reader.take(bytes)});
-        append(run, stamp_ns);
+        views.push_back({stamp_ns, reader.read_bytes(bytes)});
+        append_binary_value(run, stamp_ns);
         run += sized(views.back().bytes);
     }
-    packets::decode_livox_cloud(run, "livox");
-    packets::PacketLog log;
-    log.add(views, 0, {}, {});
+    packets::make_livox_cloud_message(run, "livox");
+    packets::PacketIndex log;
+    log.add_packets_of_message(views, 0, {}, {});
     read_turns(log, views);
 }
 

@@ -27,9 +27,9 @@ constexpr unsigned kPosesFile = 1, kNone = 2, kAllScans = 4, kAllFrames = 8;  //
 
 /// Removes six of seven points of a scan, so that reading a sweep takes milliseconds.
 void thin(const fs::path& scan) {
-    const std::string whole = read_contents(scan);
+    const std::string all_points = read_contents(scan);
     std::string some;
-    for (std::size_t at = 0; at + 16 <= whole.size(); at += 7 * 16) some += whole.substr(at, 16);
+    for (std::size_t at = 0; at + 16 <= all_points.size(); at += 7 * 16) some += all_points.substr(at, 16);
     put(scan, some);
 }
 
@@ -89,16 +89,19 @@ void attempt_all(const std::vector<std::function<void()>>& readers) {
 
 /// Runs every text reader separately.
 void read_texts(const Drive& drive, unsigned options) {
-    const std::vector<int> frames = kitti::list_scans(drive.folder() / "velodyne_points/data", 0, -1);
+    const std::vector<int> frames = kitti::list_scan_numbers(drive.folder() / "velodyne_points/data", 0, -1);
     const PoseTrack track{{0.0, 0.1, 0.2}, std::vector<Pose>(3)};
-    attempt_all({[&] { kitti::read_period(drive.folder()); },
-                 [&] { kitti::read_times(drive.folder() / "velodyne_points/timestamps.txt", frames); },
+    attempt_all({[&] { kitti::read_median_sweep_duration_s(drive.folder()); },
                  [&] {
-                     if (options & kPosesFile) kitti::read_pose_file(drive.poses(), frames);
+                     kitti::read_relative_frame_times_s(drive.folder() / "velodyne_points/timestamps.txt",
+                                                        frames);
+                 },
+                 [&] {
+                     if (options & kPosesFile) kitti::read_pose_matrices(drive.poses(), frames);
                      else kitti::read_oxts_poses(drive.folder(), frames);
                  },
-                 [&] { kitti::split_points_into_rings(kitti::read_scan(drive.scan()).points); },
-                 [&] { kitti::read_tracklets(drive.folder() / "tracklet_labels.xml", frames, track); }});
+                 [&] { kitti::split_points_into_rings(kitti::read_kitti_scan_points(drive.scan()).points); },
+                 [&] { kitti::read_tracklet_boxes(drive.folder() / "tracklet_labels.xml", frames, track); }});
 }
 
 void read_all_frames(const Drive& drive, unsigned options) {
@@ -162,11 +165,11 @@ void read_kitti_360(std::string_view input, const fs::path& folder) {
 
 void read_kitti_360_texts(std::string_view input, const fs::path& folder) {
     const Kitti360& kitti = make_kitti_360_in(folder);
-    static const std::vector<Frame> frames{{0, 0.0, {}, 0}, {1, 0.1, {}, 0}, {2, 0.2, {}, 0}};
+    static const std::vector<LidarFrame> frames{{0, 0.0, {}, 0}, {1, 0.1, {}, 0}, {2, 0.2, {}, 0}};
     kitti.files.read(input, [&](unsigned) {
-        attempt_all({[&] { kitti::read_step(kitti.folder.raw() / "timestamps.txt"); },
-                     [&] { kitti::read_numbered_poses(kitti.folder.poses()); },
-                     [&] { kitti::read_360_boxes(kitti.folder.boxes(), frames); }});
+        attempt_all({[&] { kitti::read_median_time_step_s(kitti.folder.raw() / "timestamps.txt"); },
+                     [&] { kitti::read_poses_by_frame_number(kitti.folder.poses()); },
+                     [&] { kitti::read_kitti_360_boxes(kitti.folder.boxes(), frames); }});
     });
 }
 

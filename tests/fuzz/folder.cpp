@@ -66,7 +66,7 @@ void read_points(std::string_view input, const fs::path& folder) {
     put(file, input.substr(1));
     std::vector<std::string> columns = {"x", "y", "z", "intensity", "ring"};
     if (ending == kEndings[3]) columns.push_back("timestamp");
-    folder::make_points(folder::read_point_file(file, columns), {}, 0.0, "scan");
+    folder::convert_table_to_points(folder::read_point_file(file, columns), {}, 0.0, "scan");
 }
 
 fs::path log_in(const fs::path& folder) {
@@ -81,7 +81,7 @@ fs::path log_in(const fs::path& folder) {
 }
 
 std::vector<std::string> make_folder_seeds(const fs::path& folder) {
-    const Sequence street = make_synthetic_street({.n_frames = 2, .rows = 4, .columns = 16});
+    const LidarSequence street = make_synthetic_street({.n_frames = 2, .rows = 4, .columns = 16});
     save_folder(street, folder / "saved", {.overwrite = true});
     std::string saved;
     for (const char* name : {"sequence.json", "poses.txt", "boxes.json"})
@@ -144,7 +144,7 @@ std::vector<std::string> make_exr_seeds(const fs::path& folder) {
             channels[name].push_back(value);
     }
     std::vector<std::string> seeds;
-    const auto add = [&](const FileNotes& notes) {
+    const auto add = [&](const FileMetadata& notes) {
         write_exr(folder / "seed.exr", kRows, kColumns, channels, notes);
         seeds.push_back(read_contents(folder / "seed.exr"));
     };

@@ -42,7 +42,9 @@ std::vector<std::string> make_request_seeds(const fs::path&) {
         R"({"do": "save", "name": "run2", "edits": )" + edits + "}"};
 }
 
-void read_request(std::string_view input, const fs::path&) { (void)view::parse_request(std::string(input)); }
+void read_request(std::string_view input, const fs::path&) {
+    (void)view::parse_page_request(std::string(input));
+}
 
 #ifdef RELIDAR_FUZZ_VIEW
 
@@ -60,7 +62,7 @@ void read_head(std::string_view input, const fs::path&) {
         line = input.substr(0, input.find('\n'));
         input.remove_prefix(std::min(input.size(), line.size() + 1));
     }
-    (void)view::is_local_host(lines[0], "machine");
+    (void)view::is_local_host_header(lines[0], "machine");
     (void)view::is_same_origin(lines[1], lines[0]);
     const view::Credentials credentials{lines[0], lines[1], lines[2], lines[3]};
     const bool shown = view::has_token_in_url(credentials, "0123456789abcdef") ||
@@ -76,13 +78,13 @@ void read_head(std::string_view input, const fs::path&) {
 
 /// A run without surfels, as the service stores it.
 struct Served {
-    std::vector<Run> outlines;
+    std::vector<TrainedRun> outlines;
     std::vector<serve::SceneSource> sources;
     serve::AssetCatalogue assets{{}};
-    serve::SpawnedActors spawned{1};
+    serve::SpawnedActorRegistry spawned{1};
 
     explicit Served(const fs::path& folder) : sources{{"town", folder}} {
-        Run run = make_example_run(folder);
+        TrainedRun run = make_example_run(folder);
         run.scene = make_background_scene({});
         for (const BoxTrack& box : run.sequence.boxes) {
             Instance instance;
@@ -128,7 +130,7 @@ void read_call(std::string_view input, const fs::path& folder) {
     serve::RequestReader reader(served.outlines, served.sources, served.assets, served.spawned);
     const unsigned call = static_cast<unsigned char>(input[0]) % 4u;
     input.remove_prefix(1);
-    const grpc::Status status = serve::run_with_grpc_status([&] {
+    const grpc::Status status = serve::call_and_get_grpc_status([&] {
         if (call == 0) (void)reader.read(parse_message<v1::RenderLidarRequest>(input));
         if (call == 1) (void)reader.read(parse_message<v1::RenderRigRequest>(input));
         if (call == 2) (void)reader.upload(parse_message<v1::UploadSensorRequest>(input).sensor());
@@ -147,9 +149,10 @@ void read_call(std::string_view input, const fs::path& folder) {
 void read_frame(std::string_view input, const fs::path& folder) {
     static const Served served(folder);
     static const serve::RequestReader scenes(served.outlines, served.sources, served.assets, served.spawned);
-    static serve::SensorsimReader reader(served.outlines, scenes, serve::PoseOrder::translation_first);
+    static serve::SensorsimReader reader(served.outlines, scenes,
+                                         serve::PoseTransformOrder::translation_first);
     silence_protobuf();
-    check_status(serve::run_with_grpc_status(
+    check_status(serve::call_and_get_grpc_status(
         [&] { (void)reader.read(parse_message<serve::sensorsim::LidarRenderRequest>(input)); }));
 }
 

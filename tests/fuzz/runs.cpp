@@ -19,8 +19,8 @@ namespace {
 namespace fs = std::filesystem;
 
 std::vector<std::string> make_coverage_seeds(const fs::path& folder) {
-    Coverage coverage;
-    coverage.add(glm::dvec3(-9.5, 0.25, 1.5), glm::dvec3(20.0, -3.0, 2.0));
+    ObservedVoxelSet coverage;
+    coverage.add_segment(glm::dvec3(-9.5, 0.25, 1.5), glm::dvec3(20.0, -3.0, 2.0));
     run_detail::save_coverage(folder / "seed", coverage);
     return {read_contents(folder / "seed")};
 }
@@ -29,68 +29,70 @@ std::vector<std::string> make_coverage_seeds(const fs::path& folder) {
 /// and 1.
 void read_coverage(std::string_view input, const fs::path& folder) {
     put(folder / "input", input);
-    Coverage coverage = run_detail::load_coverage(folder / "input");
-    coverage.add(Coverage(coverage));
-    for (const Coverage::Block& block : coverage.blocks()) {
-        const glm::dvec3 corner = glm::dvec3(block.place) * (Coverage::kCell_m * Coverage::kBlockCells);
-        const double share = coverage.share(corner, corner + glm::dvec3(3.0, 20.0, -7.0));
+    ObservedVoxelSet coverage = run_detail::load_coverage(folder / "input");
+    coverage.add_coverage(ObservedVoxelSet(coverage));
+    for (const ObservedVoxelSet::VoxelBlock& block : coverage.list_cell_blocks()) {
+        const glm::dvec3 corner =
+            glm::dvec3(block.grid_index) * (ObservedVoxelSet::kCell_m * ObservedVoxelSet::kBlockCells);
+        const double share = coverage.compute_observed_fraction(corner, corner + glm::dvec3(3.0, 20.0, -7.0));
         if (!(share >= 0.0 && share <= 1.0)) std::abort();
     }
 }
 
 std::vector<std::string> make_classes_seeds(const fs::path& folder) {
-    run_detail::save_classes(folder / "seed",
-                             {{{-3, 4, 5}, SurfaceClass::road}, {{1, 2, 3}, SurfaceClass::pole}});
+    run_detail::save_class_map(folder / "seed",
+                               {{{-3, 4, 5}, SurfaceClass::road}, {{1, 2, 3}, SurfaceClass::pole}});
     return {read_contents(folder / "seed")};
 }
 
 void read_classes(std::string_view input, const fs::path& folder) {
     put(folder / "input", input);
-    const ClassMap map = run_detail::load_classes(folder / "input");
-    if (!map.empty()) (void)ClassFinder(map).find(glm::dvec3(0.1, 0.2, 0.3));
+    const SurfaceClassMap map = run_detail::load_class_map(folder / "input");
+    if (!map.empty()) (void)SurfaceClassLookup(map).find_nearest_class(glm::dvec3(0.1, 0.2, 0.3));
 }
 
 std::vector<std::string> make_sweeps_seeds(const fs::path& folder) {
-    run_detail::save_sweeps(folder / "seed", make_example_run(folder).sequence);
+    run_detail::save_azimuth_corrections(folder / "seed", make_example_run(folder).sequence);
     return {read_contents(folder / "seed")};
 }
 
 void read_sweeps(std::string_view input, const fs::path& folder) {
     put(folder / "input", input);
-    Sequence sequence = make_example_run(folder).sequence;
-    run_detail::load_sweeps(folder / "input", sequence);
+    LidarSequence sequence = make_example_run(folder).sequence;
+    run_detail::load_azimuth_corrections(folder / "input", sequence);
 }
 
 std::vector<std::string> make_network_seeds(const fs::path& folder) {
-    DropNetwork network;
+    RayDropNetwork network;
     network.inputs = {"range", "drop"};
     network.widths = {4, 8};
     network.normalisation = {1.0f, 0.0f, 0.5f, -0.25f};
     network.parameters.assign(40, 0.125f);
     network.running = {0.0f, 1.0f};
-    save_drop_network(folder / "seed", network);
+    save_ray_drop_network(folder / "seed", network);
     return {read_contents(folder / "seed")};
 }
 
 void read_network(std::string_view input, const fs::path& folder) {
     put(folder / "input", input);
-    load_drop_network(folder / "input");
+    load_ray_drop_network(folder / "input");
 }
 
 std::vector<std::string> make_scatter_seeds(const fs::path& folder) {
-    IntensityScatter scatter;
+    IntensityScatterModel scatter;
     scatter.nodes = {{3, 0.5f, 1, 0, 4}, {-1, 0.0f, 0, 0, 2}, {-1, 0.0f, 0, 2, 2}};
     scatter.values = {0.0f, 0.1f, 0.2f, 0.4f};
-    run_detail::save_scatter(folder / "seed", {scatter});
+    run_detail::save_intensity_scatter(folder / "seed", {scatter});
     return {read_contents(folder / "seed")};
 }
 
 void read_scatter(std::string_view input, const fs::path& folder) {
     put(folder / "input", input);
-    const std::vector<IntensityScatter> scatter = run_detail::load_scatter(folder / "input", 1);
-    const RenderedIntensities image{
+    const std::vector<IntensityScatterModel> scatter =
+        run_detail::load_intensity_scatter(folder / "input", 1);
+    const RenderedIntensityImage image{
         2, 2, {0.1f, 0.2f, 0.3f, 0.4f}, {5.0f, 6.0f, 7.0f, 8.0f}, {0, 0, 0, 0}, {1, 1, 1, 1}, {0, 0, 0, 0}};
-    if (!scatter[0].empty()) draw_intensities(scatter[0], image, std::vector<std::uint8_t>(4, 1), 1);
+    if (!scatter[0].empty()) draw_random_intensities(scatter[0], image, std::vector<std::uint8_t>(4, 1), 1);
 }
 
 }  // namespace

@@ -18,7 +18,7 @@ constexpr std::size_t kMostMade = 20000;  // maximum number of rays that the tes
 
 /// Creates the rays of a sensor if their number is small.
 void make(const SensorModel& sensor) {
-    const std::size_t n = describe_pattern(sensor.pattern).n_rays;
+    const std::size_t n = summarise_scan_pattern(sensor.pattern).n_rays;
     if (n <= kMostMade) make_rays(sensor, 0.3);
 }
 
@@ -61,7 +61,7 @@ std::vector<std::string> make_sensor_seeds(const fs::path& folder) {
 void read_rig(std::string_view input, const fs::path& folder) {
     put(folder / "near.csv", "elevation_deg\n5\n-5\n");
     put(folder / "rig.json", input);
-    const auto rig = find_rig((folder / "rig.json").string());
+    const auto rig = read_sensor_rig((folder / "rig.json").string());
     for (std::size_t i = 0; rig && i < std::min<std::size_t>(rig->size(), 3); ++i) make((*rig)[i].sensor);
 }
 

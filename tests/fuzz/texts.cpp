@@ -28,7 +28,7 @@ void read_config(std::string_view input, const fs::path& folder) {
 /// Reads a street, and simulates it if it is small.
 void read_street(std::string_view input, const fs::path& folder) {
     put(folder / "street.toml", input);
-    const SyntheticOptions street = read_synthetic(folder);
+    const SyntheticOptions street = read_synthetic_options(folder);
     DatasetOptions one;
     one.frames = {0, 1};
     if (double(street.rows) * street.columns > 2000.0 && street.rows <= 256 && street.columns <= 8192) return;
@@ -37,20 +37,20 @@ void read_street(std::string_view input, const fs::path& folder) {
 
 /// Returns a run without the file of sweep azimuths, because this file depends on the
 /// sensor that an input changes. The harness "sweeps" reads the file.
-Run run_without_sweeps(const fs::path& folder) {
-    Run run = make_example_run(folder);
-    for (Frame& frame : run.sequence.frames) frame.azimuth_shift_rad.clear();
+TrainedRun run_without_sweeps(const fs::path& folder) {
+    TrainedRun run = make_example_run(folder);
+    for (LidarFrame& frame : run.sequence.frames) frame.azimuth_shift_rad.clear();
     return run;
 }
 
 void read_scene(std::string_view input, const fs::path& folder) {
-    static const Run run = [&] {
-        Run made = run_without_sweeps(folder / "run");
+    static const TrainedRun run = [&] {
+        TrainedRun made = run_without_sweeps(folder / "run");
         save_run(made);
         return made;
     }();
     put(run.folder / "scene.json", input);
-    const Run read = load_run(run.folder);
+    const TrainedRun read = load_run(run.folder);
     const SpinningSensor& sensor = read.sequence.lidars[0].sensor;
     if (!sensor.beams.empty() && sensor.beams.size() * std::size_t(sensor.columns) < 10000) make_rays(sensor);
     for (const BoxTrack& box : read.sequence.boxes) (void)box.is_present(read.sequence.frames[0].time_s);
@@ -62,11 +62,11 @@ void read_scene(std::string_view input, const fs::path& folder) {
 std::vector<std::string> make_scene_seeds(const fs::path& folder) {
     save_run(run_without_sweeps(folder / "seed_run"));
     std::vector<std::string> seeds{read_contents(folder / "seed_run/scene.json")};
-    Run fixed = run_without_sweeps(folder / "seed_run");
+    TrainedRun fixed = run_without_sweeps(folder / "seed_run");
     fixed.sequence.lidars[0].sensor.beams.clear();
     fixed.sequence.lidars[0].sensor.columns = 0;
     for (const char* name : {"window-128", "rosette"}) {
-        fixed.sequence.lidars[0].pattern = get_fixed_pattern(find_sensor(name));
+        fixed.sequence.lidars[0].pattern = get_non_spinning_pattern(find_sensor(name));
         save_run(fixed);
         seeds.push_back(read_contents(folder / "seed_run/scene.json"));
     }
@@ -82,15 +82,15 @@ void read_sensor(std::string_view input, const fs::path& folder) {
 
 void read_track(std::string_view input, const fs::path& folder) {
     put(folder / "way.csv", input);
-    const PoseTrack track = read_trajectory(folder / "way.csv");
-    (void)track.at(track.time_s.front() + 0.1);
+    const PoseTrack track = read_trajectory_csv(folder / "way.csv");
+    (void)track.interpolate_pose(track.time_s.front() + 0.1);
 }
 
 void read_entities(std::string_view input, const fs::path& folder) {
     put(folder / "s.xosc", input);
-    for (const ScenarioEntity& entity : read_scenario(folder / "s.xosc"))
+    for (const ScenarioEntity& entity : read_openscenario_entities(folder / "s.xosc"))
         if (!entity.world_from_reference.pose.empty() && entity.world_from_reference.pose.size() < 100)
-            make_box_track(entity, 0.0, {4, 2, 1.5});
+            convert_to_box_track(entity, 0.0, {4, 2, 1.5});
 }
 
 /// Builds TOML text from tokens. Each byte of the input selects a token.

@@ -22,10 +22,10 @@ namespace relidar {
 namespace {
 
 static_assert(get_struct_name<shared::ImageLossParams>() == "ImageLossParams");
-static_assert(find_params_of_kernel("diff/loss/image_loss") == "ImageLossParams", "as its shader declares");
-static_assert(find_params_of_kernel("diff/loss/surfel_loss") != "ImageLossParams",
+static_assert(find_params_struct_name("diff/loss/image_loss") == "ImageLossParams", "as its shader declares");
+static_assert(find_params_struct_name("diff/loss/surfel_loss") != "ImageLossParams",
               "so Kernel<ImageLossParams> of it does not compile");
-static_assert(find_params_of_kernel("loss/image_los").empty(), "nor does a name that no kernel has");
+static_assert(find_params_struct_name("loss/image_los").empty(), "nor does a name that no kernel has");
 
 template <class Rendered, class Targets>
 concept FillParameters = requires(Rendered rendered, Targets targets) {
@@ -85,8 +85,8 @@ static_assert(!are_interchangeable(&shared::CollectHitsParams::instance, &shared
 static_assert(are_interchangeable(&shared::ActivateVjpParams::surfels, &shared::ActivateVjpParams::d_surfels),
               "gradients are arranged alike");
 
-// The meaning of an array is declared when it is created. Only address_as() and as() can
-// change the meaning, for memory that serves several purposes.
+// The meaning of an array is declared when it is created. Only address_as() and
+// cast_meaning() can change the meaning, for memory that serves several purposes.
 static_assert(
     std::same_as<decltype(Array<float, shared::LossTerms>().address()), Address<float, shared::LossTerms>>);
 static_assert(!std::is_convertible_v<Address<float>, Address<float, shared::LossTerms>> &&
@@ -108,7 +108,7 @@ TEST_F(AddressTest, NowhereIsWhatNoArrayHas) {
     EXPECT_EQ(array.address_as<float>(1), array.address_as<float>(1));
     EXPECT_NE(array.address_as<float>(1), array.address_as<float>()) << "a part";
     const Array<float, shared::LossTerms> terms(device(), 4, "test");
-    EXPECT_EQ(terms.address(1).as<shared::SsimStatistics>(),
+    EXPECT_EQ(terms.address(1).cast_meaning<shared::SsimStatistics>(),
               (terms.address_as<float, shared::SsimStatistics>(1)));
 }
 

@@ -46,7 +46,7 @@ TEST_F(Gpu, MemoryIsCountedAndReturned) {
     {
         const Array<float> array(device(), 1 << 20, "test");
         EXPECT_GE(device().allocated_bytes(), before + (4u << 20));
-        EXPECT_GE(device().peak_bytes(), before + (4u << 20));
+        EXPECT_GE(device().peak_allocated_bytes(), before + (4u << 20));
     }
     EXPECT_EQ(device().allocated_bytes(), before);
 }
@@ -90,22 +90,22 @@ TEST_F(Gpu, FillsAreOrderedAndManySubmissionsOverlap) {
     Stream stream(device(), true);
     for (std::uint32_t i = 0; i < 20; ++i) {
         stream.fill(array, i);
-        stream.submit();
+        stream.submit_commands();
     }
-    stream.finish();
+    stream.submit_and_wait();
     EXPECT_EQ(array.download(), std::vector<std::uint32_t>(100, 19u));
     EXPECT_EQ(stream.times().milliseconds.at("fill").size(), device().info().timestamps ? 20u : 0u);
 }
 
 TEST_F(Gpu, TimesKeepTheLastLaunchesAndTheTotalsOfAll) {
     KernelTimes times, later;
-    for (int i = 0; i < KernelTimes::kLast + 3; ++i) times.add("fill", i < 3 ? 5.0 : 1.0);
+    for (int i = 0; i < KernelTimes::kLast + 3; ++i) times.add_launch_time("fill", i < 3 ? 5.0 : 1.0);
     EXPECT_EQ(times.milliseconds.at("fill"), std::vector<double>(KernelTimes::kLast, 1.0));
     EXPECT_EQ(times.totals.at("fill").launches, KernelTimes::kLast + 3);
     EXPECT_EQ(times.totals.at("fill").ms, KernelTimes::kLast + 15);
-    later.add("fill", 2.0);
-    later.add("copy", 3.0);
-    times.add(later);
+    later.add_launch_time("fill", 2.0);
+    later.add_launch_time("copy", 3.0);
+    times.add_times(later);
     EXPECT_EQ(times.milliseconds.at("fill").size(), std::size_t(KernelTimes::kLast));
     EXPECT_EQ(times.milliseconds.at("fill").back(), 2.0);
     EXPECT_EQ(times.totals.at("fill").launches, KernelTimes::kLast + 4);
@@ -120,7 +120,7 @@ TEST_F(Gpu, CopiesAreOrderedAndKeepWhatLiesBehind) {
     stream.fill(from, 7u);
     stream.copy(from.buffer(), to.buffer(), 4 * 999);
     stream.fill(from, 8u);
-    stream.finish();
+    stream.submit_and_wait();
     std::vector<std::uint32_t> expected(1000, 7u);
     expected.back() = 0u;
     EXPECT_EQ(to.download(), expected);
@@ -149,16 +149,16 @@ TEST_F(Gpu, ExtensionsOfRayQueryAreEnabledForRayQueryAlone) {
         });
     };
     if (device().info().software) {
-        const Device software({.index = device().info().index, .traversal = Traversal::software});
-        EXPECT_EQ(software.traversal(), Traversal::software);
+        const Device software({.index = device().info().index, .traversal = RayTracingBackend::software});
+        EXPECT_EQ(software.traversal(), RayTracingBackend::software);
         EXPECT_FALSE(has_ray_tracing(software));
     }
     if (device().info().ray_query) {
-        const Device ray_query({.index = device().info().index, .traversal = Traversal::ray_query});
-        EXPECT_EQ(ray_query.traversal(), Traversal::ray_query);
+        const Device ray_query({.index = device().info().index, .traversal = RayTracingBackend::ray_query});
+        EXPECT_EQ(ray_query.traversal(), RayTracingBackend::ray_query);
         EXPECT_TRUE(has_ray_tracing(ray_query));
     } else {
-        EXPECT_THROW(Device({.index = device().info().index, .traversal = Traversal::ray_query}),
+        EXPECT_THROW(Device({.index = device().info().index, .traversal = RayTracingBackend::ray_query}),
                      DeviceError);
     }
 }
@@ -172,41 +172,42 @@ TEST_F(Gpu, SubgroupsOfVaryingSizeMustBeControlled) {
     sizes.minSubgroupSize = 8;
     sizes.maxSubgroupSize = 32;
     gpu::OptionalFeatures optional;
-    EXPECT_EQ(gpu::list_missing_for_software(subgroup, sizes, optional),
+    EXPECT_EQ(gpu::list_features_missing_for_software(subgroup, sizes, optional),
               "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
     optional.subgroup_size = true;
-    EXPECT_FALSE(gpu::has_known_subgroups(sizes, optional)) << "some lanes may be missing";
+    EXPECT_FALSE(gpu::can_require_subgroup_size(sizes, optional)) << "some lanes may be missing";
     optional.full_subgroups = true;
-    EXPECT_EQ(gpu::list_missing_for_software(subgroup, sizes, optional), "");
+    EXPECT_EQ(gpu::list_features_missing_for_software(subgroup, sizes, optional), "");
     sizes.maxSubgroupSize = 8;
-    EXPECT_EQ(gpu::list_missing_for_software(subgroup, sizes, {}), "") << "one size";
+    EXPECT_EQ(gpu::list_features_missing_for_software(subgroup, sizes, {}), "") << "one size";
     subgroup.supportedOperations &= ~VkSubgroupFeatureFlags(VK_SUBGROUP_FEATURE_SHUFFLE_BIT);
-    EXPECT_EQ(gpu::list_missing_for_software(subgroup, sizes, {}), "subgroup shuffles in compute");
+    EXPECT_EQ(gpu::list_features_missing_for_software(subgroup, sizes, {}), "subgroup shuffles in compute");
 }
 
 TEST_F(Gpu, NetworksNeedShufflesInKnownSubgroups) {
     VkPhysicalDeviceSubgroupProperties subgroup{};
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{};
     sizes.minSubgroupSize = sizes.maxSubgroupSize = 8;
-    EXPECT_EQ(gpu::list_missing_for_networks(subgroup, sizes, {}), "subgroup shuffles in compute");
+    EXPECT_EQ(gpu::list_features_missing_for_networks(subgroup, sizes, {}), "subgroup shuffles in compute");
     subgroup.supportedOperations = VK_SUBGROUP_FEATURE_SHUFFLE_BIT;
-    EXPECT_EQ(gpu::list_missing_for_networks(subgroup, sizes, {}), "");
+    EXPECT_EQ(gpu::list_features_missing_for_networks(subgroup, sizes, {}), "");
     sizes.maxSubgroupSize = 32;
-    EXPECT_NE(gpu::list_missing_for_networks(subgroup, sizes, {}), "") << "lanes of one size are not known";
+    EXPECT_NE(gpu::list_features_missing_for_networks(subgroup, sizes, {}), "")
+        << "lanes of one size are not known";
 }
 
 TEST_F(Gpu, BestTraversalFollowsWhatADeviceHas) {
     DeviceInfo d;
     d.type = "discrete GPU";
-    EXPECT_EQ(choose_best_traversal(d), Traversal::automatic) << "neither";
+    EXPECT_EQ(choose_best_traversal(d), RayTracingBackend::automatic) << "neither";
     d.software = true;
-    EXPECT_EQ(choose_best_traversal(d), Traversal::software);
+    EXPECT_EQ(choose_best_traversal(d), RayTracingBackend::software);
     d.ray_query = true;
-    EXPECT_EQ(choose_best_traversal(d), Traversal::ray_query);
+    EXPECT_EQ(choose_best_traversal(d), RayTracingBackend::ray_query);
     d.type = "CPU";
-    EXPECT_EQ(choose_best_traversal(d), Traversal::software);
+    EXPECT_EQ(choose_best_traversal(d), RayTracingBackend::software);
     d.software = false;
-    EXPECT_EQ(choose_best_traversal(d), Traversal::ray_query);
+    EXPECT_EQ(choose_best_traversal(d), RayTracingBackend::ray_query);
 }
 
 }  // namespace

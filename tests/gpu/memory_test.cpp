@@ -24,7 +24,7 @@ TEST(FreeRanges, NeverOverlapAndMergeAgain) {
     std::mt19937 random(3);
     gpu::FreeRanges free(kBytes);
     std::vector<bool> used(kBytes, false);
-    std::map<std::uint64_t, std::uint64_t> taken;
+    std::map<std::uint64_t, std::uint64_t> allocated_ranges;
     const auto mark = [&](std::uint64_t offset, std::uint64_t count, bool value) {
         for (std::uint64_t i = offset; i < offset + count; ++i) {
             ASSERT_EQ(used[i], !value) << "byte " << i;
@@ -33,15 +33,15 @@ TEST(FreeRanges, NeverOverlapAndMergeAgain) {
     };
     std::size_t n_refused = 0;
     for (int step = 0; step < 20'000; ++step) {
-        if (random() % 2 && !taken.empty()) {
-            const auto piece = std::next(taken.begin(), random() % taken.size());
+        if (random() % 2 && !allocated_ranges.empty()) {
+            const auto piece = std::next(allocated_ranges.begin(), random() % allocated_ranges.size());
             mark(piece->first, piece->second, false);
-            free.release(piece->first, piece->second);
-            taken.erase(piece);
+            free.release_range(piece->first, piece->second);
+            allocated_ranges.erase(piece);
             continue;
         }
         const std::uint64_t n = 1 + random() % 400, alignment = std::uint64_t(1) << random() % 9;
-        const auto offset = free.take(n, alignment);
+        const auto offset = free.allocate_range(n, alignment);
         bool fits = false;
         for (std::uint64_t at = 0; at + n <= kBytes && !fits; at += alignment)
             fits = std::find(used.begin() + at, used.begin() + at + n, true) == used.begin() + at + n;
@@ -51,18 +51,18 @@ TEST(FreeRanges, NeverOverlapAndMergeAgain) {
         ASSERT_EQ(*offset % alignment, 0u);
         ASSERT_LE(*offset + n, kBytes);
         mark(*offset, n, true);
-        taken[*offset] = n;
+        allocated_ranges[*offset] = n;
     }
     EXPECT_GT(n_refused, 100u) << "a full block was met";
     EXPECT_FALSE(free.is_fully_free());
-    for (const auto& [offset, n] : taken) free.release(offset, n);
+    for (const auto& [offset, n] : allocated_ranges) free.release_range(offset, n);
     EXPECT_TRUE(free.is_fully_free());
-    EXPECT_EQ(free.take(kBytes, 256), 0u) << "in one piece";
+    EXPECT_EQ(free.allocate_range(kBytes, 256), 0u) << "in one piece";
 }
 
 class GpuMemory : public test::DeviceTest {
 protected:
-    std::size_t n_blocks() { return device().impl().memory->n_blocks(); }
+    std::size_t n_blocks() { return device().impl().memory->count_blocks(); }
 };
 
 TEST_F(GpuMemory, MoreArraysThanAllocations) {
@@ -74,7 +74,7 @@ TEST_F(GpuMemory, MoreArraysThanAllocations) {
         Stream stream(device());
         for (std::uint32_t i = 0; i < kArrays; ++i)
             stream.fill(arrays.emplace_back(device(), 1 + i % 1000, "one of many"), i);
-        stream.finish();
+        stream.submit_and_wait();
         EXPECT_LE(n_blocks(), blocks + 2);
         for (std::uint32_t i = 0; i < kArrays; ++i)
             ASSERT_EQ(arrays[i].download(), std::vector<std::uint32_t>(1 + i % 1000, i)) << "array " << i;
@@ -86,9 +86,9 @@ TEST_F(GpuMemory, EmptyBlocksAreGivenBack) {
     const std::size_t blocks = n_blocks();
     std::vector<Buffer> buffers;
     for (int i = 0; i < 12; ++i)
-        buffers.emplace_back(device(), gpu::MemoryPools::kBlockBytes / 3, "a third of a block");
+        buffers.emplace_back(device(), gpu::DeviceMemoryAllocator::kBlockBytes / 3, "a third of a block");
     EXPECT_GE(n_blocks(), blocks + 3);
-    buffers.emplace_back(device(), gpu::MemoryPools::kBlockBytes * 2, "a block of its own");
+    buffers.emplace_back(device(), gpu::DeviceMemoryAllocator::kBlockBytes * 2, "a block of its own");
     const std::size_t most = n_blocks();
     buffers.pop_back();
     EXPECT_EQ(n_blocks(), most - 1);
@@ -159,7 +159,7 @@ TEST_F(GpuMemory, ArrayOfSeveralAllocations) {
         Stream stream(device());
         stream.fill(to, 7u);
         stream.copy(from.buffer(), to.buffer(), 4 * (n - 1));
-        stream.finish();
+        stream.submit_and_wait();
         values.back() = 7u;
         EXPECT_EQ(to.download(), values);
     }

@@ -44,7 +44,7 @@ TEST_F(PrefixSums, OfEverySize) {
         const Array<std::uint32_t, shared::ScanTotal> total(device(), Words(2, kGuard), "total");
         prefix_sum.reserve(device(), n);
         prefix_sum.run(stream, {in.address(), 1, stride}, out.address(), n, total.address());
-        stream.finish();
+        stream.submit_and_wait();
         Words expected;
         for (std::uint32_t i = 0; i < n; ++i) expected.push_back(counts[1 + stride * i]);
         const std::uint32_t sum = std::accumulate(expected.begin(), expected.end(), 0u);
@@ -63,8 +63,8 @@ TEST_F(PrefixSums, InPlace) {
     Words counts = numbers(n, 9);
     const Array<std::uint32_t, shared::ScanCounts> array(device(), std::span<const std::uint32_t>(counts),
                                                          "counts");
-    prefix_sum.run(stream, {array.address()}, array.address().as<shared::ScanPrefix>(), n);
-    stream.finish();
+    prefix_sum.run(stream, {array.address()}, array.address().cast_meaning<shared::ScanPrefix>(), n);
+    stream.submit_and_wait();
     std::exclusive_scan(counts.begin(), counts.end(), counts.begin(), 0u);
     EXPECT_EQ(array.download(), counts);
 }
@@ -97,10 +97,10 @@ protected:
             second_order(device(), Words(capacity, kGuard), "order");
         const RadixSort sort(device(), capacity, key_words);
         Stream stream(device());
-        const SortSet result = sort.run(
+        const SortBuffers result = sort.run(
             stream, {first.address(), first_order.address()}, {second.address(), second_order.address()},
             key_bits, n_keys ? count.address() : Address<std::uint32_t, shared::SortCount>());
-        stream.finish();
+        stream.submit_and_wait();
 
         const std::uint64_t mask =
             key_bits == 64 ? ~std::uint64_t(0) : (std::uint64_t(1) << (key_bits + 7) / 8 * 8) - 1;
@@ -111,7 +111,7 @@ protected:
         });
         for (const std::uint32_t i : order)
             sorted.insert(sorted.end(), words.begin() + key_words * i, words.begin() + key_words * (i + 1));
-        const bool swapped = RadixSort::passes(key_bits) % 2 == 1;
+        const bool swapped = RadixSort::count_passes(key_bits) % 2 == 1;
         EXPECT_EQ(result.keys, (swapped ? second : first).address());
         Words actual = (swapped ? second : first).download(),
               actual_order = (swapped ? second_order : first_order).download();

@@ -68,7 +68,7 @@ protected:
     static Opened open() {
         Device opened(apply_environment_variables());
         const PrefixSum prefix_sum(opened);
-        return {opened.impl().pipeline_cache->path(), opened.impl().pipeline_cache->read_bytes()};
+        return {opened.impl().pipeline_cache->path(), opened.impl().pipeline_cache->get_loaded_byte_count()};
     }
     /// Returns true if the driver stores pipelines, which means that its cache is longer
     /// than the Vulkan header.
@@ -154,27 +154,29 @@ TEST_F(PipelineCacheFile, TheEnvironmentSaysWhere) {
 TEST_F(PipelinesOfADevice, AreMadeOnceForKernelsThatAreAlike) {
     Device opened(apply_environment_variables());
     const auto n_made = [&] { return opened.impl().pipelines.by_key.size(); };
-    const std::vector<Constant> of_64{{ConstantId::WORKGROUP_SIZE, 64}},
-        of_32{{ConstantId::WORKGROUP_SIZE, 32}};
-    const auto pipeline_of = [&](const std::vector<Constant>& constants,
-                                 Subgroups subgroups = Subgroups::any) {
+    const std::vector<SpecialisationConstant> of_64{{SpecialisationConstantId::WORKGROUP_SIZE, 64}},
+        of_32{{SpecialisationConstantId::WORKGROUP_SIZE, 32}};
+    const auto pipeline_of = [&](const std::vector<SpecialisationConstant>& constants,
+                                 SubgroupRequirement subgroups = SubgroupRequirement::any) {
         return Kernel<shared::ListTouchedParams>(opened, "scene/list_touched", constants, subgroups)
             .impl()
-            .pipeline();
+            .get_compiled_pipeline();
     };
     const VkPipeline first = pipeline_of(of_64);
     EXPECT_NE(first, VK_NULL_HANDLE);
     EXPECT_EQ(pipeline_of(of_64), first);
     EXPECT_EQ(n_made(), 1u);
     EXPECT_NE(pipeline_of(of_32), first);
-    EXPECT_NE(pipeline_of(of_64, Subgroups::full), first);
+    EXPECT_NE(pipeline_of(of_64, SubgroupRequirement::full), first);
     EXPECT_EQ(n_made(), 3u);
     std::vector<VkPipeline> of_threads(8);
     std::vector<std::thread> threads;
-    for (VkPipeline& found : of_threads)
-        threads.emplace_back([&] { found = pipeline_of({{ConstantId::WORKGROUP_SIZE, 128}}); });
+    for (VkPipeline& pipeline : of_threads)
+        threads.emplace_back([&] {
+            pipeline = pipeline_of({{SpecialisationConstantId::WORKGROUP_SIZE, 128}});
+        });
     for (std::thread& thread : threads) thread.join();
-    for (const VkPipeline found : of_threads) EXPECT_EQ(found, of_threads[0]);
+    for (const VkPipeline pipeline : of_threads) EXPECT_EQ(pipeline, of_threads[0]);
     EXPECT_EQ(n_made(), 4u);
 }
 
@@ -186,13 +188,13 @@ TEST_F(PipelinesOfADevice, AreBegunWithTheirKernels) {
     const auto begin = [&](std::uint32_t size) {
         return std::make_unique<Kernel<shared::ListTouchedParams>>(
             opened, KernelName<shared::ListTouchedParams>("scene/list_touched"),
-            std::vector<Constant>{{ConstantId::WORKGROUP_SIZE, size}});
+            std::vector<SpecialisationConstant>{{SpecialisationConstantId::WORKGROUP_SIZE, size}});
     };
     const auto used = begin(32), alike = begin(32), unused = begin(64);
     begin(128);
     EXPECT_EQ(opened.impl().pipelines.by_key.size(), 3u);
-    EXPECT_NE(used->impl().pipeline(), VK_NULL_HANDLE);
-    EXPECT_EQ(used->impl().pipeline(), alike->impl().pipeline());
+    EXPECT_NE(used->impl().get_compiled_pipeline(), VK_NULL_HANDLE);
+    EXPECT_EQ(used->impl().get_compiled_pipeline(), alike->impl().get_compiled_pipeline());
     for (const auto& [key, made] : opened.impl().pipelines.by_key)
         EXPECT_EQ(made.get().result, VK_SUCCESS) << key;
 }

@@ -42,8 +42,8 @@ std::vector<Words> instructions(std::span<const std::uint32_t> words) {
 int section(const Words& instruction) {
     static const std::map<std::uint32_t, int> sections = {{17, 1}, {10, 2}, {11, 3}, {14, 4},
                                                           {15, 5}, {16, 6}, {331, 6}};
-    const auto found = sections.find(instruction[0] & 0xffffu);
-    return found == sections.end() ? 7 : found->second;
+    const auto match = sections.find(instruction[0] & 0xffffu);
+    return match == sections.end() ? 7 : match->second;
 }
 
 std::string text_of(const Words& extension) {
@@ -111,7 +111,7 @@ std::pair<int, int> count_parameter_loads(std::span<const std::uint32_t> words) 
         merge = 247
     };
     std::uint32_t block = 0, pointer = 0, entry = 0;
-    std::set<std::uint32_t> addresses, places;
+    std::set<std::uint32_t> addresses, member_pointers;
     bool at_start = false;
     std::pair<int, int> n{0, 0};
     for (const Words& i : instructions(words)) {
@@ -123,8 +123,8 @@ std::pair<int, int> count_parameter_loads(std::span<const std::uint32_t> words) 
         if (opcode == function) at_start = i[2] == entry;
         if (opcode == merge || opcode == loop_merge || opcode == call) at_start = false;
         if (opcode == load && i[1] == pointer) addresses.insert(i[2]);
-        if (opcode == chain && addresses.contains(i[3])) places.insert(i[2]);
-        if (opcode == load && places.contains(i[3])) ++(at_start ? n.first : n.second);
+        if (opcode == chain && addresses.contains(i[3])) member_pointers.insert(i[2]);
+        if (opcode == load && member_pointers.contains(i[3])) ++(at_start ? n.first : n.second);
     }
     return n;
 }
@@ -134,7 +134,7 @@ std::pair<int, int> count_parameter_loads(std::span<const std::uint32_t> words) 
 TEST(SpirvParameters, AreReadWhereAModuleBegins) {
     int n_before = 0, n_later = 0;
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
-        const auto [first, later] = count_parameter_loads(gpu::move_parameters_first(kernel.words));
+        const auto [first, later] = count_parameter_loads(gpu::hoist_parameter_loads(kernel.words));
         EXPECT_GE(first, 1) << kernel.name;
         n_before += count_parameter_loads(kernel.words).second;
         n_later += later;
@@ -162,8 +162,8 @@ void expect_valid(const std::function<Words(std::span<const std::uint32_t>)>& ch
         return status == 0 ? std::string() : text + "(exit status " + std::to_string(status) + ")";
     };
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
-        const std::string found = complaint(change(kernel.words));
-        EXPECT_TRUE(found.empty()) << kernel.name << ": " << found;
+        const std::string validation_errors = complaint(change(kernel.words));
+        EXPECT_TRUE(validation_errors.empty()) << kernel.name << ": " << validation_errors;
     }
     fs::remove(file);
 }
@@ -176,13 +176,13 @@ TEST(SpirvModes, AreAcceptedBySpirvVal) {
 
 TEST(SpirvParameters, AreAcceptedBySpirvVal) {
     expect_valid([](std::span<const std::uint32_t> words) {
-        return gpu::move_parameters_first(gpu::make_parameters_read_only(words));
+        return gpu::hoist_parameter_loads(gpu::make_parameters_read_only(words));
     });
 }
 
 TEST(SpirvLanes, AreAcceptedBySpirvVal) {
     expect_valid([](std::span<const std::uint32_t> words) {
-        return gpu::move_parameters_first(gpu::make_indices_nonuniform(words));
+        return gpu::hoist_parameter_loads(gpu::make_indices_nonuniform(words));
     });
 }
 
@@ -213,18 +213,19 @@ TEST(SpirvLanes, AreInEveryIndex) {
 /// Returns a value for each constant that differs from its default, except for the
 /// workgroup size.
 std::map<std::uint32_t, std::uint32_t> change_constants(std::span<const std::uint32_t> words) {
-    const auto id_of = [](ConstantId id) { return static_cast<std::uint32_t>(id); };
+    const auto id_of = [](SpecialisationConstantId id) { return static_cast<std::uint32_t>(id); };
     std::map<std::uint32_t, std::uint32_t> constants;
-    for (const std::uint32_t id : gpu::list_constant_ids(words))
-        constants[id] = id == id_of(ConstantId::CHUNK) ? 16u : 1u;
-    constants.erase(id_of(ConstantId::WORKGROUP_SIZE));
+    for (const std::uint32_t id : gpu::list_specialisation_constant_ids(words))
+        constants[id] = id == id_of(SpecialisationConstantId::CHUNK) ? 16u : 1u;
+    constants.erase(id_of(SpecialisationConstantId::WORKGROUP_SIZE));
     return constants;
 }
 
 TEST(SpirvBranches, AreAcceptedBySpirvVal) {
-    expect_valid([](std::span<const std::uint32_t> words) { return gpu::resolve_branches(words, {}); });
+    expect_valid(
+        [](std::span<const std::uint32_t> words) { return gpu::remove_constant_branches(words, {}); });
     expect_valid([](std::span<const std::uint32_t> words) {
-        return gpu::resolve_branches(words, change_constants(words));
+        return gpu::remove_constant_branches(words, change_constants(words));
     });
 }
 
@@ -259,10 +260,10 @@ TEST(SpirvBranches, LeaveWhatSpirvOptLeaves) {
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
         const std::map<std::uint32_t, std::uint32_t> constants = change_constants(kernel.words);
         if (constants.empty()) continue;
-        const Words taken = gpu::resolve_branches(kernel.words, constants);
-        EXPECT_TRUE(optimise_words(taken, constants) == optimise_words(kernel.words, constants))
+        const Words resolved_words = gpu::remove_constant_branches(kernel.words, constants);
+        EXPECT_TRUE(optimise_words(resolved_words, constants) == optimise_words(kernel.words, constants))
             << kernel.name;
-        n_shorter += taken.size() < kernel.words.size();
+        n_shorter += resolved_words.size() < kernel.words.size();
     }
     EXPECT_GT(n_shorter, 20u);
 }

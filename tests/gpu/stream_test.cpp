@@ -43,13 +43,13 @@ TEST_F(StreamTest, ThousandsOfLaunchesAndAMegabyteInOneSubmission) {
     for (std::uint32_t s = 0; s < kSubmissions; ++s) {
         Words values(kWords);
         std::iota(values.begin(), values.end(), 1000u * s);
-        stream.impl().write(words.buffer(), values.data(), 4 * kWords);
+        stream.impl().record_buffer_write(words.buffer(), values.data(), 4 * kWords);
         sums.emplace_back(device(), kLaunches, "sums");
         for (std::uint32_t i = 0; i < kLaunches; ++i)
             prefix_sum.run(stream, {words.address(), i, 1}, prefix.address(), 1, sums.back().address(i));
-        stream.submit();
+        stream.submit_commands();
     }
-    stream.finish();
+    stream.submit_and_wait();
     for (std::uint32_t s = 0; s < kSubmissions; ++s) {
         Words expected(kLaunches);
         std::iota(expected.begin(), expected.end(), 1000u * s);
@@ -67,7 +67,7 @@ TEST_F(StreamTest, ArraysThatAreLeftOutAreZeros) {
     const Kernel<shared::CopyParams> copy(device(), "gpu/copy");
     Stream stream(device());
     run(stream, copy, n, {.from = {}, .to = to.address(), .n = n});
-    stream.finish();
+    stream.submit_and_wait();
     EXPECT_EQ(to.download(), std::vector<glm::vec4>(n, glm::vec4(0.0f)));
 }
 
@@ -81,61 +81,62 @@ TEST_F(StreamTest, CopyThatIsMeasured) {
     const Array<glm::vec4, shared::CopySource> from(device(), values, "source");
     const Array<glm::vec4, shared::CopyTarget> to(device(), std::vector<glm::vec4>(kAll, glm::vec4(-1.0f)),
                                                   "target");
-    const Kernel<shared::CopyParams> copy(device(), "gpu/copy", {{ConstantId::WORKGROUP_SIZE, 256u}});
+    const Kernel<shared::CopyParams> copy(device(), "gpu/copy",
+                                          {{SpecialisationConstantId::WORKGROUP_SIZE, 256u}});
     Stream stream(device());
     run(stream, copy, kCopied, {.from = from.address(), .to = to.address(), .n = kCopied});
-    stream.finish();
+    stream.submit_and_wait();
     for (std::uint32_t i = kCopied; i < kAll; ++i) values[i] = glm::vec4(-1.0f);
     EXPECT_EQ(to.download(), values);
-    EXPECT_GT(copy_bytes_per_s(device()).value_or(0.0), 1e8);  // all memory is faster than this
+    EXPECT_GT(measure_copy_bytes_per_s(device()).value_or(0.0), 1e8);  // all memory is faster than this
 }
 
 TEST_F(StreamTest, ReadbacksArriveWithTheirSubmission) {
     const Array<std::uint32_t> array(device(), 100, "test");
     Stream stream(device(), true);
-    std::vector<Readback> readbacks;
+    std::vector<ReadbackBuffer> readbacks;
     for (std::uint32_t i = 0; i < 8; ++i) {
         readbacks.emplace_back(device(), 400, "a test's values");
-        EXPECT_FALSE(readbacks.back().pending());
+        EXPECT_FALSE(readbacks.back().has_pending_copy());
         stream.fill(array, i);
-        readbacks.back().record(stream, array.buffer(), 396, 4);
+        readbacks.back().record_copy_to_host(stream, array.buffer(), 396, 4);
         stream.fill(array, 77u);  // after the copy
-        EXPECT_TRUE(readbacks.back().pending());
-        stream.submit();
+        EXPECT_TRUE(readbacks.back().has_pending_copy());
+        stream.submit_commands();
     }
     for (std::uint32_t i = 8; i-- > 0;) {  // in reverse order
-        const auto* values = static_cast<const std::uint32_t*>(readbacks[i].wait(stream));
+        const auto* values = static_cast<const std::uint32_t*>(readbacks[i].wait_for_copied_bytes(stream));
         EXPECT_EQ(Words(values, values + 99), Words(99, i));
-        EXPECT_FALSE(readbacks[i].pending());
+        EXPECT_FALSE(readbacks[i].has_pending_copy());
     }
 }
 
 TEST_F(StreamTest, ReadbacksAreUsedAgain) {
     const Array<std::uint32_t> array(device(), 1, "test");
     Stream stream(device());
-    Readback readback(device(), 4, "a test's value");
+    ReadbackBuffer readback(device(), 4, "a test's value");
     for (std::uint32_t i = 0; i < 10; ++i) {
-        EXPECT_EQ(readback.pending(), i > 0);
+        EXPECT_EQ(readback.has_pending_copy(), i > 0);
         if (i > 0) {
-            EXPECT_EQ(*static_cast<const std::uint32_t*>(readback.wait(stream)), i - 1);
+            EXPECT_EQ(*static_cast<const std::uint32_t*>(readback.wait_for_copied_bytes(stream)), i - 1);
         }
         stream.fill(array, i);
-        readback.record(stream, array.buffer(), 4);
-        stream.submit();
+        readback.record_copy_to_host(stream, array.buffer(), 4);
+        stream.submit_commands();
     }
 }
 
 TEST_F(StreamTest, ReadbacksOutOfOrderAreBugs) {
     const Array<std::uint32_t> array(device(), 10, "test");
     Stream stream(device());
-    Readback readback(device(), 20, "a test's values");
-    EXPECT_THROW(readback.wait(stream), Error) << "nothing recorded";
-    EXPECT_THROW(readback.record(stream, array.buffer(), 24), Error) << "more than it can hold";
-    EXPECT_THROW(readback.record(stream, array.buffer(), 20, 24), Error) << "more than there is";
-    readback.record(stream, array.buffer(), 20, 20);
-    EXPECT_THROW(readback.wait(stream), Error) << "not submitted";
-    stream.submit();
-    EXPECT_NE(readback.wait(stream), nullptr);
+    ReadbackBuffer readback(device(), 20, "a test's values");
+    EXPECT_THROW(readback.wait_for_copied_bytes(stream), Error) << "nothing recorded";
+    EXPECT_THROW(readback.record_copy_to_host(stream, array.buffer(), 24), Error) << "more than it can hold";
+    EXPECT_THROW(readback.record_copy_to_host(stream, array.buffer(), 20, 24), Error) << "more than there is";
+    readback.record_copy_to_host(stream, array.buffer(), 20, 20);
+    EXPECT_THROW(readback.wait_for_copied_bytes(stream), Error) << "not submitted";
+    stream.submit_commands();
+    EXPECT_NE(readback.wait_for_copied_bytes(stream), nullptr);
 }
 
 /// Checks barriers with the synchronization validation of the Vulkan validation layer,
@@ -147,7 +148,8 @@ protected:
     void SetUp() override {
         StreamTest::SetUp();
         if (IsSkipped() || HasFatalFailure()) return;
-        if (const char* wanted = ::getenv("RELIDAR_VALIDATION"); !wanted || std::string(wanted) != "1")
+        if (const char* validation_variable = ::getenv("RELIDAR_VALIDATION");
+            !validation_variable || std::string(validation_variable) != "1")
             GTEST_SKIP() << "no validation layer asked for";
         ::setenv("VK_LAYER_ENABLES", "VK_VALIDATION_FEATURE_ENABLE_SYNCHRONIZATION_VALIDATION_EXT", 1);
         hazards.emplace(DeviceOptions{.index = device().info().index, .validation = true});
@@ -160,29 +162,29 @@ TEST_F(StreamHazards, ConcurrentScopesHaveOneBarrierAtTheirEnd) {
     const Array<std::uint32_t> a(watched, 100, "a"), b(watched, 100, "b"), c(watched, 100, "c");
     Stream stream(watched, true);
     {
-        const Concurrent scope(stream);
+        const ConcurrentLaunchScope scope(stream);
         stream.fill(a, 1u);
         {
-            const Concurrent inner(stream);
+            const ConcurrentLaunchScope inner(stream);
             stream.fill(b, 2u);
         }
         stream.fill(c, 3u);
     }
     stream.copy(a.buffer(), b.buffer(), 400);
     stream.fill(a, 4u);
-    stream.finish();
+    stream.submit_and_wait();
     EXPECT_EQ(count_validation_messages(watched), 0u) << "every launch but those of the scope waits";
     EXPECT_EQ(b.download(), Words(100, 1u));
     EXPECT_EQ(c.download(), Words(100, 3u));
     EXPECT_EQ(count_validation_messages(watched), 0u);
     EXPECT_EQ(stream.times().milliseconds.at("fill").size(), device().info().timestamps ? 4u : 0u);
     {
-        const Concurrent scope(stream);
+        const ConcurrentLaunchScope scope(stream);
         stream.fill(a, 5u);
         stream.fill(a, 6u);  // deliberate hazard: the same array twice
-        EXPECT_THROW(stream.submit(), Error) << "in an open scope";
+        EXPECT_THROW(stream.submit_commands(), Error) << "in an open scope";
     }
-    stream.finish();
+    stream.submit_and_wait();
     EXPECT_GT(count_validation_messages(watched), 0u) << "no barrier inside the scope";
 }
 
@@ -195,23 +197,23 @@ TEST_F(StreamHazards, LanesHaveABarrierAfterEachStep) {
     };
     Stream stream(watched, true);
     {
-        StreamLanes lanes(stream, 2);
+        ConcurrentSequenceScope lanes(stream, 2);
         stream.fill(arrays[0], 1u);
-        lanes.select_lane(1);
+        lanes.select_command_lane(1);
         {
-            const Concurrent scope(stream);  // a single step
+            const ConcurrentLaunchScope scope(stream);  // a single step
             stream.fill(arrays[3], 2u);
             stream.fill(arrays[4], 3u);
         }
         copy(stream, 3, 5);
-        lanes.select_lane(0);
+        lanes.select_command_lane(0);
         copy(stream, 0, 1);
         copy(stream, 1, 2);
-        lanes.select_lane(1);
-        stream.impl().write(arrays[3].buffer(), Words(50, 7u).data(), 200);
+        lanes.select_command_lane(1);
+        stream.impl().record_buffer_write(arrays[3].buffer(), Words(50, 7u).data(), 200);
     }
     copy(stream, 5, 0);
-    stream.finish();
+    stream.submit_and_wait();
     EXPECT_EQ(count_validation_messages(watched), 0u);
     for (const auto& [array, value] :
          std::map<std::size_t, std::uint32_t>{{0, 2u}, {1, 1u}, {2, 1u}, {4, 3u}, {5, 2u}})
@@ -223,37 +225,37 @@ TEST_F(StreamHazards, LanesHaveABarrierAfterEachStep) {
             << "two side by side, one beside a write, one alone";
     }
     {
-        StreamLanes lanes(stream, 2);
+        ConcurrentSequenceScope lanes(stream, 2);
         stream.fill(arrays[0], 5u);
-        lanes.select_lane(1);
+        lanes.select_command_lane(1);
         stream.fill(arrays[0], 6u);  // deliberate hazard: an array that the other lane writes
     }
-    stream.finish();
+    stream.submit_and_wait();
     EXPECT_GT(count_validation_messages(watched), 0u) << "no barrier between lanes";
 }
 
 TEST_F(StreamTest, LanesMayBeSubmittedBeforeTheirEnd) {
     const Array<std::uint32_t> a(device(), 100, "a"), b(device(), 100, "b");
     Stream stream(device());
-    Readback first(device(), 400, "a"), second(device(), 400, "b");
+    ReadbackBuffer first(device(), 400, "a"), second(device(), 400, "b");
     {
-        StreamLanes lanes(stream, 3);
-        lanes.select_lane(2);
+        ConcurrentSequenceScope lanes(stream, 3);
+        lanes.select_command_lane(2);
         stream.fill(a, 1u);
-        first.record(stream, a.buffer(), 400);
-        stream.finish();
+        first.record_copy_to_host(stream, a.buffer(), 400);
+        stream.submit_and_wait();
         EXPECT_EQ(a.download(), Words(100, 1u));
-        EXPECT_EQ(static_cast<const std::uint32_t*>(first.wait(stream))[99], 1u);
+        EXPECT_EQ(static_cast<const std::uint32_t*>(first.wait_for_copied_bytes(stream))[99], 1u);
         stream.fill(b, 2u);
-        second.record(stream, b.buffer(), 400);
-        EXPECT_THROW(lanes.select_lane(3), Error);
-        EXPECT_THROW(StreamLanes(stream, 2), Error) << "within others";
-        const Concurrent scope(stream);
-        EXPECT_THROW(lanes.select_lane(0), Error) << "in an open scope";
+        second.record_copy_to_host(stream, b.buffer(), 400);
+        EXPECT_THROW(lanes.select_command_lane(3), Error);
+        EXPECT_THROW(ConcurrentSequenceScope(stream, 2), Error) << "within others";
+        const ConcurrentLaunchScope scope(stream);
+        EXPECT_THROW(lanes.select_command_lane(0), Error) << "in an open scope";
     }
-    stream.submit();
-    EXPECT_EQ(static_cast<const std::uint32_t*>(second.wait(stream))[99], 2u);
-    EXPECT_THROW(StreamLanes(stream, 0), Error);
+    stream.submit_commands();
+    EXPECT_EQ(static_cast<const std::uint32_t*>(second.wait_for_copied_bytes(stream))[99], 2u);
+    EXPECT_THROW(ConcurrentSequenceScope(stream, 0), Error);
 }
 
 /// Launches 32000 threads of gpu/copy. The workgroups are expected to take a millisecond,
@@ -271,17 +273,18 @@ protected:
         if (IsSkipped() || HasFatalFailure()) return;
         for (std::uint32_t i = 0; i < kValues; ++i) values[i] = glm::vec4(float(i));
         from.emplace(device(), values, "source");
-        copy.emplace(device(), KernelName<shared::CopyParams>("gpu/copy"),
-                     std::vector<Constant>{{ConstantId::WORKGROUP_SIZE, kThreads}});
+        copy.emplace(
+            device(), KernelName<shared::CopyParams>("gpu/copy"),
+            std::vector<SpecialisationConstant>{{SpecialisationConstantId::WORKGROUP_SIZE, kThreads}});
         piece_s_before = std::exchange(limit().piece_s, 0.1);
-        limit().speed("gpu/copy").add(1000, 1.0);
+        limit().get_kernel_speed("gpu/copy").add_measured_dispatch(1000, 1.0);
     }
     void TearDown() override {
         if (copy) limit().piece_s = piece_s_before;
         from.reset(), copy.reset();
         StreamTest::TearDown();
     }
-    gpu::LaunchLimit& limit() { return device().impl().launch_limit; }
+    gpu::LaunchTimeLimit& limit() { return device().impl().launch_limit; }
     Array<glm::vec4, shared::CopyTarget> target() {
         return {device(), std::vector<glm::vec4>(kValues, glm::vec4(-1.0f)), "target"};
     }
@@ -293,17 +296,18 @@ protected:
 /// Together, the pieces of a launch must do all the work. The measured times must count a
 /// launch once, not once per piece.
 TEST_F(CutLaunches, DoTheSameWork) {
-    EXPECT_EQ(limit().speed("gpu/copy").choose_groups_per_piece(0.1), 100u);
-    EXPECT_EQ(limit().speed("unknown").choose_groups_per_piece(0.1), gpu::KernelSpeed::kUnknownGroups);
+    EXPECT_EQ(limit().get_kernel_speed("gpu/copy").choose_groups_per_dispatch(0.1), 100u);
+    EXPECT_EQ(limit().get_kernel_speed("unknown").choose_groups_per_dispatch(0.1),
+              gpu::KernelSpeed::kUnknownGroups);
     Stream stream(device(), true);
     for (const bool in_lane : {false, true}) {
         const auto to = target();
         if (in_lane) {
-            StreamLanes lanes(stream, 1);
+            ConcurrentSequenceScope lanes(stream, 1);
             launch(stream, to);
         } else launch(stream, to);
         EXPECT_EQ(stream.impl().slots[stream.impl().current].n_buffers, in_lane ? 1u : 10u);
-        stream.finish();
+        stream.submit_and_wait();
         EXPECT_EQ(to.download(), values);
     }
     if (!device().info().timestamps) return;
@@ -325,12 +329,12 @@ TEST_F(CutLaunches, ArraysOutliveAnException) {
         throw std::runtime_error("between two parts");
     } catch (const std::runtime_error&) {}
     EXPECT_EQ(work.n_destroyed(), 0) << "recorded commands use the array";
-    stream.finish();
+    stream.submit_and_wait();
     try {
         const auto to = target();
         EXPECT_EQ(work.n_destroyed(), 1) << "the array of before was kept too long";
         launch(stream, to);
-        stream.submit();
+        stream.submit_commands();
         throw std::runtime_error("after a submission");
     } catch (const std::runtime_error&) {}
     EXPECT_EQ(work.n_destroyed(), 2);
@@ -341,14 +345,14 @@ TEST_F(CutLaunches, ArraysOutliveAnException) {
 /// The weight of an earlier slow launch must decrease over time, so that it does not cut
 /// all later launches.
 TEST(LaunchLimit, ForgetsOldSpeeds) {
-    gpu::LaunchLimit limit;
-    EXPECT_FALSE(limit.is_set());
-    gpu::KernelSpeed& speed = limit.speed("kernel");
-    speed.add(10, 10.0);
-    EXPECT_EQ(speed.choose_groups_per_piece(1.0), 1u);
-    for (int i = 0; i < 50; ++i) speed.add(10, 0.1);
-    EXPECT_EQ(speed.choose_groups_per_piece(1.0), 100u);
-    EXPECT_DOUBLE_EQ(speed.estimate_seconds(200), 2.0);
+    gpu::LaunchTimeLimit limit;
+    EXPECT_FALSE(limit.has_time_limit());
+    gpu::KernelSpeed& speed = limit.get_kernel_speed("kernel");
+    speed.add_measured_dispatch(10, 10.0);
+    EXPECT_EQ(speed.choose_groups_per_dispatch(1.0), 1u);
+    for (int i = 0; i < 50; ++i) speed.add_measured_dispatch(10, 0.1);
+    EXPECT_EQ(speed.choose_groups_per_dispatch(1.0), 100u);
+    EXPECT_DOUBLE_EQ(speed.estimate_dispatch_s(200), 2.0);
 }
 
 /// Launches of kernels that read the total number of workgroups must not be cut, because
@@ -356,7 +360,7 @@ TEST(LaunchLimit, ForgetsOldSpeeds) {
 TEST(LaunchLimit, CutsNoKernelThatCountsItsThreads) {
     namespace fs = std::filesystem;
     const fs::path shaders = fs::path(RELIDAR_SOURCE_DIR) / "shaders";
-    std::size_t n_found = 0;
+    std::size_t n_counting_kernels = 0;
     for (const auto& entry : fs::recursive_directory_iterator(shaders)) {
         if (entry.path().extension() != ".comp") continue;
         std::ifstream file(entry.path());
@@ -365,9 +369,9 @@ TEST(LaunchLimit, CutsNoKernelThatCountsItsThreads) {
                             text.find("gl_NumWorkGroups") != std::string::npos;
         const std::string name = fs::relative(entry.path(), shaders).replace_extension().generic_string();
         EXPECT_EQ(gpu::can_split_launch(name), !counts) << name;
-        n_found += counts;
+        n_counting_kernels += counts;
     }
-    EXPECT_GE(n_found, 4u);
+    EXPECT_GE(n_counting_kernels, 4u);
 }
 
 struct Named {
@@ -384,8 +388,8 @@ VKAPI_ATTR void VKAPI_CALL keep_label(VkCommandBuffer, const VkDebugUtilsLabelEX
 
 /// Debuggers must see a name for each object and a label for each launch.
 TEST_F(StreamTest, ObjectsAndLaunchesHaveNames) {
-    Named kept;
-    named = &kept;
+    Named recorded_names;
+    named = &recorded_names;
     const auto set_name = std::exchange(vkSetDebugUtilsObjectNameEXT, keep_name);
     const auto begin_label = std::exchange(vkCmdBeginDebugUtilsLabelEXT, keep_label);
     const auto end_label = std::exchange(vkCmdEndDebugUtilsLabelEXT, nullptr);
@@ -394,21 +398,22 @@ TEST_F(StreamTest, ObjectsAndLaunchesHaveNames) {
         const Array<glm::vec4, shared::CopySource> from(device(), 64, "vectors to copy");
         const Array<glm::vec4, shared::CopyTarget> to(device(), 64, "copied vectors");
         // no other test uses this workgroup size, so the pipeline is not cached yet
-        const Kernel<shared::CopyParams> copy(device(), "gpu/copy", {{ConstantId::WORKGROUP_SIZE, 64u}});
+        const Kernel<shared::CopyParams> copy(device(), "gpu/copy",
+                                              {{SpecialisationConstantId::WORKGROUP_SIZE, 64u}});
         Stream stream(device());
         stream.fill(from);
         run(stream, copy, 64, {.from = from.address(), .to = to.address(), .n = 64});
-        stream.finish();
+        stream.submit_and_wait();
     }
     vkSetDebugUtilsObjectNameEXT = set_name;
     vkCmdBeginDebugUtilsLabelEXT = begin_label;
     vkCmdEndDebugUtilsLabelEXT = end_label;
     vkCmdInsertDebugUtilsLabelEXT = insert_label;
-    EXPECT_THAT(kept.labels,
+    EXPECT_THAT(recorded_names.labels,
                 testing::ElementsAre("fill", "gpu/copy", "vr-marker,frame_end,type,application"));
     for (const char* name :
          {"vectors to copy", "copied vectors", "gpu/copy", "commands of a stream", "submissions of a stream"})
-        EXPECT_THAT(kept.objects, testing::Contains(name));
+        EXPECT_THAT(recorded_names.objects, testing::Contains(name));
 }
 
 VKAPI_ATTR VkResult VKAPI_CALL allocate_nothing(VkDevice, const VkMemoryAllocateInfo*,

@@ -32,17 +32,17 @@ protected:
     }
     void TearDown() override {
         gpu::set_injected_faults("");
-        set_first_use({});
+        set_first_use_check({});
         std::filesystem::remove_all(folder);
         test::DeviceTest::TearDown();
     }
     /// Installs a check that returns `result` and counts how often it is called.
-    void check_gives(const DeviceTrust& result) {
-        set_first_use({[this, result](const DeviceOptions&) {
-                           ++n_checks;
-                           return result;
-                       },
-                       [this](const std::string& text) { notes.push_back(text); }});
+    void check_gives(const DeviceTestResults& result) {
+        set_first_use_check({[this, result](const DeviceOptions&) {
+                                 ++n_checks;
+                                 return result;
+                             },
+                             [this](const std::string& text) { notes.push_back(text); }});
     }
     std::filesystem::path file() const {
         for (const auto& entry : std::filesystem::directory_iterator(folder))
@@ -58,10 +58,10 @@ protected:
 
 TEST_F(TrustTest, SumsAndSubgroupsOfThisDeviceAreRight) {
     if (device().info().float_atomics) {
-        EXPECT_EQ(compute_sum_error(device(), false), 0.0);
+        EXPECT_EQ(compute_atomic_sum_error(device(), false), 0.0);
     }
-    EXPECT_EQ(compute_sum_error(device(), true), 0.0);
-    EXPECT_EQ(find_wrong_subgroups(device()), "");
+    EXPECT_EQ(compute_atomic_sum_error(device(), true), 0.0);
+    EXPECT_EQ(describe_subgroup_failure(device()), "");
     EXPECT_THAT(list_subgroup_sizes(device()), testing::Contains(device().info().subgroup_size));
 }
 
@@ -70,18 +70,18 @@ TEST_F(TrustTest, SumsAndSubgroupsOfThisDeviceAreRight) {
 TEST_F(TrustTest, ForcedFaultsAreFound) {
     gpu::set_injected_faults("float_atomics");
     if (device().info().float_atomics) {
-        EXPECT_GT(compute_sum_error(device(), false), 0.1);
+        EXPECT_GT(compute_atomic_sum_error(device(), false), 0.1);
     }
-    EXPECT_EQ(compute_sum_error(device(), true), 0.0);
+    EXPECT_EQ(compute_atomic_sum_error(device(), true), 0.0);
     gpu::set_injected_faults("float_swaps,subgroups:" + std::to_string(device().info().subgroup_size));
-    EXPECT_GT(compute_sum_error(device(), true), 0.1);
-    EXPECT_THAT(find_wrong_subgroups(device()), HasSubstr("subgroupAdd: found"));
+    EXPECT_GT(compute_atomic_sum_error(device(), true), 0.1);
+    EXPECT_THAT(describe_subgroup_failure(device()), HasSubstr("subgroupAdd: found"));
     gpu::set_injected_faults("subgroups:128");
-    EXPECT_EQ(find_wrong_subgroups(device()), "");
+    EXPECT_EQ(describe_subgroup_failure(device()), "");
 }
 
 TEST_F(TrustTest, DeviceIsCheckedOncePerDriver) {
-    check_gives({.ray_query = Trust::right});
+    check_gives({.ray_query = CheckVerdict::right});
     { const Device first(options), second(options); }
     EXPECT_EQ(n_checks, 1);
     std::ofstream(file(), std::ios::app) << "damaged";
@@ -104,7 +104,7 @@ TEST_F(TrustTest, DeviceIsCheckedOncePerProcessWithoutAFolder) {
     for (const std::filesystem::path& cache : {std::filesystem::path(), folder}) {
         options.pipeline_cache = cache;
         n_checks = 0;
-        check_gives({.ray_query = Trust::right});
+        check_gives({.ray_query = CheckVerdict::right});
         { const Device first(options), second(options); }
         EXPECT_EQ(n_checks, 1) << cache;
         gpu::set_injected_faults("float_swaps");
@@ -118,23 +118,23 @@ TEST_F(TrustTest, DeviceIsCheckedOncePerProcessWithoutAFolder) {
 
 TEST_F(TrustTest, WrongAtomicsAreReplacedAndReported) {
     if (!device().info().float_atomics) GTEST_SKIP() << "no float atomics";
-    check_gives({.float_atomics = false, .ray_query = Trust::right});
+    check_gives({.float_atomics = false, .ray_query = CheckVerdict::right});
     const Device opened(options);
     EXPECT_FALSE(opened.info().float_atomics);
-    EXPECT_EQ(choose_accumulating_variant(opened).suffix, "@_swap");
+    EXPECT_EQ(choose_float_atomics_variant(opened).suffix, "@_swap");
     EXPECT_THAT(notes, ElementsAre(test::Names("float atomics ... gathered")));
 }
 
 TEST_F(TrustTest, WrongSumsAllowNoTraining) {
-    check_gives({.float_atomics = false, .float_swaps = false, .ray_query = Trust::right});
+    check_gives({.float_atomics = false, .float_swaps = false, .ray_query = CheckVerdict::right});
     const Device opened(options);
-    EXPECT_THROW(choose_accumulating_variant(opened), DeviceError);
+    EXPECT_THROW(choose_float_atomics_variant(opened), DeviceError);
     EXPECT_THAT(notes.back(), test::Names("train"));
 }
 
 TEST_F(TrustTest, AnotherSubgroupSizeIsUsed) {
     const int other = device().info().subgroup_size == 8 ? 16 : 8;
-    check_gives({.subgroup_size = other, .ray_query = Trust::right});
+    check_gives({.subgroup_size = other, .ray_query = CheckVerdict::right});
     const Device opened(options);
     EXPECT_EQ(opened.info().subgroup_size, other);
     EXPECT_THAT(notes, ElementsAre(HasSubstr(std::to_string(other) + " lanes")));
@@ -142,10 +142,10 @@ TEST_F(TrustTest, AnotherSubgroupSizeIsUsed) {
 
 TEST_F(TrustTest, WrongRayQueriesAreReplaced) {
     if (!device().info().ray_query || !device().info().software) GTEST_SKIP() << "only one traversal";
-    check_gives({.ray_query = Trust::wrong});
-    options.traversal = Traversal::ray_query;
+    check_gives({.ray_query = CheckVerdict::wrong});
+    options.traversal = RayTracingBackend::ray_query;
     const Device opened(options);
-    EXPECT_EQ(opened.traversal(), Traversal::software);
+    EXPECT_EQ(opened.traversal(), RayTracingBackend::software);
     EXPECT_THAT(notes, ElementsAre(test::Names("search ... software")));
 }
 

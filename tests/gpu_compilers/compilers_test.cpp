@@ -49,11 +49,12 @@ protected:
     /// suffixes of the kernel variants that the open devices would select
     static std::set<std::string> suffixes_;
 
-    static void compile(Traversal traversal) {
+    static void compile(RayTracingBackend traversal) {
         Device device({.traversal = traversal, .compile_only = true});
-        compile_pipelines(device);
-        pipelines_.insert(pipelines_.end(), device.pipelines().begin(), device.pipelines().end());
-        suffixes_.insert(traversal == Traversal::software ? "@software_bvh" : "@ray_query");
+        compile_all_pipelines(device);
+        pipelines_.insert(pipelines_.end(), device.get_pipeline_statistics().begin(),
+                          device.get_pipeline_statistics().end());
+        suffixes_.insert(traversal == RayTracingBackend::software ? "@software_bvh" : "@ray_query");
         suffixes_.insert(device.info().float_atomics ? "_atomics" : "_swap");
     }
 
@@ -65,8 +66,8 @@ protected:
             return;  // no such driver
         }
         if (devices.empty() || devices[0].name.find("Null hardware") == std::string::npos) return;
-        compile(Traversal::software);
-        if (devices[0].ray_query) compile(Traversal::ray_query);
+        compile(RayTracingBackend::software);
+        if (devices[0].ray_query) compile(RayTracingBackend::ray_query);
     }
 
     void SetUp() override {

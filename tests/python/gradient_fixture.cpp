@@ -78,7 +78,7 @@ void add_upstream(Table& table, const reference::PixelGradient& gradient) {
 /// order of `placed`.
 void add_scene(Table& table, const test::RandomScene& scene, const test::SceneAndPoses& placed) {
     for (const std::uint32_t i : placed.original) add_surfel(table, "scene/", scene.world.surfels[i]);
-    for (const Model& model : placed.scene.models) {
+    for (const SurfelModel& model : placed.scene.models) {
         table.add("model/first", model.first);
         table.add("model/count", model.count);
     }

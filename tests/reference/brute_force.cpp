@@ -24,7 +24,7 @@ std::vector<Hit> list_all_hits(const HitProvider& provider, const Ray& ray, int 
     return all;
 }
 
-BruteForce::BruteForce(const World& world, const ImageModel& model, Precision precision)
+BruteForce::BruteForce(const World& world, const ImageFormationModel& model, Precision precision)
     : model_(model), precision_(precision), instances_(world.instances) {
     for (const Placement& p : instances_) rows_.push_back(make_model_from_world_rows(p.world_from_model));
     for (const Surfel& s : world.surfels) {
@@ -58,9 +58,9 @@ void BruteForce::find_next_hits(const Ray& ray, const HitKey& after, int chunk,
                                 std::vector<Hit>& hits) const {
     hits.clear();
     collect(ray, after, hits);
-    const std::size_t kept = std::min(hits.size(), std::size_t(chunk));
-    std::partial_sort(hits.begin(), hits.begin() + std::ptrdiff_t(kept), hits.end());
-    hits.resize(kept);
+    const std::size_t n_returned_hits = std::min(hits.size(), std::size_t(chunk));
+    std::partial_sort(hits.begin(), hits.begin() + std::ptrdiff_t(n_returned_hits), hits.end());
+    hits.resize(n_returned_hits);
 }
 
 }  // namespace relidar::reference

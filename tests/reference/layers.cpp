@@ -41,8 +41,8 @@ void for_values(const ImageBatch& images, Visit&& visit) {
 /// Returns the interpolation weights of the n_small source entries for entry `position`
 /// of n_large entries.
 std::vector<double> compute_mixing_weights(int position, int n_large, int n_small, bool circular) {
-    const double place = (position + 0.5) * n_small / n_large - 0.5, left = std::floor(place),
-                 share = place - left;
+    const double source_position = (position + 0.5) * n_small / n_large - 0.5,
+                 left = std::floor(source_position), share = source_position - left;
     const auto entry = [&](int k) {
         return std::size_t(circular ? ring(k, n_small) : std::clamp(k, 0, n_small - 1));
     };
@@ -274,9 +274,9 @@ ImageBatch backpropagate_attention(const ImageBatch& qkv, int heads, const Image
             double mean = 0.0;
             for (std::size_t giver = 0; giver < shares.size(); ++giver) {
                 for (int c = 0; c < head.size; ++c) {
-                    const double asked = Head::get(d_to, head.image, head.to + c, taker);
-                    d_share[giver] += asked * Head::get(qkv, head.image, head.value + c, giver);
-                    add(head.image, head.value + c, giver, shares[giver] * asked);
+                    const double d_output = Head::get(d_to, head.image, head.to + c, taker);
+                    d_share[giver] += d_output * Head::get(qkv, head.image, head.value + c, giver);
+                    add(head.image, head.value + c, giver, shares[giver] * d_output);
                 }
                 mean += shares[giver] * d_share[giver];
             }
@@ -296,18 +296,18 @@ ImageBatch backpropagate_attention(const ImageBatch& qkv, int heads, const Image
 
 DropEntropy compute_drop_entropy(const std::vector<double>& logit, const std::vector<double>& target) {
     DropEntropy result;
-    const double known =
+    const double n_known_targets =
         double(std::count_if(target.begin(), target.end(), [](double t) { return t >= 0.0; }));
     for (std::size_t i = 0; i < logit.size(); ++i) {
         const double p = 1.0 / (1.0 + std::exp(-logit[i]));
         result.probability.push_back(p);
-        result.d_logit.push_back(target[i] >= 0.0 ? (p - target[i]) / known : 0.0);
+        result.d_logit.push_back(target[i] >= 0.0 ? (p - target[i]) / n_known_targets : 0.0);
         if (target[i] < 0.0) continue;
         // -log p = log(1 + exp(-x)), in the form that does not overflow for the sign of x
         const double log_p =
             logit[i] < 0.0 ? logit[i] - std::log1p(std::exp(logit[i])) : -std::log1p(std::exp(-logit[i]));
-        result.mean -= (target[i] * log_p + (1.0 - target[i]) * (log_p - logit[i])) / known;
-        result.accuracy += ((p > 0.5) == (target[i] > 0.5) ? 1.0 : 0.0) / known;
+        result.mean -= (target[i] * log_p + (1.0 - target[i]) * (log_p - logit[i])) / n_known_targets;
+        result.accuracy += ((p > 0.5) == (target[i] > 0.5) ? 1.0 : 0.0) / n_known_targets;
     }
     return result;
 }

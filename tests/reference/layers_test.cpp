@@ -85,11 +85,12 @@ TEST(LayersReference, ConvolutionDerivatives) {
     for (const int taps : {1, 9}) {
         ImageBatch from = make_random_images(2, 3, 2, 5, 1);
         std::vector<double> weights = make_random_values(std::size_t(2 * 3 * taps), 2);
-        const ImageBatch asked = make_random_images(2, 2, 2, 5, 3);
+        const ImageBatch d_output = make_random_images(2, 2, 2, 5, 3);
         const auto value = [&] { return convolve(from, weights, {}, 2, taps).values; };
-        expect_derivative(from.values, backpropagate_convolution_input(asked, weights, 3, taps).values,
-                          asked.values, value);
-        expect_derivative(weights, backpropagate_convolution_weights(from, asked, taps), asked.values, value);
+        expect_derivative(from.values, backpropagate_convolution_input(d_output, weights, 3, taps).values,
+                          d_output.values, value);
+        expect_derivative(weights, backpropagate_convolution_weights(from, d_output, taps), d_output.values,
+                          value);
     }
 }
 
@@ -98,12 +99,12 @@ TEST(LayersReference, NormalisationDerivatives) {
     NormLayer layer{make_random_values(3, 5), make_random_values(3, 6),
                     std::vector<double>(from.values.size(), 1.5), 1e-2};
     for (std::size_t i = 0; i < layer.gate.size(); i += 3) layer.gate[i] = 0.0;
-    const ImageBatch asked = make_random_images(2, 3, 2, 5, 7);
+    const ImageBatch d_output = make_random_images(2, 3, 2, 5, 7);
     const auto value = [&] { return normalise(from, compute_moments(from), layer).values; };
-    const NormGradient d = backpropagate_normalisation(from, layer, asked);
-    expect_derivative(from.values, d.from.values, asked.values, value);
-    expect_derivative(layer.beta, d.beta, asked.values, value);
-    expect_derivative(layer.gamma, d.gamma, asked.values, value);
+    const NormGradient d = backpropagate_normalisation(from, layer, d_output);
+    expect_derivative(from.values, d.from.values, d_output.values, value);
+    expect_derivative(layer.beta, d.beta, d_output.values, value);
+    expect_derivative(layer.gamma, d.gamma, d_output.values, value);
 }
 
 TEST(LayersReference, ResamplingDerivatives) {
@@ -117,8 +118,8 @@ TEST(LayersReference, ResamplingDerivatives) {
 
 TEST(LayersReference, AttentionDerivative) {
     ImageBatch qkv = make_random_images(2, 12, 2, 3, 11);
-    const ImageBatch asked = make_random_images(2, 4, 2, 3, 12);
-    expect_derivative(qkv.values, backpropagate_attention(qkv, 2, asked).values, asked.values,
+    const ImageBatch d_output = make_random_images(2, 4, 2, 3, 12);
+    expect_derivative(qkv.values, backpropagate_attention(qkv, 2, d_output).values, d_output.values,
                       [&] { return attend(qkv, 2).values; });
 }
 

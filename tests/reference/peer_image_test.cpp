@@ -36,12 +36,12 @@ struct PeerImage {
 
     explicit PeerImage(const std::filesystem::path& path) {
         for (const NamedArray& array : read_npz(path)) {
-            const std::pair<const char*, std::vector<float>*> wanted[] = {
+            const std::pair<const char*, std::vector<float>*> named_members[] = {
                 {"dirs", &directions},     {"depth", &depth},           {"intensity", &intensity},
                 {"hit_logit", &hit_logit}, {"drop_logit", &drop_logit}, {"weight", &weight},
                 {"T", &transmittance}};
-            for (const auto& [name, values] : wanted)
-                if (array.name == name) *values = array.as_float();
+            for (const auto& [name, values] : named_members)
+                if (array.name == name) *values = array.convert_to_floats();
         }
     }
 };
@@ -76,7 +76,7 @@ protected:
     void SetUp() override {
         path = get_shared_folder() / "bench" / "peer_render_A100k_kitti.npz";
         if (!std::filesystem::exists(path)) GTEST_SKIP() << path << " is not there";
-        surfels = test::to_reference(make_benchmark_street(100000));
+        surfels = test::to_reference(make_benchmark_street_surfels(100000));
         world = {surfels, {{0, std::uint32_t(surfels.size()), {}}}};
     }
 

@@ -17,7 +17,7 @@ namespace relidar::reference {
 
 /// Settings of the rendering.
 struct Settings {
-    ImageModel image;
+    ImageFormationModel image;
     glm::dvec3 view_origin{0.0};       ///< metres, world: view origin for ShDirection::surfel
     double likelihood_scale_m = 0.05;  ///< s of M12
 };

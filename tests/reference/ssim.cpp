@@ -25,7 +25,7 @@ std::vector<Neighbour> window(const Image& image, int row, int column) {
             const int at = wraps ? (c % image.columns + image.columns) % image.columns : c;
             if (r < 0 || r >= image.rows || at < 0 || at >= image.columns) continue;
             const std::size_t pixel = std::size_t(r) * std::size_t(image.columns) + std::size_t(at);
-            if (!image.known[pixel]) continue;
+            if (!image.is_known[pixel]) continue;
             const double weight =
                 std::exp(-((r - row) * (r - row) + (c - column) * (c - column)) / (2.0 * 1.5 * 1.5));
             result.push_back({pixel, weight});
@@ -58,12 +58,13 @@ double similarity(const Image& image, const std::vector<Neighbour>& neighbours, 
 
 double compute_ssim_loss(const Image& image, std::vector<double>* d_x) {
     std::vector<double> d(image.x.size());
-    double n_known = 0.0, loss = 0.0;
-    for (const bool known : image.known) n_known += known;
+    double n_known_pixels = 0.0, loss = 0.0;
+    for (const bool is_known : image.is_known) n_known_pixels += is_known;
     for (int row = 0; row < image.rows; ++row)
         for (int column = 0; column < image.columns; ++column)
-            if (image.known[std::size_t(row) * std::size_t(image.columns) + std::size_t(column)])
-                loss += (1.0 - similarity(image, window(image, row, column), -1.0 / n_known, d)) / n_known;
+            if (image.is_known[std::size_t(row) * std::size_t(image.columns) + std::size_t(column)])
+                loss += (1.0 - similarity(image, window(image, row, column), -1.0 / n_known_pixels, d)) /
+                        n_known_pixels;
     if (d_x != nullptr) *d_x = std::move(d);
     return loss;
 }

@@ -11,10 +11,10 @@ namespace relidar::reference {
 struct Image {
     int rows = 0;
     int columns = 0;
-    bool circular = false;    ///< the first column is adjacent to the last column
-    std::vector<double> x;    ///< [rows,columns] rendered
-    std::vector<double> y;    ///< [rows,columns] measured
-    std::vector<bool> known;  ///< [rows,columns] unknown pixels are ignored
+    bool circular = false;       ///< the first column is adjacent to the last column
+    std::vector<double> x;       ///< [rows,columns] rendered
+    std::vector<double> y;       ///< [rows,columns] measured
+    std::vector<bool> is_known;  ///< [rows,columns] unknown pixels are ignored
 };
 
 /// Computes the structural similarity loss.

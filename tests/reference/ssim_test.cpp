@@ -17,7 +17,7 @@ Image make_waves(bool circular) {
         for (int j = 0; j < 15; ++j) {
             image.x.push_back(0.5 + 0.4 * std::sin(0.7 * i + 0.3 * j * j / 4));
             image.y.push_back(0.5 + 0.4 * std::sin(0.6 * i + 0.3 * j * j / 4 + 0.5));
-            image.known.push_back((3 * i + 5 * j) % 7 != 0);
+            image.is_known.push_back((3 * i + 5 * j) % 7 != 0);
         }
     return image;
 }
@@ -34,9 +34,9 @@ TEST(ReferenceSsim, KnownCases) {
     Image image = make_waves(true);
     image.x = image.y;
     EXPECT_NEAR(compute_ssim_loss(image), 0.0, 1e-12) << "equal images";
-    image.known.assign(image.known.size(), false);
+    image.is_known.assign(image.is_known.size(), false);
     EXPECT_EQ(compute_ssim_loss(image), 0.0) << "nothing known";
-    image.known[20] = true;
+    image.is_known[20] = true;
     image.x[20] = 0.2, image.y[20] = 0.6;
     EXPECT_NEAR(compute_ssim_loss(image), 1.0 - (2 * 0.12 + 1e-4) / (0.04 + 0.36 + 1e-4), 1e-12)
         << "one pixel: its luminance alone";

@@ -135,7 +135,7 @@ DoubleRecord make_record(const Surfel& surfel) {
             a.rotation[0] / a.scale.x,
             a.rotation[1] / a.scale.y,
             a.rotation[2] / a.scale_w.value_or(1.0),
-            a.scale_w ? Primitive::gaussian : Primitive::surfel};
+            a.scale_w ? PrimitiveType::gaussian : PrimitiveType::surfel};
 }
 
 FloatRecord make_float_record(const Surfel& surfel) {
@@ -150,10 +150,11 @@ LocalRay<double> to_model(const Pose& world_from_model, const Ray& ray) {
 }
 
 Pose pose_at(const Pose& world_from_model, const Motion& motion, double time_s) {
-    const double since_s = motion.since(time_s), rate = glm::length(motion.turn_rate);
+    const double since_s = motion.since(time_s), rate = glm::length(motion.angular_velocity);
     Pose pose = world_from_model;
     pose.translation += since_s * motion.velocity;
-    if (rate > 0.0) pose.rotation = glm::angleAxis(since_s * rate, motion.turn_rate / rate) * pose.rotation;
+    if (rate > 0.0)
+        pose.rotation = glm::angleAxis(since_s * rate, motion.angular_velocity / rate) * pose.rotation;
     return pose;
 }
 
@@ -173,12 +174,12 @@ LocalRay<float> follow(LocalRay<float> local, const Pose& world_from_model, cons
     if (motion.is_none()) return local;
     const glm::dquat model_from_world = glm::conjugate(world_from_model.rotation);
     const glm::vec3 velocity(model_from_world * motion.velocity),
-        turn_rate(model_from_world * motion.turn_rate);
+        angular_velocity(model_from_world * motion.angular_velocity);
     const float span_s = float(motion.half_span_s),
                 since_s = std::clamp(float(time_s) - float(motion.middle_s), -span_s, span_s);
-    const glm::vec3 turn = since_s * turn_rate;
-    const float half = 0.5f * glm::length(turn);
-    const glm::vec3 g = (half > 0.0f ? std::tan(half) / half : 1.0f) * 0.5f * turn;
+    const glm::vec3 rotation_vector = since_s * angular_velocity;
+    const float half = 0.5f * glm::length(rotation_vector);
+    const glm::vec3 g = (half > 0.0f ? std::tan(half) / half : 1.0f) * 0.5f * rotation_vector;
     return {turned(-g, local.origin - since_s * velocity), turned(-g, local.direction)};
 }
 
@@ -206,12 +207,12 @@ LocalRay<float> to_model(const FloatRows& model_from_world, const glm::vec3& ori
 }
 
 std::optional<PlaneHit<float>> intersect_in_float(const FloatRecord& record, const LocalRay<float>& ray,
-                                                  const ImageModel& model) {
+                                                  const ImageFormationModel& model) {
     return intersect_surfel_at_pose(record, ray, model);
 }
 
 std::optional<PlaneHit<double>> intersect_in_double(const DoubleRecord& record, const LocalRay<double>& ray,
-                                                    const ImageModel& model) {
+                                                    const ImageFormationModel& model) {
     return intersect_surfel_at_pose(record, ray, model);
 }
 

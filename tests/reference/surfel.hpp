@@ -73,7 +73,7 @@ struct Record {
     glm::vec<3, Real> axis_u;  ///< a_u / s_u
     glm::vec<3, Real> axis_v;  ///< a_v / s_v
     glm::vec<3, Real> normal;  ///< a_w / s_w for a 3D Gaussian
-    Primitive primitive = Primitive::surfel;
+    PrimitiveType primitive = PrimitiveType::surfel;
 };
 using FloatRecord = Record<float>;
 using DoubleRecord = Record<double>;
@@ -104,18 +104,18 @@ struct Ray {
 LocalRay<double> to_model(const Pose& world_from_model, const Ray& ray);
 
 /// Motion of a model during a sweep. At time t, the pose is world_from_model, translated
-/// by `velocity` and rotated by `turn_rate` for clamp(t - middle_s, -half_span_s,
+/// by `velocity` and rotated by `angular_velocity` for clamp(t - middle_s, -half_span_s,
 /// half_span_s) seconds. The rotation vector is expressed in the world's axes and turns
 /// the model about its origin.
 struct Motion {
-    glm::dvec3 velocity{0.0};   ///< m/s, world
-    glm::dvec3 turn_rate{0.0};  ///< rad/s
+    glm::dvec3 velocity{0.0};          ///< m/s, world
+    glm::dvec3 angular_velocity{0.0};  ///< rad/s
     double middle_s = 0.0;
     double half_span_s = 0.0;
 
     double since(double time_s) const { return std::clamp(time_s - middle_s, -half_span_s, half_span_s); }
     bool is_none() const {
-        return !(half_span_s > 0.0) || (velocity == glm::dvec3(0.0) && turn_rate == glm::dvec3(0.0));
+        return !(half_span_s > 0.0) || (velocity == glm::dvec3(0.0) && angular_velocity == glm::dvec3(0.0));
     }
 };
 /// Returns the pose of a moving model at a time.
@@ -174,8 +174,8 @@ PlaneHit<Real> intersect_gaussian_shape(const Record<Real>& record, const LocalR
 /// the opacity and range limits are applied.
 template <typename Real>
 PlaneHit<Real> meet(const Record<Real>& record, const LocalRay<Real>& ray) {
-    return record.primitive == Primitive::gaussian ? intersect_gaussian_shape(record, ray)
-                                                   : intersect_plane_of_surfel(record, ray);
+    return record.primitive == PrimitiveType::gaussian ? intersect_gaussian_shape(record, ray)
+                                                       : intersect_plane_of_surfel(record, ray);
 }
 
 /// Intersects a ray with a surfel (M1 and M2, or M9). Returns std::nullopt if the ray
@@ -184,7 +184,7 @@ PlaneHit<Real> meet(const Record<Real>& record, const LocalRay<Real>& ray) {
 /// record is finite, and sigma > alpha_min.
 template <typename Real>
 std::optional<PlaneHit<Real>> intersect_surfel_at_pose(const Record<Real>& record, const LocalRay<Real>& ray,
-                                                       const ImageModel& model) {
+                                                       const ImageFormationModel& model) {
     const PlaneHit<Real> hit = meet(record, ray);
     if (!std::isfinite(hit.t) || !(hit.t > Real(model.near_m))) return std::nullopt;
     if (!(hit.alpha >= Real(model.alpha_min))) return std::nullopt;  // also true if alpha is NaN
@@ -198,8 +198,8 @@ std::optional<PlaneHit<Real>> intersect_surfel_at_pose(const Record<Real>& recor
 }
 
 std::optional<PlaneHit<float>> intersect_in_float(const FloatRecord& record, const LocalRay<float>& ray,
-                                                  const ImageModel& model);
+                                                  const ImageFormationModel& model);
 std::optional<PlaneHit<double>> intersect_in_double(const DoubleRecord& record, const LocalRay<double>& ray,
-                                                    const ImageModel& model);
+                                                    const ImageFormationModel& model);
 
 }  // namespace relidar::reference

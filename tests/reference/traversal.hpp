@@ -77,14 +77,14 @@ enum class Precision { float_record, double_record };
 /// Tests every surfel of every instance.
 class BruteForce : public HitProvider {
 public:
-    BruteForce(const World& world, const ImageModel& model, Precision precision);
+    BruteForce(const World& world, const ImageFormationModel& model, Precision precision);
     void find_next_hits(const Ray& ray, const HitKey& after, int chunk,
                         std::vector<Hit>& hits) const override;
 
 private:
     void collect(const Ray& ray, const HitKey& after, std::vector<Hit>& hits) const;
 
-    ImageModel model_;
+    ImageFormationModel model_;
     Precision precision_;
     std::vector<Placement> instances_;
     std::vector<FloatRows> rows_;
@@ -104,7 +104,7 @@ struct ProxyMargin {
 /// finite or too transparent have no proxy. Half sizes are limited to 1e5 m.
 class EmbreeFilter : public HitProvider {
 public:
-    EmbreeFilter(const World& world, const ImageModel& model, ProxyMargin margin = {});
+    EmbreeFilter(const World& world, const ImageFormationModel& model, ProxyMargin margin = {});
     ~EmbreeFilter() override;
     void find_next_hits(const Ray& ray, const HitKey& after, int chunk,
                         std::vector<Hit>& hits) const override;

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests scene/activate and scene/activate_vjp, which compute the intersection records of
-// surfels and their derivatives. Compares each element of a record with the reference
-// activations and their central differences. Covers harmonics read by each thread or
-// through shared memory, rigid and walking actors, and the kd order.
+// Tests scene/activate and scene/activate_vjp, which compute the
+// intersection records of surfels and their derivatives. Compares each element of a
+// record with the reference activations and their central differences. Covers harmonics
+// read by each thread or through shared memory, rigid and walking actors, and the kd
+// order.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -32,11 +33,11 @@ constexpr double kPhase = 0.3;  // phase of the actor's gait, turns
 /// Runs each test for both primitives, for the way in which a CPU and a GPU read
 /// harmonics, and for a rigid and a walking actor.
 class Activate : public test::DeviceTest,
-                 public testing::WithParamInterface<std::tuple<Primitive, bool, bool>> {
+                 public testing::WithParamInterface<std::tuple<PrimitiveType, bool, bool>> {
 protected:
-    Primitive primitive() const { return std::get<0>(GetParam()); }
+    PrimitiveType primitive() const { return std::get<0>(GetParam()); }
     bool stages_harmonics() const { return std::get<1>(GetParam()); }
-    ParameterSet parameters() const { return {primitive(), bends()}; }
+    SurfelParameterSet parameters() const { return {primitive(), bends()}; }
     bool bends() const { return std::get<2>(GetParam()); }
 
     /// Returns enough surfels for more than two workgroups of 64. If the actor walks, the
@@ -62,8 +63,8 @@ protected:
         return bends() && index >= kOfBackground ? reference::move_to_phase(surfel, kPhase) : surfel;
     }
 
-    ImageModel image_model(int sh_degree) const {
-        ImageModel model;
+    ImageFormationModel image_model(int sh_degree) const {
+        ImageFormationModel model;
         model.primitive = primitive();
         model.sh_direction = ShDirection::surfel;
         model.sh_degree = sh_degree;
@@ -79,13 +80,13 @@ protected:
         auto on_device = std::make_unique<DeviceScene>(device(), scene, stages_harmonics());
         Stream stream(device());
         // full turns of the phase must not matter
-        on_device->place(stream, {{}, {.world_from_model = {}, .phase = kPhase + 3.0}});
-        stream.finish();
+        on_device->record_instance_poses(stream, {{}, {.world_from_model = {}, .phase = kPhase + 3.0}});
+        stream.submit_and_wait();
         return on_device;
     }
 };
 INSTANTIATE_TEST_SUITE_P(PrimitivesAndAccess, Activate,
-                         testing::Combine(testing::Values(Primitive::surfel, Primitive::gaussian),
+                         testing::Combine(testing::Values(PrimitiveType::surfel, PrimitiveType::gaussian),
                                           testing::Bool(), testing::Bool()));
 
 /// Returns the 16 floats of a record, computed in double, in the order of
@@ -130,9 +131,9 @@ TEST_P(Activate, RecordsAgreeWithReference) {
     DeviceScene& scene = *placed;
     for (const int degree : {3, 1}) {
         Stream stream(device());
-        scene.activate(stream, image_model(degree), view);
-        stream.finish();
-        const std::vector<float> actual = test::to_floats(scene.records().download());
+        scene.compute_surfel_records(stream, image_model(degree), view);
+        stream.submit_and_wait();
+        const std::vector<float> actual = test::to_floats(scene.get_surfel_records().download());
         for (std::size_t i = 0; i < surfels.size(); ++i) {
             const std::vector<double> expected =
                 compute_record(in_scene(surfels[i], i), glm::dvec3(view), degree);
@@ -148,7 +149,7 @@ TEST_P(Activate, RecordsAgreeWithReference) {
 TEST_P(Activate, ModelsThatAreNoConsecutiveRangesAreRefused) {
     Scene scene = make_background_scene(test::to_surfels(make_some_surfels()));
     const auto n = static_cast<std::uint32_t>(scene.surfels.size());
-    using Ranges = std::vector<Model>;
+    using Ranges = std::vector<SurfelModel>;
     for (const Ranges& ranges :
          {Ranges{{"a", 0, 70}, {"b", 71, n - 71}}, Ranges{{"a", 0, 70}, {"b", 69, n - 69}},
           Ranges{{"b", 70, n - 70}, {"a", 0, 70}}, Ranges{{"a", 0, n - 1}}}) {
@@ -166,9 +167,9 @@ TEST_P(Activate, HarmonicsThatAreNoNumbersMakeASurfelInvisible) {
     const std::unique_ptr<DeviceScene> placed = on_device(surfels);
     DeviceScene& scene = *placed;
     Stream stream(device());
-    scene.activate(stream, image_model(1), glm::vec3(0.0f));
-    stream.finish();
-    const std::vector<shared::SurfelRecord> records = scene.records().download();
+    scene.compute_surfel_records(stream, image_model(1), glm::vec3(0.0f));
+    stream.submit_and_wait();
+    const std::vector<shared::SurfelRecord> records = scene.get_surfel_records().download();
     for (std::size_t i = 0; i < surfels.size(); ++i)
         EXPECT_EQ(records[i].opacity == 0.0f, i == 5 || i == 99) << "surfel " << i;
 }
@@ -231,8 +232,9 @@ TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
         Array<float, shared::ViewGradients> d_view(device(), 3 * surfels.size(), "view gradient");
         const Array<float, shared::RecordGradients> upstream(device(), std::span<const float>(d_records),
                                                              "record gradient");
-        scene.activate_vjp(stream, image_model(degree), view, {&upstream, &d_surfels, &touched, &d_view});
-        stream.finish();
+        scene.backpropagate_surfel_records(stream, image_model(degree), view,
+                                           {&upstream, &d_surfels, &touched, &d_view});
+        stream.submit_and_wait();
         const Surfels actual = d_surfels.download();
         const std::vector<std::uint32_t> marks = touched.download();
         for (std::size_t i = 0; i < n; ++i) EXPECT_EQ(marks[i], i % 3 == 1 ? 0u : 1u);
@@ -273,9 +275,9 @@ TEST_P(Activate, VjpLeavesUntouchedRowsWhereTheyAreNotWanted) {
     const Array<float, shared::RecordGradients> upstream(device(), std::span<const float>(d_records),
                                                          "record gradient");
     Stream stream(device());
-    scene.activate_vjp(stream, image_model(3), glm::vec3(0.0f),
-                       {&upstream, &d_surfels, &touched, nullptr, false});
-    stream.finish();
+    scene.backpropagate_surfel_records(stream, image_model(3), glm::vec3(0.0f),
+                                       {&upstream, &d_surfels, &touched, nullptr, false});
+    stream.submit_and_wait();
     const Surfels after = d_surfels.download();
     for (std::size_t i = 0; i < n; ++i) {
         EXPECT_EQ(after.mean[i] == glm::vec3(7.0f), i % 3 == 1) << "surfel " << i;
@@ -308,9 +310,9 @@ TEST_P(Activate, VjpOverAListIsThatOverAll) {
         Stream stream(device());
         d_surfels.fill_zero(stream);
         stream.fill(d_view);
-        placed->activate_vjp(stream, image_model(3), glm::vec3(0.3f, -0.2f, 0.1f),
-                             {&upstream, &d_surfels, &touched, &d_view, false, is_marked});
-        stream.finish();
+        placed->backpropagate_surfel_records(stream, image_model(3), glm::vec3(0.3f, -0.2f, 0.1f),
+                                             {&upstream, &d_surfels, &touched, &d_view, false, is_marked});
+        stream.submit_and_wait();
         return std::tuple(d_surfels.download(), touched.download(), d_view.download());
     };
     const auto [surfels_of_all, touched_of_all, view_of_all] = run(false);
@@ -320,10 +322,10 @@ TEST_P(Activate, VjpOverAListIsThatOverAll) {
     const auto [surfels_listed, touched_listed, view_listed] = run(true);
     EXPECT_EQ(touched_listed, touched_of_all);
     EXPECT_EQ(view_listed, view_of_all);
-    for (const ParameterGroup& group : list_parameter_groups(parameters())) {
-        const std::span<const float> found = group.values(surfels_listed),
+    for (const SurfelParameterGroup& group : list_parameter_groups(parameters())) {
+        const std::span<const float> actual = group.values(surfels_listed),
                                      expected = group.values(surfels_of_all);
-        EXPECT_TRUE(std::ranges::equal(found, expected)) << group.name;
+        EXPECT_TRUE(std::ranges::equal(actual, expected)) << group.name;
     }
 }
 
@@ -348,7 +350,7 @@ TEST_F(TouchedRows, AreListed) {
         Stream stream(device());
         run(stream, kernel, (n + RELIDAR_LIST_STRETCH - 1) / RELIDAR_LIST_STRETCH,
             {.touched = on_device.address(), .rows = rows.address(), .count = count.address(), .n_rows = n});
-        stream.finish();
+        stream.submit_and_wait();
         ASSERT_EQ(count.download()[0], expected.size());
         std::vector<std::uint32_t> listed = rows.download();
         listed.resize(expected.size());
@@ -362,7 +364,7 @@ TEST(KdOrder, IsAPermutationThatHalvesTheLongestAxis) {
     std::uniform_real_distribution<float> u(0.0f, 1.0f);
     std::vector<glm::vec3> points;
     for (int i = 0; i < 1001; ++i) points.push_back({10.0f * u(random), u(random), u(random)});
-    const std::vector<std::uint32_t> order = compute_kd_order(points);
+    const std::vector<std::uint32_t> order = compute_kd_tree_order(points);
     std::vector<std::uint32_t> sorted = order;
     std::sort(sorted.begin(), sorted.end());
     for (std::uint32_t i = 0; i < sorted.size(); ++i) ASSERT_EQ(sorted[i], i);

@@ -21,15 +21,15 @@ SyntheticOptions make_street_options() {
     return {.n_frames = 12, .rows = 24, .columns = 512, .range_noise_m = 0.0};
 }
 
-InitialiseOptions make_options_with_actors() {
-    InitialiseOptions options;
+SceneInitialisationOptions make_options_with_actors() {
+    SceneInitialisationOptions options;
     options.actor_classes = "Car";
     options.actor_min_points = 20;
     return options;
 }
 
 TEST(Actors, AreMadeOfMovingBoxesInTheirOwnFrame) {
-    const Sequence street = make_synthetic_street(make_street_options());
+    const LidarSequence street = make_synthetic_street(make_street_options());
     const Scene scene = initialise_scene(street, split_frames(street, 10).train, make_options_with_actors());
     ASSERT_EQ(scene.models.size(), 3u) << "the background and two cars";
     ASSERT_EQ(scene.instances.size(), 3u);
@@ -49,18 +49,18 @@ TEST(Actors, AreMadeOfMovingBoxesInTheirOwnFrame) {
             EXPECT_LE(p.z, 0.5 * box->size_m.z + 0.11);
         }
     }
-    InitialiseOptions by_kind = make_options_with_actors();
+    SceneInitialisationOptions by_kind = make_options_with_actors();
     by_kind.actor_classes = "cyclist, vehicle";
     EXPECT_EQ(initialise_scene(street, split_frames(street, 10).train, by_kind).models.size(), 3u)
         << "whatever a dataset calls them";
-    InitialiseOptions nothing;
+    SceneInitialisationOptions nothing;
     nothing.actor_classes = "";
     EXPECT_EQ(initialise_scene(street, split_frames(street, 10).train, nothing).models.size(), 1u)
         << "no class is wanted: masked instead";
 }
 
 TEST(Actors, StandWhereTheirBoxIsAndAreAbsentOutsideItsLabels) {
-    Sequence street = make_synthetic_street(make_street_options());
+    LidarSequence street = make_synthetic_street(make_street_options());
     street.rolling_shutter = false;
     const Scene scene = initialise_scene(street, split_frames(street, 10).train, make_options_with_actors());
     ASSERT_GE(scene.instances.size(), 2u);
@@ -68,31 +68,31 @@ TEST(Actors, StandWhereTheirBoxIsAndAreAbsentOutsideItsLabels) {
                                   [&](const BoxTrack& b) { return b.id == scene.instances[1].track; });
     const double first = box->world_from_box.time_s.front(), last = box->world_from_box.time_s.back(),
                  middle = 0.37 * first + 0.63 * last;
-    const std::vector<InstancePose> placed = place_instances(scene, street, {middle});
+    const std::vector<InstancePose> placed = compute_instance_poses(scene, street, {middle});
     EXPECT_TRUE(placed[0].present && placed[1].present);
     EXPECT_EQ(placed[0].world_from_model.translation, glm::dvec3(0.0));
-    EXPECT_LT(
-        glm::length(placed[1].world_from_model.translation - box->world_from_box.at(middle).translation),
-        1e-12);
-    EXPECT_FALSE(place_instances(scene, street, {last + 1.0})[1].present);
-    EXPECT_FALSE(place_instances(scene, street, {first - 1.0})[1].present);
-    EXPECT_TRUE(place_instances(scene, street, {last + 1.0})[0].present);
+    EXPECT_LT(glm::length(placed[1].world_from_model.translation -
+                          box->world_from_box.interpolate_pose(middle).translation),
+              1e-12);
+    EXPECT_FALSE(compute_instance_poses(scene, street, {last + 1.0})[1].present);
+    EXPECT_FALSE(compute_instance_poses(scene, street, {first - 1.0})[1].present);
+    EXPECT_TRUE(compute_instance_poses(scene, street, {last + 1.0})[0].present);
 }
 
-const Model& find_model_of_track(const Scene& scene, std::string_view track) {
+const SurfelModel& find_model_of_track(const Scene& scene, std::string_view track) {
     const auto instance = std::find_if(scene.instances.begin(), scene.instances.end(),
-                                       [&](const Instance& i) { return i.track == track; });
+                                       [&](const ModelInstance& i) { return i.track == track; });
     EXPECT_NE(instance, scene.instances.end());
     return scene.models[instance->model];
 }
 
-std::size_t n_models(const Sequence& street, InitialiseOptions options) {
+std::size_t n_models(const LidarSequence& street, SceneInitialisationOptions options) {
     return initialise_scene(street, split_frames(street, 10).train, options).models.size();
 }
 
 TEST(Actors, AreChosenByClassOrTrack) {
-    const Sequence street = make_synthetic_street(make_street_options());
-    InitialiseOptions options = make_options_with_actors();
+    const LidarSequence street = make_synthetic_street(make_street_options());
+    SceneInitialisationOptions options = make_options_with_actors();
     options.actor_tracks = "1";
     const Scene one = initialise_scene(street, split_frames(street, 10).train, options);
     ASSERT_EQ(one.models.size(), 2u);
@@ -112,45 +112,45 @@ TEST(Actors, AreChosenByClassOrTrack) {
 }
 
 TEST(Actors, OtherBoxesAreMaskedOrPartOfTheBackground) {
-    Sequence street = make_synthetic_street(make_street_options());
+    LidarSequence street = make_synthetic_street(make_street_options());
     ASSERT_EQ(street.boxes.size(), 2u);
     street.boxes[0].category = "Pedestrian";
     const std::vector<int> train = split_frames(street, 10).train;
-    InitialiseOptions options = make_options_with_actors();
+    SceneInitialisationOptions options = make_options_with_actors();
     options.actor_classes = "person";
     const Scene masked = initialise_scene(street, train, options);
     ASSERT_EQ(masked.instances.size(), 2u);
-    EXPECT_EQ(find_masked_boxes(masked, street, options).size(), 1u);
+    EXPECT_EQ(find_boxes_without_model(masked, street, options).size(), 1u);
     options.mask_others = false;
-    const Scene kept = initialise_scene(street, train, options);
-    ASSERT_EQ(kept.instances.size(), 2u) << "the actor stays one";
-    EXPECT_EQ(kept.instances[1].track, "0");
-    EXPECT_TRUE(find_masked_boxes(kept, street, options).empty());
-    EXPECT_TRUE(find_unselected_boxes(street, options).empty());
-    EXPECT_GT(kept.models[0].count, masked.models[0].count + 100)
+    const Scene unmasked = initialise_scene(street, train, options);
+    ASSERT_EQ(unmasked.instances.size(), 2u) << "the actor stays one";
+    EXPECT_EQ(unmasked.instances[1].track, "0");
+    EXPECT_TRUE(find_boxes_without_model(unmasked, street, options).empty());
+    EXPECT_TRUE(find_unselected_moving_boxes(street, options).empty());
+    EXPECT_GT(unmasked.models[0].count, masked.models[0].count + 100)
         << "the other car's points are in the background";
 }
 
 TEST(Actors, TrackChosenByNameNeedNotMove) {
-    Sequence street = make_synthetic_street(make_street_options());
+    LidarSequence street = make_synthetic_street(make_street_options());
     BoxTrack& box = street.boxes[0];
     std::fill(box.world_from_box.pose.begin(), box.world_from_box.pose.end(), box.world_from_box.pose[6]);
     EXPECT_EQ(list_foreground_boxes(street, make_options_with_actors()).size(), 1u) << "it stands";
-    InitialiseOptions options = make_options_with_actors();
+    SceneInitialisationOptions options = make_options_with_actors();
     options.actor_tracks = "0";
     EXPECT_EQ(list_foreground_boxes(street, options).size(), 2u);
     box.world_from_box = {{box.world_from_box.time_s[6]}, {box.world_from_box.pose[6]}};
     const Scene scene = initialise_scene(street, split_frames(street, 10).train, options);
     EXPECT_EQ(scene.instances.size(), 2u) << "one observation is enough";
-    EXPECT_TRUE(place_instances(scene, street, {box.world_from_box.time_s[0]})[1].present);
-    EXPECT_FALSE(place_instances(scene, street, {box.world_from_box.time_s[0] + 0.1})[1].present);
+    EXPECT_TRUE(compute_instance_poses(scene, street, {box.world_from_box.time_s[0]})[1].present);
+    EXPECT_FALSE(compute_instance_poses(scene, street, {box.world_from_box.time_s[0] + 0.1})[1].present);
 }
 
 TEST(Actors, ArePaddedInTheirBox) {
-    const Sequence street = make_synthetic_street(make_street_options());
+    const LidarSequence street = make_synthetic_street(make_street_options());
     const std::vector<int> train = split_frames(street, 10).train;
     const Scene plain = initialise_scene(street, train, make_options_with_actors());
-    InitialiseOptions options = make_options_with_actors();
+    SceneInitialisationOptions options = make_options_with_actors();
     options.actor_pad_to = 3000;
     const Scene padded = initialise_scene(street, train, options);
     ASSERT_LT(find_model_of_track(plain, "0").count, 3000u);
@@ -158,7 +158,7 @@ TEST(Actors, ArePaddedInTheirBox) {
     options.actor_points = 500;
     EXPECT_EQ(find_model_of_track(initialise_scene(street, train, options), "0").count, 500u)
         << "never more than actor_points";
-    const Model& car = find_model_of_track(padded, "0");
+    const SurfelModel& car = find_model_of_track(padded, "0");
     int octants[8] = {};
     for (std::uint32_t i = 0; i < car.count; ++i) {
         const glm::vec3 p = padded.surfels.mean[car.first + i];
@@ -171,17 +171,17 @@ TEST(Actors, ArePaddedInTheirBox) {
 
 TEST(Actors, BoxesThatHoldNothingAreRefused) {
     for (const double bad : {0.0, -1.0, std::nan("")}) {
-        Sequence street = make_synthetic_street(make_street_options());
+        LidarSequence street = make_synthetic_street(make_street_options());
         street.boxes[1].size_m.y = bad;
         EXPECT_THROW(initialise_scene(street, {0, 1}, make_options_with_actors()), DataError);
     }
-    Sequence street = make_synthetic_street(make_street_options());
+    LidarSequence street = make_synthetic_street(make_street_options());
     street.boxes[0].world_from_box.pose[3].translation.x = std::nan("");
     EXPECT_THROW(initialise_scene(street, {0, 1}, make_options_with_actors()), DataError);
 }
 
 TEST(Actors, OverlappingAndEmptyBoxesBecomeWhatTheyHold) {
-    Sequence street = make_synthetic_street(make_street_options());
+    LidarSequence street = make_synthetic_street(make_street_options());
     street.boxes.push_back(street.boxes[0]);
     street.boxes.back().id = "twin";
     street.boxes.push_back(street.boxes[0]);
@@ -209,17 +209,17 @@ TEST_F(ActorsOnDevice, AbsentInstancesAreNotSeenByAnyTraversal) {
         return InstancePose{Pose{{1, 0, 0, 0}, {value, 0, 0}}, present};
     };
     for (const bool brute_force : {false, true}) {
-        const Forced forced(device(), {.brute_force = brute_force});
+        const ForcedBehaviourScope forced(device(), {.brute_force = brute_force});
         Renderer renderer(device(), scene, {});
         const WorldRays ray{{{0, 0, 0}}, {{1, 0, 0}}};
-        renderer.move({at(20, true), at(5, true), at(8, true)}, glm::vec3(0.0f));
-        EXPECT_NEAR(renderer.forward(ray).median_depth[0], 5.0f, 1e-5f);
-        renderer.move({at(20, true), at(5, false), at(8, true)}, glm::vec3(0.0f));
-        EXPECT_NEAR(renderer.forward(ray).median_depth[0], 8.0f, 1e-5f);
-        renderer.move({at(20, true), at(5, false), at(8, false)}, glm::vec3(0.0f));
-        EXPECT_NEAR(renderer.forward(ray).median_depth[0], 20.0f, 1e-5f);
-        renderer.move({at(20, true), at(3, true), at(8, false)}, glm::vec3(0.0f));
-        EXPECT_NEAR(renderer.forward(ray).median_depth[0], 3.0f, 1e-5f);
+        renderer.move_instances({at(20, true), at(5, true), at(8, true)}, glm::vec3(0.0f));
+        EXPECT_NEAR(renderer.render_rays(ray).median_depth[0], 5.0f, 1e-5f);
+        renderer.move_instances({at(20, true), at(5, false), at(8, true)}, glm::vec3(0.0f));
+        EXPECT_NEAR(renderer.render_rays(ray).median_depth[0], 8.0f, 1e-5f);
+        renderer.move_instances({at(20, true), at(5, false), at(8, false)}, glm::vec3(0.0f));
+        EXPECT_NEAR(renderer.render_rays(ray).median_depth[0], 20.0f, 1e-5f);
+        renderer.move_instances({at(20, true), at(3, true), at(8, false)}, glm::vec3(0.0f));
+        EXPECT_NEAR(renderer.render_rays(ray).median_depth[0], 3.0f, 1e-5f);
     }
 }
 

@@ -16,73 +16,75 @@ constexpr double kSide_m2 = 4.2 * 2.4, kEnd_m2 = 2.4 * 2.4, kTop_m2 = 4.2 * 2.4,
                  kAll_m2 = 2 * kSide_m2 + 2 * kEnd_m2 + kTop_m2;
 
 /// Marks all patches that the points of a plane make visible.
-void add_plane(BoxSurface& surface, int axis, double at_m) {
+void add_plane(ObservedBoxSurface& surface, int axis, double at_m) {
     for (double a = -0.99; a < 1.0; a += 0.01) {
         for (double b = -0.99; b < 1.0; b += 0.01) {
             const int first = (axis + 1) % 3, second = (axis + 2) % 3;
             glm::dvec3 point(0.0);
             point[axis] = at_m, point[first] = 0.5 * a * kSize_m[first],
             point[second] = 0.5 * b * kSize_m[second];
-            surface.add(point, -point);
+            surface.mark_patch_observed(point, -point);
         }
     }
 }
 
 TEST(BoxSurface, OfOneSideItsShareOfTheAreaIsSeen) {
-    BoxSurface surface(kSize_m);
+    ObservedBoxSurface surface(kSize_m);
     add_plane(surface, 1, 1.2);
-    EXPECT_DOUBLE_EQ(surface.seen(BoxSide::left), 1.0);
+    EXPECT_DOUBLE_EQ(surface.compute_observed_fraction(BoxSide::left), 1.0);
     for (const BoxSide side : {BoxSide::front, BoxSide::rear, BoxSide::right, BoxSide::top})
-        EXPECT_EQ(surface.seen(side), 0.0);
-    EXPECT_NEAR(surface.seen(), kSide_m2 / kAll_m2, 1e-12);
-    EXPECT_NEAR(surface.mirrored(), kSide_m2 / kAll_m2, 1e-12) << "the right side is its mirror image";
+        EXPECT_EQ(surface.compute_observed_fraction(side), 0.0);
+    EXPECT_NEAR(surface.compute_observed_fraction(), kSide_m2 / kAll_m2, 1e-12);
+    EXPECT_NEAR(surface.compute_mirrored_fraction(), kSide_m2 / kAll_m2, 1e-12)
+        << "the right side is its mirror image";
     add_plane(surface, 1, -1.2);
-    EXPECT_NEAR(surface.seen(), 2.0 * kSide_m2 / kAll_m2, 1e-12);
-    EXPECT_EQ(surface.mirrored(), 0.0) << "nothing is left to complete";
+    EXPECT_NEAR(surface.compute_observed_fraction(), 2.0 * kSide_m2 / kAll_m2, 1e-12);
+    EXPECT_EQ(surface.compute_mirrored_fraction(), 0.0) << "nothing is left to complete";
     add_plane(surface, 0, -2.1), add_plane(surface, 2, 1.5);
-    EXPECT_DOUBLE_EQ(surface.seen(BoxSide::rear), 1.0);
-    EXPECT_DOUBLE_EQ(surface.seen(BoxSide::top), 1.0);
-    EXPECT_NEAR(surface.seen(), 1.0 - kEnd_m2 / kAll_m2, 1e-12);
+    EXPECT_DOUBLE_EQ(surface.compute_observed_fraction(BoxSide::rear), 1.0);
+    EXPECT_DOUBLE_EQ(surface.compute_observed_fraction(BoxSide::top), 1.0);
+    EXPECT_NEAR(surface.compute_observed_fraction(), 1.0 - kEnd_m2 / kAll_m2, 1e-12);
 }
 
 TEST(BoxSurface, HalfAnEndIsCompletedByItsOtherHalf) {
-    BoxSurface surface(kSize_m);
+    ObservedBoxSurface surface(kSize_m);
     for (double y_m = 0.01; y_m < 1.2; y_m += 0.02)
-        for (double z_m = -1.49; z_m < 1.5; z_m += 0.02) surface.add({2.1, y_m, z_m}, {-1, 0, 0});
-    EXPECT_NEAR(surface.seen(BoxSide::front), 0.5, 1e-12);
-    EXPECT_NEAR(surface.mirrored(), 0.5 * kEnd_m2 / kAll_m2, 1e-12);
-    EXPECT_TRUE(surface.is_mirrored({2.1, -0.5, 0.3}));
-    EXPECT_FALSE(surface.is_mirrored({2.1, 0.5, 0.3})) << "it was seen itself";
-    EXPECT_FALSE(surface.is_mirrored({-2.1, -0.5, 0.3})) << "the rear was not seen at all";
+        for (double z_m = -1.49; z_m < 1.5; z_m += 0.02)
+            surface.mark_patch_observed({2.1, y_m, z_m}, {-1, 0, 0});
+    EXPECT_NEAR(surface.compute_observed_fraction(BoxSide::front), 0.5, 1e-12);
+    EXPECT_NEAR(surface.compute_mirrored_fraction(), 0.5 * kEnd_m2 / kAll_m2, 1e-12);
+    EXPECT_TRUE(surface.is_observed_only_in_mirror({2.1, -0.5, 0.3}));
+    EXPECT_FALSE(surface.is_observed_only_in_mirror({2.1, 0.5, 0.3})) << "it was seen itself";
+    EXPECT_FALSE(surface.is_observed_only_in_mirror({-2.1, -0.5, 0.3})) << "the rear was not seen at all";
 }
 
 TEST(BoxSurface, DepthDoesNotMatterButDirectionDoes) {
-    BoxSurface surface(kSize_m);
-    surface.add({0.1, 0.4, 0.05}, {0, -1, 0});  // far inside
-    EXPECT_TRUE(surface.is_seen({0.3, 1.2, 0.15}));
-    EXPECT_FALSE(surface.is_seen({0.3, -1.2, 0.15}));
+    ObservedBoxSurface surface(kSize_m);
+    surface.mark_patch_observed({0.1, 0.4, 0.05}, {0, -1, 0});  // far inside
+    EXPECT_TRUE(surface.is_patch_observed({0.3, 1.2, 0.15}));
+    EXPECT_FALSE(surface.is_patch_observed({0.3, -1.2, 0.15}));
 }
 
 TEST(BoxSurface, ASideIsSeenFromOutside) {
-    BoxSurface surface(kSize_m);
+    ObservedBoxSurface surface(kSize_m);
     // a ray through the window on the right to the inside of the door on the left
-    surface.add({0.3, 1.1, 0.15}, {0.1, 0.9, 0.0});
-    EXPECT_EQ(surface.seen(), 0.0);
-    surface.add({0.3, 1.1, 0.15}, {0.99, -0.1, 0.0});  // a ray parallel to the side
-    EXPECT_EQ(surface.seen(), 0.0);
-    surface.add({0.3, 1.1, 0.15}, {0.8, -0.6, 0.0});
-    EXPECT_TRUE(surface.is_seen({0.3, 1.1, 0.15}));
+    surface.mark_patch_observed({0.3, 1.1, 0.15}, {0.1, 0.9, 0.0});
+    EXPECT_EQ(surface.compute_observed_fraction(), 0.0);
+    surface.mark_patch_observed({0.3, 1.1, 0.15}, {0.99, -0.1, 0.0});  // a ray parallel to the side
+    EXPECT_EQ(surface.compute_observed_fraction(), 0.0);
+    surface.mark_patch_observed({0.3, 1.1, 0.15}, {0.8, -0.6, 0.0});
+    EXPECT_TRUE(surface.is_patch_observed({0.3, 1.1, 0.15}));
 }
 
 TEST(BoxSurface, WhatHasNoPlaceOnItMarksNothing) {
     constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
-    BoxSurface surface(kSize_m);
+    ObservedBoxSurface surface(kSize_m);
     for (const glm::dvec3& point :
          {glm::dvec3(0.0), glm::dvec3(0.1, 0.1, -1.5), glm::dvec3(2.1, 0.0, -1.49), glm::dvec3(kNan)}) {
-        surface.add(point, -point);
-        EXPECT_FALSE(surface.is_seen(point));
+        surface.mark_patch_observed(point, -point);
+        EXPECT_FALSE(surface.is_patch_observed(point));
     }
-    EXPECT_EQ(surface.seen(), 0.0);
+    EXPECT_EQ(surface.compute_observed_fraction(), 0.0);
 }
 
 TEST(BoxSurface, EveryPatchHasItsMirrorImage) {
@@ -92,11 +94,11 @@ TEST(BoxSurface, EveryPatchHasItsMirrorImage) {
         for (int i = 0; i < 1000; ++i) {
             const glm::dvec3 here = size_m * glm::dvec3(share(random), share(random), share(random)),
                              there(here.x, -here.y, here.z);
-            BoxSurface surface(size_m);
-            surface.add(here, -here);
-            const bool counts = surface.is_seen(here);
-            EXPECT_EQ(surface.is_mirrored(there), counts) << i;
-            EXPECT_FALSE(surface.is_mirrored(here)) << i;
+            ObservedBoxSurface surface(size_m);
+            surface.mark_patch_observed(here, -here);
+            const bool counts = surface.is_patch_observed(here);
+            EXPECT_EQ(surface.is_observed_only_in_mirror(there), counts) << i;
+            EXPECT_FALSE(surface.is_observed_only_in_mirror(here)) << i;
         }
     }
 }

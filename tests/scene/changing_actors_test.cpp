@@ -14,8 +14,8 @@ namespace {
 
 /// Makes points of a static wall and of a door that opens suddenly, in 20 frames. The
 /// actor moves by 10 cm per frame.
-std::vector<Sample> make_points_of_door() {
-    std::vector<Sample> samples;
+std::vector<LidarSample> make_points_of_door() {
+    std::vector<LidarSample> samples;
     for (int frame = 0; frame < 20; ++frame)
         for (float x = 0.0f; x < 1.0f; x += 0.1f)
             for (float z = 0.0f; z < 1.0f; z += 0.1f)
@@ -25,13 +25,13 @@ std::vector<Sample> make_points_of_door() {
 }
 
 TEST(ChangingSurfels, ADoorIsOpenOnlyWhenItWasOpen) {
-    const ChangingSurfels actor = make_changing_surfels(make_points_of_door(), {}, 0.0, 8000);
+    const DeformingActorSurfels actor = make_surfels_of_changing_actor(make_points_of_door(), {}, 0.0, 8000);
     // Returns the highest visibility (M14) of the surfels at a distance y, at the time of
     // a frame.
     const auto visible = [&](double frame, float y) {
         double most = 0.0;
         for (std::size_t i = 0; i < actor.surfels.size(); ++i) {
-            const Gait& gait = actor.surfels.gait[i];
+            const GaitPhaseWindow& gait = actor.surfels.gait[i];
             const double turns = 0.1 * frame / actor.period_m - double(gait.phase), k = gait.sharpness;
             if (std::abs(actor.surfels.mean[i].y - y) < 0.01f)
                 most = std::max(most, std::exp(k * k * (std::cos(2.0 * kPi * turns) - 1.0)));
@@ -44,23 +44,24 @@ TEST(ChangingSurfels, ADoorIsOpenOnlyWhenItWasOpen) {
         EXPECT_EQ(visible(frame, 1.0f), 1.0) << "the wall is always visible";
     }
     EXPECT_NEAR(visible(4.5, 0.0f), std::exp(-0.125), 1e-3) << "half a standard deviation";
-    EXPECT_EQ(make_changing_surfels({make_points_of_door().front()}, {}, 0.0, 8000).surfels.size(), 0u)
+    EXPECT_EQ(make_surfels_of_changing_actor({make_points_of_door().front()}, {}, 0.0, 8000).surfels.size(),
+              0u)
         << "a single frame does not show a change";
 }
 
 /// A limb moves 10 cm forward in each frame, as far as the actor walks. Half way between
 /// two frames, the surfels of both frames must meet at the exact position of the limb.
 TEST(ChangingSurfels, ALimbMovesBetweenFrames) {
-    std::vector<Sample> samples;
+    std::vector<LidarSample> samples;
     for (int frame = 0; frame < 20; ++frame)
         for (float y = -0.2f; y < 0.21f; y += 0.04f)
             for (float z = -0.2f; z < 0.21f; z += 0.04f)
                 samples.push_back(
                     {{0.1f * float(frame), y, z}, 0.5f, {-1.0f, 0.0f, 0.0f}, 0.1f * float(frame), frame});
-    const ChangingSurfels actor = make_changing_surfels(samples, {}, 0.0, 8000);
+    const DeformingActorSurfels actor = make_surfels_of_changing_actor(samples, {}, 0.0, 8000);
     int n_visible = 0;
     for (std::size_t i = 0; i < actor.surfels.size(); ++i) {
-        const Gait& gait = actor.surfels.gait[i];
+        const GaitPhaseWindow& gait = actor.surfels.gait[i];
         const double turns = 0.45 / actor.period_m - double(gait.phase), k = gait.sharpness;
         if (std::exp(k * k * (std::cos(2.0 * kPi * turns) - 1.0)) < 0.8) continue;
         ++n_visible;
@@ -73,9 +74,9 @@ TEST(ChangingSurfels, ALimbMovesBetweenFrames) {
 /// An actor that stops in all frames must be rigid, because its walked distance is
 /// constant and cannot drive the motion of its limbs.
 TEST(ChangingSurfels, AnActorThatStandsIsRigid) {
-    std::vector<Sample> samples = make_points_of_door();
-    for (Sample& sample : samples) sample.walked_m = 0.0f;
-    EXPECT_EQ(make_changing_surfels(samples, {}, 0.0, 8000).period_m, 0.0);
+    std::vector<LidarSample> samples = make_points_of_door();
+    for (LidarSample& sample : samples) sample.walked_m = 0.0f;
+    EXPECT_EQ(make_surfels_of_changing_actor(samples, {}, 0.0, 8000).period_m, 0.0);
 }
 
 }  // namespace

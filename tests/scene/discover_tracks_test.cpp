@@ -13,9 +13,9 @@ namespace relidar {
 namespace {
 
 struct Street {
-    Sequence log;                 ///< log without boxes
+    LidarSequence log;            ///< log without boxes
     std::vector<BoxTrack> truth;  ///< true boxes that move
-    Split split;
+    TrainTestSplit split;
 };
 
 Street make_street_without_labels() {
@@ -36,7 +36,8 @@ const BoxTrack* fingerprint_of(const std::vector<BoxTrack>& tracks, const BoxTra
             std::max(track.world_from_box.time_s.front(), truth.world_from_box.time_s.front());
         const double to = std::min(track.world_from_box.time_s.back(), truth.world_from_box.time_s.back());
         if (from < to &&
-            truth.holds(track.world_from_box.at(0.5 * (from + to)).translation, 0.5 * (from + to), 0.3))
+            truth.contains_point(track.world_from_box.interpolate_pose(0.5 * (from + to)).translation,
+                                 0.5 * (from + to), 0.3))
             return &track;
     }
     return nullptr;
@@ -45,27 +46,27 @@ const BoxTrack* fingerprint_of(const std::vector<BoxTrack>& tracks, const BoxTra
 TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
     const Street street = make_street_without_labels();
     ASSERT_GE(street.truth.size(), 2u);
-    const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
-    EXPECT_EQ(found.size(), street.truth.size());
+    const std::vector<BoxTrack> discovered_tracks = discover_tracks(street.log, street.split.train);
+    EXPECT_EQ(discovered_tracks.size(), street.truth.size());
     for (const BoxTrack& truth : street.truth) {
-        const BoxTrack* track = fingerprint_of(found, truth);
+        const BoxTrack* track = fingerprint_of(discovered_tracks, truth);
         ASSERT_NE(track, nullptr) << "box " << truth.id;
         EXPECT_EQ(track->category, kDiscoveredCategory);
         EXPECT_GE(track->world_from_box.time_s.size(), 6u);
         // Box and car move as a rigid body, so the true box must have a constant position
         // in the frame of the discovered box.
-        std::vector<glm::dvec3> place;
+        std::vector<glm::dvec3> relative_positions_m;
         for (std::size_t i = 0; i < track->world_from_box.time_s.size(); ++i) {
             const double t_s = track->world_from_box.time_s[i];
             if (truth.is_present(t_s))
-                place.push_back(inverse(track->world_from_box.pose[i]) *
-                                truth.world_from_box.at(t_s).translation);
+                relative_positions_m.push_back(inverse(track->world_from_box.pose[i]) *
+                                               truth.world_from_box.interpolate_pose(t_s).translation);
         }
-        ASSERT_GE(place.size(), 6u);
+        ASSERT_GE(relative_positions_m.size(), 6u);
         glm::dvec3 mean(0.0);
-        for (const glm::dvec3& p : place) mean += p / double(place.size());
+        for (const glm::dvec3& p : relative_positions_m) mean += p / double(relative_positions_m.size());
         std::vector<double> off;
-        for (const glm::dvec3& p : place) off.push_back(glm::distance(p, mean));
+        for (const glm::dvec3& p : relative_positions_m) off.push_back(glm::distance(p, mean));
         std::sort(off.begin(), off.end());
         EXPECT_LT(off[off.size() / 2], 0.15) << "box " << truth.id;
         EXPECT_LT(off.back(), 0.4) << "box " << truth.id
@@ -77,9 +78,9 @@ TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
 
 /// Removes the labels of a box except in some frames.
 /// @return times of the removed labels
-std::vector<double> cut_labels(BoxTrack& box, const std::vector<Frame>& frames, std::size_t first,
+std::vector<double> cut_labels(BoxTrack& box, const std::vector<LidarFrame>& frames, std::size_t first,
                                std::size_t end) {
-    const BoxTrack whole = box;
+    const BoxTrack original_box = box;
     std::vector<double> cut_s;
     box.world_from_box = {};
     for (std::size_t f = 0; f < frames.size(); ++f) {
@@ -89,7 +90,7 @@ std::vector<double> cut_labels(BoxTrack& box, const std::vector<Frame>& frames, 
             continue;
         }
         box.world_from_box.time_s.push_back(t_s);
-        box.world_from_box.pose.push_back(whole.world_from_box.at(t_s));
+        box.world_from_box.pose.push_back(original_box.world_from_box.interpolate_pose(t_s));
     }
     return cut_s;
 }
@@ -103,22 +104,22 @@ TEST(DiscoverTracks, ContinuesALabelledBoxBesideItsLabels) {
         // uses the oncoming car, because only the rear of the leading car is visible
         const BoxTrack& truth = street.truth[1];
         const std::vector<double> cut_s = cut_labels(street.log.boxes[1], street.log.frames, first, end);
-        const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
-        ASSERT_EQ(found.size(), 1u) << "no second actor; labels " << first << " to " << end;
-        const BoxTrack& box = found[0];
+        const std::vector<BoxTrack> discovered_tracks = discover_tracks(street.log, street.split.train);
+        ASSERT_EQ(discovered_tracks.size(), 1u) << "no second actor; labels " << first << " to " << end;
+        const BoxTrack& box = discovered_tracks[0];
         EXPECT_EQ(box.id, truth.id);
         EXPECT_EQ(box.category, truth.category);
         EXPECT_EQ(box.size_m, truth.size_m);
         EXPECT_EQ(box.n_before > 0, first > 0);
         EXPECT_EQ(box.n_after > 0, end < 24);
-        EXPECT_EQ(box.get_labelled_part().world_from_box.time_s, street.log.boxes[1].world_from_box.time_s);
-        const std::ptrdiff_t seen =
+        EXPECT_EQ(box.copy_labelled_poses().world_from_box.time_s, street.log.boxes[1].world_from_box.time_s);
+        const std::ptrdiff_t n_visible_labels =
             std::ranges::count_if(cut_s, [&](double t_s) { return t_s >= 0.9 && t_s < 2.4; });
-        EXPECT_GE(box.n_before + box.n_after, std::size_t(seen) - 2)
+        EXPECT_GE(box.n_before + box.n_after, std::size_t(n_visible_labels) - 2)
             << "two frames are held out; before it is out of sight";
         EXPECT_TRUE(std::ranges::is_sorted(box.world_from_box.time_s));
         for (std::size_t k = 0; k < box.world_from_box.time_s.size(); ++k) {
-            const Pose at = truth.world_from_box.at(box.world_from_box.time_s[k]),
+            const Pose at = truth.world_from_box.interpolate_pose(box.world_from_box.time_s[k]),
                        off = inverse(at) * box.world_from_box.pose[k];
             EXPECT_LT(glm::length(off.translation), 0.3) << box.world_from_box.time_s[k];
             EXPECT_LT(glm::angle(off.rotation), 4.0 * kPi / 180.0) << box.world_from_box.time_s[k];
@@ -131,16 +132,16 @@ TEST(DiscoverTracks, JoinsPartsAroundAGap) {
     Street street = make_street_without_labels();
     const BoxTrack& truth = street.truth[0];
     for (std::size_t f = 8; f < 15; ++f) {
-        Frame& frame = street.log.frames[f];
+        LidarFrame& frame = street.log.frames[f];
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
             if (frame.scan.range_m[ray] > 0.0f)
                 if (const WorldReturn w = compute_world_return(street.log, frame, ray);
-                    truth.holds(w.point_m, w.time_s, 0.1))
+                    truth.contains_point(w.point_m, w.time_s, 0.1))
                     frame.scan.range_m[ray] = frame.scan.intensity[ray] = 0.0f;
     }
-    const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
-    EXPECT_EQ(found.size(), street.truth.size());
-    const BoxTrack* track = fingerprint_of(found, truth);
+    const std::vector<BoxTrack> discovered_tracks = discover_tracks(street.log, street.split.train);
+    EXPECT_EQ(discovered_tracks.size(), street.truth.size());
+    const BoxTrack* track = fingerprint_of(discovered_tracks, truth);
     ASSERT_NE(track, nullptr);
     EXPECT_LT(track->world_from_box.time_s.front(), street.log.frames[4].time_s);
     EXPECT_GT(track->world_from_box.time_s.back(), street.log.frames[18].time_s);
@@ -150,9 +151,9 @@ TEST(DiscoverTracks, JoinsPartsAroundAGap) {
 /// class.
 TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
     const Street street = make_street_without_labels();
-    const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
-    const BoxTrack *ahead = fingerprint_of(found, street.truth[0]),
-                   *oncoming = fingerprint_of(found, street.truth[1]);
+    const std::vector<BoxTrack> discovered_tracks = discover_tracks(street.log, street.split.train);
+    const BoxTrack *ahead = fingerprint_of(discovered_tracks, street.truth[0]),
+                   *oncoming = fingerprint_of(discovered_tracks, street.truth[1]);
     ASSERT_TRUE(ahead && oncoming);
     EXPECT_EQ(ahead->size_guess, "car");
     EXPECT_NEAR(ahead->size_m.x, street.truth[0].size_m.x, 0.5);
@@ -160,7 +161,7 @@ TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
     for (std::size_t k = 0; k < ahead->world_from_box.time_s.size(); ++k) {
         const double t_s = ahead->world_from_box.time_s[k];
         EXPECT_LT(glm::distance(glm::dvec2(ahead->world_from_box.pose[k].translation),
-                                glm::dvec2(street.truth[0].world_from_box.at(t_s).translation)),
+                                glm::dvec2(street.truth[0].world_from_box.interpolate_pose(t_s).translation)),
                   0.5)
             << "filled up ahead, " << t_s;
     }
@@ -171,8 +172,8 @@ TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
 TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
     for (const bool first_frame_is_complete : {false, true}) {
         Street street = make_street_without_labels();
-        std::vector<Frame> frames;
-        for (const Frame& frame : street.log.frames)
+        std::vector<LidarFrame> frames;
+        for (const LidarFrame& frame : street.log.frames)
             for (const int lidar : {0, 1}) {
                 frames.push_back(frame);
                 frames.back().lidar = lidar;
@@ -185,10 +186,11 @@ TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
         street.log.lidars[0].name = "first", street.log.lidars[1].name = "second";
         street.log.frames = std::move(frames);
         check_sequence(street.log);
-        const std::vector<BoxTrack> found = discover_tracks(street.log, split_frames(street.log, 10).train);
-        EXPECT_EQ(found.size(), street.truth.size()) << first_frame_is_complete;
+        const std::vector<BoxTrack> discovered_tracks =
+            discover_tracks(street.log, split_frames(street.log, 10).train);
+        EXPECT_EQ(discovered_tracks.size(), street.truth.size()) << first_frame_is_complete;
         for (const BoxTrack& truth : street.truth)
-            EXPECT_NE(fingerprint_of(found, truth), nullptr) << "box " << truth.id;
+            EXPECT_NE(fingerprint_of(discovered_tracks, truth), nullptr) << "box " << truth.id;
     }
 }
 
@@ -216,7 +218,7 @@ TEST(DiscoverTracks, NothingMovesThatAStillLabelCovers) {
 /// scan. They must not be discovered as an object.
 TEST(DiscoverTracks, LeavesItsOwnVehicleAlone) {
     Street street = make_street_without_labels();
-    for (Frame& frame : street.log.frames)
+    for (LidarFrame& frame : street.log.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             const glm::vec3& d = frame.scan.rays.direction[i];
             if (d.x < -0.6f && d.y > 0.2f && d.y < 0.5f && d.z > -0.35f && d.z < -0.15f)
@@ -244,14 +246,14 @@ TEST(DiscoverTracks, LooksAtTrainingFramesOnly) {
 
 TEST(DiscoverTracks, BecomeActors) {
     Street street = make_street_without_labels();
-    InitialiseOptions options;
-    options.unlabelled_movers = UnlabelledMovers::actors;
+    SceneInitialisationOptions options;
+    options.unlabelled_movers = UnlabelledMoverPolicy::actors;
     options.actor_min_points = 20;
     for (const BoxTrack& box : discover_tracks(street.log, street.split.train))
         street.log.boxes.push_back(box);
     EXPECT_EQ(initialise_scene(street.log, street.split.train, options).models.size(),
               1 + street.truth.size());
-    options.unlabelled_movers = UnlabelledMovers::removed;
+    options.unlabelled_movers = UnlabelledMoverPolicy::removed;
     options.actor_classes = "Car";
     EXPECT_EQ(initialise_scene(street.log, street.split.train, options).models.size(), 1u)
         << "no class is wanted: masked instead";

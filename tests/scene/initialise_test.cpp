@@ -31,7 +31,7 @@ glm::vec3 normal_of(const glm::vec4& quaternion) {
 }
 
 TEST(Initialise, GroundSurfelsLieOnTheGroundAndFaceUp) {
-    const Sequence street = make_synthetic_street(make_small_street());
+    const LidarSequence street = make_synthetic_street(make_small_street());
     const Surfels surfels =
         initialise_background(street, split_frames(street, 10).train, {.max_scale_m = 0.5});
     ASSERT_GT(surfels.size(), 5000u);
@@ -55,13 +55,13 @@ TEST(Initialise, GroundSurfelsLieOnTheGroundAndFaceUp) {
 /// Renders flat ground of a single albedo, from a height of 2 m. The intensity is 0.4
 /// (0.3 + 0.7 cos), which SH degree 1 represents exactly.
 TEST(Initialise, IntensityFallsWithIncidenceFromTheStart) {
-    Sequence ground;
+    LidarSequence ground;
     for (int b = 0; b < 64; ++b) ground.lidars[0].sensor.beams.push_back({.elevation_rad = -0.5 - 0.01 * b});
     ground.lidars[0].sensor.columns = 720;
     ground.rolling_shutter = false;
     ground.world_from_vehicle = {{0.0}, {{}}};
     ground.intensity_response.incidence = 0.7;
-    Frame frame{0, 0.0, {make_rays(ground.lidars[0].sensor), {}, {}}};
+    LidarFrame frame{0, 0.0, {make_rays(ground.lidars[0].sensor), {}, {}}};
     for (const glm::vec3& d : frame.scan.rays.direction) {
         frame.scan.range_m.push_back(-2.0f / d.z);
         frame.scan.intensity.push_back(0.4f * (0.3f - 0.7f * d.z));
@@ -85,19 +85,19 @@ TEST(Initialise, IntensityFallsWithIncidenceFromTheStart) {
 /// Makes a scan with ranges from a function. Returns the mean of |n . d| over its
 /// surfels, where d is the direction from the sensor to the surfel and n is the normal.
 double compute_mean_facing(const std::function<float(const glm::vec3& direction)>& range_m, double flatness) {
-    Sequence sequence;
+    LidarSequence sequence;
     for (int b = 0; b < 48; ++b)
         sequence.lidars[0].sensor.beams.push_back({.elevation_rad = -0.1 - 0.01 * b});
     sequence.lidars[0].sensor.columns = 628;
     sequence.rolling_shutter = false;
     sequence.world_from_vehicle = {{0.0}, {{}}};
-    Frame frame{0, 0.0, {make_rays(sequence.lidars[0].sensor), {}, {}}};
+    LidarFrame frame{0, 0.0, {make_rays(sequence.lidars[0].sensor), {}, {}}};
     for (const glm::vec3& d : frame.scan.rays.direction) {
         frame.scan.range_m.push_back(range_m(d));
         frame.scan.intensity.push_back(0.5f);
     }
     sequence.frames.push_back(frame);
-    InitialiseOptions options;
+    SceneInitialisationOptions options;
     options.normal_neighbours = 24;
     options.flatness = flatness;
     const Surfels surfels = initialise_background(sequence, {0}, options);
@@ -120,11 +120,11 @@ TEST(Initialise, WhatIsNoSurfaceFacesTheSensor) {
     EXPECT_LT(compute_mean_facing(road, 0.04), 0.5);
 }
 
-std::size_t count_in_moving_boxes(const Sequence& street, const Surfels& surfels) {
+std::size_t count_in_moving_boxes(const LidarSequence& street, const Surfels& surfels) {
     std::size_t n = 0;
     for (const glm::vec3& p : surfels.mean) {
         bool inside = false;
-        for (const Frame& frame : street.frames)
+        for (const LidarFrame& frame : street.frames)
             inside = inside || is_in_moving_box(street.boxes, glm::dvec3(p), frame.time_s, -0.1);
         n += inside && p.z > surfels.mean[0].z - 1e9f;
     }
@@ -136,16 +136,16 @@ std::size_t count_in_moving_boxes(const Sequence& street, const Surfels& surfels
 TEST(Initialise, AStreetThatStandsStillStays) {
     const std::string rig =
         test::write_rig(std::filesystem::path(testing::TempDir()) / "relidar_initialise_rig");
-    const Sequence street = make_synthetic_street({.n_frames = 6, .moving_cars = false, .rig = rig});
+    const LidarSequence street = make_synthetic_street({.n_frames = 6, .moving_cars = false, .rig = rig});
     const std::size_t n_lidars = street.lidars.size();
     // tests each LiDAR separately, then all LiDARs together
     for (std::size_t lidar = 0; lidar <= n_lidars; ++lidar) {
         std::vector<int> train;
         for (std::size_t i = 0; i < street.frames.size(); ++i)
             if (lidar == n_lidars || street.frames[i].lidar == int(lidar)) train.push_back(int(i));
-        InitialiseOptions options;
+        SceneInitialisationOptions options;
         const std::size_t all = initialise_background(street, train, options).size();
-        options.unlabelled_movers = UnlabelledMovers::removed;
+        options.unlabelled_movers = UnlabelledMoverPolicy::removed;
         EXPECT_GT(double(initialise_background(street, train, options).size()), 0.98 * double(all))
             << "LiDAR " << lidar;
     }
@@ -157,13 +157,13 @@ TEST(Initialise, AStreetThatStandsStillStays) {
 TEST(Initialise, UnevenBeamsDoNotSeeThroughTheGround) {
     const std::filesystem::path rig = std::filesystem::path(testing::TempDir()) / "relidar_uneven_beams.json";
     std::ofstream(rig) << R"({"sensors": [{"name": "top", "sensor": "vlp-32c"}]})";
-    const Sequence street =
+    const LidarSequence street =
         make_synthetic_street({.n_frames = 12, .moving_cars = false, .rig = rig.string()});
     std::vector<int> train(street.frames.size());
     std::iota(train.begin(), train.end(), 0);
-    InitialiseOptions options;
+    SceneInitialisationOptions options;
     const std::size_t all = initialise_background(street, train, options).size();
-    options.unlabelled_movers = UnlabelledMovers::removed;
+    options.unlabelled_movers = UnlabelledMoverPolicy::removed;
     EXPECT_GT(double(initialise_background(street, train, options).size()), 0.99 * double(all));
     EXPECT_TRUE(discover_tracks(street, train).empty());
 }
@@ -171,15 +171,15 @@ TEST(Initialise, UnevenBeamsDoNotSeeThroughTheGround) {
 TEST(Initialise, MovingBoxesAreLeftOutAndUnlabelledMoversRemoved) {
     SyntheticOptions longer = make_small_street();
     longer.n_frames = 20;  // long enough to observe the surfaces that a car hid
-    const Sequence street = make_synthetic_street(longer);
+    const LidarSequence street = make_synthetic_street(longer);
     const std::vector<int> train = split_frames(street, 10).train;
-    InitialiseOptions options;
+    SceneInitialisationOptions options;
     const std::size_t labelled = count_in_moving_boxes(street, initialise_background(street, train, options));
-    Sequence unlabelled = street;
+    LidarSequence unlabelled = street;
     unlabelled.boxes.clear();
     const std::size_t left_in =
         count_in_moving_boxes(street, initialise_background(unlabelled, train, options));
-    options.unlabelled_movers = UnlabelledMovers::removed;
+    options.unlabelled_movers = UnlabelledMoverPolicy::removed;
     const std::size_t removed =
         count_in_moving_boxes(street, initialise_background(unlabelled, train, options));
     EXPECT_GT(left_in, labelled + 50u) << "the cars leave a trail where nothing is done about it";
@@ -188,8 +188,8 @@ TEST(Initialise, MovingBoxesAreLeftOutAndUnlabelledMoversRemoved) {
 }
 
 TEST(Initialise, HeldOutFramesDoNotMatter) {
-    Sequence street = make_synthetic_street(make_small_street());
-    const Split split = split_frames(street, 10);
+    LidarSequence street = make_synthetic_street(make_small_street());
+    const TrainTestSplit split = split_frames(street, 10);
     const Surfels before = initialise_background(street, split.train, {});
     for (const int position : split.test)
         for (float& range : street.frames[std::size_t(position)].scan.range_m) range *= 0.5f;
@@ -199,8 +199,9 @@ TEST(Initialise, HeldOutFramesDoNotMatter) {
 }
 
 TEST(Initialise, NothingToStartFromIsAnError) {
-    Sequence street = make_synthetic_street(make_small_street());
-    for (Frame& frame : street.frames) std::fill(frame.scan.range_m.begin(), frame.scan.range_m.end(), 0.0f);
+    LidarSequence street = make_synthetic_street(make_small_street());
+    for (LidarFrame& frame : street.frames)
+        std::fill(frame.scan.range_m.begin(), frame.scan.range_m.end(), 0.0f);
     EXPECT_THROW(initialise_background(street, split_frames(street, 10).train, {}), DataError);
 }
 

@@ -20,32 +20,32 @@ namespace relidar {
 namespace {
 
 // minimum number of returns in a frame for an object to count as visible
-constexpr std::size_t kSeenReturns = 12;
+constexpr std::size_t kMinVisibleReturns = 12;
 // An object should be discovered if it has enough returns in at least this number of
 // frames.
-constexpr std::size_t kSeenFrames = 10;
+constexpr std::size_t kMinVisibleFrames = 10;
 constexpr double kFarthest_m = 40.0;  // discover_tracks() ignores objects farther away
 // The centre of a discovered box must lie in the true box, enlarged by this margin.
 constexpr double kInside_m = 0.3;
 // a discovered box may exceed the size of the true box by at most this length
 constexpr double kLarger_m = 0.8;
-constexpr double kWalk_m = 0.03, kWalkedOff_m = 1.0;  // drift of inaccurate poses
+constexpr double kDriftStep_m = 0.03, kDriftMargin_m = 1.0;  // drift of inaccurate poses
 
 /// Returns [things] the number of training frames in which each object has enough
 /// returns.
-std::vector<std::size_t> list_frames_that_see(const Sequence& log, const std::vector<int>& train,
+std::vector<std::size_t> list_frames_that_see(const LidarSequence& log, const std::vector<int>& train,
                                               const std::vector<BoxTrack>& things) {
     std::vector<std::size_t> n_frames(things.size(), 0);
     for (const int position : train) {
-        const Frame& frame = log.frames[std::size_t(position)];
+        const LidarFrame& frame = log.frames[std::size_t(position)];
         std::vector<std::size_t> n_returns(things.size(), 0);
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f && frame.scan.range_m[ray] < kFarthest_m)) continue;
             const WorldReturn w = compute_world_return(log, frame, ray);
             for (std::size_t i = 0; i < things.size(); ++i)
-                n_returns[i] += things[i].holds(w.point_m, w.time_s, 0.0);
+                n_returns[i] += things[i].contains_point(w.point_m, w.time_s, 0.0);
         }
-        for (std::size_t i = 0; i < things.size(); ++i) n_frames[i] += n_returns[i] >= kSeenReturns;
+        for (std::size_t i = 0; i < things.size(); ++i) n_frames[i] += n_returns[i] >= kMinVisibleReturns;
     }
     return n_frames;
 }
@@ -56,8 +56,8 @@ bool is_of(const BoxTrack& track, const BoxTrack& truth) {
     std::size_t inside = 0;
     for (std::size_t i = 0; i < track.world_from_box.time_s.size(); ++i) {
         const double t_s = track.world_from_box.time_s[i];
-        inside +=
-            truth.is_present(t_s) && truth.holds(track.world_from_box.pose[i].translation, t_s, kInside_m);
+        inside += truth.is_present(t_s) &&
+                  truth.contains_point(track.world_from_box.pose[i].translation, t_s, kInside_m);
     }
     return 10 * inside >= 8 * track.world_from_box.time_s.size() &&
            track.size_m.x < truth.size_m.x + kLarger_m && track.size_m.y < truth.size_m.y + kLarger_m;
@@ -66,15 +66,15 @@ bool is_of(const BoxTrack& track, const BoxTrack& truth) {
 /// Returns the largest deviation of an object from its mean position in the frame of its
 /// discovered box. The result is 0 if object and box move in the same way.
 double measure_stray_m(const BoxTrack& track, const BoxTrack& thing) {
-    std::vector<glm::dvec3> places;
+    std::vector<glm::dvec3> relative_positions_m;
     for (std::size_t i = 0; i < track.world_from_box.time_s.size(); ++i)
         if (const double t_s = track.world_from_box.time_s[i]; thing.is_present(t_s))
-            places.push_back(inverse(track.world_from_box.pose[i]) *
-                             thing.world_from_box.at(t_s).translation);
+            relative_positions_m.push_back(inverse(track.world_from_box.pose[i]) *
+                                           thing.world_from_box.interpolate_pose(t_s).translation);
     glm::dvec3 mean(0.0);
-    for (const glm::dvec3& p : places) mean += p / double(places.size());
+    for (const glm::dvec3& p : relative_positions_m) mean += p / double(relative_positions_m.size());
     double farthest = 0.0;
-    for (const glm::dvec3& p : places) farthest = std::max(farthest, glm::distance(p, mean));
+    for (const glm::dvec3& p : relative_positions_m) farthest = std::max(farthest, glm::distance(p, mean));
     return farthest;
 }
 
@@ -83,8 +83,9 @@ double measure_stray_m(const BoxTrack& track, const BoxTrack& thing) {
 void add_wobble(const BoxTrack& found, const BoxTrack& thing, std::vector<double>& wobble_deg) {
     const PoseTrack& track = found.world_from_box;
     const auto turned = [&](std::size_t index) {
-        const glm::dvec3 ahead = inverse(thing.world_from_box.at(track.time_s[index])).rotation *
-                                 track.pose[index].rotation * glm::dvec3(1, 0, 0);
+        const glm::dvec3 ahead =
+            inverse(thing.world_from_box.interpolate_pose(track.time_s[index])).rotation *
+            track.pose[index].rotation * glm::dvec3(1, 0, 0);
         return std::atan2(ahead.y, ahead.x);
     };
     for (std::size_t i = 1; i < track.pose.size(); ++i)
@@ -98,16 +99,16 @@ double compute_quantile(std::vector<double> values, double share) {
 }
 
 struct Score {
-    std::size_t found = 0, right = 0, present = 0, recalled = 0;
+    std::size_t discovered = 0, right = 0, present = 0, recalled = 0;
     std::vector<double> strayed_m, wobble_deg;  // errors of the correct detections
-    double precision() const { return double(right) / double(std::max<std::size_t>(found, 1)); }
+    double precision() const { return double(right) / double(std::max<std::size_t>(discovered, 1)); }
     double recall() const { return double(recalled) / double(std::max<std::size_t>(present, 1)); }
     void expect_good() const {
         std::printf(
             "movers: %zu of %zu discovered are right (precision %.3f), %zu of %zu seen in %zu frames or more "
             "are discovered "
             "(recall %.3f)\n",
-            right, found, precision(), recalled, present, kSeenFrames, recall());
+            right, discovered, precision(), recalled, present, kMinVisibleFrames, recall());
         EXPECT_GE(precision(), 0.95);
         EXPECT_GE(recall(), 0.95);
     }
@@ -116,46 +117,47 @@ struct Score {
 /// Adds the moving objects of a street to the score. A second detection of the same
 /// object counts as wrong.
 void add_street(const SyntheticOptions& options, Score& score) {
-    Sequence log = make_synthetic_street(options);
+    LidarSequence log = make_synthetic_street(options);
     const std::vector<BoxTrack> truth = std::exchange(log.boxes, {});
     const std::vector<int> train = split_frames(log, 10).train;
-    const std::vector<BoxTrack> found = discover_tracks(log, train);
-    std::vector<char> taken(found.size(), 0);
-    const std::vector<std::size_t> n_seen = list_frames_that_see(log, train, truth);
-    score.found += found.size();
+    const std::vector<BoxTrack> discovered_tracks = discover_tracks(log, train);
+    std::vector<char> is_matched(discovered_tracks.size(), 0);
+    const std::vector<std::size_t> n_visible_frames = list_frames_that_see(log, train, truth);
+    score.discovered += discovered_tracks.size();
     for (std::size_t k = 0; k < truth.size(); ++k) {
         const BoxTrack& thing = truth[k];
         std::vector<double> covered;
-        for (std::size_t i = 0; i < found.size(); ++i) {
-            if (taken[i] || !is_of(found[i], thing)) continue;
-            const std::vector<double>& times = found[i].world_from_box.time_s;
+        for (std::size_t i = 0; i < discovered_tracks.size(); ++i) {
+            if (is_matched[i] || !is_of(discovered_tracks[i], thing)) continue;
+            const std::vector<double>& times = discovered_tracks[i].world_from_box.time_s;
             if (2 * std::count_if(covered.begin(), covered.end(),
                                   [&](double t_s) { return t_s >= times.front() && t_s <= times.back(); }) >
                 std::ptrdiff_t(times.size()))
                 continue;
-            taken[i] = 1;
-            score.strayed_m.push_back(measure_stray_m(found[i], thing));
-            add_wobble(found[i], thing, score.wobble_deg);
+            is_matched[i] = 1;
+            score.strayed_m.push_back(measure_stray_m(discovered_tracks[i], thing));
+            add_wobble(discovered_tracks[i], thing, score.wobble_deg);
             ++score.right;
             covered.insert(covered.end(), times.begin(), times.end());
         }
-        if (n_seen[k] < kSeenFrames) continue;
+        if (n_visible_frames[k] < kMinVisibleFrames) continue;
         ++score.present;
-        const bool recalled = 2 * covered.size() >= n_seen[k];
+        const bool recalled = 2 * covered.size() >= n_visible_frames[k];
         score.recalled += recalled;
         if (!recalled)
             std::printf("street %d: %s %s, seen in %zu frames: found in %zu\n", int(options.seed),
-                        thing.category.c_str(), thing.id.c_str(), n_seen[k], covered.size());
+                        thing.category.c_str(), thing.id.c_str(), n_visible_frames[k], covered.size());
     }
-    for (std::size_t i = 0; i < found.size(); ++i) {
-        const PoseTrack& track = found[i].world_from_box;
+    for (std::size_t i = 0; i < discovered_tracks.size(); ++i) {
+        const PoseTrack& track = discovered_tracks[i].world_from_box;
         const glm::dvec3 at = track.pose.front().translation + log.world_offset_m,
                          to = track.pose.back().translation + log.world_offset_m;
-        if (!taken[i])
+        if (!is_matched[i])
             std::printf(
                 "street %d: wrong %s, %.1f x %.1f x %.1f m, %zu frames, from %.1f %.1f to %.1f %.1f\n",
-                int(options.seed), found[i].id.c_str(), found[i].size_m.x, found[i].size_m.y,
-                found[i].size_m.z, track.time_s.size(), at.x, at.y, to.x, to.y);
+                int(options.seed), discovered_tracks[i].id.c_str(), discovered_tracks[i].size_m.x,
+                discovered_tracks[i].size_m.y, discovered_tracks[i].size_m.z, track.time_s.size(), at.x, at.y,
+                to.x, to.y);
     }
 }
 
@@ -184,34 +186,37 @@ TEST(MoverScores, PrecisionAndRecallOnStreetsWithPeopleAndParkedCars) {
 /// moving.
 TEST(MoverScores, NoParkedCarMovesWhereSidesAndPosesChange) {
     for (std::uint64_t seed = 1; seed <= 2; ++seed) {
-        Sequence log = make_synthetic_street({.seed = seed,
-                                              .n_frames = 27,
-                                              .rows = 48,
-                                              .columns = 768,
-                                              .range_noise_m = 0.02,
-                                              .speed_mps = seed % 2 ? 3.0 : 8.0,
-                                              .moving_cars = false,
-                                              .people = true});
+        LidarSequence log = make_synthetic_street({.seed = seed,
+                                                   .n_frames = 27,
+                                                   .rows = 48,
+                                                   .columns = 768,
+                                                   .range_noise_m = 0.02,
+                                                   .speed_mps = seed % 2 ? 3.0 : 8.0,
+                                                   .moving_cars = false,
+                                                   .people = true});
         const std::vector<BoxTrack> truth = std::exchange(log.boxes, {});
         Random random(seed);
         glm::dvec3 off_m(0.0);
         for (Pose& pose : log.world_from_vehicle.pose) {
-            off_m += kWalk_m * glm::dvec3(random.normal(), random.normal(), 0.3 * random.normal());
+            off_m += kDriftStep_m * glm::dvec3(random.draw_standard_normal(), random.draw_standard_normal(),
+                                               0.3 * random.draw_standard_normal());
             pose.translation += off_m;
         }
-        for (const BoxTrack& found : discover_tracks(log, split_frames(log, 10).train)) {
-            const PoseTrack& track = found.world_from_box;
+        for (const BoxTrack& discovered_track : discover_tracks(log, split_frames(log, 10).train)) {
+            const PoseTrack& track = discovered_track.world_from_box;
             const bool is_one = std::ranges::any_of(truth, [&](const BoxTrack& thing) {
                 std::size_t inside = 0;
                 for (std::size_t i = 0; i < track.pose.size(); ++i)
-                    inside += thing.holds(track.pose[i].translation, track.time_s[i], kWalkedOff_m);
+                    inside +=
+                        thing.contains_point(track.pose[i].translation, track.time_s[i], kDriftMargin_m);
                 return 2 * inside > track.pose.size();
             });
             const glm::dvec3 from = track.pose.front().translation + log.world_offset_m;
             const glm::dvec3 to = track.pose.back().translation + log.world_offset_m;
-            EXPECT_TRUE(is_one) << "street " << seed << ": " << found.size_m.x << " x " << found.size_m.y
-                                << " m, in " << track.pose.size() << " frames from " << from.x << " "
-                                << from.y << " to " << to.x << " " << to.y;
+            EXPECT_TRUE(is_one) << "street " << seed << ": " << discovered_track.size_m.x << " x "
+                                << discovered_track.size_m.y << " m, in " << track.pose.size()
+                                << " frames from " << from.x << " " << from.y << " to " << to.x << " "
+                                << to.y;
         }
     }
 }

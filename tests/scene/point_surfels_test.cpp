@@ -17,8 +17,8 @@ namespace {
 
 constexpr double kSpacing = 0.1;  // spacing of the points on a line, metres
 
-InitialiseOptions make_standard_options() {
-    InitialiseOptions options;
+SceneInitialisationOptions make_standard_options() {
+    SceneInitialisationOptions options;
     options.normal_neighbours = 24;
     options.flatness = 0.04;
     options.max_gap_m = 1.0;
@@ -27,13 +27,15 @@ InitialiseOptions make_standard_options() {
 
 /// Returns the points of lines along y at several x, with 41 points each, heights from
 /// `height`, and noise of 1 mm. The sensor views the lines from the side and from above.
-std::vector<Sample> make_lines_at(const std::vector<double>& places,
-                                  const std::function<double(double)>& height) {
+std::vector<LidarSample> make_lines_at(const std::vector<double>& places,
+                                       const std::function<double(double)>& height) {
     Random random(1);
-    std::vector<Sample> samples;
+    std::vector<LidarSample> samples;
     for (const double x : places)
         for (int k = -20; k <= 20; ++k) {
-            const glm::dvec3 noise(0.001 * random.normal(), 0.001 * random.normal(), 0.001 * random.normal());
+            const glm::dvec3 noise(0.001 * random.draw_standard_normal(),
+                                   0.001 * random.draw_standard_normal(),
+                                   0.001 * random.draw_standard_normal());
             samples.push_back(
                 {glm::vec3(glm::dvec3(x, kSpacing * k, height(x)) + noise), 0.5f, {0.8f, 0.0f, -0.6f}});
         }
@@ -80,7 +82,7 @@ TEST(PointSurfels, ReachAcrossGapsBetweenLines) {
 }
 
 TEST(PointSurfels, AreRoundByThemselves) {
-    InitialiseOptions options = make_standard_options();
+    SceneInitialisationOptions options = make_standard_options();
     options.max_gap_m = 0.0;
     const Surfels surfels =
         make_surfels_from_points(make_lines_at(places(7, 0.5), [](double) { return 0.0; }), options, 0.0);
@@ -91,12 +93,13 @@ TEST(PointSurfels, AreRoundByThemselves) {
 /// points averaged over voxels.
 TEST(PointSurfels, AreRoundWherePointsAreEven) {
     Random random(2);
-    std::vector<Sample> samples;
+    std::vector<LidarSample> samples;
     for (int i = -20; i <= 20; ++i)
         for (int j = -20; j <= 20; ++j) {
-            const double x = i + random.uniform(-0.25, 0.25), y = j + random.uniform(-0.25, 0.25);
-            samples.push_back(
-                {glm::vec3(kSpacing * x, kSpacing * y, 0.001 * random.normal()), 0.5f, {0.8f, 0.0f, -0.6f}});
+            const double x = i + random.draw_uniform(-0.25, 0.25), y = j + random.draw_uniform(-0.25, 0.25);
+            samples.push_back({glm::vec3(kSpacing * x, kSpacing * y, 0.001 * random.draw_standard_normal()),
+                               0.5f,
+                               {0.8f, 0.0f, -0.6f}});
         }
     const Surfels surfels = make_surfels_from_points(samples, make_standard_options(), 0.0);
     double stretched = 0.0;
@@ -107,9 +110,9 @@ TEST(PointSurfels, AreRoundWherePointsAreEven) {
 /// Lines are 1.5 m apart, so that the 24 nearest neighbours of a point belong to a single
 /// line. Only a wider search shows that the ground is level.
 TEST(PointSurfels, OneLineAsksFartherForItsSurface) {
-    InitialiseOptions options = make_standard_options();
+    SceneInitialisationOptions options = make_standard_options();
     options.max_gap_m = 2.0;
-    const std::vector<Sample> samples = make_lines_at(places(5, 1.5), [](double) { return 0.0; });
+    const std::vector<LidarSample> samples = make_lines_at(places(5, 1.5), [](double) { return 0.0; });
     const Disc disc = make_disc_at(make_surfels_from_points(samples, options, 0.0), {});
     EXPECT_GT(std::abs(disc.normal.z), 0.999);
     EXPECT_NEAR(disc.along_x, 15.0, 1.0);
@@ -121,7 +124,7 @@ TEST(PointSurfels, OneLineAsksFartherForItsSurface) {
 TEST(PointSurfels, DoNotReachToAnotherSurface) {
     // the next line to the right is 0.5 m higher
     const auto steps = [](double value) { return value > 0.1 ? 0.5 : 0.0; };
-    const std::vector<Sample> samples =
+    const std::vector<LidarSample> samples =
         make_lines_at({-0.6, -0.5, -0.4, -0.3, -0.2, -0.1, 0.0, 0.5, 0.6}, steps);
     const Disc disc = make_disc_at(make_surfels_from_points(samples, make_standard_options(), 0.0), {});
     EXPECT_LT(disc.along_x, 1.6);
@@ -130,7 +133,8 @@ TEST(PointSurfels, DoNotReachToAnotherSurface) {
 /// No ray observed the space above the uppermost line. Training could therefore not
 /// correct a disc that extends into this space.
 TEST(PointSurfels, DoNotReachBeyondTheLastLine) {
-    const std::vector<Sample> samples = make_lines_at({-1.5, -1.0, -0.5, 0.0}, [](double) { return 0.0; });
+    const std::vector<LidarSample> samples =
+        make_lines_at({-1.5, -1.0, -0.5, 0.0}, [](double) { return 0.0; });
     const Surfels surfels = make_surfels_from_points(samples, make_standard_options(), 0.0);
     EXPECT_LT(make_disc_at(surfels, {}).along_x, 1.6);
     EXPECT_NEAR(make_disc_at(surfels, {-0.5f, 0.0f, 0.0f}).along_x, 5.0, 0.5);
@@ -145,7 +149,7 @@ TEST(PointSurfels, DoNotReachFartherThanTheyMay) {
         make_disc_at(make_surfels_from_points(make_lines_at(x, ground), make_standard_options(), 0.0), {})
             .along_x,
         6.0, 0.5);
-    InitialiseOptions options = make_standard_options();
+    SceneInitialisationOptions options = make_standard_options();
     options.max_gap_m = 0.5;
     EXPECT_LT(make_disc_at(make_surfels_from_points(make_lines_at(x, ground), options, 0.0), {}).along_x,
               1.6);

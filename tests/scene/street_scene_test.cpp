@@ -84,8 +84,8 @@ const StreetSurfel kLastOf1000{999,
                                {-0.0703125f, 0.0078125f, 0.0234375f}};
 
 TEST(Street, FamilyAOf1000) {
-    const Surfels s = make_benchmark_street(1000);
-    s.check_shapes();
+    const Surfels s = make_benchmark_street_surfels(1000);
+    s.check_array_lengths();
     expect_sample(s, kFirstOf1000);
     expect_sample(s, kLastOf1000);
     expect_sums(s, {50157.65320637668, 1531.3510222060395, 361.5212205052376, 545.7502571195364,
@@ -93,7 +93,7 @@ TEST(Street, FamilyAOf1000) {
 }
 
 TEST(Street, FamilyBScalesWithTheCount) {
-    const Surfels s = make_benchmark_street(1000, 20261120, true);
+    const Surfels s = make_benchmark_street_surfels(1000, 20261120, true);
     StreetSurfel first = kFirstOf1000, last = kLastOf1000;
     first.scale = {1.1845113f, 1.23938191f};
     last.scale = {2.95972896f, 1.32527745f};
@@ -104,7 +104,7 @@ TEST(Street, FamilyBScalesWithTheCount) {
 }
 
 TEST(Street, FamilyAOf100000) {
-    const Surfels s = make_benchmark_street(100000);
+    const Surfels s = make_benchmark_street_surfels(100000);
     expect_sample(s, {0,
                       {66.1117859f, 8.53628254f, 0.608389974f},
                       {-0.562476873f, 0.639396787f, -0.358642876f, -0.382317722f},
@@ -124,8 +124,8 @@ TEST(Street, FamilyAOf100000) {
 }
 
 TEST(Street, OtherSeedsAndEmpty) {
-    EXPECT_NE(make_benchmark_street(10, 1).mean[0], make_benchmark_street(10, 2).mean[0]);
-    EXPECT_EQ(make_benchmark_street(0).size(), 0u);
+    EXPECT_NE(make_benchmark_street_surfels(10, 1).mean[0], make_benchmark_street_surfels(10, 2).mean[0]);
+    EXPECT_EQ(make_benchmark_street_surfels(0).size(), 0u);
 }
 
 void expect_rays(const RayTable& table, int rows, int columns, const glm::vec3& first, const glm::vec3& last,

@@ -23,18 +23,22 @@ PoseTrack make_straight_walk(double speed_mps, double jitter_m, double from_s = 
     for (double t = from_s; t < from_s + 5.05; t += 0.1) {
         track.time_s.push_back(t);
         track.pose.push_back({glm::dquat(1, 0, 0, 0),
-                              {speed_mps * t, jitter_m * random.normal(), jitter_m * random.normal()}});
+                              {speed_mps * t, jitter_m * random.draw_standard_normal(),
+                               jitter_m * random.draw_standard_normal()}});
     }
     return track;
 }
 
 TEST(WalkedDistance, IsTheWayAndNotTheJitterOfLabels) {
-    const WalkedDistance exact(make_straight_walk(1.4, 0.0));
-    for (const double t : {0.0, 0.33, 2.0, 5.0, 6.0}) EXPECT_NEAR(exact.at(t), 1.4 * t, 1e-9) << t;
-    const WalkedDistance labelled(make_straight_walk(1.4, 0.03));
-    EXPECT_NEAR(labelled.at(4.5) - labelled.at(0.5), 1.4 * 4.0, 0.15);
-    EXPECT_LT(WalkedDistance(make_straight_walk(0.0, 0.03)).at(5.0), 0.2) << "it stands";
-    EXPECT_EQ(WalkedDistance(PoseTrack{{0.0}, {Pose{}}}).at(3.0), 0.0);
+    const WalkedDistanceTrack exact(make_straight_walk(1.4, 0.0));
+    for (const double t : {0.0, 0.33, 2.0, 5.0, 6.0})
+        EXPECT_NEAR(exact.compute_walked_distance_m(t), 1.4 * t, 1e-9) << t;
+    const WalkedDistanceTrack labelled(make_straight_walk(1.4, 0.03));
+    EXPECT_NEAR(labelled.compute_walked_distance_m(4.5) - labelled.compute_walked_distance_m(0.5), 1.4 * 4.0,
+                0.15);
+    EXPECT_LT(WalkedDistanceTrack(make_straight_walk(0.0, 0.03)).compute_walked_distance_m(5.0), 0.2)
+        << "it stands";
+    EXPECT_EQ(WalkedDistanceTrack(PoseTrack{{0.0}, {Pose{}}}).compute_walked_distance_m(3.0), 0.0);
 }
 
 /// Makes three walkers and a rigid cyclist. Legs and arms of a walker swing once per
@@ -61,32 +65,34 @@ protected:
     }
     static void TearDownTestSuite() { log = {}, walking = rigid = {}; }
 
-    static const Model& model_of(const Scene& scene, const std::string& track) {
-        return *std::ranges::find(scene.models, track, &Model::name);
+    static const SurfelModel& model_of(const Scene& scene, const std::string& track) {
+        return *std::ranges::find(scene.models, track, &SurfelModel::name);
     }
     /// Returns the errors of the rendered surface in metres, for all rays of a frame that
     /// hit a walker in the exact street.
-    std::vector<double> errors(const Scene& scene, const Sequence& at, const Frame& frame, const Scan& exact,
-                               const std::string& track) {
+    std::vector<double> errors(const Scene& scene, const LidarSequence& at, const LidarFrame& frame,
+                               const Scan& exact, const std::string& track) {
         const BoxTrack& box = *find_box(at, track);
-        const PoseTrack world_from_sensor = at.world_from_sensor(frame.lidar);
+        const PoseTrack world_from_sensor = at.get_world_from_sensor(frame.lidar);
         WorldRays rays;
         std::vector<double> truth;
         for (std::size_t i = 0; i < exact.range_m.size(); ++i) {
             if (!(exact.range_m[i] > 0.0f)) continue;
             const WorldRay ray = make_world_ray(world_from_sensor, frame.time_s, frame.scan.rays, i, true);
             const glm::dvec3 point = ray.origin_m + double(exact.range_m[i]) * ray.direction;
-            const glm::dvec3 local = inverse(box.world_from_box.at(frame.time_s)) * point;
-            if (!box.holds(point, frame.time_s, 0.05) || local.z < -0.5 * box.size_m.z + 0.2) continue;
+            const glm::dvec3 local = inverse(box.world_from_box.interpolate_pose(frame.time_s)) * point;
+            if (!box.contains_point(point, frame.time_s, 0.05) || local.z < -0.5 * box.size_m.z + 0.2)
+                continue;
             rays.origin.emplace_back(ray.origin_m), rays.direction.emplace_back(ray.direction);
             truth.push_back(double(exact.range_m[i]));
         }
         Renderer renderer(device(), scene, {}, {.n_rays = static_cast<std::uint32_t>(rays.size())});
         // moves the scene to a different phase of the stride first
-        renderer.move(place_instances(scene, log, get_sweep_moment(log.frames[0])), glm::vec3(0.0f));
-        renderer.move(place_instances(scene, at, get_sweep_moment(frame)),
-                      glm::vec3(world_from_sensor.at(frame.time_s).translation));
-        const Rendering r = renderer.forward(rays);
+        renderer.move_instances(compute_instance_poses(scene, log, get_sweep_moment(log.frames[0])),
+                                glm::vec3(0.0f));
+        renderer.move_instances(compute_instance_poses(scene, at, get_sweep_moment(frame)),
+                                glm::vec3(world_from_sensor.interpolate_pose(frame.time_s).translation));
+        const RenderedRayValues r = renderer.render_rays(rays);
         std::vector<double> off;
         for (std::size_t i = 0; i < truth.size(); ++i)
             off.push_back(std::abs(double(r.median_depth[i]) - truth[i]));
@@ -97,9 +103,9 @@ protected:
                double(errors.size());
     }
 
-    inline static Sequence log;
-    inline static Split split;
-    inline static InitialiseOptions start;
+    inline static LidarSequence log;
+    inline static TrainTestSplit split;
+    inline static SceneInitialisationOptions start;
     inline static Scene walking, rigid;
     inline static std::vector<std::string> notes;
 };
@@ -122,9 +128,9 @@ TEST_F(Walkers, PeopleAndCyclistsChangeAndTheBackgroundDoesNot) {
 TEST_F(Walkers, LieWhereTheyAreAtMomentsThatWereHeldOut) {
     std::vector<double> bent, stiff;
     for (const int position : split.test) {
-        const Frame& frame = log.frames[std::size_t(position)];
-        const Scan exact =
-            cast_synthetic_street(options(), frame.scan.rays, log.world_from_sensor(0), frame.time_s);
+        const LidarFrame& frame = log.frames[std::size_t(position)];
+        const Scan exact = cast_rays_into_synthetic_street(options(), frame.scan.rays,
+                                                           log.get_world_from_sensor(0), frame.time_s);
         for (const char* track : {"0", "1"}) {
             for (const double e : errors(walking, log, frame, exact, track)) bent.push_back(e);
             for (const double e : errors(rigid, log, frame, exact, track)) stiff.push_back(e);
@@ -141,17 +147,17 @@ TEST_F(Walkers, LieWhereTheyAreAtMomentsThatWereHeldOut) {
 /// because the phase depends on distance. The exact street has the same property.
 TEST_F(Walkers, StepByDistance) {
     const std::string walker = "0";
-    Sequence slow = log;
+    LidarSequence slow = log;
     BoxTrack& box = *std::ranges::find(slow.boxes, walker, &BoxTrack::id);
     for (double& t : box.world_from_box.time_s) t *= 2.0;
-    const std::size_t at =
-        1 + std::size_t(std::ranges::find(walking.models, walker, &Model::name) - walking.models.begin() - 1);
-    const Frame& frame = log.frames[30];
-    const double before = place_instances(walking, log, SweepMoment{log.frames[15].time_s})[at].phase;
-    const double phase = place_instances(walking, slow, get_sweep_moment(frame))[at].phase;
+    const std::size_t at = 1 + std::size_t(std::ranges::find(walking.models, walker, &SurfelModel::name) -
+                                           walking.models.begin() - 1);
+    const LidarFrame& frame = log.frames[30];
+    const double before = compute_instance_poses(walking, log, SweepTiming{log.frames[15].time_s})[at].phase;
+    const double phase = compute_instance_poses(walking, slow, get_sweep_moment(frame))[at].phase;
     EXPECT_NEAR(phase, before, 0.03) << "turns, half way";
-    const Scan exact = cast_synthetic_street(options(), {{std::stoul(walker), box}}, frame.scan.rays,
-                                             log.world_from_sensor(0), frame.time_s);
+    const Scan exact = cast_rays_into_synthetic_street(
+        options(), {{std::stoul(walker), box}}, frame.scan.rays, log.get_world_from_sensor(0), frame.time_s);
     EXPECT_GT(share_within(errors(walking, slow, frame, exact, walker), 0.03),
               share_within(errors(rigid, slow, frame, exact, walker), 0.03) + 0.05);
 }

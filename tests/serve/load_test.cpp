@@ -52,7 +52,7 @@ TEST_F(Load, ThousandCallsOfEightClientsAreAllAnsweredAndMemoryStays) {
     start();
     v1::RenderLidarRequest request = make_standing_request();
     request.mutable_sensor()->set_name("VLP-16:128x10");
-    const v1::LidarScan truth = ScanClient(address()).render(request);
+    const v1::LidarScan truth = ScanClient(address()).render_lidar_scan(request);
     const double answer_mib = double(truth.ByteSizeLong()) / (1024.0 * 1024.0);
     // afterwards, threads, arenas and caches exist
     EXPECT_EQ(answered(200, request, truth.image().range_m()), 200);
@@ -69,14 +69,15 @@ class Occupant {
 public:
     explicit Occupant(v1::RenderService::Stub& stub) {
         v1::UploadSensorRequest upload;
-        v1::UploadSensorResponse kept;
+        v1::UploadSensorResponse upload_response;
         *upload.mutable_sensor() = make_rays_ahead(200'000);
         grpc::ClientContext context;
-        EXPECT_TRUE(stub.UploadSensor(&context, upload, &kept).ok());
+        EXPECT_TRUE(stub.UploadSensor(&context, upload, &upload_response).ok());
         v1::RenderRigRequest request;
         *request.mutable_rig() = make_standing_request();
         request.mutable_rig()->clear_wanted();
-        for (int i = 0; i < 64; ++i) request.add_sensors()->mutable_sensor()->set_handle(kept.handle());
+        for (int i = 0; i < 64; ++i)
+            request.add_sensors()->mutable_sensor()->set_handle(upload_response.handle());
         reader_ = stub.RenderRig(&context_, request);
         v1::RigScan first;
         EXPECT_TRUE(reader_->Read(&first)) << "it is in";
@@ -152,7 +153,7 @@ TEST_F(Load, StopsWhileCallsAreInWork) {
     start(8);
     const auto calls = stub();
     Occupant occupant(*calls);
-    server->stop(std::chrono::milliseconds(100));
+    server->stop_and_wait(std::chrono::milliseconds(100));
     EXPECT_FALSE(occupant.leave().ok());
     EXPECT_EQ(call(*calls).error_code(), Code::UNAVAILABLE);
 }

@@ -20,22 +20,23 @@ namespace relidar::serve {
 namespace {
 
 /// Request that calls functions.
-struct FunctionsRequest : Request {
+struct FunctionsRequest : QueuedRequest {
     std::function<void(bool is_last)> on_submit = [](bool) {};
     std::function<void()> on_finish = [] {};
     std::function<bool()> cancelled = [] { return false; };
 
-    void submit(bool is_last) override { on_submit(is_last); }
-    void finish() override { on_finish(); }
+    void submit_to_device(bool is_last) override { on_submit(is_last); }
+    void wait_and_store_response() override { on_finish(); }
     bool is_cancelled() const override { return cancelled(); }
 };
-using Outcome = RenderQueue::Outcome;
+using Outcome = RenderQueue::RequestOutcome;
 
 /// Work that blocks the render thread until the object is destroyed.
 class Blocker {
 public:
     explicit Blocker(RenderQueue& queue)
-        : slot_(std::move(*queue.reserve())), thread_([this] { slot_.run([this] { block(); }); }) {
+        : slot_(std::move(*queue.reserve_slot())),
+          thread_([this] { slot_.run_on_render_thread([this] { block(); }); }) {
         begun_.get_future().wait();
     }
     ~Blocker() {
@@ -45,7 +46,7 @@ public:
 
 private:
     std::promise<void> begun_, go_;
-    RenderQueue::Slot slot_;
+    RenderQueue::QueueSlot slot_;
     std::thread thread_;
 
     void block() {
@@ -56,27 +57,28 @@ private:
 
 TEST(RenderQueue, HasSlotsForPendingRequestsAndTheCurrentOne) {
     RenderQueue queue(2);
-    std::vector<RenderQueue::Slot> slots;
+    std::vector<RenderQueue::QueueSlot> slots;
     for (int i = 0; i < 3; ++i) {
-        std::optional<RenderQueue::Slot> slot = queue.reserve();
+        std::optional<RenderQueue::QueueSlot> slot = queue.reserve_slot();
         ASSERT_TRUE(slot);
         slots.push_back(std::move(*slot));
     }
-    EXPECT_FALSE(queue.reserve());
+    EXPECT_FALSE(queue.reserve_slot());
     slots.pop_back();
-    EXPECT_TRUE(queue.reserve()) << "a slot is released";
+    EXPECT_TRUE(queue.reserve_slot()) << "a slot is released";
 }
 
 TEST(RenderQueue, RunsAllRequestsOnOneThread) {
     RenderQueue queue(8);
     std::thread::id worker;
-    queue.reserve()->run([&] { worker = std::this_thread::get_id(); });
+    queue.reserve_slot()->run_on_render_thread([&] { worker = std::this_thread::get_id(); });
     EXPECT_NE(worker, std::this_thread::get_id());
     std::atomic<int> elsewhere = 0, done = 0;
     std::vector<std::jthread> clients;
     for (int i = 0; i < 8; ++i)
         clients.emplace_back([&] {
-            queue.reserve()->run([&] { elsewhere += std::this_thread::get_id() != worker, ++done; });
+            queue.reserve_slot()->run_on_render_thread(
+                [&] { elsewhere += std::this_thread::get_id() != worker, ++done; });
         });
     clients.clear();
     EXPECT_EQ(done, 8);
@@ -112,7 +114,7 @@ std::string list_parts(const std::vector<std::pair<char, std::size_t>>& line, st
             };
             if (scene > 0) request.scene = scene;
             try {
-                queue.reserve()->run(request);
+                queue.reserve_slot()->run_request_and_wait(request);
             } catch (const std::runtime_error&) {}
         });
         // When the queue has polled whether the request is cancelled, the request is
@@ -146,16 +148,16 @@ TEST(RenderQueue, ARequestThatFailsIsNotFinishedAndStopsNoOther) {
     fails.scene = 1;
     fails.on_submit = [](bool) { throw std::runtime_error("submit"); };
     fails.on_finish = [&] { finished = true; };
-    EXPECT_THROW(queue.reserve()->run(fails), std::runtime_error);
+    EXPECT_THROW(queue.reserve_slot()->run_request_and_wait(fails), std::runtime_error);
     EXPECT_FALSE(finished);
     FunctionsRequest fails_late;
     fails_late.scene = 1;
     fails_late.on_finish = [] { throw std::runtime_error("finish"); };
-    EXPECT_THROW(queue.reserve()->run(fails_late), std::runtime_error);
+    EXPECT_THROW(queue.reserve_slot()->run_request_and_wait(fails_late), std::runtime_error);
     FunctionsRequest works;
     works.scene = 1;
     works.on_finish = [&] { finished = true; };
-    EXPECT_EQ(queue.reserve()->run(works), Outcome::done) << "nobody comes after it";
+    EXPECT_EQ(queue.reserve_slot()->run_request_and_wait(works), Outcome::done) << "nobody comes after it";
     EXPECT_TRUE(finished);
 }
 
@@ -168,14 +170,14 @@ TEST(RenderQueue, ACancelledRequestIsNeverSubmitted) {
     request.cancelled = [&] { return cancelled.load(); };
     {
         Blocker blocker(queue);
-        std::jthread client([&] { outcome = queue.reserve()->run(request); });
+        std::jthread client([&] { outcome = queue.reserve_slot()->run_request_and_wait(request); });
         cancelled = true;
         // joins the client while the queue is busy, because a cancelled request must not
         // wait for other requests
         client.join();
         EXPECT_EQ(outcome, Outcome::cancelled);
     }
-    queue.reserve()->run([] {});  // afterwards, all earlier work has been processed
+    queue.reserve_slot()->run_on_render_thread([] {});  // afterwards, all earlier work has been processed
     EXPECT_FALSE(ran);
 }
 
@@ -185,15 +187,16 @@ TEST(RenderQueue, ChecksOnceMoreBeforeItSubmits) {
     FunctionsRequest request;
     request.on_submit = [&](bool) { ran = true; };
     request.cancelled = [] { return true; };
-    EXPECT_EQ(queue.reserve()->run(request), Outcome::cancelled);
+    EXPECT_EQ(queue.reserve_slot()->run_request_and_wait(request), Outcome::cancelled);
     EXPECT_FALSE(ran);
 }
 
 TEST(RenderQueue, AFailureEndsOnlyItsRequest) {
     RenderQueue queue(4);
-    EXPECT_THROW(queue.reserve()->run([] { throw std::runtime_error("of this one"); }), std::runtime_error);
+    EXPECT_THROW(queue.reserve_slot()->run_on_render_thread([] { throw std::runtime_error("of this one"); }),
+                 std::runtime_error);
     FunctionsRequest request;
-    EXPECT_EQ(queue.reserve()->run(request), Outcome::done);
+    EXPECT_EQ(queue.reserve_slot()->run_request_and_wait(request), Outcome::done);
 }
 
 }  // namespace

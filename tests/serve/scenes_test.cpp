@@ -33,9 +33,9 @@ protected:
         }
     }
     std::vector<float> ranges(SceneSet& scenes, std::size_t scene) {
-        const relidar::Run& run = scenes.outlines()[scene];
+        const relidar::TrainedRun& run = scenes.get_runs_without_surfels()[scene];
         std::vector<float> range_m;
-        scenes.use(scene, {}, [&](ScanRenderer& renderer) {
+        scenes.call_with_scene(scene, {}, [&](ScanRenderer& renderer) {
             range_m =
                 renderer.render(make_configured_sensor(run.config, run.sequence), request).image.range_m;
         });
@@ -60,9 +60,9 @@ TEST_F(Scenes, ThoseUsedLongestAgoMakeRoomAndComeBackTheSame) {
     std::size_t last = 2;
     for (const std::size_t scene : {1u, 0u, 2u, 0u, 1u, 2u}) {
         EXPECT_EQ(ranges(scenes, scene), truth) << scene;
-        EXPECT_TRUE(scenes.is_loaded(scene));
-        EXPECT_TRUE(scenes.is_loaded(last)) << last << " was used before " << scene;
-        EXPECT_FALSE(scenes.is_loaded(3 - scene - last)) << "the third was used longest ago";
+        EXPECT_TRUE(scenes.is_scene_loaded(scene));
+        EXPECT_TRUE(scenes.is_scene_loaded(last)) << last << " was used before " << scene;
+        EXPECT_FALSE(scenes.is_scene_loaded(3 - scene - last)) << "the third was used longest ago";
         EXPECT_LE(device().allocated_bytes(), budget);
         last = scene;
     }
@@ -74,11 +74,11 @@ TEST_F(Scenes, ThatWereLoadedAnewInBetweenAreTold) {
     SceneSet scenes(device(), sources, std::uint64_t(1) << 40, no_assets);
     const auto nothing = [](ScanRenderer&) {};
     const auto fails = [](ScanRenderer&) { throw DeviceError("planted"); };
-    const SceneSet::Load first = scenes.use(0, {}, nothing);
+    const SceneSet::SceneLoadNumber first = scenes.call_with_scene(0, {}, nothing);
     EXPECT_NO_THROW(scenes.call_with_loaded_scene(0, first, nothing));
-    EXPECT_THROW(scenes.use(0, {}, fails), DeviceError);
+    EXPECT_THROW(scenes.call_with_scene(0, {}, fails), DeviceError);
     EXPECT_THROW(scenes.call_with_loaded_scene(0, first, nothing), DeviceError) << "nothing there";
-    const SceneSet::Load second = scenes.use(0, {}, nothing);
+    const SceneSet::SceneLoadNumber second = scenes.call_with_scene(0, {}, nothing);
     EXPECT_THROW(scenes.call_with_loaded_scene(0, first, nothing), DeviceError) << "another one";
     EXPECT_NO_THROW(scenes.call_with_loaded_scene(0, second, nothing));
 }
@@ -86,14 +86,14 @@ TEST_F(Scenes, ThatWereLoadedAnewInBetweenAreTold) {
 /// A scene is copied for parallel scans. The memory of the copies must count towards the
 /// memory of the scene.
 TEST_F(Scenes, OneThatFillsTheMemoryIsNotCopied) {
-    const Forced forced(device(), {.side_by_side = 4});
+    const ForcedBehaviourScope forced(device(), {.side_by_side = 4});
     const std::uint64_t around = device().allocated_bytes();
     std::uint64_t one = 0;
     const auto side_by_side = [&](std::uint64_t budget) {
         SceneSet scenes(device(), {sources[0]}, budget, no_assets);
         one = device().allocated_bytes() - around;
         int n = 0;
-        scenes.use(0, {}, [&](ScanRenderer& renderer) { n = renderer.side_by_side(); });
+        scenes.call_with_scene(0, {}, [&](ScanRenderer& renderer) { n = renderer.get_max_parallel_scans(); });
         return n;
     };
     EXPECT_EQ(side_by_side(std::uint64_t(1) << 40), 4);

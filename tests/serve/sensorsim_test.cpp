@@ -58,10 +58,10 @@ class Sensorsim : public ServiceTest {
 protected:
     std::unique_ptr<wire::SensorsimService::Stub> calls;
 
-    void start_sensorsim(PoseOrder order = PoseOrder::rotation_first) {
+    void start_sensorsim(PoseTransformOrder order = PoseTransformOrder::rotation_first) {
         sensorsim = order;
         start();
-        calls = wire::SensorsimService::NewStub(connect(address()));
+        calls = wire::SensorsimService::NewStub(open_insecure_channel(address()));
     }
     wire::LidarRenderReturn render(const wire::LidarRenderRequest& request) {
         grpc::ClientContext context;
@@ -119,19 +119,19 @@ double measure_distance_to_beam(const Beam& beam, const glm::dvec3& on_wall, dou
 TEST_F(Sensorsim, SweepFillsTheFrameFromItsStartToItsEnd) {
     start_sensorsim();
     const std::vector<Beam> beams = std::get<SpinningSensor>(find_sensor("Pandar128").pattern).beams;
-    constexpr double kWay_m = 8.0;
+    constexpr double kDriveLength_m = 8.0;
     for (const std::uint64_t frame_us : {100'000u, 3'000'000u}) {
         wire::LidarRenderRequest request = moving();
         request.set_frame_end_us(400'000 + frame_us);
-        set_pair(*request.mutable_sensor_pose(), {}, {{1, 0, 0, 0}, {kWay_m, 0.0, 0.0}});
+        set_pair(*request.mutable_sensor_pose(), {}, {{1, 0, 0, 0}, {kDriveLength_m, 0.0, 0.0}});
         const auto points = values<glm::vec3>(render(request).xyz_buffer());
         ASSERT_GT(points.size(), 1000u);
         double worst = 0.0;
         for (std::size_t i = 0; i < points.size(); i += 7) {  // 7 does not divide the number of beams
-            const glm::dvec3 on_wall = glm::dvec3(points[i]) + glm::dvec3(kWay_m, 0.0, 0.0);
+            const glm::dvec3 on_wall = glm::dvec3(points[i]) + glm::dvec3(kDriveLength_m, 0.0, 0.0);
             double least = kPi;
             for (const Beam& beam : beams)
-                least = std::min(least, measure_distance_to_beam(beam, on_wall, kWay_m));
+                least = std::min(least, measure_distance_to_beam(beam, on_wall, kDriveLength_m));
             worst = std::max(worst, least);
         }
         EXPECT_LT(worst, 1e-4) << "beams are 2e-3 apart";
@@ -158,7 +158,7 @@ TEST_F(Sensorsim, ObjectsMoveFromTheirFirstPoseToTheirLast) {
 }
 
 TEST_F(Sensorsim, TranslationFirstIsASwitch) {
-    start_sensorsim(PoseOrder::translation_first);
+    start_sensorsim(PoseTransformOrder::translation_first);
     const auto other = [](const Pose& pose) {
         return Pose{pose.rotation, glm::inverse(pose.rotation) * pose.translation};
     };
@@ -197,7 +197,7 @@ TEST_F(Sensorsim, AggregatesLidarScansAlone) {
 
 TEST_F(Sensorsim, IsOfferedWhereItIsWantedAlone) {
     start();
-    calls = wire::SensorsimService::NewStub(connect(address()));
+    calls = wire::SensorsimService::NewStub(open_insecure_channel(address()));
     EXPECT_EQ(refused(moving()).error_code(), Code::UNIMPLEMENTED);
 }
 
@@ -260,7 +260,7 @@ TEST_F(Sensorsim, SaysWhatMakesNoSense) {
 
 /// Calls a method of the service with raw bytes under the package name of NuRec 26.10.
 std::string call_renamed(const std::string& address, const std::string& method, const std::string& request) {
-    grpc::GenericStub stub(connect(address));
+    grpc::GenericStub stub(open_insecure_channel(address));
     grpc::ClientContext context;
     grpc::CompletionQueue queue;
     const grpc::Slice slice(request);
@@ -293,7 +293,7 @@ TEST_F(Sensorsim, AnswersUnderTheNameOfNuRec2610) {
 }
 
 TEST_F(Sensorsim, LogicalIdTellsTheLidarsOfTheLogApart) {
-    relidar::Run run = make_small_run(folder / "small");
+    relidar::TrainedRun run = make_small_run(folder / "small");
     run.sequence.lidars.push_back(run.sequence.lidars[0]);
     run.sequence.lidars[0].name = "front", run.sequence.lidars[1].name = "rear";
     run.sequence.lidars[1].sensor.beams = {{0.05}, {-0.05}};
@@ -339,12 +339,12 @@ TEST_F(Sensorsim, TellsTheWaysOfTheLog) {
     grpc::ClientContext context;
     ASSERT_TRUE(calls->get_available_trajectories(&context, which, &answer).ok());
     ASSERT_EQ(answer.trajectories_size(), 2) << "the vehicle's and that of its LiDAR";
-    for (const wire::AvailableTrajectory& way : answer.trajectories()) {
-        ASSERT_EQ(way.trajectory().poses_size(), 3);
-        EXPECT_EQ(way.trajectory().poses(1).timestamp_us(), 500'000u);
-        EXPECT_EQ(way.trajectory().poses(1).pose().translation().x(), 0.0f)
+    for (const wire::AvailableTrajectory& available_trajectory : answer.trajectories()) {
+        ASSERT_EQ(available_trajectory.trajectory().poses_size(), 3);
+        EXPECT_EQ(available_trajectory.trajectory().poses(1).timestamp_us(), 500'000u);
+        EXPECT_EQ(available_trajectory.trajectory().poses(1).pose().translation().x(), 0.0f)
             << "relidar's world, near the log";
-        EXPECT_EQ(way.trajectory().poses(1).pose().rotation().w(), 1.0f);
+        EXPECT_EQ(available_trajectory.trajectory().poses(1).pose().rotation().w(), 1.0f);
     }
 }
 

@@ -23,17 +23,17 @@ namespace {
 class Service : public ServiceTest {
 protected:
     v1::LidarScan scan_of(const v1::RenderLidarRequest& request) {
-        return ScanClient(address()).render(request);
+        return ScanClient(address()).render_lidar_scan(request);
     }
 
     /// Renders the same scan with the library.
     RenderedScan rendered(const ScanRequest& request, const std::string& sensor,
                           std::optional<std::uint64_t> sample, const std::string& in_weather = "") {
-        const relidar::Run run = load_run(folder / "small");
+        const relidar::TrainedRun run = load_run(folder / "small");
         ScanRenderer renderer(device(), run);
         renderer.set_weather(parse_weather(in_weather));
-        const SensorChoice choice = sensor.empty() ? make_configured_sensor(run.config, run.sequence)
-                                                   : choose_sensor(sensor, run.config, run.sequence);
+        const SimulatedSensor choice = sensor.empty() ? make_configured_sensor(run.config, run.sequence)
+                                                      : choose_sensor(sensor, run.config, run.sequence);
         return renderer.render(choice, request, sample);
     }
     static void expect_same(const v1::LidarScan& scan, const RenderedScan& truth) {
@@ -54,23 +54,25 @@ protected:
 TEST_F(Service, RendersToTheBitAsTheLibrary) {
     start();
     const Pose turned{glm::normalize(glm::dquat(1.0, 0.01, 0.02, 0.1)), make_pose_at_x(0.0).translation};
-    const PoseTrack way{{0.3, 0.45, 0.6}, {make_pose_at_x(-2.0), make_pose_at_x(-1.0), turned}};
+    const PoseTrack sensor_path{{0.3, 0.45, 0.6}, {make_pose_at_x(-2.0), make_pose_at_x(-1.0), turned}};
     const PoseTrack car{{0.4, 0.5}, {make_pose_at_x(5.0), make_pose_at_x(6.0)}};
     v1::RenderLidarRequest request = make_standing_request();
     request.clear_path();
-    for (std::size_t i = 0; i < 3; ++i) add_pose(*request.mutable_path(), way.time_s[i], way.pose[i]);
+    for (std::size_t i = 0; i < 3; ++i)
+        add_pose(*request.mutable_path(), sensor_path.time_s[i], sensor_path.pose[i]);
     request.set_time_s(0.45);
-    expect_same(scan_of(request), rendered({0.45, way}, "", {}));
+    expect_same(scan_of(request), rendered({0.45, sensor_path}, "", {}));
 
     v1::ActorTrack& actor = *request.mutable_actors()->add_actors();
     actor.set_name("car");
     for (std::size_t i = 0; i < 2; ++i) add_pose(*actor.mutable_poses(), car.time_s[i], car.pose[i]);
     request.mutable_sensor()->set_name("VLP-16:90x10");
-    expect_same(scan_of(request), rendered({0.45, way, ActorPoses{{"car", car}}}, "VLP-16:90x10", {}));
+    expect_same(scan_of(request),
+                rendered({0.45, sensor_path, ActorTracksByName{{"car", car}}}, "VLP-16:90x10", {}));
 
     request.mutable_actors()->clear_actors();
     request.set_sample_seed(7);
-    expect_same(scan_of(request), rendered({0.45, way, ActorPoses{}}, "VLP-16:90x10", 7));
+    expect_same(scan_of(request), rendered({0.45, sensor_path, ActorTracksByName{}}, "VLP-16:90x10", 7));
 }
 
 /// Returns the positions in a binary PLY file. A point has 26 bytes: x, y, z, intensity,
@@ -91,7 +93,7 @@ std::vector<float> read_ply_positions(const std::filesystem::path& path) {
 std::vector<float> list_returned_positions(const std::vector<float>& ends, const RenderedScan& scan) {
     std::vector<float> positions;
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i)
-        if (is_returned(scan.image.drop_prob[i], scan.median_range_m[i]))
+        if (is_ray_returned(scan.image.drop_prob[i], scan.median_range_m[i]))
             positions.insert(positions.end(), {ends[3 * i], ends[3 * i + 1], ends[3 * i + 2]});
     return positions;
 }
@@ -103,25 +105,26 @@ std::vector<float> list_returned_positions(const std::vector<float>& ends, const
 TEST_F(Service, PointsAreThoseOfFilesViewerAndPython) {
     start();
     const Pose turned{glm::normalize(glm::dquat(1.0, 0.01, 0.02, 0.1)), make_pose_at_x(1.3).translation};
-    const PoseTrack way{{0.3, 0.45, 0.6}, {make_pose_at_x(-2.0), make_pose_at_x(0.0), turned}};
+    const PoseTrack sensor_path{{0.3, 0.45, 0.6}, {make_pose_at_x(-2.0), make_pose_at_x(0.0), turned}};
     v1::RenderLidarRequest request = make_standing_request();
     request.clear_path();
-    for (std::size_t i = 0; i < 3; ++i) add_pose(*request.mutable_path(), way.time_s[i], way.pose[i]);
+    for (std::size_t i = 0; i < 3; ++i)
+        add_pose(*request.mutable_path(), sensor_path.time_s[i], sensor_path.pose[i]);
     request.set_time_s(0.45), request.set_points_at_s(0.45);
     const std::vector<float> beside_image = values<float>(scan_of(request).points().xyz_m());
     ASSERT_GT(beside_image.size(), 60u);
     request.mutable_wanted()->clear_range_image(), request.mutable_wanted()->clear_drop_probability();
     EXPECT_EQ(values<float>(scan_of(request).points().xyz_m()), beside_image) << "without an image";
 
-    const relidar::Run run = load_run(folder / "small");
-    const RenderedScan scan = rendered({0.45, way}, "", {});
-    ScanFormat format = make_scan_format(run, make_configured_sensor(run.config, run.sequence));
+    const relidar::TrainedRun run = load_run(folder / "small");
+    const RenderedScan scan = rendered({0.45, sensor_path}, "", {});
+    ScanOutputOptions format = make_scan_format(run, make_configured_sensor(run.config, run.sequence));
     format.formats = {"ply"}, format.deskew = true;
-    ScanFolder(folder / "files", format).write(0, scan);
+    ScanFolderWriter(folder / "files", format).write_scan(0, scan);
     EXPECT_EQ(read_ply_positions(folder / "files" / "frame_000000.ply"), beside_image)
         << "render --format ply";
 
-    const view::ScanColumns in_viewer = view::make_simulated_columns(scan, run.config, kDatasetOrigin_m);
+    const view::ScanColumns in_viewer = view::convert_simulated_scan(scan, run.config, kDatasetOrigin_m);
     std::vector<float> ends;
     for (const glm::vec3& end : in_viewer.position_m) ends.insert(ends.end(), {end.x, end.y, end.z});
     EXPECT_EQ(list_returned_positions(ends, scan), beside_image) << "viewer";
@@ -129,7 +132,7 @@ TEST_F(Service, PointsAreThoseOfFilesViewerAndPython) {
     const std::vector<NamedArray> arrays = make_scan_arrays(scan, 0, format);
     const auto of_python = std::ranges::find(arrays, "points", &NamedArray::name);
     ASSERT_NE(of_python, arrays.end());
-    EXPECT_EQ(list_returned_positions(of_python->as_float(), scan), beside_image) << "Python";
+    EXPECT_EQ(list_returned_positions(of_python->convert_to_floats(), scan), beside_image) << "Python";
 }
 
 /// Each request is rendered with the weather in the request. A request without weather
@@ -139,15 +142,16 @@ TEST_F(Service, WeatherIsThatOfTheRequest) {
     start();
     v1::RenderLidarRequest request = make_standing_request();
     request.mutable_actors(), request.set_time_s(0.5);
-    const PoseTrack way{{0.5}, {make_pose_at_x(0.0)}};
-    for (const char* asked : {"fog=20", "", "clear", "rain=80,fog=300", "clear"}) {
+    const PoseTrack sensor_path{{0.5}, {make_pose_at_x(0.0)}};
+    for (const char* requested_weather : {"fog=20", "", "clear", "rain=80,fog=300", "clear"}) {
         for (const std::uint64_t seed : {1, 2}) {
-            request.set_weather(asked), request.set_sample_seed(seed);
-            const std::string expected = asked[0] == 0 ? "snow=4" : asked;
+            request.set_weather(requested_weather), request.set_sample_seed(seed);
+            const std::string expected = requested_weather[0] == 0 ? "snow=4" : requested_weather;
             const v1::LidarScan scan = scan_of(request);
-            const RenderedScan truth = rendered({0.5, way, ActorPoses{}}, "", seed, expected);
+            const RenderedScan truth = rendered({0.5, sensor_path, ActorTracksByName{}}, "", seed, expected);
             expect_same(scan, truth);
-            const std::vector<std::int32_t>* sources = find_values<std::int32_t>(truth.channels, "source");
+            const std::vector<std::int32_t>* sources =
+                find_channel_values<std::int32_t>(truth.channels, "source");
             ASSERT_EQ(scan.image().channels_size(), sources ? 1 : 0) << expected;
             ASSERT_EQ(sources == nullptr, expected == "clear");
             if (!sources) continue;
@@ -236,7 +240,7 @@ TEST_F(Service, PointsAloneAreThoseBesideAnImage) {
 
 /// The sensor drives towards the wall at 20 m/s.
 TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
-    relidar::Run run = make_small_run(folder / "small");
+    relidar::TrainedRun run = make_small_run(folder / "small");
     run.sequence.rolling_shutter = false;
     save_run(run);
     start();
@@ -248,8 +252,8 @@ TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
         add_pose(*request.mutable_path(), time_s, make_pose_at_x(sensor_x(time_s)));
     request.set_time_s(kTime_s);
     request.mutable_actors();
-    for (const bool is_own : {true, false}) {
-        request.mutable_sensor()->set_name(is_own ? "native" : "VLP-16:360x10");
+    for (const bool is_native : {true, false}) {
+        request.mutable_sensor()->set_name(is_native ? "native" : "VLP-16:360x10");
         // points without an image are computed on the device
         for (const bool beside_image : {true, false}) {
             request.mutable_wanted()->set_range_image(beside_image),
@@ -262,21 +266,23 @@ TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
             EXPECT_EQ(scan.time_s(), kTime_s);
             float latest_s = 0.0f;
             for (std::size_t i = 0; i < points.size(); ++i) {
-                const glm::dvec3 seen_m = glm::dvec3(points[i]) + glm::dvec3(sensor_x(kEnd_s), 0.0, 0.0);
-                EXPECT_NEAR(seen_m.x, kWall_m, 1e-3);
-                const glm::dvec3 ray = seen_m - glm::dvec3(sensor_x(kTime_s + double(times_s[i])), 0.0, 0.0);
+                const glm::dvec3 world_point_m =
+                    glm::dvec3(points[i]) + glm::dvec3(sensor_x(kEnd_s), 0.0, 0.0);
+                EXPECT_NEAR(world_point_m.x, kWall_m, 1e-3);
+                const glm::dvec3 ray =
+                    world_point_m - glm::dvec3(sensor_x(kTime_s + double(times_s[i])), 0.0, 0.0);
                 const double elevation = std::atan2(ray.z, std::hypot(ray.x, ray.y)),
                              azimuth = std::atan2(ray.y, ray.x);
-                EXPECT_NEAR(elevation, is_own ? 0.1 - 0.1 * rings[i] : (15.0 - 2.0 * rings[i]) * kPi / 180.0,
-                            3e-4)
+                EXPECT_NEAR(elevation,
+                            is_native ? 0.1 - 0.1 * rings[i] : (15.0 - 2.0 * rings[i]) * kPi / 180.0, 3e-4)
                     << i;
-                if (is_own) EXPECT_EQ(times_s[i], 0.0f);
+                if (is_native) EXPECT_EQ(times_s[i], 0.0f);
                 else
                     EXPECT_NEAR(times_s[i], -azimuth / (2.0 * kPi) * kPeriod_s, 1e-3)
                         << "a head that turns clockwise";
                 latest_s = std::max(latest_s, std::abs(times_s[i]));
             }
-            EXPECT_EQ(latest_s > 0.01f, !is_own);
+            EXPECT_EQ(latest_s > 0.01f, !is_native);
         }
     }
 }
@@ -284,7 +290,7 @@ TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
 /// Uses a network that predicts a return for every ray, and a sensor for which most rays
 /// hit nothing.
 TEST_F(Service, ImageAndPointsHaveAsManyReturns) {
-    relidar::Run run = make_small_run(folder / "small");
+    relidar::TrainedRun run = make_small_run(folder / "small");
     run.config.refine.enabled = true;
     run.drop_network = test::make_network_that_never_drops();
     save_run(run);
@@ -420,16 +426,16 @@ TEST_F(Service, SensorIsUploadedOnce) {
     const auto calls = stub();
     grpc::ClientContext context;
     v1::UploadSensorRequest upload;
-    v1::UploadSensorResponse kept;
+    v1::UploadSensorResponse upload_response;
     v1::SpinningSensor& spinning = *upload.mutable_sensor()->mutable_spinning();
     spinning.add_beams()->set_elevation_rad(0.05);
     spinning.add_beams()->set_elevation_rad(-0.05);
     spinning.set_columns(180), spinning.set_period_s(0.05);
-    ASSERT_TRUE(calls->UploadSensor(&context, upload, &kept).ok());
-    EXPECT_EQ(kept.rays(), 360u);
-    EXPECT_NEAR(kept.last_ray_s() - kept.first_ray_s(), 0.05, 0.001);
+    ASSERT_TRUE(calls->UploadSensor(&context, upload, &upload_response).ok());
+    EXPECT_EQ(upload_response.rays(), 360u);
+    EXPECT_NEAR(upload_response.last_ray_s() - upload_response.first_ray_s(), 0.05, 0.001);
     v1::RenderLidarRequest request = make_standing_request(), by_spec = request;
-    request.mutable_sensor()->set_handle(kept.handle());
+    request.mutable_sensor()->set_handle(upload_response.handle());
     *by_spec.mutable_sensor()->mutable_spec() = upload.sensor();
     const v1::LidarScan scan = scan_of(request);
     EXPECT_EQ(scan.image().rows(), 2u);
@@ -452,12 +458,12 @@ TEST_F(Service, RigIsAScanForEachOfItsSensors) {
     const auto calls = stub();
     grpc::ClientContext context;
     const auto reader = calls->RenderRig(&context, request);
-    std::vector<std::string> seen;
+    std::vector<std::string> received_scans;
     for (v1::RigScan scan; reader->Read(&scan);)
-        seen.push_back(
+        received_scans.push_back(
             fmt::format("{} {:.2f}", scan.name(), values<float>(scan.scan().image().range_m())[0]));
     EXPECT_TRUE(reader->Finish().ok());
-    EXPECT_THAT(seen, testing::ElementsAre("front 8.00", "rear 13.00"));
+    EXPECT_THAT(received_scans, testing::ElementsAre("front 8.00", "rear 13.00"));
 }
 
 /// Uses more sensors than are submitted to the device together. The scan of a remaining
@@ -522,9 +528,9 @@ TEST_F(Service, TellsWhatItServes) {
 
 TEST(Addresses, OnlyThoseOfThisMachineAreLoopback) {
     for (const char* host : {"127.0.0.1", "127.8.9.1", "localhost", "[::1]", "::1"})
-        EXPECT_TRUE(is_loopback(host)) << host;
+        EXPECT_TRUE(is_loopback_host(host)) << host;
     for (const char* host : {"0.0.0.0", "[::]", "127.example.com", "10.0.0.1", "127.1"})
-        EXPECT_FALSE(is_loopback(host)) << host;
+        EXPECT_FALSE(is_loopback_host(host)) << host;
 }
 
 }  // namespace

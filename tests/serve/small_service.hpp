@@ -29,8 +29,8 @@ inline Pose make_pose_at_x(double x_m) {
     return {{1, 0, 0, 0}, kDatasetOrigin_m + glm::dvec3(x_m, 0.0, 0.0)};
 }
 
-inline Run make_small_run(const std::filesystem::path& folder) {
-    Run run;
+inline TrainedRun make_small_run(const std::filesystem::path& folder) {
+    TrainedRun run;
     run.folder = folder;
     Surfels& surfels = run.scene.surfels;
     surfels.resize(2);
@@ -42,7 +42,7 @@ inline Run make_small_run(const std::filesystem::path& folder) {
     for (std::size_t i = 0; i < 2; ++i) surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;  // hit logit
     run.scene.models = {{"background", 0, 1}, {"car", 1, 1}};
     run.scene.instances = {{0, ""}, {1, "car"}};
-    Sequence& log = run.sequence;
+    LidarSequence& log = run.sequence;
     log.lidars[0].sensor = {"small", {{0.1}, {0.0}, {-0.1}}, 64};
     log.lidars[0].sensor.first_azimuth_rad = kPi - kPi / 64;
     const Pose car{{1, 0, 0, 0}, {4, 0, 0}};
@@ -57,7 +57,7 @@ inline Run make_small_run(const std::filesystem::path& folder) {
     // rays over a quarter turn ahead, to the wall and past its edges
     for (double y_m = -20.0; y_m <= 20.0; y_m += 0.5)
         for (double z_m = -2.0; z_m <= 2.0; z_m += 0.5)
-            run.coverage.add(glm::dvec3(0.0), glm::dvec3(20.0, y_m, z_m));
+            run.coverage.add_segment(glm::dvec3(0.0), glm::dvec3(20.0, y_m, z_m));
     return run;
 }
 
@@ -69,7 +69,7 @@ protected:
     std::optional<std::string> channels;  ///< channels of all scans
     Weather weather;                      ///< weather of scans whose request has no weather
     /// order of pose components in SensorsimService. Empty if the service is not offered.
-    std::optional<PoseOrder> sensorsim;
+    std::optional<PoseTransformOrder> sensorsim;
     std::optional<ScanServer> server;
 
     void SetUp() override {
@@ -103,7 +103,7 @@ protected:
     }
     std::string address() const { return "127.0.0.1:" + std::to_string(server->port()); }
     std::unique_ptr<v1::RenderService::Stub> stub() const {
-        return v1::RenderService::NewStub(connect(address()));
+        return v1::RenderService::NewStub(open_insecure_channel(address()));
     }
 };
 

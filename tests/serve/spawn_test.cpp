@@ -26,9 +26,9 @@ using Code = grpc::StatusCode;
 
 /// Returns an asset: a plate perpendicular to its x axis. It is wider than the car of the
 /// small run and has a different brightness.
-Asset make_plate_asset(const std::string& name, std::size_t n_surfels = 1,
-                       Primitive primitive = Primitive::surfel) {
-    relidar::Run run = make_small_run("");
+ActorAsset make_plate_asset(const std::string& name, std::size_t n_surfels = 1,
+                            PrimitiveType primitive = PrimitiveType::surfel) {
+    relidar::TrainedRun run = make_small_run("");
     Surfels& surfels = run.scene.surfels;
     surfels = surfels.slice(0, 1);
     surfels.log_scale[0] = glm::vec2(std::log(0.8f));
@@ -36,12 +36,12 @@ Asset make_plate_asset(const std::string& name, std::size_t n_surfels = 1,
     surfels.sh[0] = 1.0f;
     const Surfels one = surfels;
     for (std::size_t i = 1; i < n_surfels; ++i) surfels.append(one);
-    if (primitive == Primitive::gaussian) make_primitive(surfels, Primitive::gaussian, 0.1);
+    if (primitive == PrimitiveType::gaussian) convert_to_primitive(surfels, PrimitiveType::gaussian, 0.1);
     run.scene.models = {{"background", 0, 0}, {name, 0, std::uint32_t(n_surfels)}};
     run.scene.instances = {{0, ""}, {1, name}};
     run.sequence.boxes[0].id = name;
     run.config.image.primitive = primitive;
-    AssetFacts facts;
+    AssetDescription facts;
     facts.name = name, facts.category = "Van", facts.kind = ObjectKind::vehicle, facts.size_m = {5, 2, 2.5};
     facts.seen = 0.5, facts.completed = 0.25, facts.nearest_m = 6.0, facts.surfels = n_surfels,
     facts.sensor = "HDL-64E";
@@ -76,7 +76,7 @@ protected:
         ServiceTest::SetUp();
         if (IsSkipped() || HasFatalFailure()) return;
         save_asset(make_plate_asset("van-1"), folder / "assets" / "van-1");
-        save_asset(make_plate_asset("gauss", 3, Primitive::gaussian), folder / "assets" / "gauss");
+        save_asset(make_plate_asset("gauss", 3, PrimitiveType::gaussian), folder / "assets" / "gauss");
         assets = {(folder / "assets").string()};
     }
     grpc::Status spawn(const v1::SpawnActorsRequest& request, v1::SpawnActorsResponse& answer) {
@@ -105,7 +105,7 @@ protected:
         return status;
     }
     v1::LidarScan scan_of(const v1::RenderLidarRequest& request) {
-        return ScanClient(address()).render(request);
+        return ScanClient(address()).render_lidar_scan(request);
     }
     std::vector<std::string> listed() {
         const v1::ListScenesResponse scenes = ScanClient(address()).list_scenes();
@@ -120,16 +120,17 @@ TEST_F(Spawn, CopiesRenderAsThoseOfEdits) {
     const v1::SpawnActorsResponse answer =
         spawned({{"first", "car"}, {"second", "asset van-1"}, {"third", "asset van-1"}, {"unused", "car"}});
     ASSERT_EQ(answer.actors_size(), 4);
-    const std::vector<std::pair<std::string, Pose>> places{
+    const std::vector<std::pair<std::string, Pose>> actor_poses{
         {"first", beside(3.0, 1.0)}, {"second", beside(5.0, -1.5, 0.3)}, {"third", beside(6.0, 0.5, -0.2)}};
     v1::RenderLidarRequest request = make_standing_request();
-    for (const auto& [name, pose] : places) place(request, name, pose);
+    for (const auto& [name, pose] : actor_poses) place(request, name, pose);
     const v1::LidarScan scan = scan_of(request);
 
-    const relidar::Run run = load_run(folder / "small"), asset = load_run(folder / "assets" / "van-1");
-    DrivingScene edited = copy_track(run.driving(), "car", {places[0].second});
+    const relidar::TrainedRun run = load_run(folder / "small"), asset = load_run(folder / "assets" / "van-1");
+    SceneWithLog edited = copy_track(run.copy_driving_scene(), "car", {actor_poses[0].second});
     for (const std::size_t i : {1u, 2u})
-        edited = insert_track(std::move(edited), asset.driving(), "van-1", {places[i].second});
+        edited =
+            insert_track(std::move(edited), asset.copy_driving_scene(), "van-1", {actor_poses[i].second});
     edited = remove_track(std::move(edited), "car");
     ScanRenderer renderer(device(), edited.scene, run.config, edited.sequence);
     const RenderedScan truth = renderer.render(make_configured_sensor(run.config, run.sequence),
@@ -215,7 +216,7 @@ TEST_F(Spawn, WhatMakesNoSenseIsRefusedByNameAndChangesNothing) {
     expect_refused({}, Code::INVALID_ARGUMENT, "actors ... none");
     expect_refused(make_spawn_request({{"x", "asset gauss"}}), Code::FAILED_PRECONDITION, "3D Gaussians");
     std::vector<std::pair<std::string, std::string>> many;
-    for (std::size_t i = 0; i <= SpawnedActors::kMostPlaces; ++i)
+    for (std::size_t i = 0; i <= SpawnedActorRegistry::kMaxSlots; ++i)
         many.emplace_back(fmt::format("n{}", i), "car");
     expect_refused(make_spawn_request(many), Code::RESOURCE_EXHAUSTED, "4096 spawned actors");
     v1::SpawnActorsRequest elsewhere = make_spawn_request({{"x", "car"}});
@@ -254,12 +255,12 @@ TEST_F(Spawn, ActorsWithTooFewSurfelsForTheirRaysAreNamed) {
     v1::RenderLidarRequest request = make_standing_request();
     place(request, "van", beside(4.0, 0.0));
     *request.mutable_sensor()->mutable_spec() = make_rays_ahead(9);
-    const v1::LidarScan near = scan_of(request);
-    ASSERT_EQ(near.sparse_actors_size(), 1);
-    EXPECT_EQ(near.sparse_actors(0).name(), "van");
-    EXPECT_NEAR(near.sparse_actors(0).distance_m(), 4.0, 1e-6);
-    EXPECT_EQ(near.sparse_actors(0).rays(), 9u);
-    EXPECT_EQ(near.sparse_actors(0).surfels(), 1u);
+    const v1::LidarScan near_scan = scan_of(request);
+    ASSERT_EQ(near_scan.sparse_actors_size(), 1);
+    EXPECT_EQ(near_scan.sparse_actors(0).name(), "van");
+    EXPECT_NEAR(near_scan.sparse_actors(0).distance_m(), 4.0, 1e-6);
+    EXPECT_EQ(near_scan.sparse_actors(0).rays(), 9u);
+    EXPECT_EQ(near_scan.sparse_actors(0).surfels(), 1u);
     *request.mutable_sensor()->mutable_spec() = make_rays_ahead(8);
     EXPECT_EQ(scan_of(request).sparse_actors_size(), 0) << "eight rays a surfel do";
     *request.mutable_sensor()->mutable_spec() = make_rays_ahead(9);
@@ -287,46 +288,46 @@ TEST_F(Spawn, WhatDoesNotFitIntoMemoryIsRefusedAndTheSceneIsAsBefore) {
     }
     const AssetCatalogue shelf({(folder / "more").string()});
     SceneSet scenes(device(), sources, before + budget, shelf);
-    const SensorChoice sensor =
-        make_configured_sensor(scenes.outlines()[0].config, scenes.outlines()[0].sequence);
+    const SimulatedSensor sensor = make_configured_sensor(scenes.get_runs_without_surfels()[0].config,
+                                                          scenes.get_runs_without_surfels()[0].sequence);
     const auto ranges = [&] {
         std::vector<float> range_m;
-        scenes.use(0, {},
-                   [&](ScanRenderer& renderer) { range_m = renderer.render(sensor, request).image.range_m; });
+        scenes.call_with_scene(
+            0, {}, [&](ScanRenderer& renderer) { range_m = renderer.render(sensor, request).image.range_m; });
         return range_m;
     };
     const std::vector<float> truth = ranges();
     const auto refused = [&](const ActorToSpawn& actor) {
         try {
-            scenes.spawn(0, {actor});
-        } catch (const Refusal& refusal) {
+            scenes.spawn_actors(0, {actor});
+        } catch (const RejectedRequest& refusal) {
             EXPECT_EQ(refusal.code(), Code::RESOURCE_EXHAUSTED);
             return std::string(refusal.what());
         }
         return std::string();
     };
     EXPECT_THAT(refused({"x", {true, "large"}, {1, 1, 1}, 20000}), Names("memory"));
-    EXPECT_TRUE(scenes.spawned().list_occupied_slots(0).empty());
-    EXPECT_EQ(scenes.spawned().count_places(0), 0u);
+    EXPECT_TRUE(scenes.get_spawned_actors().list_occupied_slots(0).empty());
+    EXPECT_EQ(scenes.get_spawned_actors().count_slots(0), 0u);
     EXPECT_EQ(ranges(), truth);
     EXPECT_EQ(refused({"x", {false, "car"}, {1, 1, 1}, 1}), "") << "the name is free, and this one fits";
-    EXPECT_EQ(scenes.spawned().list_occupied_slots(0).size(), 1u);
+    EXPECT_EQ(scenes.get_spawned_actors().list_occupied_slots(0).size(), 1u);
 }
 
 TEST(SpawnedPlaces, AreMadeInGrowingNumbersAndUsedAgain) {
-    SpawnedActors actors(2);
-    const SpawnSource car{false, "car"}, van{true, "van"};
+    SpawnedActorRegistry actors(2);
+    const SpawnedModelSource car{false, "car"}, van{true, "van"};
     std::vector<std::size_t> sizes;
     for (int i = 0; i < 17; ++i) {
-        actors.take(1, {{fmt::format("{}", i), car}});
-        sizes.push_back(actors.count_places(1));
+        actors.occupy_slots(1, {{fmt::format("{}", i), car}});
+        sizes.push_back(actors.count_slots(1));
     }
     EXPECT_THAT(sizes,
                 ElementsAre(1u, 2u, 4u, 4u, 8u, 8u, 8u, 8u, 16u, 16u, 16u, 16u, 16u, 16u, 16u, 16u, 24u));
-    EXPECT_EQ(actors.count_places(0), 0u) << "of another scene";
-    actors.release(1, {"1", "3"});
-    EXPECT_EQ(actors.take(1, {{"v", van}})[0].position, 24u) << "a place keeps its source";
-    EXPECT_EQ(actors.take(1, {{"c", car}})[0].position, 1u);
+    EXPECT_EQ(actors.count_slots(0), 0u) << "of another scene";
+    actors.release_slots(1, {"1", "3"});
+    EXPECT_EQ(actors.occupy_slots(1, {{"v", van}})[0].position, 24u) << "a place keeps its source";
+    EXPECT_EQ(actors.occupy_slots(1, {{"c", car}})[0].position, 1u);
 }
 
 TEST_F(Spawn, ADamagedAssetIsToldToWhoPlacesIt) {

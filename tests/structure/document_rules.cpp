@@ -140,41 +140,45 @@ struct Known {
 /// Searches the sources of a folder for a pattern and returns the first group of each
 /// match. If the pattern has two groups, joins the groups with a dot.
 Names find_matches_in(const SourceTree& tree, const std::string& prefix, const std::regex& pattern) {
-    Names found;
+    Names matched_names;
     for (auto it = tree.lower_bound(prefix); it != tree.end() && it->first.starts_with(prefix); ++it) {
         if (!has_extension(it->first, {".cpp", ".hpp", ".h"})) continue;
         const std::string& text = it->second.text;
         for (std::sregex_iterator match(text.begin(), text.end(), pattern), end; match != end; ++match)
-            found.insert(match->size() > 2 ? (*match)[1].str() + "." + (*match)[2].str() : (*match)[1].str());
+            matched_names.insert(match->size() > 2 ? (*match)[1].str() + "." + (*match)[2].str()
+                                                   : (*match)[1].str());
     }
-    return found;
+    return matched_names;
 }
 
 Known collect_names(const SourceTree& tree) {
-    Known known{tree, {}, {}, {}, {}, {}};
+    Known valid_names{tree, {}, {}, {}, {}, {}};
     for (const auto& [path, file] : tree) {
         for (fs::path parent = fs::path(path).parent_path(); !parent.empty(); parent = parent.parent_path())
-            known.folders.insert(parent.generic_string());
-        if (path.find('/') != std::string::npos) known.top_folders.insert(folder(path, 0));
+            valid_names.folders.insert(parent.generic_string());
+        if (path.find('/') != std::string::npos) valid_names.top_folders.insert(folder(path, 0));
     }
-    known.settings = find_matches_in(tree, "src/run/config/", std::regex(R"re(\bf\(\s*"(\w+)\.(\w+)")re"));
+    valid_names.settings =
+        find_matches_in(tree, "src/run/config/", std::regex(R"re(\bf\(\s*"(\w+)\.(\w+)")re"));
     const std::regex term(R"(\bTERM\(\d+u, \w+, (\w+),)");
     for (const std::string& weight : find_matches_in(tree, "include/relidar/diff/loss_terms.h", term))
-        known.settings.insert("loss." + weight);
-    for (const std::string& key : known.settings) known.sections.insert(key.substr(0, key.find('.')));
+        valid_names.settings.insert("loss." + weight);
+    for (const std::string& key : valid_names.settings)
+        valid_names.sections.insert(key.substr(0, key.find('.')));
     const std::regex option(R"re("(?:-\w,)?(--[a-z][\w-]*)")re");
     const std::map<std::string, std::string> folders{{"relidar", "tools/relidar/"},
                                                      {"relidar-dev", "tools/relidar_dev/"}};
     for (const auto& [name, sources] : folders) {
-        Program& program = known.programs[name];
+        Program& program = valid_names.programs[name];
         program.commands =
             find_matches_in(tree, sources, std::regex(R"re(\bapp\.add_subcommand\(\s*"(\w+)")re"));
         program.options = find_matches_in(tree, sources, option);
         program.options.insert("--help");
     }
     // options of both programs
-    known.programs["relidar-dev"].options.merge(find_matches_in(tree, "tools/relidar/options.cpp", option));
-    return known;
+    valid_names.programs["relidar-dev"].options.merge(
+        find_matches_in(tree, "tools/relidar/options.cpp", option));
+    return valid_names;
 }
 
 bool is_placeholder(const std::string& name) {
@@ -426,14 +430,14 @@ void check_comments(const Known& repository, const SourceFile& file, Violations&
 }  // namespace
 
 Violations check_documents(const SourceTree& tree) {
-    const Known known = collect_names(tree);
+    const Known valid_names = collect_names(tree);
     std::map<std::string, Document> documents;
     Violations violations;
     for (const auto& [path, file] : tree) {
         if (has_extension(path, {".md"})) documents.emplace(path, read_document(file));
-        else check_comments(known, file, violations);
+        else check_comments(valid_names, file, violations);
     }
-    if (known.settings.empty() || known.programs.at("relidar").commands.empty())
+    if (valid_names.settings.empty() || valid_names.programs.at("relidar").commands.empty())
         violations.push_back("src/run/config:1: settings or commands were not found");
     for (const auto& [path, document] : documents) {
         if (path == "docs/changelog.md") continue;  // skipped because it names things that were removed
@@ -442,14 +446,14 @@ Violations check_documents(const SourceTree& tree) {
                        const std::string& description) { violations.push_back(where + description); };
         };
         for (const Code& code : document.code) {
-            check_paths(known, document, code, reporter(code));
-            check_settings(known, code, reporter(code));
-            if (code.is_command) check_commands(known, code, reporter(code));
-            check_variables(known, code, reporter(code));
+            check_paths(valid_names, document, code, reporter(code));
+            check_settings(valid_names, code, reporter(code));
+            if (code.is_command) check_commands(valid_names, code, reporter(code));
+            check_variables(valid_names, code, reporter(code));
         }
         for (const Code& line : document.prose) {
-            check_links(known, documents, document, line, reporter(line));
-            check_paths(known, document, list_documents_named_in(line), reporter(line));
+            check_links(valid_names, documents, document, line, reporter(line));
+            check_paths(valid_names, document, list_documents_named_in(line), reporter(line));
         }
     }
     return violations;

@@ -36,10 +36,11 @@ const OwnElements kOwnElements[] = {{"diff/accel/bvh_wide_scan", {"tiles"}},
 
 TEST(Exchange, NoKernelDoesSo) {
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
-        std::vector<std::string> own;
+        std::vector<std::string> allowed_members;
         for (const OwnElements& allowed : kOwnElements)
-            if (kernel.name.substr(0, kernel.name.find('@')) == allowed.kernel) own = allowed.members;
-        EXPECT_THAT(find_incoherent_exchanges(kernel.words), UnorderedElementsAreArray(own))
+            if (kernel.name.substr(0, kernel.name.find('@')) == allowed.kernel)
+                allowed_members = allowed.members;
+        EXPECT_THAT(find_incoherent_exchanges(kernel.words), UnorderedElementsAreArray(allowed_members))
             << kernel.name
             << ": an exchange needs coherent accesses (diff/accel/bvh_forest.glsl); own elements a line in "
                "kOwnElements";

@@ -147,7 +147,8 @@ public:
     /// Returns the files on the longest include path that starts at a file. The first
     /// entry is the file itself. Cycles are stored as errors.
     const std::vector<std::string>& find_longest_chain_from(const std::string& path) {
-        if (const auto known = longest_.find(path); known != longest_.end()) return known->second;
+        if (const auto cached_chain = longest_.find(path); cached_chain != longest_.end())
+            return cached_chain->second;
         open_.push_back(path);
         std::vector<std::string> best;
         for (const Include& include : list_includes(tree_, tree_.at(path))) {
@@ -156,8 +157,8 @@ public:
                                   include.target);
                 continue;
             }
-            const std::vector<std::string>& tail = find_longest_chain_from(include.target);
-            if (tail.size() > best.size()) best = tail;
+            const std::vector<std::string>& included_chain = find_longest_chain_from(include.target);
+            if (included_chain.size() > best.size()) best = included_chain;
         }
         open_.pop_back();
         best.insert(best.begin(), path);

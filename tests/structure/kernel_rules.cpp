@@ -31,13 +31,14 @@ Violations check_kernels(const SourceTree& tree) {
         if (folder(path, 0) != "shaders" || !has_extension(path, {".comp"})) continue;
         // without "shaders/" and ".comp"
         const std::string name = path.substr(8, path.size() - 8 - 5), word = stem(path);
-        const std::string place = name.substr(0, name.rfind('/'));
-        if (!has_file_with_word(tree, "src/" + place + "/", {".cpp"}, word))
-            violations.push_back(path + ":1: no binding: '" + word + "' occurs in no .cpp of src/" + place);
-        const bool has_tests = has_folder(tree, "tests/" + place + "/");
-        if (!has_file_with_word(tree, has_tests ? "tests/" + place + "/" : "tests/", {".cpp"}, word))
+        const std::string kernel_folder = name.substr(0, name.rfind('/'));
+        if (!has_file_with_word(tree, "src/" + kernel_folder + "/", {".cpp"}, word))
+            violations.push_back(path + ":1: no binding: '" + word + "' occurs in no .cpp of src/" +
+                                 kernel_folder);
+        const bool has_tests = has_folder(tree, "tests/" + kernel_folder + "/");
+        if (!has_file_with_word(tree, has_tests ? "tests/" + kernel_folder + "/" : "tests/", {".cpp"}, word))
             violations.push_back(path + ":1: no test: '" + word + "' occurs in no .cpp of tests" +
-                                 (has_tests ? "/" + place : ""));
+                                 (has_tests ? "/" + kernel_folder : ""));
         if (readme == tree.end() || !contains_word(readme->second.text, name))
             violations.push_back(path + ":1: no row '" + name + "' in shaders/README.md");
     }

@@ -34,8 +34,8 @@ TEST(SharedLayout, KernelsSeeWhatTheHostWrites) {
     std::set<std::string> unseen;
     for (const auto& [type, layout] : host) unseen.insert(type);
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
-        const std::map<std::string, StructLayout> seen = read_spirv_layouts(kernel.words);
-        for (const auto& [type, layout] : seen) {
+        const std::map<std::string, StructLayout> kernel_layouts = read_spirv_layouts(kernel.words);
+        for (const auto& [type, layout] : kernel_layouts) {
             const auto ours = host.find(type);
             if (ours == host.end()) continue;  // a private block of the shader
             EXPECT_EQ(layout, ours->second) << type << " in " << kernel.name;
@@ -64,9 +64,9 @@ public:
         spirv_detail::for_each_instruction(
             words,
             [&](std::uint32_t opcode, std::span<const std::uint32_t> operands) { read(opcode, operands); });
-        for (const std::uint32_t entry : entries_) found_.n_in_arrays += holds_address(entry);
+        for (const std::uint32_t entry : entries_) address_counts_.n_in_arrays += holds_address(entry);
     }
-    Addresses found() const { return found_; }
+    Addresses found() const { return address_counts_; }
 
 private:
     enum : std::uint32_t {
@@ -87,7 +87,7 @@ private:
     std::map<std::uint32_t, std::vector<std::uint32_t>> members_;
     /// values_ are addresses; bits_ are the same addresses in the form of vectors
     std::set<std::uint32_t> constants_, values_, bits_;
-    Addresses found_;
+    Addresses address_counts_;
 
     bool holds_address(std::uint32_t type) const {
         if (addresses_.contains(type)) return true;
@@ -107,7 +107,7 @@ private:
         if (opcode != equal && opcode != not_equal) return;
         if ((bits_.contains(operands[2]) && constants_.contains(operands[3])) ||
             (bits_.contains(operands[3]) && constants_.contains(operands[2])))
-            ++found_.n_compared;
+            ++address_counts_.n_compared;
     }
 };
 
@@ -117,10 +117,10 @@ private:
 /// compare addresses with 0.
 TEST(Kernels, GetNoAddressZero) {
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
-        const Addresses found = AddressReader(kernel.words).found();
-        EXPECT_EQ(found.n_compared, 0)
+        const Addresses address_counts = AddressReader(kernel.words).found();
+        EXPECT_EQ(address_counts.n_compared, 0)
             << kernel.name << ": compares an address with a constant, expected is_null()";
-        EXPECT_EQ(found.n_in_arrays, 0)
+        EXPECT_EQ(address_counts.n_in_arrays, 0)
             << kernel.name << ": reads addresses from memory, which may be 0 there";
     }
 }
@@ -130,14 +130,14 @@ TEST(Kernels, GetNoAddressZero) {
 TEST(Kernels, AddressesOfParametersAreFound) {
     const auto addresses = [](std::string_view name) {
         for (const EmbeddedKernel& kernel : embedded_kernels())
-            if (kernel.name == name) return gpu::list_parameter_addresses(kernel.words);
+            if (kernel.name == name) return gpu::list_parameter_address_offsets(kernel.words);
         return std::vector<std::uint32_t>();
     };
     EXPECT_THAT(addresses("gpu/copy"), testing::ElementsAre(0u, 8u));
     EXPECT_THAT(addresses("scene/activate"),
                 testing::ElementsAre(0u, 8u, 16u, 24u, 32u, 40u, 48u, 56u, 64u, 72u, 80u));
     for (const EmbeddedKernel& kernel : embedded_kernels())
-        EXPECT_FALSE(gpu::list_parameter_addresses(kernel.words).empty()) << kernel.name;
+        EXPECT_FALSE(gpu::list_parameter_address_offsets(kernel.words).empty()) << kernel.name;
 }
 
 }  // namespace

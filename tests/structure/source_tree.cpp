@@ -106,7 +106,7 @@ public:
 
     std::vector<Function> read() {
         for (at_ = 0; at_ < code_.size(); ++at_) step(code_[at_]);
-        return std::move(found_);
+        return std::move(functions_);
     }
 
 private:
@@ -205,7 +205,7 @@ private:
         if (scope.kind == Kind::function) {
             scope.function.last_line = line_;
             scope.function.has_body = true;
-            found_.push_back(std::move(scope.function));
+            functions_.push_back(std::move(scope.function));
         }
         if (scope.kind == Kind::inner && is_declaration_here()) header_ += '}';
         else header_.clear();
@@ -219,7 +219,7 @@ private:
             !std::regex_search(header, kNoFunction)) {
             Function function = describe(header);
             function.last_line = line_;
-            found_.push_back(std::move(function));
+            functions_.push_back(std::move(function));
         }
         header_.clear();
     }
@@ -232,7 +232,7 @@ private:
     std::string header_;  ///< text since the last statement or brace
     int header_line_ = 1;
     std::vector<Scope> scopes_;
-    std::vector<Function> found_;
+    std::vector<Function> functions_;
 };
 
 }  // namespace

@@ -13,14 +13,14 @@ namespace relidar::test {
 
 namespace {
 
-Traversal traversal_from_environment() {
+RayTracingBackend traversal_from_environment() {
     const char* text = std::getenv("RELIDAR_TEST_TRAVERSAL");
     const std::string name = text ? text : "";
-    if (name == "ray_query") return Traversal::ray_query;
-    if (name == "software") return Traversal::software;
+    if (name == "ray_query") return RayTracingBackend::ray_query;
+    if (name == "software") return RayTracingBackend::software;
     if (!name.empty())
         throw UsageError("RELIDAR_TEST_TRAVERSAL: found \"" + name + "\", expected ray_query or software");
-    return Traversal::automatic;
+    return RayTracingBackend::automatic;
 }
 
 /// Owns the device of the process. The first test that needs the device opens it. The

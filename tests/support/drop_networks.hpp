@@ -14,13 +14,13 @@ namespace relidar::test {
 
 /// Returns a network with random weights that processes each pixel separately. Its output
 /// depends on all of its inputs.
-inline DropNetwork make_network_of_rays(std::uint64_t seed = 1) {
-    RefineOptions options;
+inline RayDropNetwork make_network_of_rays(std::uint64_t seed = 1) {
+    RayDropNetworkOptions options;
     options.network = "pixel";
-    DropNetwork network = refine::make_network_shape(options);
-    const refine::UnetPlan plan(network);
+    RayDropNetwork network = refine::make_network_architecture(options);
+    const refine::UnetParameterLayout plan(network);
     network.residual = false;
-    refine::initialise(network, plan, seed);
+    refine::initialise_network_parameters(network, plan, seed);
     network.residual = true;
     for (std::size_t c = 0; c < network.inputs.size(); ++c)
         network.normalisation.insert(network.normalisation.end(), {1.0f, 0.0f});
@@ -28,12 +28,12 @@ inline DropNetwork make_network_of_rays(std::uint64_t seed = 1) {
 }
 
 /// Returns a network that predicts a return for every ray.
-inline DropNetwork make_network_that_never_drops() {
-    DropNetwork network = make_network_of_rays();
+inline RayDropNetwork make_network_that_never_drops() {
+    RayDropNetwork network = make_network_of_rays();
     std::fill(network.normalisation.begin(), network.normalisation.end(), 0.0f);
     // a bias of -40 dominates the output, because rendered logits are between -9.3 and
     // 9.3
-    network.parameters[*refine::UnetPlan(network).tail.bias] = -40.0f;
+    network.parameters[*refine::UnetParameterLayout(network).last_conv.bias] = -40.0f;
     return network;
 }
 

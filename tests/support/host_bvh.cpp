@@ -80,16 +80,16 @@ private:
 
     void fill(std::uint32_t at, Indices primitives) {
         shared::BvhNode node{};
-        const Box whole = bounds(primitives);
+        const Box bounding_box = bounds(primitives);
         const std::vector<Indices> parts =
             primitives.empty() ? std::vector<Indices>{} : split(std::move(primitives));
-        node.origin = parts.empty() ? glm::vec3(0.0f) : whole.low;
+        node.origin = parts.empty() ? glm::vec3(0.0f) : bounding_box.low;
         node.first_leaf = static_cast<std::uint32_t>(order_.size());
         const auto n_inner = static_cast<std::uint32_t>(std::count_if(
             parts.begin(), parts.end(), [](const Indices& p) { return p.size() > RELIDAR_BVH_LEAF_SIZE; }));
         node.first_child = static_cast<std::uint32_t>(nodes_.size());
         nodes_.resize(nodes_.size() + n_inner);
-        for (int axis = 0; axis < 3; ++axis) set_axis(node, axis, parts, whole);
+        for (int axis = 0; axis < 3; ++axis) set_axis(node, axis, parts, bounding_box);
         std::uint32_t child = node.first_child;
         for (std::size_t slot = 0; slot < parts.size(); ++slot) {
             if (parts[slot].size() > RELIDAR_BVH_LEAF_SIZE) {
@@ -135,13 +135,14 @@ private:
 /// Returns the boxes of all surfels in the frames of their models.
 std::vector<Box> surfel_boxes(Device& device, const DeviceScene& scene) {
     Stream stream(device);
-    const std::vector<Constant> constants{
-        {ConstantId::BOXES, 1u}, {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(scene.primitive())}};
+    const std::vector<SpecialisationConstant> constants{
+        {SpecialisationConstantId::BOXES, 1u},
+        {SpecialisationConstantId::PRIMITIVE, static_cast<std::uint32_t>(scene.primitive())}};
     const Kernel<shared::ProxyParams> proxies(device, "diff/accel/proxies", constants);
     const Array<float, shared::SurfelBoxes> boxes(device, 6 * std::size_t(scene.size()), "boxes");
     const AccelOptions margin;
     run(stream, proxies, scene.size(),
-        {.records = scene.records().address(),
+        {.records = scene.get_surfel_records().address(),
          .vertices = {},
          .boxes = boxes.address(),
          .reach = {},
@@ -149,7 +150,7 @@ std::vector<Box> surfel_boxes(Device& device, const DeviceScene& scene) {
          .margin_m = margin.margin_m,
          .margin_scale = margin.margin_scale,
          .n_surfels = scene.size()});
-    stream.finish();
+    stream.submit_and_wait();
     const std::vector<float> values = boxes.download();
     std::vector<Box> result;
     for (std::size_t i = 0; i < scene.size(); ++i)
@@ -175,27 +176,30 @@ Box to_world(const Box& box, const Pose& world_from_model) {
 
 HostBvh::HostBvh(Device& device, const DeviceScene& scene) {
     const std::vector<Box> boxes = surfel_boxes(device, scene);
-    const Scene& layout = scene.layout();
+    const Scene& layout = scene.get_scene_layout();
     std::vector<shared::BvhNode> nodes, top_nodes;
     Indices order, top_order, root_of_model, roots;
     std::vector<Box> model_box;
-    for (const Model& model : layout.models) {
-        const std::vector<Box> own(boxes.begin() + model.first, boxes.begin() + model.first + model.count);
+    for (const SurfelModel& model : layout.models) {
+        const std::vector<Box> model_surfel_boxes(boxes.begin() + model.first,
+                                                  boxes.begin() + model.first + model.count);
         Indices usable;
-        Box whole;
+        Box bounding_box;
         for (std::uint32_t i = 0; i < model.count; ++i)
-            if (own[i].finite()) usable.push_back(i), whole.grow(own[i]);
-        model_box.push_back(whole);
+            if (model_surfel_boxes[i].finite()) usable.push_back(i), bounding_box.grow(model_surfel_boxes[i]);
+        model_box.push_back(bounding_box);
         root_of_model.push_back(usable.empty() ? RELIDAR_BVH_NO_NODE
-                                               : Builder(own, nodes, order).build(usable));
+                                               : Builder(model_surfel_boxes, nodes, order).build(usable));
     }
     Indices placed;
     std::vector<Box> instance_box;
     for (std::uint32_t i = 0; i < layout.instances.size(); ++i) {
         const std::uint32_t model = layout.instances[i].model;
-        const bool there = scene.poses()[i].present && root_of_model[model] != RELIDAR_BVH_NO_NODE;
+        const bool there =
+            scene.get_instance_poses()[i].present && root_of_model[model] != RELIDAR_BVH_NO_NODE;
         roots.push_back(there ? root_of_model[model] : RELIDAR_BVH_NO_NODE);
-        instance_box.push_back(there ? to_world(model_box[model], scene.poses()[i].world_from_model) : Box());
+        instance_box.push_back(
+            there ? to_world(model_box[model], scene.get_instance_poses()[i].world_from_model) : Box());
         if (there) placed.push_back(i);
     }
     Builder(instance_box, top_nodes, top_order).build(placed);

@@ -20,7 +20,7 @@ SceneAndPoses to_scene(const Surfels& surfels, const std::vector<reference::Plac
         const reference::Motion& m = p.motion;
         result.world_from_instance.push_back(
             {.world_from_model = p.world_from_model,
-             .motion = {m.velocity, m.turn_rate, m.middle_s, m.half_span_s}});
+             .motion = {m.velocity, m.angular_velocity, m.middle_s, m.half_span_s}});
     }
     result.scene.surfels = take(surfels, result.original);
     return result;

@@ -48,7 +48,7 @@ reference::Surfel make_random_surfel(Random& random, const glm::dvec3& low, cons
     s.log_scale = {size + stretch, size - stretch};
     const double opacity = uniform(random, options.opacity_low, options.opacity_high);
     s.opacity_logit = std::log(opacity / (1.0 - opacity));
-    if (options.primitive == Primitive::gaussian)
+    if (options.primitive == PrimitiveType::gaussian)
         s.log_scale_w = size + uniform(random, std::log(0.2), std::log(1.5));
     for (int k = 0; k < kShFloats; ++k) s.sh[k] = (k % kShCoefficients == 0 ? 0.8 : 0.15) * normal(random);
     return s;
@@ -61,7 +61,7 @@ bool is_surfel_smooth(const reference::Surfel& surfel, const reference::Ray& ray
                       const reference::LocalRay<double>& local, const reference::Settings& settings,
                       const Margins& margins) {
     const reference::DoubleRecord r = reference::make_record(surfel);
-    const bool is_flat = r.primitive == Primitive::surfel;
+    const bool is_flat = r.primitive == PrimitiveType::surfel;
     const double facing = is_flat ? glm::dot(r.normal, local.direction) / glm::length(ray.direction) : 1.0;
     const reference::PlaneHit<double> met = reference::meet(r, local);
     const double t = met.t,
@@ -105,7 +105,7 @@ RandomScene make_random_surfels(Random& random, const RandomSceneOptions& option
         surfels.push_back(make_random_surfel(random, {-1, -0.5, -0.5}, {1, 0.5, 0.5}, options));
     for (int i = 0; i < options.wide_surfels; ++i) {
         surfels[std::size_t(i)].log_scale = glm::dvec2(std::log(4.0));
-        if (options.primitive == Primitive::gaussian) surfels[std::size_t(i)].log_scale_w = std::log(0.5);
+        if (options.primitive == PrimitiveType::gaussian) surfels[std::size_t(i)].log_scale_w = std::log(0.5);
         surfels[std::size_t(i)].mean = {3.0 + 2.0 * i, 0.0, 0.0};
         surfels[std::size_t(i)].opacity_logit = std::log(0.997 / 0.003);
     }
@@ -114,12 +114,14 @@ RandomScene make_random_surfels(Random& random, const RandomSceneOptions& option
     scene.world.instances.push_back({0, n_background, {}});
     for (int i = 0; i < options.actor_instances; ++i) {
         const double angle = uniform(random, -0.5, 0.5);
-        const glm::dquat turn = glm::angleAxis(angle, draw_unit_vector(random));
-        const glm::dvec3 place(uniform(random, 4, 8), uniform(random, -0.4, 0.4), uniform(random, -0.4, 0.4));
-        scene.world.instances.push_back({n_background, std::uint32_t(options.actor_surfels), {turn, place}});
+        const glm::dquat rotation = glm::angleAxis(angle, draw_unit_vector(random));
+        const glm::dvec3 position_m(uniform(random, 4, 8), uniform(random, -0.4, 0.4),
+                                    uniform(random, -0.4, 0.4));
+        scene.world.instances.push_back(
+            {n_background, std::uint32_t(options.actor_surfels), {rotation, position_m}});
         if (options.moving)
             scene.world.instances.back().motion = {5.0 * draw_unit_vector(random),
-                                                   options.turn_rate * draw_unit_vector(random),
+                                                   options.angular_speed_radps * draw_unit_vector(random),
                                                    double(float(0.01 * i)), double(0.05f)};
     }
     scene.view_origin = glm::dvec3(glm::vec3(uniform(random, -0.3, 0.3), uniform(random, -0.3, 0.3), 0.2));

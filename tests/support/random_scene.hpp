@@ -25,10 +25,10 @@ struct RandomSceneOptions {
     int wide_surfels = 0;
     int rays = 24;
     double opacity_low = 0.05, opacity_high = 0.6;
-    Primitive primitive = Primitive::surfel;
+    PrimitiveType primitive = PrimitiveType::surfel;
     /// if true, actors move and turn during a sweep, and each ray has a firing time
     bool moving = false;
-    double turn_rate = 3.0;  ///< rad/s, of moving actors
+    double angular_speed_radps = 3.0;  ///< rad/s, of moving actors
 };
 
 /// Minimum distances of each ray and surfel to the discontinuities of the image.

@@ -15,7 +15,7 @@ std::vector<reference::Surfel> to_reference(const Surfels& surfels) {
         s.opacity_logit = double(surfels.opacity_logit[i]);
         if (get_primitive_kind(surfels.primitive).third_scale) s.log_scale_w = double(surfels.log_scale_w[i]);
         if (surfels.bends) {
-            const Gait& gait = surfels.gait[i];
+            const GaitPhaseWindow& gait = surfels.gait[i];
             s.gait_phase = double(gait.phase), s.gait_sharpness = double(gait.sharpness),
             s.gait_swing = glm::dvec3(gait.swing);
         }
@@ -35,7 +35,7 @@ Surfels to_surfels(const std::vector<reference::Surfel>& surfels) {
         result.bends = result.bends || s.gait_sharpness != 0.0 || s.gait_swing != glm::dvec3(0.0);
         result.sh.insert(result.sh.end(), s.sh.begin(), s.sh.end());
         if (!s.log_scale_w) continue;
-        result.primitive = Primitive::gaussian;
+        result.primitive = PrimitiveType::gaussian;
         result.log_scale_w.push_back(float(*s.log_scale_w));
     }
     if (!result.bends) result.gait.clear();

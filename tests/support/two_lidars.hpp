@@ -9,9 +9,9 @@
 
 namespace relidar::test {
 
-inline Sequence make_two_lidar_street(const SyntheticOptions& options) {
-    const Sequence one = make_synthetic_street(options);
-    Sequence street = one;
+inline LidarSequence make_two_lidar_street(const SyntheticOptions& options) {
+    const LidarSequence one = make_synthetic_street(options);
+    LidarSequence street = one;
     street.lidars[0].name = "front";
     Lidar rear{"rear",
                one.lidars[0].sensor,
@@ -21,11 +21,11 @@ inline Sequence make_two_lidar_street(const SyntheticOptions& options) {
     street.lidars.push_back(rear);
     street.frames.clear();
     const RayTable rays = make_rays(rear.sensor);
-    const PoseTrack track = street.world_from_sensor(1);
-    for (const Frame& frame : one.frames) {
+    const PoseTrack track = street.get_world_from_sensor(1);
+    for (const LidarFrame& frame : one.frames) {
         street.frames.push_back(frame);
-        street.frames.push_back(
-            {frame.index, frame.time_s, cast_synthetic_street(options, rays, track, frame.time_s), 1});
+        street.frames.push_back({frame.index, frame.time_s,
+                                 cast_rays_into_synthetic_street(options, rays, track, frame.time_s), 1});
     }
     check_sequence(street);
     return street;

@@ -14,7 +14,9 @@ namespace {
 
 class DensifyTrain : public test::DeviceTest {};
 
-Sequence make_growing_street() { return make_synthetic_street({.n_frames = 11, .rows = 16, .columns = 256}); }
+LidarSequence make_growing_street() {
+    return make_synthetic_street({.n_frames = 11, .rows = 16, .columns = 256});
+}
 
 /// Returns settings with about an eighth of the surfels that other tests use with their
 /// `small` settings. Uses every second ray.
@@ -52,8 +54,8 @@ double get_final_loss(const TrainResult& result) {
 }
 
 TEST_F(DensifyTrain, GrowthLowersTheLoss) {
-    const Sequence sequence = make_growing_street();
-    const Split split = split_frames(sequence, 10);
+    const LidarSequence sequence = make_growing_street();
+    const TrainTestSplit split = split_frames(sequence, 10);
     std::map<DensifyStrategy, double> loss;
     for (const DensifyStrategy strategy : {DensifyStrategy::none, DensifyStrategy::adaptive}) {
         Config config = make_sparse_config();
@@ -63,7 +65,7 @@ TEST_F(DensifyTrain, GrowthLowersTheLoss) {
         loss[strategy] = get_final_loss(result);
         std::uint32_t n = result.log.front().n_surfels;
         for (const TrainProgress& line : result.log) {
-            n = n + line.densified.added - line.densified.removed();
+            n = n + line.densified.added - line.densified.count_removed_surfels();
             EXPECT_EQ(line.n_surfels, n) << "the log accounts for every surfel";
         }
         EXPECT_EQ(result.scene.surfels.size(), n);
@@ -76,8 +78,8 @@ TEST_F(DensifyTrain, GrowthLowersTheLoss) {
 
 /// Actors must grow in their model.
 TEST_F(DensifyTrain, ActorsStayInTheirModels) {
-    const Sequence sequence = make_growing_street();
-    const Split split = split_frames(sequence, 10);
+    const LidarSequence sequence = make_growing_street();
+    const TrainTestSplit split = split_frames(sequence, 10);
     Config config = make_sparse_config();
     config.init.actor_classes = "Car";
     config.init.actor_min_points = 20;
@@ -89,7 +91,7 @@ TEST_F(DensifyTrain, ActorsStayInTheirModels) {
         train(device(), sequence, split, config, [](const TrainProgress&) { return true; }).scene;
     ASSERT_EQ(scene.models.size(), 3u);
     std::uint32_t next = 0;
-    for (const Model& model : scene.models) {
+    for (const SurfelModel& model : scene.models) {
         EXPECT_EQ(model.first, next);
         EXPECT_GT(model.count, 10u);
         next += model.count;
@@ -104,8 +106,8 @@ TEST_F(DensifyTrain, ActorsStayInTheirModels) {
 /// Uses a device with little more memory than training without growth needs. The growth
 /// must end early, but training must continue.
 TEST_F(DensifyTrain, OutOfMemoryEndsGrowthNotTraining) {
-    const Sequence sequence = make_growing_street();
-    const Split split = split_frames(sequence, 10);
+    const LidarSequence sequence = make_growing_street();
+    const TrainTestSplit split = split_frames(sequence, 10);
     Config config = make_sparse_config();
     config.train.iterations = 40;
     config.densify.from = config.densify.every = 5;
@@ -117,7 +119,7 @@ TEST_F(DensifyTrain, OutOfMemoryEndsGrowthNotTraining) {
         // trains for a single step
         train(unlimited, sequence, split, config,
               [](const TrainProgress& progress) { return progress.iteration < 1; });
-        needed = unlimited.peak_bytes();
+        needed = unlimited.peak_allocated_bytes();
     }
     Device limited({.memory_limit_bytes = needed + (std::uint64_t(2) << 20)});
     const TrainResult result =

@@ -15,8 +15,8 @@ namespace {
 
 class KeptHits : public test::DeviceTest {
 protected:
-    Sequence street = make_synthetic_street({.n_frames = 4, .rows = 16, .columns = 128});
-    Split split = split_frames(street, 0);
+    LidarSequence street = make_synthetic_street({.n_frames = 4, .rows = 16, .columns = 128});
+    TrainTestSplit split = split_frames(street, 0);
     Config config = make_preset("quick");
 
     void SetUp() override {
@@ -30,13 +30,13 @@ protected:
 
     struct Trained {
         Scene scene;
-        std::uint32_t kept_hits;
+        std::uint32_t stored_hits_per_ray;
     };
     Trained train(int keep_hits) {
         config.trace.keep_hits = keep_hits;
         TrainLoop loop(device(), street, split, initialise_scene(street, split.train, config.init), config);
         for (int step = 1; step <= config.train.iterations; ++step) loop.run_iteration(step, step % 4 == 0);
-        loop.finish();
+        loop.complete_training();
         return {loop.download(), loop.kept_hits()};
     }
 
@@ -48,10 +48,10 @@ protected:
         std::vector<double> shares(counts.size(), 0.0);
         std::size_t n_rays = 0;
         for (const int position : split.train) {
-            const Frame& frame = street.frames[std::size_t(position)];
-            const PoseTrack track = street.world_from_sensor(frame.lidar);
-            renderer.place(place_instances(scene, street, get_sweep_moment(frame)),
-                           glm::vec3(track.at(frame.time_s).translation));
+            const LidarFrame& frame = street.frames[std::size_t(position)];
+            const PoseTrack track = street.get_world_from_sensor(frame.lidar);
+            renderer.prepare_view(compute_instance_poses(scene, street, get_sweep_moment(frame)),
+                                  glm::vec3(track.interpolate_pose(frame.time_s).translation));
             const RayTable table = make_nominal_rays(street.get_lidar(frame), frame.time_s);
             WorldRays rays;
             for (std::size_t i = 0; i < table.size(); ++i) {
@@ -59,7 +59,7 @@ protected:
                 rays.origin.emplace_back(ray.origin_m);
                 rays.direction.emplace_back(ray.direction);
             }
-            const std::vector<std::uint32_t> hits = renderer.forward(rays).hits;
+            const std::vector<std::uint32_t> hits = renderer.render_rays(rays).hits;
             for (std::size_t k = 0; k < counts.size(); ++k)
                 shares[k] += double(std::count_if(hits.begin(), hits.end(),
                                                   [&](std::uint32_t count) { return count > counts[k]; }));
@@ -72,20 +72,20 @@ protected:
 
 TEST_F(KeptHits, GrowUntilNoRayHasMore) {
     const Trained trained = train(1);
-    ASSERT_GT(trained.kept_hits, 2u);
+    ASSERT_GT(trained.stored_hits_per_ray, 2u);
     const std::vector<double> shares =
-        share_beyond(trained.scene, {trained.kept_hits, trained.kept_hits / 2});
+        share_beyond(trained.scene, {trained.stored_hits_per_ray, trained.stored_hits_per_ray / 2});
     // at the end of training, almost no ray exceeds the limit
-    EXPECT_LE(shares[0], 0.002) << trained.kept_hits << " are kept";
-    EXPECT_GT(shares[1], 0.0) << "half of " << trained.kept_hits << " would have done";
+    EXPECT_LE(shares[0], 0.002) << trained.stored_hits_per_ray << " are kept";
+    EXPECT_GT(shares[1], 0.0) << "half of " << trained.stored_hits_per_ray << " would have done";
 }
 
 TEST_F(KeptHits, ChangeNothingOfWhatIsLearnt) {
     config.train.deterministic = true;
-    const Trained searched = train(0), grown = train(1), kept = train(64);
-    EXPECT_EQ(searched.kept_hits, 0u);
-    EXPECT_GT(grown.kept_hits, 2u);
-    for (const Trained* other : {&grown, &kept}) {
+    const Trained searched = train(0), grown = train(1), all_stored = train(64);
+    EXPECT_EQ(searched.stored_hits_per_ray, 0u);
+    EXPECT_GT(grown.stored_hits_per_ray, 2u);
+    for (const Trained* other : {&grown, &all_stored}) {
         EXPECT_EQ(other->scene.surfels.mean, searched.scene.surfels.mean);
         EXPECT_EQ(other->scene.surfels.opacity_logit, searched.scene.surfels.opacity_logit);
         EXPECT_EQ(other->scene.surfels.sh, searched.scene.surfels.sh);
@@ -93,12 +93,12 @@ TEST_F(KeptHits, ChangeNothingOfWhatIsLearnt) {
 }
 
 TEST(KeptHitsWanted, TwiceAsManyWhileAnyRayHasMore) {
-    EXPECT_EQ(recommend_kept_hits(64, 0), 64u);
-    EXPECT_EQ(recommend_kept_hits(64, 1), 128u);
-    EXPECT_EQ(recommend_kept_hits(128, 1000), 256u);
-    EXPECT_EQ(recommend_kept_hits(256, 1000), 256u) << "bounded";
-    EXPECT_EQ(recommend_kept_hits(1000, 1000), 1000u) << "as asked for";
-    EXPECT_EQ(recommend_kept_hits(0, 1000), 0u) << "the paper's way";
+    EXPECT_EQ(recommend_stored_hits_per_ray(64, 0), 64u);
+    EXPECT_EQ(recommend_stored_hits_per_ray(64, 1), 128u);
+    EXPECT_EQ(recommend_stored_hits_per_ray(128, 1000), 256u);
+    EXPECT_EQ(recommend_stored_hits_per_ray(256, 1000), 256u) << "bounded";
+    EXPECT_EQ(recommend_stored_hits_per_ray(1000, 1000), 1000u) << "as asked for";
+    EXPECT_EQ(recommend_stored_hits_per_ray(0, 1000), 0u) << "the paper's way";
 }
 
 }  // namespace

@@ -24,15 +24,16 @@ constexpr float kStep = 1.0f / 64.0f;
 
 /// Returns a run whose intensities have noise with a standard deviation of 0.05. Its
 /// untrained scene consists of the points of the log.
-Run make_grainy_run() {
-    Run run;
+TrainedRun make_grainy_run() {
+    TrainedRun run;
     run.sequence =
         make_synthetic_street({.seed = 3, .n_frames = 10, .rows = 32, .columns = 512, .moving_cars = false});
     Random random(8);
-    for (Frame& frame : run.sequence.frames)
+    for (LidarFrame& frame : run.sequence.frames)
         for (float& intensity : frame.scan.intensity)
             intensity =
-                std::max(std::round((intensity + 0.05f * static_cast<float>(random.normal())) / kStep),
+                std::max(std::round((intensity + 0.05f * static_cast<float>(random.draw_standard_normal())) /
+                                    kStep),
                          0.0f) *
                 kStep;
     run.split = split_frames(run.sequence, 5);
@@ -42,15 +43,15 @@ Run make_grainy_run() {
 }
 
 TEST_F(LearnScatter, TrainingFramesScatterAlike) {
-    relidar::Run run = make_grainy_run();
+    relidar::TrainedRun run = make_grainy_run();
     run.intensity_scatter = learn_scatter(device(), run);
     ASSERT_EQ(run.intensity_scatter.size(), 1u);
     EXPECT_EQ(run.intensity_scatter[0].step, double(kStep));
     ScanRenderer exact(device(), run.scene, run.config, run.sequence), renderer(device(), run);
-    const SensorChoice sensor = choose_sensor("native", run.config, run.sequence);
+    const SimulatedSensor sensor = choose_sensor("native", run.config, run.sequence);
     double real = 0.0, drawn = 0.0, n = 0.0;
     for (const int position : run.split.train) {
-        const Frame& frame = run.sequence.frames[std::size_t(position)];
+        const LidarFrame& frame = run.sequence.frames[std::size_t(position)];
         const RenderedScan likely = exact.render(sensor, frame.time_s),
                            stepped = renderer.render(sensor, frame.time_s),
                            sample = renderer.render(sensor, frame.time_s, {}, 4);
@@ -74,7 +75,7 @@ TEST_F(LearnScatter, TrainingFramesScatterAlike) {
 }
 
 TEST_F(LearnScatter, StopsWhereItIsAskedTo) {
-    const relidar::Run run = make_grainy_run();
+    const relidar::TrainedRun run = make_grainy_run();
     EXPECT_TRUE(learn_scatter(device(), run, {.stop = [] { return true; }}).empty());
 }
 

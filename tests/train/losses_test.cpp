@@ -14,7 +14,7 @@ namespace {
 class Losses : public test::DeviceTest {};
 
 TEST_F(Losses, EveryTermIsLogged) {
-    const Sequence street = make_synthetic_street({.n_frames = 5, .rows = 16, .columns = 256});
+    const LidarSequence street = make_synthetic_street({.n_frames = 5, .rows = 16, .columns = 256});
     for (const std::string batch : {"columns", "rays"}) {
         Config config = make_preset("quick");
         config.init.voxel_m = 0.4;

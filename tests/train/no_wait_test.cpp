@@ -20,8 +20,8 @@ namespace {
 
 class NoWait : public test::DeviceTest {
 protected:
-    Sequence street = make_synthetic_street({.n_frames = 6, .rows = 16, .columns = 128});
-    Split split = split_frames(street, 0);
+    LidarSequence street = make_synthetic_street({.n_frames = 6, .rows = 16, .columns = 128});
+    TrainTestSplit split = split_frames(street, 0);
     Config config = make_preset("quick");
 
     void SetUp() override {
@@ -51,8 +51,8 @@ TEST_F(NoWait, NorAllocationInAnIteration) {
         run_iteration(13, 150);  // these iterations include log lines, a full report, and checks of the tree
         EXPECT_EQ(d.n_full_waits, waits);
         EXPECT_EQ(d.n_buffers, buffers);
-        EXPECT_EQ(loop.collect_lines().size(), 10u);
-        loop.finish();
+        EXPECT_EQ(loop.take_log_lines().size(), 10u);
+        loop.complete_training();
         EXPECT_GT(d.n_full_waits, waits) << "waits are counted";
     }
 }
@@ -60,8 +60,8 @@ TEST_F(NoWait, NorAllocationInAnIteration) {
 TEST_F(NoWait, ButALossThatIsNoNumberEndsTrainingSoon) {
     FrameSampler sampler(split.train.size(), config.train.seed);
     int poisoned_step = 1;
-    while (sampler.next() != 3) ++poisoned_step, sampler.random().next();
-    Frame& frame = street.frames[std::size_t(split.train[3])];
+    while (sampler.draw_next_frame() != 3) ++poisoned_step, sampler.get_random_generator().draw_uint64();
+    LidarFrame& frame = street.frames[std::size_t(split.train[3])];
     std::fill(frame.scan.intensity.begin(), frame.scan.intensity.end(),
               std::numeric_limits<float>::quiet_NaN());
     TrainLoop loop(device(), street, split, initialise_scene(street, split.train, config.init), config);

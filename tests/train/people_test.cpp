@@ -19,15 +19,15 @@ class People : public test::DeviceTest {};
 /// Counts the points in a box that is enlarged by the margin of labels and surfels.
 /// @param range_m, returned [rays] of the frame
 template <class Returned>
-int list_returns_in(const Sequence& street, const Frame& frame, const BoxTrack& box,
+int list_returns_in(const LidarSequence& street, const LidarFrame& frame, const BoxTrack& box,
                     const std::vector<float>& range_m, const Returned& returned) {
     int n = 0;
     for (std::size_t i = 0; i < range_m.size(); ++i) {
         if (!returned(i)) continue;
         const WorldRay ray =
             make_world_ray(street.world_from_vehicle, frame.time_s, frame.scan.rays, i, true);
-        n += box.holds(ray.origin_m + double(range_m[i]) * ray.direction,
-                       frame.time_s + double(frame.scan.rays.time_offset_s[i]), 0.1);
+        n += box.contains_point(ray.origin_m + double(range_m[i]) * ray.direction,
+                                frame.time_s + double(frame.scan.rays.time_offset_s[i]), 0.1);
     }
     return n;
 }
@@ -41,14 +41,14 @@ BoxTrack raise_above_ground(BoxTrack box) {
 /// Uses the median range, because the mean range would move up to a quarter of the points
 /// behind such a narrow object.
 TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
-    const Sequence street = make_synthetic_street({.seed = 3,
-                                                   .n_frames = 20,
-                                                   .rows = 64,
-                                                   .columns = 512,
-                                                   .range_noise_m = 0.01,
-                                                   .speed_mps = 5.0,
-                                                   .people = true});
-    const Split split = split_frames(street, 6);
+    const LidarSequence street = make_synthetic_street({.seed = 3,
+                                                        .n_frames = 20,
+                                                        .rows = 64,
+                                                        .columns = 512,
+                                                        .range_noise_m = 0.01,
+                                                        .speed_mps = 5.0,
+                                                        .people = true});
+    const TrainTestSplit split = split_frames(street, 6);
     Config config = make_preset("quick");
     config.train.iterations = 110;
     config.train.rays_per_iteration = 4096;
@@ -58,7 +58,7 @@ TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
     ScanRenderer renderer(device(), result.scene, config, street);
     std::map<std::string, std::pair<int, int>> counts;  // number of real and simulated returns
     for (const int position : split.test) {
-        const Frame& frame = street.frames[std::size_t(position)];
+        const LidarFrame& frame = street.frames[std::size_t(position)];
         const RenderedScan scan = renderer.render({frame.scan.rays, std::nullopt}, frame.time_s);
         for (const BoxTrack& labelled : street.boxes) {
             if (labelled.category == "Car") continue;
@@ -84,7 +84,7 @@ TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
 }
 
 TEST_F(People, MaskedBoxesAreReported) {
-    const Sequence street =
+    const LidarSequence street =
         make_synthetic_street({.n_frames = 12, .rows = 16, .columns = 256, .people = true});
     Config config = make_preset("quick");
     config.init.voxel_m = 0.4;

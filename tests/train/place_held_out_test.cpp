@@ -15,8 +15,8 @@ namespace {
 class PlaceHeldOut : public test::DeviceTest {};
 
 /// Returns a run trained with exact poses.
-Run train_small_run(Device& device) {
-    Run run;
+TrainedRun train_small_run(Device& device) {
+    TrainedRun run;
     run.sequence =
         make_synthetic_street({.seed = 7, .n_frames = 12, .rows = 32, .columns = 512, .range_noise_m = 0.01});
     run.split = split_frames(run.sequence, 4);
@@ -32,9 +32,9 @@ Run train_small_run(Device& device) {
 
 /// Returns a trained run whose held-out frames have wrong poses. All tests share the same
 /// training.
-Run move_run(Device& device, const Twist& off) {
-    static const Run trained = train_small_run(device);
-    Run run = trained;
+TrainedRun move_run(Device& device, const Twist& off) {
+    static const TrainedRun trained = train_small_run(device);
+    TrainedRun run = trained;
     for (const int k : run.split.test) {
         Pose& pose = run.sequence.world_from_vehicle.pose[std::size_t(k)];
         pose = apply_twist(pose, off);
@@ -46,9 +46,9 @@ TEST_F(PlaceHeldOut, FindsWhereTheyWereAndMovesNothingElse) {
     const PoseTrack exact =
         make_synthetic_street({.seed = 7, .n_frames = 12, .rows = 2, .columns = 8}).world_from_vehicle;
     const Twist off{0.03, -0.02, 0.02, 1e-3, -2e-3, 2e-3};
-    relidar::Run run = move_run(device(), off);
-    const relidar::Run before = run;
-    const HeldOutPlacement placed = place_held_out(device(), run);
+    relidar::TrainedRun run = move_run(device(), off);
+    const relidar::TrainedRun before = run;
+    const HeldOutPoseReport placed = place_held_out(device(), run);
     ASSERT_EQ(placed.scans, run.split.test.size());
     EXPECT_TRUE(run.held_out_placed);
     EXPECT_EQ(placed.placed, placed.scans);
@@ -63,7 +63,7 @@ TEST_F(PlaceHeldOut, FindsWhereTheyWereAndMovesNothingElse) {
     for (const int k : run.split.train)
         EXPECT_EQ(run.sequence.world_from_vehicle.pose[std::size_t(k)].translation,
                   before.sequence.world_from_vehicle.pose[std::size_t(k)].translation);
-    relidar::Run again = before;
+    relidar::TrainedRun again = before;
     place_held_out(device(), again);
     for (const int k : run.split.test)
         EXPECT_EQ(again.sequence.world_from_vehicle.pose[std::size_t(k)].translation,
@@ -71,15 +71,15 @@ TEST_F(PlaceHeldOut, FindsWhereTheyWereAndMovesNothingElse) {
 }
 
 TEST_F(PlaceHeldOut, DoesNothingWhereItIsNotAskedForOrStopped) {
-    relidar::Run run = move_run(device(), {0.03, 0.0, 0.0, 0.0, 0.0, 0.0});
+    relidar::TrainedRun run = move_run(device(), {0.03, 0.0, 0.0, 0.0, 0.0, 0.0});
     const std::vector<Pose> before = run.sequence.world_from_vehicle.pose;
     const auto stays = [&] {
         for (std::size_t k = 0; k < before.size(); ++k)
             if (run.sequence.world_from_vehicle.pose[k].translation != before[k].translation) return false;
         return true;
     };
-    int asked = 0;
-    EXPECT_EQ(place_held_out(device(), run, {{}, [&] { return ++asked > 1; }}).scans, 0u);
+    int n_stop_calls = 0;
+    EXPECT_EQ(place_held_out(device(), run, {{}, [&] { return ++n_stop_calls > 1; }}).scans, 0u);
     EXPECT_TRUE(stays()) << "stopped at the second scan";
     EXPECT_FALSE(run.held_out_placed);
     run.config.train.place_held_out = false;

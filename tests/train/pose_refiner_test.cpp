@@ -32,7 +32,7 @@ using test::PoseError;
 
 constexpr double kDegree = kPi / 180.0;
 
-Sequence street_of(int n_frames, int rows, int columns, bool moving_cars = false) {
+LidarSequence street_of(int n_frames, int rows, int columns, bool moving_cars = false) {
     SyntheticOptions options;
     options.n_frames = n_frames, options.rows = rows, options.columns = columns,
     options.moving_cars = moving_cars;
@@ -52,8 +52,8 @@ TrackCorrection draw_random_correction(const PoseTrack& track, std::mt19937_64& 
     TrackCorrection correction(track);
     for (int i = 0; i < 3; ++i) {
         for (std::size_t k = 0; k < track.pose.size(); ++k)
-            correction.add_gradient(k, 1.0, draw_random_twist(random, 1.0, 1.0));
-        correction.step({.rate_m = 0.05, .rate_rad = 0.005});
+            correction.add_pose_gradient(k, 1.0, draw_random_twist(random, 1.0, 1.0));
+        correction.run_adam_step({.rate_m = 0.05, .rate_rad = 0.005});
     }
     return correction;
 }
@@ -64,19 +64,19 @@ double dot(const glm::dvec3& a, const std::vector<float>& b, std::size_t first) 
 
 TEST_F(Poses, MovedRaysAreThoseOfTheCorrectedTrack) {
     for (const bool rolling : {true, false}) {
-        Sequence street = street_of(5, 8, 64);
+        LidarSequence street = street_of(5, 8, 64);
         street.rolling_shutter = rolling;
         TrainingFrames frames(device(), street, {0, 1, 3}, {.unknown = {}, .moves_rays = true});
-        MovedRays rays(device(), frames.all());
+        PoseCorrectedRays rays(device(), frames.get_all_frames());
         std::mt19937_64 random(7);
         const TrackCorrection correction = draw_random_correction(street.world_from_vehicle, random);
         const PoseTrack corrected = correction.make_corrected_track();
         Stream stream(device());
-        for (std::size_t f = 0; f < frames.all().size(); ++f) {
-            rays.move(stream, correction, frames[f]);
-            stream.finish();
-            const std::vector<DeviceRay> moved = frames[f].rays().download(frames[f].n_rays);
-            const Frame& frame = street.frames[std::size_t(frames[f].position)];
+        for (std::size_t f = 0; f < frames.get_all_frames().size(); ++f) {
+            rays.move_rays_to_corrected_poses(stream, correction, frames[f]);
+            stream.submit_and_wait();
+            const std::vector<DeviceRay> moved = frames[f].get_device_rays().download(frames[f].n_rays);
+            const LidarFrame& frame = street.frames[std::size_t(frames[f].position)];
             double farthest = 0.0, base = 0.0;
             for (std::size_t i = 0; i < moved.size(); ++i) {
                 const WorldRay expected =
@@ -111,9 +111,9 @@ std::vector<std::size_t> list_frame_ray_ids(const SampledBatch& batch,
 /// Uses the loss L = sum a . origin' + b . direction' over the batch. The expected
 /// gradient is differentiated through the corrected track in double.
 TEST_F(Poses, GradientsAreThoseOfDifferences) {
-    const Sequence street = street_of(5, 8, 64);
+    const LidarSequence street = street_of(5, 8, 64);
     TrainingFrames frames(device(), street, {1, 2, 4}, {.unknown = {}, .moves_rays = true});
-    MovedRays rays(device(), frames.all());
+    PoseCorrectedRays rays(device(), frames.get_all_frames());
     std::mt19937_64 random(9);
     std::normal_distribution<float> normal;
     TrackCorrection correction = draw_random_correction(street.world_from_vehicle, random);
@@ -123,20 +123,20 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
         Config config;
         config.loss.intensity_ssim = batch_kind == std::string("columns") ? 0.15f : 0.0f,
         config.train.rays_per_iteration = 130;
-        BatchSampler sampler(device(), config, frames.all());
-        rays.move(stream, correction, frames[f]);
-        const SampledBatch batch = sampler.sample(stream, frames[f], draw);
+        BatchSampler sampler(device(), config, frames.get_all_frames());
+        rays.move_rays_to_corrected_poses(stream, correction, frames[f]);
+        const SampledBatch batch = sampler.sample_random_batch(stream, frames[f], draw);
         std::vector<float> upstream(6 * std::size_t(batch.rays.n_rays));
         for (float& x : upstream) x = normal(random);
         const Array<float, shared::DeviceRayGradients> d_rays(device(), std::span<const float>(upstream),
                                                               "ray gradients");
-        rays.sum_gradients(stream, frames[f], batch, d_rays);
-        stream.finish();
+        rays.record_pose_gradient_sums(stream, frames[f], batch, d_rays);
+        stream.submit_and_wait();
         const std::vector<PoseGradient> actual =
-            rays.sum_pose_gradients(rays.gradient_rows().download(), frames[f]);
+            rays.sum_pose_gradients(rays.get_partial_gradient_sums().download(), frames[f]);
         const std::vector<DeviceRay> batch_rays = batch.rays.rays->download();
-        const std::vector<DeviceRay> all = frames[f].rays().download(frames[f].n_rays);
-        const Frame& frame = street.frames[std::size_t(frames[f].position)];
+        const std::vector<DeviceRay> all = frames[f].get_device_rays().download(frames[f].n_rays);
+        const LidarFrame& frame = street.frames[std::size_t(frames[f].position)];
         const std::vector<std::size_t> ids = list_frame_ray_ids(batch, batch_rays, all);
         const auto loss = [&](const PoseTrack& track) {
             double sum = 0.0;
@@ -172,33 +172,35 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
 TEST(TrackCorrectionOf, AQuadraticBowl) {
     PoseTrack track;
     std::mt19937_64 random(3);
-    std::vector<Twist> wanted;
+    std::vector<Twist> target_twists;
     for (int k = 0; k < 8; ++k) {
         track.time_s.push_back(0.1 * k);
         track.pose.push_back(apply_twist({}, draw_random_twist(random, 10.0, 1.0)));
-        wanted.push_back(draw_random_twist(random, 0.05, 0.005));
+        target_twists.push_back(draw_random_twist(random, 0.05, 0.005));
     }
     TrackCorrection correction(track);
     for (int i = 0; i < 2000; ++i) {
         for (std::size_t k = 0; k < 8; ++k) {
             if (k == 5) continue;  // held out
             Twist g;
-            for (std::size_t j = 0; j < 6; ++j) g[j] = correction.at(k)[j] - wanted[k][j];
-            correction.add_gradient(k, 1.0, g);
+            for (std::size_t j = 0; j < 6; ++j)
+                g[j] = correction.interpolate_correction(k)[j] - target_twists[k][j];
+            correction.add_pose_gradient(k, 1.0, g);
         }
-        correction.step({.rate_m = 5e-3 / (1 + 0.05 * i), .rate_rad = 5e-4 / (1 + 0.05 * i)});
+        correction.run_adam_step({.rate_m = 5e-3 / (1 + 0.05 * i), .rate_rad = 5e-4 / (1 + 0.05 * i)});
     }
     for (std::size_t k = 0; k < 8; ++k)
         for (std::size_t j = 0; j < 6; ++j)
-            EXPECT_NEAR(correction.at(k)[j], k == 5 ? 0.5 * (wanted[4][j] + wanted[6][j]) : wanted[k][j],
+            EXPECT_NEAR(correction.interpolate_correction(k)[j],
+                        k == 5 ? 0.5 * (target_twists[4][j] + target_twists[6][j]) : target_twists[k][j],
                         j < 3 ? 1e-3 : 1e-4)
                 << k;
     TrackCorrection strict(track);
     for (int i = 0; i < 200; ++i) {
-        strict.add_gradient(2, 1.0, {1e-3, 0, 0, 0, 0, 0});
-        strict.step({.rate_m = 1e-3, .rate_rad = 1e-3, .prior_per_m2 = 0.05});
+        strict.add_pose_gradient(2, 1.0, {1e-3, 0, 0, 0, 0, 0});
+        strict.run_adam_step({.rate_m = 1e-3, .rate_rad = 1e-3, .prior_per_m2 = 0.05});
     }
-    EXPECT_NEAR(strict.at(2)[0], -0.01, 1e-3) << "where the prior's pull is the loss's";
+    EXPECT_NEAR(strict.interpolate_correction(2)[0], -0.01, 1e-3) << "where the prior's pull is the loss's";
 }
 
 Config make_refining_config(const std::string& description, int iterations) {
@@ -214,10 +216,10 @@ Config make_refining_config(const std::string& description, int iterations) {
 /// Trains once and returns the pose errors before and after the training.
 std::pair<PoseError, PoseError> measure_errors_of_training(Device& device, const Config& config,
                                                            const char* description) {
-    Sequence street = street_of(11, 32, 256);
+    LidarSequence street = street_of(11, 32, 256);
     const PoseTrack exact = street.world_from_vehicle;
     set_vehicle_poses(street, perturb_track(exact, 0.05, 0.3 * kDegree, 1));
-    const Split split = split_frames(street, 0);
+    const TrainTestSplit split = split_frames(street, 0);
     const PoseError before = error_of(street.world_from_vehicle, exact, split.train);
     prepare_log(street, split, config);
     const TrainResult result =
@@ -249,14 +251,15 @@ TEST_F(Poses, OfTheSensorComeBack) {
 
 /// Removes all rays except the rays that end near a box. The removed rays do not affect
 /// the box and would take most of the time.
-void keep_rays_near_boxes(Sequence& street, double margin_m) {
-    for (Frame& frame : street.frames) {
+void keep_rays_near_boxes(LidarSequence& street, double margin_m) {
+    for (LidarFrame& frame : street.frames) {
         Scan& scan = frame.scan;
         std::size_t n = 0;
         for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
             const WorldReturn w = compute_world_return(street, frame, ray);
-            if (std::none_of(street.boxes.begin(), street.boxes.end(),
-                             [&](const BoxTrack& box) { return box.holds(w.point_m, w.time_s, margin_m); }))
+            if (std::none_of(street.boxes.begin(), street.boxes.end(), [&](const BoxTrack& box) {
+                    return box.contains_point(w.point_m, w.time_s, margin_m);
+                }))
                 continue;
             scan.rays.origin[n] = scan.rays.origin[ray], scan.rays.direction[n] = scan.rays.direction[ray];
             scan.rays.time_offset_s[n] = scan.rays.time_offset_s[ray],
@@ -275,7 +278,7 @@ void keep_rays_near_boxes(Sequence& street, double margin_m) {
 TEST_F(Poses, OfTheActorsComeBack) {
     SyntheticOptions options;
     options.n_frames = 7, options.rows = 32, options.columns = 512;
-    Sequence street = make_synthetic_street(options);
+    LidarSequence street = make_synthetic_street(options);
     const std::vector<BoxTrack> exact = street.boxes;
     keep_rays_near_boxes(street, 1.5);
     for (BoxTrack& box : street.boxes) box.world_from_box = perturb_track(box.world_from_box, 0.1, 0.0, 3);
@@ -297,7 +300,7 @@ TEST_F(Poses, OfTheActorsComeBack) {
 }
 
 TEST_F(Poses, AreKeptWhereNoneIsRefined) {
-    const Sequence street = street_of(4, 8, 64, true);
+    const LidarSequence street = street_of(4, 8, 64, true);
     EXPECT_FALSE(train(device(), street, split_frames(street, 0), make_refining_config("none", 2),
                        [](const TrainProgress&) { return true; })
                      .poses);
@@ -319,7 +322,7 @@ TEST_F(Poses, AreKeptWhereNoneIsRefined) {
 /// followed the scene of its sweep, it would move away from the scenes of the remaining
 /// sweeps.
 TEST_F(Poses, OfASingleSweepStays) {
-    const Sequence street = street_of(4, 8, 64, true);
+    const LidarSequence street = street_of(4, 8, 64, true);
     std::vector<std::string> notes;
     TrainSession session;
     session.note = [&](const std::string& note) { notes.push_back(note); };

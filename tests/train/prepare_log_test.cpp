@@ -48,13 +48,13 @@ private:
 
     std::string gather(std::size_t rank, const std::string& text) {
         std::unique_lock lock(mutex_);
-        const std::size_t turn = turns_of_[rank]++;
-        std::vector<std::string>& parts = parts_[turn];
+        const std::size_t exchange_index = turns_of_[rank]++;
+        std::vector<std::string>& parts = parts_[exchange_index];
         parts.resize(std::size_t(size_));
         parts[rank] = text;
-        ++n_here_[turn];
+        ++n_here_[exchange_index];
         all_here_.notify_all();
-        all_here_.wait(lock, [&] { return n_here_[turn] == size_; });
+        all_here_.wait(lock, [&] { return n_here_[exchange_index] == size_; });
         std::string all;
         for (const std::string& part : parts) all += part;
         return all;
@@ -63,14 +63,14 @@ private:
 
 /// Returns a log whose poses drift, whose moving objects have no labels, and whose beams
 /// have offsets.
-Sequence street(const SyntheticOptions& options) {
-    Sequence street = make_synthetic_street(options);
+LidarSequence street(const SyntheticOptions& options) {
+    LidarSequence street = make_synthetic_street(options);
     street.boxes.clear();
     PoseTrack track = street.world_from_vehicle;
     for (std::size_t k = 0; k < track.pose.size(); ++k)
         track.pose[k].translation.y += 0.3 * std::sin(0.02 * double(k));
     set_vehicle_poses(street, track);
-    for (Frame& frame : street.frames)
+    for (LidarFrame& frame : street.frames)
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
             if (frame.scan.range_m[ray] > 0.0f)
                 frame.scan.range_m[ray] += 0.04f * float(frame.scan.rays.channel[ray] % 3);
@@ -83,7 +83,7 @@ std::vector<double> numbers(const Pose& pose) {
     return {q.w, q.x, q.y, q.z, t.x, t.y, t.z};
 }
 
-void expect_same(const Sequence& first, const Sequence& second) {
+void expect_same(const LidarSequence& first, const LidarSequence& second) {
     for (std::size_t k = 0; k < first.world_from_vehicle.pose.size(); ++k)
         ASSERT_EQ(numbers(first.world_from_vehicle.pose[k]), numbers(second.world_from_vehicle.pose[k]))
             << "pose " << k;
@@ -110,54 +110,58 @@ void expect_same(const Sequence& first, const Sequence& second) {
 
 TEST(PrepareLog, AGroupFindsWhatOneProcessFinds) {
     // The log is long enough for two sections.
-    const Sequence given =
+    const LidarSequence original_log =
         street({.n_frames = 400, .rows = 16, .columns = 128, .range_noise_m = 0.01, .people = true});
-    const Split split = split_frames(given, 10);
+    const TrainTestSplit split = split_frames(original_log, 10);
     Config config;
     config.train.refine_poses = "sensor";
-    config.init.unlabelled_movers = UnlabelledMovers::actors, config.sensor.calibrate = "range,intensity";
-    Sequence alone = given;
+    config.init.unlabelled_movers = UnlabelledMoverPolicy::actors,
+    config.sensor.calibrate = "range,intensity";
+    LidarSequence alone = original_log;
     std::vector<std::string> separate_notes;
     prepare_log(alone, split, config,
                 {[&](const std::string& line) { separate_notes.push_back(line); }, {}, {}});
     ASSERT_FALSE(alone.boxes.empty()) << "no mover is discovered";
     ASSERT_NE(alone.lidars[0].sensor.beams[0].range_offset_m, 0.0) << "no beam is calibrated";
-    ASSERT_NE(numbers(alone.world_from_vehicle.pose[50]), numbers(given.world_from_vehicle.pose[50]))
+    ASSERT_NE(numbers(alone.world_from_vehicle.pose[50]), numbers(original_log.world_from_vehicle.pose[50]))
         << "no pose is registered";
     constexpr int kSize = 3;
     GroupOfThreads group(kSize);
-    std::vector<Sequence> logs(std::size_t(kSize), given);
-    std::vector<std::vector<std::string>> told(std::size_t(kSize), std::vector<std::string>{});
+    std::vector<LidarSequence> logs(std::size_t(kSize), original_log);
+    std::vector<std::vector<std::string>> reported_lines(std::size_t(kSize), std::vector<std::string>{});
     std::vector<std::thread> processes;
     for (int rank = 0; rank < kSize; ++rank)
         processes.emplace_back([&, rank] {
-            const auto tell = [&, rank](const std::string& line) { told[std::size_t(rank)].push_back(line); };
+            const auto report_line = [&, rank](const std::string& line) {
+                reported_lines[std::size_t(rank)].push_back(line);
+            };
             prepare_log(logs[std::size_t(rank)], split, config,
-                        {.tell = tell, .stop = {}, .group = group.of(rank)});
+                        {.report_line = report_line, .stop = {}, .group = group.of(rank)});
         });
     for (std::thread& process : processes) process.join();
-    for (const Sequence& log : logs) expect_same(log, alone);
-    EXPECT_EQ(told[0], separate_notes);
+    for (const LidarSequence& log : logs) expect_same(log, alone);
+    EXPECT_EQ(reported_lines[0], separate_notes);
     for (int rank = 1; rank < kSize; ++rank)
-        EXPECT_TRUE(told[std::size_t(rank)].empty()) << "the first one tells";
+        EXPECT_TRUE(reported_lines[std::size_t(rank)].empty()) << "the first one tells";
     for (const std::size_t bytes : group.shared_bytes()) EXPECT_GT(bytes, 1000u) << "a process did nothing";
 }
 
 TEST(PrepareLog, WarnsOfPosesThatDoNotFitTheScans) {
-    const Sequence good = street({.n_frames = 40, .rows = 32, .columns = 128, .range_noise_m = 0.01});
+    const LidarSequence good = street({.n_frames = 40, .rows = 32, .columns = 128, .range_noise_m = 0.01});
     Config config;
     config.train.allow_lost_scans = true;
     config.train.refine_poses = "sensor";
-    const Split split = split_frames(good, 10);
-    const auto warning_of = [&](Sequence log) {
-        std::string told;
-        prepare_log(log, split, config, {[&](const std::string& line) { told += line + "\n"; }, {}, {}});
-        const std::size_t at = told.find("warning: ");
+    const TrainTestSplit split = split_frames(good, 10);
+    const auto warning_of = [&](LidarSequence log) {
+        std::string report_text;
+        prepare_log(log, split, config,
+                    {[&](const std::string& line) { report_text += line + "\n"; }, {}, {}});
+        const std::size_t at = report_text.find("warning: ");
         EXPECT_EQ(at != std::string::npos, !log.notes.empty()) << "info shows what training has said";
-        return at == std::string::npos ? std::string() : told.substr(at);
+        return at == std::string::npos ? std::string() : report_text.substr(at);
     };
     EXPECT_EQ(warning_of(good), "");
-    Sequence bad = good;  // moves every second pose ahead by a metre
+    LidarSequence bad = good;  // moves every second pose ahead by a metre
     for (std::size_t k = 0; k < bad.world_from_vehicle.pose.size(); k += 2)
         bad.world_from_vehicle.pose[k].translation.x += 1.0;
     const std::string warning = warning_of(bad);

@@ -36,18 +36,18 @@ bool is_well_inside(const glm::vec3& direction) { return direction.z < -0.02f; }
 
 /// Returns a street in which rays that point down have no returns beyond 9 m. The same
 /// surfaces have returns when they are nearer, so the effect is a property of the sensor.
-Sequence make_weak_street() {
-    Sequence street = make_synthetic_street(
+LidarSequence make_weak_street() {
+    LidarSequence street = make_synthetic_street(
         {.seed = 5, .n_frames = 11, .rows = 32, .columns = 512, .range_noise_m = 0.01, .speed_mps = 10.0});
-    for (Frame& frame : street.frames)
+    for (LidarFrame& frame : street.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
             if (is_weak(frame.scan.rays.direction[i]) && frame.scan.range_m[i] > kReach_m)
                 frame.scan.range_m[i] = 0.0f;
     return street;
 }
 
-Run trained(Device& device, Sequence street) {
-    Run run;
+TrainedRun trained(Device& device, LidarSequence street) {
+    TrainedRun run;
     run.sequence = std::move(street);
     run.split = split_frames(run.sequence, 5);
     run.config = make_preset("quick");
@@ -69,9 +69,9 @@ Run trained(Device& device, Sequence street) {
 }
 
 /// Returns a run that is trained once for all tests.
-const Run& make_weak_run(Device& device) {
-    static const Run run = [&] {
-        Run made = trained(device, make_weak_street());
+const TrainedRun& make_weak_run(Device& device) {
+    static const TrainedRun run = [&] {
+        TrainedRun made = trained(device, make_weak_street());
         made.config.refine.epochs = 16;
         made.config.refine.rate = 0.01;
         return made;
@@ -82,11 +82,11 @@ const Run& make_weak_run(Device& device) {
 /// Returns two shares of correctly predicted drops on held-out frames. The first share is
 /// for weak beams that hit a surface near or beyond their maximum range. The second share
 /// is for all remaining pixels.
-std::pair<double, double> measure_accuracies(Device& device, const Run& run) {
+std::pair<double, double> measure_accuracies(Device& device, const TrainedRun& run) {
     ScanRenderer renderer(device, run);
     double n[2] = {0.0, 0.0}, right[2] = {0.0, 0.0};
     for (const int position : run.split.test) {
-        const Frame& frame = run.sequence.frames[std::size_t(position)];
+        const LidarFrame& frame = run.sequence.frames[std::size_t(position)];
         const RenderedScan scan =
             renderer.render(choose_sensor("native", run.config, run.sequence), frame.time_s);
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
@@ -116,7 +116,7 @@ private:
 };
 
 TEST_F(RefineDrops, NetworkKnowsWhatTheSensorDoesOnHeldOutFrames) {
-    relidar::Run run = make_weak_run(device());
+    relidar::TrainedRun run = make_weak_run(device());
     const auto [weak_before, others_before] = measure_accuracies(device(), run);
     run.drop_network = refine_drops(device(), run);
     const auto [weak_after, others_after] = measure_accuracies(device(), run);
@@ -129,14 +129,14 @@ TEST_F(RefineDrops, NetworkKnowsWhatTheSensorDoesOnHeldOutFrames) {
 
 /// Returns the share of a sensor's rays for which the predicted drop equals the drop in
 /// the exact street.
-double compute_exact_accuracy(ScanRenderer& renderer, const SyntheticOptions& options, const Run& run,
-                              const SensorChoice& sensor) {
+double compute_exact_accuracy(ScanRenderer& renderer, const SyntheticOptions& options, const TrainedRun& run,
+                              const SimulatedSensor& sensor) {
     double n = 0.0, right = 0.0;
     for (const int position : run.split.test) {
         const double time_s = run.sequence.frames[std::size_t(position)].time_s;
         const RenderedScan scan = renderer.render(sensor, time_s);
-        const Scan exact =
-            cast_synthetic_street(options, sensor.rays, run.sequence.world_from_sensor(0), time_s);
+        const Scan exact = cast_rays_into_synthetic_street(options, sensor.rays,
+                                                           run.sequence.get_world_from_sensor(0), time_s);
         for (std::size_t i = 0; i < exact.range_m.size(); ++i, n += 1.0)
             right += (scan.image.drop_prob[i] > 0.5f) == !sensor.limits.contains(exact.range_m[i]);
     }
@@ -146,44 +146,44 @@ double compute_exact_accuracy(ScanRenderer& renderer, const SyntheticOptions& op
 TEST_F(RefineDrops, AnotherSensorIsNotWorse) {
     const SyntheticOptions options{
         .seed = 6, .n_frames = 11, .rows = 32, .columns = 512, .speed_mps = 4.0, .people = true};
-    relidar::Run run = trained(device(), make_synthetic_street(options));
+    relidar::TrainedRun run = trained(device(), make_synthetic_street(options));
     run.config.refine.epochs = 6;
-    const SensorChoice sensor = choose_sensor("VLP-32C", run.config, run.sequence);
+    const SimulatedSensor sensor = choose_sensor("VLP-32C", run.config, run.sequence);
     ScanRenderer renderer(device(), run);
     const double before = compute_exact_accuracy(renderer, options, run, sensor);
-    renderer.refine_drops(refine_drops(device(), run));
-    ASSERT_TRUE(renderer.refines(sensor));
+    renderer.set_drop_network(refine_drops(device(), run));
+    ASSERT_TRUE(renderer.has_drop_network_for(sensor));
     EXPECT_GT(compute_exact_accuracy(renderer, options, run, sensor), before);
 }
 
 TEST_F(RefineDrops, ANetworkOfCellsRefinesImagesOfTheirGridAlone) {
-    relidar::Run run = make_weak_run(device());
+    relidar::TrainedRun run = make_weak_run(device());
     run.config.sensor.grid = "kitti360";
     run.config.refine.image = "grid";
     run.config.refine.epochs = 1;
     run.drop_network = refine_drops(device(), run);
     EXPECT_EQ(run.drop_network.image, "kitti360");
     ScanRenderer renderer(device(), run);
-    const SensorChoice grid = make_configured_sensor(run.config, run.sequence),
-                       native = choose_sensor("native", run.config, run.sequence);
-    EXPECT_TRUE(renderer.refines(grid));
-    EXPECT_FALSE(renderer.refines(native));
-    renderer.enable_channels("surfel_drop_prob");
+    const SimulatedSensor grid = make_configured_sensor(run.config, run.sequence),
+                          native = choose_sensor("native", run.config, run.sequence);
+    EXPECT_TRUE(renderer.has_drop_network_for(grid));
+    EXPECT_FALSE(renderer.has_drop_network_for(native));
+    renderer.enable_optional_channels("surfel_drop_prob");
     const RenderedScan refined = renderer.render(grid, 0.5);
-    renderer.refine_drops({});
-    EXPECT_FALSE(renderer.refines(grid));
+    renderer.set_drop_network({});
+    EXPECT_FALSE(renderer.has_drop_network_for(grid));
     const RenderedScan plain = renderer.render(grid, 0.5);
-    EXPECT_EQ(*find_values<float>(refined.channels, "surfel_drop_prob"), plain.image.drop_prob);
+    EXPECT_EQ(*find_channel_values<float>(refined.channels, "surfel_drop_prob"), plain.image.drop_prob);
     EXPECT_NE(refined.image.drop_prob, plain.image.drop_prob);
     EXPECT_EQ(refined.image.range_m, plain.image.range_m);
 }
 
 /// Trains until `step` steps are finished, and saves checkpoints in a folder.
-void train_until(Device& device, const Run& run, int step, const std::filesystem::path& folder,
+void train_until(Device& device, const TrainedRun& run, int step, const std::filesystem::path& folder,
                  const Checkpoint* start = nullptr) {
     int done = 0;
-    RefineSession session;
-    session.step = [&](const RefineProgress& p) { done = p.step; };
+    RayDropTrainingSession session;
+    session.step = [&](const RayDropTrainProgress& p) { done = p.step; };
     session.stop = [&] { return done >= step; };
     session.checkpoints = folder;
     session.start = start;
@@ -192,21 +192,21 @@ void train_until(Device& device, const Run& run, int step, const std::filesystem
 }
 
 Checkpoint newest(const std::filesystem::path& folder) {
-    std::optional<Checkpoint> found =
+    std::optional<Checkpoint> checkpoint =
         load_newest_checkpoint(folder, [](const std::string& line) { ADD_FAILURE() << line; });
-    if (!found) throw DataError("no checkpoint in " + folder.string());
-    return std::move(*found);
+    if (!checkpoint) throw DataError("no checkpoint in " + folder.string());
+    return std::move(*checkpoint);
 }
 
 /// Compares a training that was interrupted twice with an uninterrupted training of four
 /// epochs, bit by bit. Training must also continue with a network that was saved and read
 /// again.
 TEST_F(RefineDrops, GoesOnFromACheckpointWithTheSameBits) {
-    relidar::Run run = make_weak_run(device());
+    relidar::TrainedRun run = make_weak_run(device());
     run.config.refine.epochs = 4;
     run.config.refine.frames = 3;
     const std::filesystem::path checkpoints = folder() / "checkpoints";
-    const DropNetwork expected = refine_drops(device(), run);
+    const RayDropNetwork expected = refine_drops(device(), run);
     const int of_epoch = run.config.refine.frames;
     train_until(device(), run, 2 * of_epoch + 1, checkpoints);
     EXPECT_EQ(list_checkpoints(checkpoints).size(), 2u)
@@ -217,10 +217,10 @@ TEST_F(RefineDrops, GoesOnFromACheckpointWithTheSameBits) {
 
     run.folder = folder() / "run";
     save_run(run);
-    relidar::Run loaded = load_run(run.folder);
-    attach_scans(loaded, loaded.split.train, run.sequence);
-    check_refine_resumable(half, loaded);
-    const DropNetwork resumed = refine_drops(device(), loaded, {.start = &half});
+    relidar::TrainedRun loaded = load_run(run.folder);
+    copy_scans_into_run(loaded, loaded.split.train, run.sequence);
+    check_network_training_resumable(half, loaded);
+    const RayDropNetwork resumed = refine_drops(device(), loaded, {.start = &half});
     EXPECT_EQ(resumed.parameters, expected.parameters);
     EXPECT_EQ(resumed.running, expected.running);
     EXPECT_EQ(resumed.normalisation, expected.normalisation);
@@ -232,12 +232,12 @@ TEST_F(RefineDrops, GoesOnFromACheckpointWithTheSameBits) {
 }
 
 TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
-    relidar::Run run = make_weak_run(device());
+    relidar::TrainedRun run = make_weak_run(device());
     run.config.refine.epochs = 1;
     run.config.refine.frames = 3;
     train_until(device(), run, 2, folder());
     const Checkpoint checkpoint = newest(folder());
-    const auto message = [&](const relidar::Run& other) {
+    const auto message = [&](const relidar::TrainedRun& other) {
         try {
             refine_drops(device(), other, {.start = &checkpoint});
         } catch (const Error& error) {
@@ -245,15 +245,15 @@ TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
         }
         return std::string("nothing thrown");
     };
-    relidar::Run other = run;
+    relidar::TrainedRun other = run;
     other.config.refine.rate = 0.5;
     EXPECT_THAT(message(other),
                 test::Names("2 ... step 2 ... setting refine.rate: found 0.5, expected 0.01"));
-    restore_refine_settings(checkpoint, other.config);
+    restore_network_settings(checkpoint, other.config);
     EXPECT_EQ(other.config.refine.rate, run.config.refine.rate);
     other.config.train.log_every = 7, other.config.train.checkpoint_minutes = 3.0,
     other.config.refine.enabled = false;
-    check_refine_resumable(checkpoint, other);
+    check_network_training_resumable(checkpoint, other);
     other = run;
     other.scene.surfels.sh[5] += 0.001f;
     EXPECT_THAT(message(other), test::Names("3 ... step 2 ... scene"));
@@ -268,12 +268,12 @@ TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
 /// A file at the path of the checkpoint folder makes saving fail. Training must continue
 /// without checkpoints and report the failure.
 TEST_F(RefineDrops, AFullDiskCostsACheckpointNotTheTraining) {
-    relidar::Run run = make_weak_run(device());
+    relidar::TrainedRun run = make_weak_run(device());
     run.config.refine.epochs = 1;
     run.config.refine.frames = 3;
-    write_text(folder() / "taken", "");
+    write_text_file(folder() / "taken", "");
     std::vector<std::string> notes;
-    RefineSession session;
+    RayDropTrainingSession session;
     session.checkpoints = folder() / "taken";
     session.note = [&](const std::string& line) { notes.push_back(line); };
     EXPECT_FALSE(refine_drops(device(), run, session).empty());
@@ -282,9 +282,9 @@ TEST_F(RefineDrops, AFullDiskCostsACheckpointNotTheTraining) {
 }
 
 TEST_F(RefineDrops, StopGivesNothingAndBadLogsAreRefused) {
-    relidar::Run run = make_weak_run(device());
-    int asked = 0;
-    EXPECT_TRUE(refine_drops(device(), run, {.stop = [&] { return ++asked > 15; }}).empty())
+    relidar::TrainedRun run = make_weak_run(device());
+    int n_stop_calls = 0;
+    EXPECT_TRUE(refine_drops(device(), run, {.stop = [&] { return ++n_stop_calls > 15; }}).empty())
         << "in the network's training";
     EXPECT_TRUE(refine_drops(device(), run, {.stop = [] { return true; }}).empty())
         << "while frames are rendered";
@@ -296,13 +296,13 @@ TEST_F(RefineDrops, StopGivesNothingAndBadLogsAreRefused) {
         }
         return std::string("nothing thrown");
     };
-    for (Frame& frame : run.sequence.frames) {
+    for (LidarFrame& frame : run.sequence.frames) {
         frame.scan.rays.rows = 1;
         frame.scan.rays.columns = int(frame.scan.rays.size());
     }
     EXPECT_THAT(message(), test::Names("rows and columns"));
     run.sequence = make_weak_street();
-    for (Frame& frame : run.sequence.frames)
+    for (LidarFrame& frame : run.sequence.frames)
         for (float& range_m : frame.scan.range_m) range_m = std::max(range_m, 1.0f);
     EXPECT_THAT(message(), test::Names("dropped"));
 }

@@ -110,29 +110,29 @@ protected:
     }
 
     fs::path folder;
-    Sequence street;
-    Split split;
+    LidarSequence street;
+    TrainTestSplit split;
     std::vector<std::string> notes;
 };
 
 TEST(ResumedSampler, GoesOnWithTheSameFramesAndNumbers) {
     FrameSampler sampler(10, 3), other(10, 99);
-    for (int i = 0; i < 27; ++i) sampler.next(), sampler.random().next();
+    for (int i = 0; i < 27; ++i) sampler.draw_next_frame(), sampler.get_random_generator().draw_uint64();
     Checkpoint checkpoint;
-    sampler.visit_state(StateWriter(checkpoint));
-    other.next();
-    other.visit_state(StateReader(checkpoint));
-    EXPECT_TRUE(other.is_sound(10));
-    EXPECT_FALSE(other.is_sound(9));
+    sampler.visit_state(CheckpointWriter(checkpoint));
+    other.draw_next_frame();
+    other.visit_state(CheckpointReader(checkpoint));
+    EXPECT_TRUE(other.has_valid_state(10));
+    EXPECT_FALSE(other.has_valid_state(9));
     for (int i = 0; i < 100; ++i) {
-        ASSERT_EQ(sampler.next(), other.next());
-        ASSERT_EQ(sampler.random().next(), other.random().next());
+        ASSERT_EQ(sampler.draw_next_frame(), other.draw_next_frame());
+        ASSERT_EQ(sampler.get_random_generator().draw_uint64(), other.get_random_generator().draw_uint64());
     }
 }
 
 TEST_F(Resume, IsTheTrainingThatWasNotStopped) {
     const Config config = make_resumed_config();
-    const TrainResult whole = run(config);
+    const TrainResult uninterrupted = run(config);
     EXPECT_TRUE(list_checkpoints(folder).empty()) << "a short run leaves none";
     const TrainResult first = run(config, nullptr, kStoppedAfter);
     EXPECT_TRUE(first.interrupted);
@@ -142,27 +142,28 @@ TEST_F(Resume, IsTheTrainingThatWasNotStopped) {
     EXPECT_EQ(checkpoint->iteration, kStoppedAfter);
     const TrainResult resumed = run(config, &*checkpoint);
     EXPECT_FALSE(resumed.interrupted);
-    ASSERT_EQ(resumed.log.size(), whole.log.size());
-    for (std::size_t i = 0; i < whole.log.size(); ++i) {
-        EXPECT_EQ(resumed.log[i].iteration, whole.log[i].iteration);
-        EXPECT_NEAR(resumed.log[i].loss, whole.log[i].loss, 0.01 * whole.log[i].loss);
+    ASSERT_EQ(resumed.log.size(), uninterrupted.log.size());
+    for (std::size_t i = 0; i < uninterrupted.log.size(); ++i) {
+        EXPECT_EQ(resumed.log[i].iteration, uninterrupted.log[i].iteration);
+        EXPECT_NEAR(resumed.log[i].loss, uninterrupted.log[i].loss, 0.01 * uninterrupted.log[i].loss);
         EXPECT_GT(resumed.log[i].seconds, i > 0 ? resumed.log[i - 1].seconds : 0.0);
     }
     EXPECT_EQ(resumed.initialise_s, first.initialise_s);
     EXPECT_GE(resumed.train_s, resumed.log.back().seconds);
     const Scene initial = initialise_scene(street, split.train, config.init);
-    expect_same_scene(resumed.scene, whole.scene, initial);
-    EXPECT_EQ(resumed.scene.models.size(), whole.scene.models.size());
-    EXPECT_EQ(resumed.scene.sensor_drop.probability.size(), whole.scene.sensor_drop.probability.size());
+    expect_same_scene(resumed.scene, uninterrupted.scene, initial);
+    EXPECT_EQ(resumed.scene.models.size(), uninterrupted.scene.models.size());
+    EXPECT_EQ(resumed.scene.sensor_drop.probability.size(),
+              uninterrupted.scene.sensor_drop.probability.size());
 }
 
 /// With a fixed order of sums, all bits must be equal. Surfels are added and removed
 /// before the stop, between the stop and the next log line, and later.
 TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
     using enum DensifyStrategy;
-    for (const auto& [strategy, primitive] : {std::pair{none, Primitive::surfel},
-                                              {adaptive, Primitive::surfel},
-                                              {adaptive, Primitive::gaussian}}) {
+    for (const auto& [strategy, primitive] : {std::pair{none, PrimitiveType::surfel},
+                                              {adaptive, PrimitiveType::surfel},
+                                              {adaptive, PrimitiveType::gaussian}}) {
         Config config = make_resumed_config();
         config.image.primitive = primitive;
         config.train.deterministic = true;
@@ -170,19 +171,19 @@ TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
         config.densify.from = 4, config.densify.every = 4, config.densify.until = 36;
         config.densify.gradient_threshold = 1e-3;
         config.densify.opacity_reset_every = 20;
-        const TrainResult whole = run(config), first = run(config, nullptr, kStoppedAfter);
+        const TrainResult uninterrupted = run(config), first = run(config, nullptr, kStoppedAfter);
         const std::optional<Checkpoint> checkpoint = newest();
         ASSERT_TRUE(checkpoint);
         const TrainResult resumed = run(config, &*checkpoint);
-        expect_equal_bits(resumed.scene, whole.scene);
-        ASSERT_EQ(resumed.log.size(), whole.log.size());
+        expect_equal_bits(resumed.scene, uninterrupted.scene);
+        ASSERT_EQ(resumed.log.size(), uninterrupted.log.size());
         std::uint32_t changed = 0;
-        for (std::size_t i = 0; i < whole.log.size(); ++i) {
-            EXPECT_EQ(resumed.log[i].n_surfels, whole.log[i].n_surfels);
+        for (std::size_t i = 0; i < uninterrupted.log.size(); ++i) {
+            EXPECT_EQ(resumed.log[i].n_surfels, uninterrupted.log[i].n_surfels);
             for (const auto& [name, count] : kDensifyCounts)
-                EXPECT_EQ(resumed.log[i].densified.*count, whole.log[i].densified.*count)
+                EXPECT_EQ(resumed.log[i].densified.*count, uninterrupted.log[i].densified.*count)
                     << name << ", line " << i;
-            changed += whole.log[i].densified.added > 0;
+            changed += uninterrupted.log[i].densified.added > 0;
         }
         EXPECT_EQ(changed > 2, strategy != DensifyStrategy::none) << "before and after the stop";
         EXPECT_EQ(first.scene.surfels.size() != first.log.front().n_surfels,
@@ -195,41 +196,42 @@ TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
 /// A resumed training estimates the corrections of the log again, with the same bits.
 TEST_F(Resume, PreparedLogsAreTheSameAgain) {
     set_vehicle_poses(street, test::perturb_track(street.world_from_vehicle, 0.05, 0.005, 1));
-    const Sequence given = street;
+    const LidarSequence original_street = street;
     Config config = make_resumed_config();
     config.train.deterministic = true;
     config.train.refine_poses = "sensor,actors";
     config.init.actor_min_points = 10;
     config.train.iterations = 12;
     const auto prepare = [&] {
-        street = given;
+        street = original_street;
         prepare_log(street, split, config);
     };
     prepare();
-    EXPECT_NE(street.world_from_vehicle.pose[3].translation, given.world_from_vehicle.pose[3].translation);
+    EXPECT_NE(street.world_from_vehicle.pose[3].translation,
+              original_street.world_from_vehicle.pose[3].translation);
     EXPECT_FALSE(street.intensity_response.factor.empty());
-    const TrainResult whole = run(config);
+    const TrainResult uninterrupted = run(config);
     const TrainResult first = run(config, nullptr, 6);
     EXPECT_TRUE(first.interrupted);
     const std::optional<Checkpoint> checkpoint = newest();
     ASSERT_TRUE(checkpoint);
     prepare();
     const TrainResult resumed = run(config, &*checkpoint);
-    expect_equal_bits(resumed.scene, whole.scene);
+    expect_equal_bits(resumed.scene, uninterrupted.scene);
     for (std::size_t k = 0; k < street.frames.size(); ++k)
         EXPECT_EQ(resumed.poses->world_from_vehicle.pose[k].translation,
-                  whole.poses->world_from_vehicle.pose[k].translation);
+                  uninterrupted.poses->world_from_vehicle.pose[k].translation);
     for (std::size_t b = 0; b < street.boxes.size(); ++b)
         for (std::size_t k = 0; k < street.boxes[b].world_from_box.pose.size(); ++k) {
-            const glm::dvec3 end = whole.poses->boxes[b].world_from_box.pose[k].translation;
+            const glm::dvec3 end = uninterrupted.poses->boxes[b].world_from_box.pose[k].translation;
             EXPECT_EQ(resumed.poses->boxes[b].world_from_box.pose[k].translation, end);
             EXPECT_NE(end, street.boxes[b].world_from_box.pose[k].translation) << "it was refined";
         }
 
-    street = given;
+    street = original_street;
     EXPECT_THROW(run(config, &*checkpoint), DataError) << "a log that was not prepared is another log";
     try {
-        PrepareSession session;
+        LogPreparationCallbacks session;
         session.stop = [] { return true; };
         prepare_log(street, split, config, session);
         FAIL() << "expected registration to be interrupted";
@@ -251,21 +253,21 @@ TEST_F(Resume, RestoresEveryArrayBitByBit) {
         fresh(device(), street, split, initial, other);
     for (int step = 1; step <= kStoppedAfter; ++step) trained.run_iteration(step);
     Checkpoint saved, again;
-    trained.save(saved);
+    trained.save_state(saved);
     fresh.run_iteration(1);
-    fresh.restore(saved);
-    fresh.save(again);
+    fresh.restore_state(saved);
+    fresh.save_state(again);
     ASSERT_EQ(saved.arrays.size(), again.arrays.size());
     const auto same = [](const Pose& first, const Pose& second) {
         return first.rotation == second.rotation && first.translation == second.translation;
     };
-    EXPECT_TRUE(std::ranges::equal(trained.copy_refined_poses()->world_from_vehicle.pose,
-                                   fresh.copy_refined_poses()->world_from_vehicle.pose, same));
+    EXPECT_TRUE(std::ranges::equal(trained.get_refined_poses()->world_from_vehicle.pose,
+                                   fresh.get_refined_poses()->world_from_vehicle.pose, same));
     for (const NamedArray& array : saved.arrays)
-        EXPECT_TRUE(array.bytes == again.array(array.name).bytes) << array.name;
+        EXPECT_TRUE(array.bytes == again.get_array(array.name).bytes) << array.name;
     for (const char* name :
          {"moment1/mean", "moment2/sh", "term_sums", "poses/sensor/correction", "poses/actor 0/correction"}) {
-        const std::vector<float> values = saved.array(name).as_float();
+        const std::vector<float> values = saved.get_array(name).convert_to_floats();
         EXPECT_TRUE(std::any_of(values.begin(), values.end(), [](float v) { return v != 0.0f; }))
             << name << " is saved as zeros";
     }
@@ -279,13 +281,13 @@ TEST_F(Resume, ActorsAloneAreRefinedAsIfNeverStopped) {
     config.train.refine_poses = "actors";
     config.init.actor_min_points = 10;
     config.train.iterations = 12;
-    const TrainResult whole = run(config), first = run(config, nullptr, 6);
+    const TrainResult uninterrupted = run(config), first = run(config, nullptr, 6);
     const std::optional<Checkpoint> checkpoint = newest();
     ASSERT_TRUE(checkpoint && first.interrupted);
     const TrainResult resumed = run(config, &*checkpoint);
-    expect_equal_bits(resumed.scene, whole.scene);
+    expect_equal_bits(resumed.scene, uninterrupted.scene);
     const std::vector<Pose>&a = resumed.poses->boxes[0].world_from_box.pose,
-          &b = whole.poses->boxes[0].world_from_box.pose;
+          &b = uninterrupted.poses->boxes[0].world_from_box.pose;
     EXPECT_TRUE(std::ranges::equal(
         a, b, [](const Pose& x, const Pose& y) { return x.translation == y.translation; }));
     EXPECT_NE(b[3].translation, street.boxes[0].world_from_box.pose[3].translation) << "it was refined";
@@ -294,14 +296,14 @@ TEST_F(Resume, ActorsAloneAreRefinedAsIfNeverStopped) {
 TEST_F(Resume, AFinishedRunStaysAndMayBeExtended) {
     Config config = make_resumed_config();
     config.train.checkpoint_every = 15;
-    const TrainResult whole = run(config);
+    const TrainResult uninterrupted = run(config);
     ASSERT_EQ(list_checkpoints(folder).size(), 2u) << "30 and the last one";
     const std::optional<Checkpoint> end = newest();
     EXPECT_EQ(end->iteration, kIterations);
     const TrainResult nothing = run(config, &*end);
-    EXPECT_EQ(nothing.scene.surfels.mean, whole.scene.surfels.mean);
-    EXPECT_EQ(nothing.scene.surfels.sh, whole.scene.surfels.sh);
-    EXPECT_EQ(nothing.log.size(), whole.log.size());
+    EXPECT_EQ(nothing.scene.surfels.mean, uninterrupted.scene.surfels.mean);
+    EXPECT_EQ(nothing.scene.surfels.sh, uninterrupted.scene.surfels.sh);
+    EXPECT_EQ(nothing.log.size(), uninterrupted.log.size());
     config.train.iterations = kIterations + 10;
     const TrainResult more = run(config, &*end);
     EXPECT_EQ(more.iterations, kIterations + 10);
@@ -315,7 +317,7 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
     const auto setting = [&](const char* key, const char* value) {
         Config config = make_resumed_config();
         set_config_value(config, key, value);
-        return error_message<UsageError>([&] { check_resumable(start, street, split, config); });
+        return error_message<UsageError>([&] { check_training_resumable(start, street, split, config); });
     };
     EXPECT_NE(setting("loss.depth", "0.3").find("setting loss.depth: found 0.3, expected 0.1"),
               std::string::npos);
@@ -328,12 +330,12 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
                                      {"render.range", "median"},
                                      {"dataset.path", "moved"}})
         set_config_value(free, key, value);
-    EXPECT_NO_THROW(check_resumable(start, street, split, free));
+    EXPECT_NO_THROW(check_training_resumable(start, street, split, free));
 
     Checkpoint other_version = start;
     const auto error = [&] {
         return get_data_error_message(
-            [&] { check_resumable(other_version, street, split, make_resumed_config()); });
+            [&] { check_training_resumable(other_version, street, split, make_resumed_config()); });
     };
     other_version.texts["setting/train.colour"] = "red";
     EXPECT_THAT(error(), test::Names("train.colour"));
@@ -341,13 +343,13 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
     other_version.texts.erase("setting/loss.depth");
     EXPECT_THAT(error(), test::Names("setting loss.depth"));
 
-    const auto log = [&](const char* part, const Sequence& other, const Split& frames) {
-        const std::string message =
-            get_data_error_message([&] { check_resumable(start, other, frames, make_resumed_config()); });
+    const auto log = [&](const char* part, const LidarSequence& other, const TrainTestSplit& frames) {
+        const std::string message = get_data_error_message(
+            [&] { check_training_resumable(start, other, frames, make_resumed_config()); });
         EXPECT_THAT(message, test::Names(std::string("log's ... ") + part));
     };
     log("training frames", street, split_frames(street, 5));
-    Sequence other = street;
+    LidarSequence other = street;
     other.frames[3].scan.range_m[100] += 1e-3f;
     log("scans", other, split);
     other = street;
@@ -373,7 +375,7 @@ TEST_F(Resume, AFullDiskCostsTheCheckpointOnly) {
         const test::FileSizeLimit limit(4096);
         const TrainResult result = run(config, &start);
         EXPECT_EQ(result.iterations, kIterations);
-        EXPECT_EQ(result.scene.surfels.size(), start.array("parameters/mean").shape[0]);
+        EXPECT_EQ(result.scene.surfels.size(), start.get_array("parameters/mean").shape[0]);
     }
     ASSERT_EQ(notes.size(), 4u) << "10, 20, 30, 40";
     EXPECT_THAT(notes[0], test::Names("write ... iteration 10 ... iteration 5"));
@@ -389,15 +391,15 @@ TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {
     const std::size_t poisoned = 6;  // index among the training frames
     FrameSampler sampler(split.train.size(), config.train.seed);
     int expected = 1;
-    while (sampler.next() != poisoned) ++expected, sampler.random().next();
-    Frame& frame = street.frames[std::size_t(split.train[poisoned])];
+    while (sampler.draw_next_frame() != poisoned) ++expected, sampler.get_random_generator().draw_uint64();
+    LidarFrame& frame = street.frames[std::size_t(split.train[poisoned])];
     std::fill(frame.scan.intensity.begin(), frame.scan.intensity.end(),
               std::numeric_limits<float>::quiet_NaN());
     TrainLoop loop(device(), street, split, initial, config);
     Checkpoint checkpoint;
     for (int step = 1; step <= 10; ++step) {
         loop.run_iteration(step);
-        if (step == expected - 1) loop.save(checkpoint);
+        if (step == expected - 1) loop.save_state(checkpoint);
     }
     const std::string message = get_data_error_message([&] { loop.wait_for_iterations(); });
     ASSERT_GT(expected, 1);

@@ -21,7 +21,7 @@ struct Score {
     /// range errors of the rays that have a return both in the exact street and in the
     /// rendering
     std::vector<double> errors_m;
-    std::size_t rays = 0, drops_right = 0, seconds = 0, found = 0, reported = 0, invented = 0;
+    std::size_t rays = 0, drops_right = 0, second_returns = 0, detected = 0, reported = 0, invented = 0;
 
     double median_m() {
         std::nth_element(errors_m.begin(), errors_m.begin() + std::ptrdiff_t(errors_m.size() / 2),
@@ -33,7 +33,7 @@ struct Score {
 void add(Score& score, const RenderedScan& scan, const Scan& truth) {
     const std::vector<float>& range_m = scan.median_range_m;
     for (std::size_t i = 0; i < range_m.size(); ++i) {
-        const bool returns = is_returned(scan.image.drop_prob[i], range_m[i]);
+        const bool returns = is_ray_returned(scan.image.drop_prob[i], range_m[i]);
         ++score.rays;
         score.drops_right += returns == (truth.range_m[i] > 0.0f);
         if (returns && truth.range_m[i] > 0.0f)
@@ -43,9 +43,9 @@ void add(Score& score, const RenderedScan& scan, const Scan& truth) {
         const bool right =
             is_m > 0.0f && reported_m > 0.0f &&
             std::min(std::abs(reported_m - is_m), std::abs(reported_m - truth.range_m[i])) < 0.3f;
-        score.seconds += is_m > 0.0f;
+        score.second_returns += is_m > 0.0f;
         score.reported += reported_m > 0.0f;
-        score.found += right;
+        score.detected += right;
         score.invented += reported_m > 0.0f && !right;
     }
 }
@@ -62,9 +62,9 @@ Config make_rig_config(int iterations) {
 TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
     const std::string rig = test::write_rig(std::filesystem::path(testing::TempDir()) / "relidar_rig_street");
     const SyntheticOptions options{.n_frames = 11, .rig = rig};
-    Sequence street = make_synthetic_street(options);
+    LidarSequence street = make_synthetic_street(options);
     ASSERT_EQ(street.lidars.size(), 4u);
-    const Split split = split_frames(street, 10);
+    const TrainTestSplit split = split_frames(street, 10);
     ASSERT_EQ(split.test.size(), 4u);
     const Config config = make_rig_config(100);
     prepare_log(street, split, config, {});
@@ -73,31 +73,33 @@ TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
     ScanRenderer renderer(device(), result.scene, config, street);
     std::vector<Score> scores(4);
     for (const int position : split.test) {
-        const Frame& frame = street.frames[std::size_t(position)];
-        SensorChoice sensor = make_configured_sensor(config, street, frame.lidar);
+        const LidarFrame& frame = street.frames[std::size_t(position)];
+        SimulatedSensor sensor = make_configured_sensor(config, street, frame.lidar);
         sensor.returns = frame.lidar == test::kTwoReturns ? 2 : 1;
         const RenderedScan scan = renderer.render(sensor, frame.time_s);
         ASSERT_EQ(scan.image.direction, to_vector(frame.scan.rays.direction))
             << "nominal rays are those of the scan, LiDAR " << frame.lidar;
-        const PoseTrack track = street.world_from_sensor(frame.lidar);
+        const PoseTrack track = street.get_world_from_sensor(frame.lidar);
         const RayTable& rays = frame.scan.rays;
-        Scan truth = sensor.returns == 2 ? cast_synthetic_beams(options, rays, track, frame.time_s)
-                                         : cast_synthetic_street(options, rays, track, frame.time_s);
-        drop_outside_limits(truth, street.get_lidar(frame).sensor.range_limits());
+        Scan truth = sensor.returns == 2
+                         ? cast_beams_into_synthetic_street(options, rays, track, frame.time_s)
+                         : cast_rays_into_synthetic_street(options, rays, track, frame.time_s);
+        remove_returns_outside_limits(truth, street.get_lidar(frame).sensor.range_limits());
         add(scores[std::size_t(frame.lidar)], scan, truth);
     }
     // The goal is that 90 % of the second returns are rendered, and that at most 5 % of
     // the rendered second returns are false. docs/results.md describes the difference to
     // this goal.
     const Score& wide = scores[test::kTwoReturns];
-    EXPECT_GT(wide.seconds, 200u);
-    EXPECT_GT(double(wide.found), 0.45 * double(wide.seconds));
+    EXPECT_GT(wide.second_returns, 200u);
+    EXPECT_GT(double(wide.detected), 0.45 * double(wide.second_returns));
     EXPECT_LT(double(wide.invented), 0.55 * double(wide.reported));
     for (std::size_t l = 0; l < 4; ++l) {
         Score& s = scores[l];
         std::cout << street.lidars[l].name << ": median " << s.median_m() << " m, drops right "
-                  << double(s.drops_right) / double(s.rays) << ", second returns " << s.seconds << ", found "
-                  << s.found << ", of " << s.reported << " reported invented " << s.invented << "\n";
+                  << double(s.drops_right) / double(s.rays) << ", second returns " << s.second_returns
+                  << ", found " << s.detected << ", of " << s.reported << " reported invented " << s.invented
+                  << "\n";
         EXPECT_LT(s.median_m(), 0.015) << street.lidars[l].name;
         EXPECT_GT(double(s.drops_right), 0.9 * double(s.rays)) << street.lidars[l].name;
         EXPECT_GT(s.errors_m.size(), s.rays / 3) << street.lidars[l].name;
@@ -108,23 +110,24 @@ TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
 /// ground 5 to 25 m away in the exact street, but have no such hit in an untrained scene.
 /// Uses the first held-out frame.
 /// @param street a prepared log
-double measure_missed_ground(Device& device, const Sequence& street, const Split& split,
+double measure_missed_ground(Device& device, const LidarSequence& street, const TrainTestSplit& split,
                              const SyntheticOptions& options, double max_gap_m) {
     Config config = make_rig_config(0);
     config.init.max_gap_m = max_gap_m;
     const TrainResult result = train(device, street, split, config, {});
     ScanRenderer renderer(device, result.scene, config, street);
     const double time_s = street.frames[std::size_t(split.test[0])].time_s;
-    const SensorChoice sensor = make_sensor_choice(find_sensor("OS1-64"));
+    const SimulatedSensor sensor = make_sensor_choice(find_sensor("OS1-64"));
     const RenderedScan scan = renderer.render(sensor, time_s);
-    const Scan truth = cast_synthetic_street(options, sensor.rays, street.world_from_sensor(0), time_s);
+    const Scan truth =
+        cast_rays_into_synthetic_street(options, sensor.rays, street.get_world_from_sensor(0), time_s);
     double missed = 0.0, ground = 0.0;
     for (std::size_t i = 0; i < truth.range_m.size(); ++i) {
         if (truth.range_m[i] < 5.0f || truth.range_m[i] > 25.0f ||
             truth.range_m[i] * sensor.rays.direction[i].z > -1.7f)
             continue;
         ground += 1.0;
-        missed += !is_returned(scan.image.drop_prob[i], scan.median_range_m[i]);
+        missed += !is_ray_returned(scan.image.drop_prob[i], scan.median_range_m[i]);
     }
     EXPECT_GT(ground, 5000.0);
     return missed / ground;
@@ -137,9 +140,9 @@ TEST_F(RigStreet, ADenserSensorSeesNoHolesBetweenTheRingsOfTheLog) {
         std::filesystem::path(testing::TempDir()) / "relidar_sparse_street.json";
     std::ofstream(rig) << R"({"sensors": [{"name": "top", "sensor": "vlp-32c"}]})";
     const SyntheticOptions options{.n_frames = 11, .rig = rig.string()};
-    Sequence log = make_synthetic_street(options);
+    LidarSequence log = make_synthetic_street(options);
     // holds out the middle frame and the last frame
-    const Split split = split_frames(log, int(log.frames.size()) / 2);
+    const TrainTestSplit split = split_frames(log, int(log.frames.size()) / 2);
     prepare_log(log, split, make_rig_config(0), {});
     const double with = measure_missed_ground(device(), log, split, options, 2.0),
                  without = measure_missed_ground(device(), log, split, options, 0.0);

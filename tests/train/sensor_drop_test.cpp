@@ -18,12 +18,12 @@ constexpr int kColumns = 360, kBlindFrom = 99, kBlindTo = 189;  // columns of be
 /// Returns sweeps of four beams with every `step`-th column. The second beam has no
 /// returns in a sector. The third beam drops every seventh ray. The fourth beam drops six
 /// of 24 rays, like rays that hit windows.
-Sequence log_of(int n_frames, int step = 1) {
-    Sequence log;
+LidarSequence log_of(int n_frames, int step = 1) {
+    LidarSequence log;
     log.lidars[0].sensor.columns = kColumns;
     log.lidars[0].sensor.beams.resize(4);
     for (int f = 0; f < n_frames; ++f) {
-        Frame frame{f, 0.1 * f, {}};
+        LidarFrame frame{f, 0.1 * f, {}};
         for (int beam = 0; beam < 4; ++beam)
             for (int column = 0; column < kColumns; column += step) {
                 const double azimuth = kPi - (column + 0.5) * 2.0 * kPi / kColumns;
@@ -42,21 +42,22 @@ Sequence log_of(int n_frames, int step = 1) {
     return log;
 }
 
-DropTable table_of(const Sequence& log) {
-    DropCounts counts(log);
-    for (const Frame& frame : log.frames)
-        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) counts.add(frame, i);
-    return counts.estimate_drop_rate();
+RayDropTable table_of(const LidarSequence& log) {
+    RayDropCounts counts(log);
+    for (const LidarFrame& frame : log.frames)
+        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) counts.count_ray(frame, i);
+    return counts.estimate_drop_rates();
 }
 
-float at(const DropTable& table, int beam, int column) {
+float at(const RayDropTable& table, int beam, int column) {
     const double azimuth = kPi - (column + 0.5) * 2.0 * kPi / kColumns;
-    return table.at(static_cast<std::uint16_t>(beam), glm::vec3(std::cos(azimuth), std::sin(azimuth), 0.0));
+    return table.get_drop_probability(static_cast<std::uint16_t>(beam),
+                                      glm::vec3(std::cos(azimuth), std::sin(azimuth), 0.0));
 }
 
 TEST(SensorDrop, ABlindSectorIsFoundToItsBordersInTwoSweeps) {
     for (const int n_frames : {2, 40}) {
-        const DropTable table = table_of(log_of(n_frames));
+        const RayDropTable table = table_of(log_of(n_frames));
         for (int column = 0; column < kColumns; ++column) {
             const bool is_blind = column >= kBlindFrom && column < kBlindTo;
             // bins are three columns wide
@@ -69,7 +70,7 @@ TEST(SensorDrop, ABlindSectorIsFoundToItsBordersInTwoSweeps) {
 }
 
 TEST(SensorDrop, ManySweepsSayHowOften) {
-    const DropTable few = table_of(log_of(2)), many = table_of(log_of(200));
+    const RayDropTable few = table_of(log_of(2)), many = table_of(log_of(200));
     for (int column = 1; column < kColumns; column += 3) {
         EXPECT_NEAR(at(many, 2, column), 1.0f / 7.0f, 0.01f) << column;
         EXPECT_LT(at(few, 2, column), 0.3f) << "two of six rays are no blind spot";
@@ -78,7 +79,7 @@ TEST(SensorDrop, ManySweepsSayHowOften) {
 }
 
 TEST(SensorDrop, NothingIsKnownWhereNoRayWasCounted) {
-    const DropTable table = table_of(log_of(0));
+    const RayDropTable table = table_of(log_of(0));
     for (int column = 0; column < kColumns; ++column) EXPECT_EQ(at(table, 1, column), 0.0f);
 }
 
@@ -88,11 +89,11 @@ TEST(SensorDrop, OnlyABlindSectorIsBlindInOneSweep) {
     };
     // the last case combines a coarse LiDAR with a fine LiDAR
     for (const auto& [n_frames, step] : {Log{1, 1}, Log{2, 1}, Log{40, 1}, Log{3, 4}}) {
-        const Sequence log = log_of(n_frames, step);
+        const LidarSequence log = log_of(n_frames, step);
         std::vector<int> positions(std::size_t(n_frames), 0);
         std::iota(positions.begin(), positions.end(), 0);
-        const DropTable observed = estimate_observed_drops(log, positions);
-        const Frame& frame = log.frames[0];
+        const RayDropTable observed = estimate_observed_drop_rates(log, positions);
+        const LidarFrame& frame = log.frames[0];
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             const int beam = frame.scan.rays.channel[ray],
                       column = int(ray % std::size_t(kColumns / step)) * step;
@@ -101,7 +102,7 @@ TEST(SensorDrop, OnlyABlindSectorIsBlindInOneSweep) {
             const bool in_sector = beam == 1 && column >= kBlindFrom && column < kBlindTo;
             // too few rays to fill the last bin
             if (step > 1 && beam == 1 && kBlindTo - column < 3 * step && column < kBlindTo) continue;
-            EXPECT_EQ(is_blind(observed, log, frame, ray), in_sector || is_window)
+            EXPECT_EQ(is_ray_in_blind_sector(observed, log, frame, ray), in_sector || is_window)
                 << n_frames << " sweeps, beam " << beam << ", column " << column;
         }
     }
@@ -109,11 +110,11 @@ TEST(SensorDrop, OnlyABlindSectorIsBlindInOneSweep) {
 
 /// Returns a log of two LiDARs. The first LiDAR does not fire in a sector, and gets no
 /// return in a different sector. Its highest beam never returns.
-Sequence log_with_sectors() {
-    Sequence log = log_of(0);
+LidarSequence log_with_sectors() {
+    LidarSequence log = log_of(0);
     log.lidars.push_back(log.lidars[0]);
     for (int f = 0; f < 6; ++f) {
-        Frame frame{f / 2, 0.1 * (f / 2), {}, f % 2};
+        LidarFrame frame{f / 2, 0.1 * (f / 2), {}, f % 2};
         for (int beam = 0; beam < 4; ++beam)
             for (int column = 0; column < kColumns; ++column) {
                 if (frame.lidar == 0 && column >= 60 && column < 120) continue;
@@ -132,11 +133,11 @@ Sequence log_with_sectors() {
 }
 
 TEST(SensorDrop, ASectorWithoutReturnsIsNotSeenWhateverTheSceneHas) {
-    const Sequence log = log_with_sectors();
-    const DropTable observed = estimate_observed_drops(log, {0, 1, 2, 3, 4, 5});
-    DropTable drops = observed;
+    const LidarSequence log = log_with_sectors();
+    const RayDropTable observed = estimate_observed_drop_rates(log, {0, 1, 2, 3, 4, 5});
+    RayDropTable drops = observed;
     std::ranges::fill(drops.probability, 0.25f);
-    add_unseen_sectors(drops, observed, log);
+    mark_unobserved_sectors_as_dropped(drops, observed, log);
     for (int beam = 0; beam < 8; ++beam)
         for (int column = 1; column < kColumns; column += 3) {  // the middle of each bin
             const bool is_in = (column >= 60 && column < 120) || (column >= 201 && column < 240);

@@ -44,11 +44,11 @@ protected:
         run.config.init.scale_factor = 0.8;
         run.config.train.deterministic = true;
         run.config.blocks.actor_epochs = 4;
-        Scene whole = initialise_scene(run.sequence, run.split.train, run.config.init);
-        for (std::size_t i = 0; i < whole.surfels.size(); ++i)
-            whole.surfels.opacity_logit[i] = i < whole.models[0].count ? 6.0f : -1.5f;
-        run.scene = add_background(whole, {});
-        for (const bool right : {false, true}) run.scene.blocks.push_back(save_half(whole, right));
+        Scene full_scene = initialise_scene(run.sequence, run.split.train, run.config.init);
+        for (std::size_t i = 0; i < full_scene.surfels.size(); ++i)
+            full_scene.surfels.opacity_logit[i] = i < full_scene.models[0].count ? 6.0f : -1.5f;
+        run.scene = replace_background(full_scene, {});
+        for (const bool right : {false, true}) run.scene.blocks.push_back(save_half(full_scene, right));
     }
 
     void TearDown() override {
@@ -74,7 +74,7 @@ protected:
     /// Returns the median error of the mean range on a held-out frame. Uses only rays
     /// with a return from a car.
     double measure_error_on_cars() {
-        const Frame& frame = run.sequence.frames[std::size_t(run.split.test[0])];
+        const LidarFrame& frame = run.sequence.frames[std::size_t(run.split.test[0])];
         ScanRenderer renderer(device(), run.scene, run.config, run.sequence);
         const RenderedScan scan = renderer.render({frame.scan.rays, std::nullopt}, frame.time_s);
         std::vector<double> errors;
@@ -90,7 +90,7 @@ protected:
     }
 
     std::filesystem::path folder;
-    relidar::Run run;
+    relidar::TrainedRun run;
 };
 
 TEST_F(TrainActors, CloseUpBeforeTheJoinedBackgroundWhichStays) {
@@ -102,7 +102,7 @@ TEST_F(TrainActors, CloseUpBeforeTheJoinedBackgroundWhichStays) {
         EXPECT_EQ(step, ++last);
         expected = n_steps;
     };
-    EXPECT_EQ(train_actors(device(), run, {count, {}}), TrainingEnd::finished);
+    EXPECT_EQ(train_actors(device(), run, {count, {}}), TrainingEndReason::finished);
     EXPECT_EQ(last, expected);
     EXPECT_EQ(last, 20 * int(run.split.train.size())) << "a car is seen in every frame";
     const double after = measure_error_on_cars();
@@ -120,7 +120,7 @@ TEST_F(TrainActors, LeaveABackgroundInMemoryAsItIs) {
     const Scene was = run.scene;
     const std::size_t n = was.models[0].count;
     ASSERT_GT(n, 1000u);
-    EXPECT_EQ(train_actors(device(), run), TrainingEnd::finished);
+    EXPECT_EQ(train_actors(device(), run), TrainingEndReason::finished);
     const auto same = [&](auto Surfels::*field) {
         const auto &a = was.surfels.*field, &b = run.scene.surfels.*field;
         ASSERT_EQ(a.size(), b.size());
@@ -135,28 +135,28 @@ TEST_F(TrainActors, LeaveABackgroundInMemoryAsItIs) {
 /// Only background near the rays may affect the training of actors. Surfels high above
 /// the street must not change any bit of the result.
 TEST_F(TrainActors, WhatNoRayNearThemMeetsMakesNoDifference) {
-    relidar::Run other = run;
-    Surfels far = read_block(run.scene.blocks[0]).slice(0, 100);
+    relidar::TrainedRun other = run;
+    Surfels far = load_block_surfels(run.scene.blocks[0]).slice(0, 100);
     for (glm::vec3& mean : far.mean) mean += glm::vec3(0.0f, 0.0f, 60.0f);  // above the street
     const Scene above = make_background_scene(far);
     SceneBlock block{folder / "above.safetensors", 100, {-100, -100, -100}, {100, 100, 100}};
     save_model(block.file, above);
     other.scene.blocks.push_back(block);
     // excludes the learning rate of means, because it depends on the extent of all blocks
-    for (relidar::Run* each : {&run, &other})
+    for (relidar::TrainedRun* each : {&run, &other})
         each->config.train.mean_rate = each->config.train.mean_rate_final = 0.0;
-    EXPECT_EQ(train_actors(device(), run), TrainingEnd::finished);
-    EXPECT_EQ(train_actors(device(), other), TrainingEnd::finished);
+    EXPECT_EQ(train_actors(device(), run), TrainingEndReason::finished);
+    EXPECT_EQ(train_actors(device(), other), TrainingEndReason::finished);
     EXPECT_EQ(run.scene.surfels.opacity_logit, other.scene.surfels.opacity_logit);
     EXPECT_EQ(run.scene.surfels.sh, other.scene.surfels.sh);
 }
 
 TEST_F(TrainActors, StopWhenAskedAndDoNothingWhenTurnedOff) {
     const Scene was = run.scene;
-    EXPECT_EQ(train_actors(device(), run, {{}, [] { return true; }}), TrainingEnd::stopped);
+    EXPECT_EQ(train_actors(device(), run, {{}, [] { return true; }}), TrainingEndReason::stopped);
     EXPECT_EQ(run.scene.surfels.mean, was.surfels.mean) << "half a training is none";
     run.config.blocks.actor_epochs = 0;
-    EXPECT_EQ(train_actors(device(), run), TrainingEnd::finished);
+    EXPECT_EQ(train_actors(device(), run), TrainingEndReason::finished);
     EXPECT_EQ(run.scene.surfels.mean, was.surfels.mean);
 }
 

@@ -18,10 +18,10 @@ namespace relidar {
 namespace {
 
 class Train : public test::DeviceTest {};
-class TrainEither : public Train, public testing::WithParamInterface<Primitive> {};
-std::vector<Primitive> list_all_primitives() {
-    std::vector<Primitive> all;
-    for (const PrimitiveKind& kind : kPrimitives) all.push_back(kind.primitive);
+class TrainEither : public Train, public testing::WithParamInterface<PrimitiveType> {};
+std::vector<PrimitiveType> list_all_primitives() {
+    std::vector<PrimitiveType> all;
+    for (const PrimitiveProperties& kind : kPrimitives) all.push_back(kind.primitive);
     return all;
 }
 INSTANTIATE_TEST_SUITE_P(Primitives, TrainEither, testing::ValuesIn(list_all_primitives()));
@@ -38,16 +38,16 @@ Config make_small_config() {
 }
 
 double measure_held_out_error(Device& device, const Scene& scene, const Config& config,
-                              const Sequence& street, const Split& split) {
+                              const LidarSequence& street, const TrainTestSplit& split) {
     ScanRenderer renderer(device, scene, config, street);
-    const Frame& frame = street.frames[std::size_t(split.test[0])];
+    const LidarFrame& frame = street.frames[std::size_t(split.test[0])];
     const RenderedScan scan = renderer.render({frame.scan.rays, std::nullopt}, frame.time_s);
-    return evaluate(scan.image, make_real_image(config, frame.scan)).at("strict/depth_mae_m");
+    return evaluate(scan.image, make_measured_image(config, frame.scan)).at("strict/depth_mae_m");
 }
 
 TEST_P(TrainEither, LearnsTheStreet) {
-    const Sequence street = make_synthetic_street(make_small_street());
-    const Split split = split_frames(street, 10);
+    const LidarSequence street = make_synthetic_street(make_small_street());
+    const TrainTestSplit split = split_frames(street, 10);
     Config config = make_small_config();
     config.image.primitive = GetParam();
     const TrainResult result =
@@ -75,8 +75,8 @@ TEST_P(TrainEither, LearnsTheStreet) {
 /// The first step of Adam equals the learning rate for any gradient. The rate must be
 /// proportional to 4 x the diagonal of a car's box and not to the extent of the street.
 TEST_F(Train, MeansLearnAtTheExtentOfTheirOwnModel) {
-    const Sequence street = make_synthetic_street(make_small_street());
-    const Split split = split_frames(street, 10);
+    const LidarSequence street = make_synthetic_street(make_small_street());
+    const TrainTestSplit split = split_frames(street, 10);
     Config config = make_small_config();
     config.train.iterations = 1;
     config.densify.strategy = DensifyStrategy::adaptive;
@@ -86,7 +86,7 @@ TEST_F(Train, MeansLearnAtTheExtentOfTheirOwnModel) {
         train(device(), street, split, config, [](const TrainProgress&) { return true; }).scene;
     ASSERT_EQ(after.surfels.size(), before.surfels.size());
     ASSERT_GE(before.models.size(), 3u) << "the background and two cars";
-    for (const Model& model : before.models) {
+    for (const SurfelModel& model : before.models) {
         const double extent_m = model.half_size_m.x > 0.0f ? 8.0 * double(glm::length(model.half_size_m))
                                                            : compute_background_extent(before);
         double farthest_m = 0.0;
@@ -101,8 +101,8 @@ TEST_F(Train, MeansLearnAtTheExtentOfTheirOwnModel) {
 }
 
 TEST_P(TrainEither, SurfelsGrowToSoManyTimesTheirFirstSizeAtMost) {
-    const Sequence street = make_synthetic_street(make_small_street());
-    const Split split = split_frames(street, 10);
+    const LidarSequence street = make_synthetic_street(make_small_street());
+    const TrainTestSplit split = split_frames(street, 10);
     Config config = make_small_config();
     config.image.primitive = GetParam();
     config.train.scale_rate = 0.1;
@@ -131,8 +131,8 @@ TEST_P(TrainEither, SurfelsGrowToSoManyTimesTheirFirstSizeAtMost) {
 /// training with two logits, and it must learn. Hit logits must stay 0, during training
 /// and in the saved scene.
 TEST_F(Train, SingleDropLogitStartsAsTwoAndLeavesHitLogits) {
-    const Sequence street = make_synthetic_street(make_small_street());
-    const Split split = split_frames(street, 10);
+    const LidarSequence street = make_synthetic_street(make_small_street());
+    const TrainTestSplit split = split_frames(street, 10);
     Config config = make_small_config();
     config.init.hit_margin = 2.1;
     const auto trained = [&](bool single, int iterations) {
@@ -141,7 +141,7 @@ TEST_F(Train, SingleDropLogitStartsAsTwoAndLeavesHitLogits) {
         return train(device(), street, split, config, [](const TrainProgress&) { return true; });
     };
     const auto image = [&](const Scene& scene) {
-        const Frame& frame = street.frames[std::size_t(split.test[0])];
+        const LidarFrame& frame = street.frames[std::size_t(split.test[0])];
         return ScanRenderer(device(), scene, config, street)
             .render({frame.scan.rays, std::nullopt}, frame.time_s)
             .image;
@@ -171,8 +171,8 @@ TEST_F(Train, SingleDropLogitStartsAsTwoAndLeavesHitLogits) {
 TEST_F(Train, DeterministicTrainingRepeatsItself) {
     SyntheticOptions options = make_small_street();
     options.n_frames = 5;
-    const Sequence street = make_synthetic_street(options);
-    const Split split = split_frames(street, 10);
+    const LidarSequence street = make_synthetic_street(options);
+    const TrainTestSplit split = split_frames(street, 10);
     for (const ShDirection direction : {ShDirection::surfel, ShDirection::ray}) {
         Config config = make_small_config();
         config.image.sh_direction = direction;
@@ -196,7 +196,7 @@ TEST_F(Train, DeterministicTrainingRepeatsItself) {
 }
 
 TEST_F(Train, StopsWhenAskedAndKeepsTheScene) {
-    const Sequence street = make_synthetic_street(make_small_street());
+    const LidarSequence street = make_synthetic_street(make_small_street());
     int calls = 0;
     const TrainResult result = train(device(), street, split_frames(street, 10), make_small_config(),
                                      [&](const TrainProgress&) { return ++calls < 2; });
@@ -211,9 +211,9 @@ TEST_F(Train, StopsWhenAskedAndKeepsTheScene) {
 TEST_F(Train, ActorsBeatMasking) {
     SyntheticOptions options = make_small_street();
     options.rows = 32, options.columns = 512;
-    const Sequence street = make_synthetic_street(options);
-    const Split split = split_frames(street, 10);
-    const Frame& frame = street.frames[std::size_t(split.test[0])];
+    const LidarSequence street = make_synthetic_street(options);
+    const TrainTestSplit split = split_frames(street, 10);
+    const LidarFrame& frame = street.frames[std::size_t(split.test[0])];
     std::map<std::string, double> error;
     for (const std::string classes : {"Car", ""}) {
         Config config = make_small_config();
@@ -248,12 +248,12 @@ TEST_F(Train, ActorsBeatMasking) {
 }
 
 TEST(Targets, RaysOfMovingBoxesAreUnknown) {
-    const Sequence street = make_synthetic_street(make_small_street());
+    const LidarSequence street = make_synthetic_street(make_small_street());
     std::size_t masked_cars = 0, cars = 0, masked_rest = 0, rest = 0;
-    for (const Frame& frame : street.frames) {
+    for (const LidarFrame& frame : street.frames) {
         std::vector<DeviceRay> rays;
         std::vector<DeviceTarget> targets;
-        make_targets(street, frame, {}, rays, targets);
+        make_rays_and_targets(street, frame, {}, rays, targets);
         for (std::size_t i = 0; i < rays.size(); ++i) {
             if (!(targets[i].range_m > 0.0f)) continue;
             const glm::dvec3 p =
@@ -271,24 +271,25 @@ TEST(Targets, RaysOfMovingBoxesAreUnknown) {
 /// The rays that hit a moving car have targets if the car is an actor. Otherwise they are
 /// masked as long as the car has labels.
 TEST(Targets, RaysOnMovingCarsAreUnknownUnlessTheyAreActors) {
-    Sequence street = make_synthetic_street(make_small_street());
-    const std::vector<BoxTrack> whole = street.boxes;
+    LidarSequence street = make_synthetic_street(make_small_street());
+    const std::vector<BoxTrack> original_boxes = street.boxes;
     const std::size_t n_labels = street.frames.size() - 4;
     for (BoxTrack& box : street.boxes) {
         box.world_from_box.time_s.resize(n_labels);
         box.world_from_box.pose.resize(n_labels);
     }
     const auto masked_share = [&](std::size_t frame, bool are_actors) {
-        Unknown unknown;
+        IgnoredMeasurements unknown;
         if (are_actors) unknown.actors = {street.boxes[0].id, street.boxes[1].id};
         std::vector<DeviceRay> rays;
         std::vector<DeviceTarget> targets;
-        make_targets(street, street.frames[frame], unknown, rays, targets);
+        make_rays_and_targets(street, street.frames[frame], unknown, rays, targets);
         double n = 0.0, n_masked = 0.0;
         for (std::size_t i = 0; i < rays.size(); ++i) {
             const glm::dvec3 p =
                 glm::dvec3(rays[i].origin) + double(targets[i].range_m) * glm::dvec3(rays[i].direction);
-            if (!(targets[i].range_m > 0.0f) || !is_in_moving_box(whole, p, street.frames[frame].time_s, 0.0))
+            if (!(targets[i].range_m > 0.0f) ||
+                !is_in_moving_box(original_boxes, p, street.frames[frame].time_s, 0.0))
                 continue;
             n += 1.0;
             n_masked += targets[i].weight == 0.0f;
@@ -309,9 +310,9 @@ bool is_hidden(const RayTable& rays, std::size_t index) {
 }
 
 TEST_F(Train, SensorDropIsLearntApartFromTheScene) {
-    Sequence street = make_synthetic_street(make_small_street());
-    const Split split = split_frames(street, 10);
-    for (Frame& frame : street.frames)
+    LidarSequence street = make_synthetic_street(make_small_street());
+    const TrainTestSplit split = split_frames(street, 10);
+    for (LidarFrame& frame : street.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
             if (is_hidden(frame.scan.rays, i)) frame.scan.range_m[i] = frame.scan.intensity[i] = 0.0f;
     Config config = make_small_config();
@@ -321,28 +322,29 @@ TEST_F(Train, SensorDropIsLearntApartFromTheScene) {
         train(device(), street, split, config, [](const TrainProgress&) { return true; });
     ASSERT_FALSE(result.scene.sensor_drop.empty());
     ScanRenderer renderer(device(), result.scene, config, street);
-    const Frame& frame = street.frames[std::size_t(split.test[0])];
-    const RenderedScan own = renderer.render({frame.scan.rays, std::nullopt, true}, frame.time_s),
+    const LidarFrame& frame = street.frames[std::size_t(split.test[0])];
+    const RenderedScan log_sensor_scan = renderer.render({frame.scan.rays, std::nullopt, true}, frame.time_s),
                        other = renderer.render({frame.scan.rays, std::nullopt, false}, frame.time_s);
-    std::size_t hidden = 0, dropped = 0, seen_by_other = 0;
+    std::size_t hidden = 0, dropped = 0, visible_to_other = 0;
     for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
         if (!is_hidden(frame.scan.rays, i) || other.weight[i] < 0.9f) continue;
         ++hidden;
-        dropped += own.image.drop_prob[i] > 0.5f;
-        seen_by_other += other.image.drop_prob[i] < 0.5f;
+        dropped += log_sensor_scan.image.drop_prob[i] > 0.5f;
+        visible_to_other += other.image.drop_prob[i] < 0.5f;
     }
-    std::printf("%zu hidden rays, %zu dropped, %zu seen by another sensor\n", hidden, dropped, seen_by_other);
+    std::printf("%zu hidden rays, %zu dropped, %zu seen by another sensor\n", hidden, dropped,
+                visible_to_other);
     ASSERT_GT(hidden, 50u);
     EXPECT_GT(double(dropped), 0.8 * double(hidden));
-    EXPECT_GT(double(seen_by_other), 0.8 * double(hidden)) << "another sensor has no such blind spot";
+    EXPECT_GT(double(visible_to_other), 0.8 * double(hidden)) << "another sensor has no such blind spot";
 }
 
 TEST_F(Train, ABlindSectorOfOneSweepIsRenderedBlind) {
     SyntheticOptions options = make_small_street();
     options.n_frames = 2;
     options.columns = 1024;
-    Sequence street = make_synthetic_street(options);
-    for (Frame& frame : street.frames)
+    LidarSequence street = make_synthetic_street(options);
+    for (LidarFrame& frame : street.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
             if (is_hidden(frame.scan.rays, i)) frame.scan.range_m[i] = frame.scan.intensity[i] = 0.0f;
     Config config = make_small_config();
@@ -350,7 +352,7 @@ TEST_F(Train, ABlindSectorOfOneSweepIsRenderedBlind) {
     const TrainResult result =
         train(device(), street, {{0}, {1}}, config, [](const TrainProgress&) { return true; });
     ScanRenderer renderer(device(), result.scene, config, street);
-    const Frame& frame = street.frames[0];
+    const LidarFrame& frame = street.frames[0];
     const RenderedScan scan = renderer.render({frame.scan.rays, std::nullopt, true}, frame.time_s);
     std::size_t hidden = 0, dropped = 0, ground = 0, returned = 0;
     for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
@@ -365,10 +367,10 @@ TEST_F(Train, ABlindSectorOfOneSweepIsRenderedBlind) {
 }
 
 TEST_F(Train, NothingToTrainOnIsAnError) {
-    const Sequence street = make_synthetic_street(make_small_street());
-    EXPECT_THROW(
-        train(device(), street, Split{}, make_small_config(), [](const TrainProgress&) { return true; }),
-        DataError);
+    const LidarSequence street = make_synthetic_street(make_small_street());
+    EXPECT_THROW(train(device(), street, TrainTestSplit{}, make_small_config(),
+                       [](const TrainProgress&) { return true; }),
+                 DataError);
 }
 
 }  // namespace

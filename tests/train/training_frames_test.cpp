@@ -38,17 +38,19 @@ int find_cell(const glm::vec3& point) {
 }
 
 TEST(OnGrid, NearestReturnsOfCells) {
-    const Sequence log = make_synthetic_street({.n_frames = 1, .rows = 32, .columns = 2048});
+    const LidarSequence log = make_synthetic_street({.n_frames = 1, .rows = 32, .columns = 2048});
     const Scan& scan = log.frames[0].scan;
     std::map<int, std::size_t> nearest;
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
-        const int cell = scan.range_m[i] > 0.0f ? find_cell(scan.point(i)) : -1;
+        const int cell = scan.range_m[i] > 0.0f ? find_cell(scan.compute_end_point(i)) : -1;
         if (cell < 0) continue;
         const auto [at, is_new] = nearest.try_emplace(cell, i);
-        if (!is_new && glm::length(scan.point(i)) < glm::length(scan.point(at->second))) at->second = i;
+        if (!is_new &&
+            glm::length(scan.compute_end_point(i)) < glm::length(scan.compute_end_point(at->second)))
+            at->second = i;
     }
     ASSERT_GT(nearest.size(), 10000u);
-    const Frame binned = convert_to_grid(log, log.frames[0], make_kitti360_grid());
+    const LidarFrame binned = convert_frame_to_grid(log, log.frames[0], make_kitti360_grid());
     ASSERT_EQ(binned.scan.range_m.size(), 66u * 1030u);
     EXPECT_EQ(binned.scan.rays.rows, 66);
     // single and double precision may select different cells for a point at the border of
@@ -58,13 +60,13 @@ TEST(OnGrid, NearestReturnsOfCells) {
         const glm::vec3& d = binned.scan.rays.direction[cell];
         EXPECT_EQ(find_cell(10.0f * d), int(cell));
         EXPECT_EQ(binned.scan.rays.origin[cell], glm::vec3(0.0f));
-        const auto found = nearest.find(int(cell));
-        if (found == nearest.end()) {
+        const auto match = nearest.find(int(cell));
+        if (match == nearest.end()) {
             elsewhere += binned.scan.range_m[cell] != 0.0f;
             continue;
         }
-        const std::size_t ray = found->second;
-        if (std::abs(binned.scan.range_m[cell] - glm::length(scan.point(ray))) > 1e-4f) {
+        const std::size_t ray = match->second;
+        if (std::abs(binned.scan.range_m[cell] - glm::length(scan.compute_end_point(ray))) > 1e-4f) {
             ++elsewhere;
             continue;
         }
@@ -77,15 +79,15 @@ TEST(OnGrid, NearestReturnsOfCells) {
 
 class FramesInTurn : public test::DeviceTest {
 protected:
-    static Sequence street(int n_frames) {
+    static LidarSequence street(int n_frames) {
         return make_synthetic_street({.n_frames = n_frames, .rows = 8, .columns = 64});
     }
-    static std::vector<int> positions(const Sequence& log) {
+    static std::vector<int> positions(const LidarSequence& log) {
         std::vector<int> all(log.frames.size());
         std::iota(all.begin(), all.end(), 0);
         return all;
     }
-    static std::uint64_t measure_bytes_of_frame(const Sequence& log) {
+    static std::uint64_t measure_bytes_of_frame(const LidarSequence& log) {
         return log.frames[0].scan.range_m.size() *
                (sizeof(DeviceRay) + sizeof(DeviceTarget) + sizeof(shared::RayPlace));
     }
@@ -94,55 +96,58 @@ protected:
 /// Compares frames with the same arrays computed on the host. Uses a random order with
 /// repetitions, and correct, wrong and missing predictions of the next frame.
 TEST_F(FramesInTurn, AreThoseOfTheLog) {
-    Sequence log = street(5);
+    LidarSequence log = street(5);
     // a smaller scan
     log.frames[3].scan = make_synthetic_street({.n_frames = 5, .rows = 4, .columns = 50}).frames[3].scan;
     for (const auto& [resident_bytes, n_resident] :
          {std::pair(std::uint64_t(0), 0u), {2 * measure_bytes_of_frame(log), 2u}, {kAll, 5u}}) {
         TrainingFrames frames(device(), log, positions(log),
                               {.unknown = {}, .moves_rays = true, .resident_bytes = resident_bytes});
-        EXPECT_EQ(frames.n_resident(), n_resident);
+        EXPECT_EQ(frames.count_resident_frames(), n_resident);
         Stream stream(device());
         Random random(1);
         std::size_t next = 0;
-        for (int turn = 0; turn < 30; ++turn) {
-            const FrameData& frame = frames.make_resident(stream, next);
-            const Frame& sweep = log.frames[next];
-            next = random.next() % 5;
-            if (turn % 3 != 0) frames.expect(turn % 3 == 1 ? next : (next + 1) % 5);
-            stream.finish();
+        for (int step = 0; step < 30; ++step) {
+            const TrainingFrameData& frame = frames.make_frame_resident(stream, next);
+            const LidarFrame& sweep = log.frames[next];
+            next = random.draw_uint64() % 5;
+            if (step % 3 != 0) frames.prefetch_frame(step % 3 == 1 ? next : (next + 1) % 5);
+            stream.submit_and_wait();
             std::vector<DeviceRay> rays;
             std::vector<DeviceTarget> targets;
-            make_targets(log, sweep, {}, rays, targets);
+            make_rays_and_targets(log, sweep, {}, rays, targets);
             ASSERT_EQ(frame.n_rays, rays.size());
-            const std::vector<DeviceRay> there = frame.rays().download(frame.n_rays);
-            const std::vector<DeviceTarget> measured = frame.targets().download(frame.n_rays);
-            const std::vector<shared::RayPlace> places = frame.arrays->places.download(frame.n_rays);
-            double known = 0.0, returned = 0.0;
+            const std::vector<DeviceRay> there = frame.get_device_rays().download(frame.n_rays);
+            const std::vector<DeviceTarget> measured = frame.get_device_targets().download(frame.n_rays);
+            const std::vector<shared::RayPlace> track_positions =
+                frame.arrays->track_positions.download(frame.n_rays);
+            double n_known_rays = 0.0, returned = 0.0;
             for (std::size_t i = 0; i < rays.size(); ++i) {
                 ASSERT_TRUE(there[i].origin == rays[i].origin && there[i].direction == rays[i].direction)
-                    << turn << ", ray " << i;
+                    << step << ", ray " << i;
                 ASSERT_TRUE(measured[i].range_m == targets[i].range_m &&
                             measured[i].weight == targets[i].weight)
-                    << turn << ", ray " << i;
-                const TrackPosition place =
-                    log.world_from_vehicle.place(sweep.time_s + double(sweep.scan.rays.time_offset_s[i]));
-                ASSERT_EQ(frame.first_knot + places[i].left, place.left) << "turn " << turn << ", ray " << i;
-                ASSERT_LT(places[i].left + 1, frame.n_knots + (frame.n_knots == 1))
-                    << "turn " << turn << ", ray " << i;
-                ASSERT_FLOAT_EQ(places[i].s, float(place.s)) << "turn " << turn << ", ray " << i;
-                known += targets[i].weight > 0.0f;
+                    << step << ", ray " << i;
+                const TrackInterpolation interpolation = log.world_from_vehicle.find_pose_segment(
+                    sweep.time_s + double(sweep.scan.rays.time_offset_s[i]));
+                ASSERT_EQ(frame.first_knot + track_positions[i].left, interpolation.left)
+                    << "turn " << step << ", ray " << i;
+                ASSERT_LT(track_positions[i].left + 1, frame.n_knots + (frame.n_knots == 1))
+                    << "turn " << step << ", ray " << i;
+                ASSERT_FLOAT_EQ(track_positions[i].s, float(interpolation.s))
+                    << "turn " << step << ", ray " << i;
+                n_known_rays += targets[i].weight > 0.0f;
                 returned += targets[i].weight > 0.0f && targets[i].range_m > 0.0f;
             }
             EXPECT_EQ(frame.n_returned, returned);
-            EXPECT_EQ(frame.n_known, known);
+            EXPECT_EQ(frame.n_known_rays, n_known_rays);
         }
     }
 }
 
 TEST_F(FramesInTurn, TakeNoMoreMemoryForALongerLog) {
     const auto bytes = [&](int n_frames, std::uint64_t resident_bytes) {
-        const Sequence log = street(n_frames);
+        const LidarSequence log = street(n_frames);
         const std::uint64_t before = device().allocated_bytes();
         const TrainingFrames frames(device(), log, positions(log),
                                     {.unknown = {}, .moves_rays = true, .resident_bytes = resident_bytes});
@@ -154,7 +159,7 @@ TEST_F(FramesInTurn, TakeNoMoreMemoryForALongerLog) {
 }
 
 TEST_F(FramesInTurn, AFrameWithoutRaysIsNamed) {
-    Sequence log = street(3);
+    LidarSequence log = street(3);
     log.frames[1].scan = {};
     const std::string message =
         error_message<DataError>([&] { TrainingFrames(device(), log, positions(log), {}); });
@@ -164,7 +169,7 @@ TEST_F(FramesInTurn, AFrameWithoutRaysIsNamed) {
 /// Includes the features that read a frame twice: refined poses, and sensor drops after
 /// the last step.
 TEST_F(FramesInTurn, TrainTheSameSceneBitByBit) {
-    const Sequence log =
+    const LidarSequence log =
         make_synthetic_street({.n_frames = 8, .rows = 16, .columns = 256, .moving_cars = true});
     const auto trained = [&](int frame_memory_mib, const std::string& batch) {
         Config config = make_preset("quick");
@@ -208,21 +213,21 @@ TEST_F(FramesInTurn, TrainTheSameSceneBitByBit) {
 /// Uses the cells of a grid instead of the fired rays. Settings that need fired rays must
 /// be rejected with an error of a single line.
 TEST_F(FramesInTurn, AreCellsOfAGrid) {
-    const Sequence log = street(2);
+    const LidarSequence log = street(2);
     TrainingFrames frames(device(), log, positions(log), {.unknown = {}, .grid = make_kitti360_grid()});
     Stream stream(device());
-    const FrameData& frame = frames.make_resident(stream, 0);
+    const TrainingFrameData& frame = frames.make_frame_resident(stream, 0);
     EXPECT_EQ(frame.n_rays, 66u * 1030u);
     EXPECT_EQ(frame.image.rows, 66u);
     EXPECT_TRUE(frame.image.circular);
-    const Frame binned = convert_to_grid(log, log.frames[0], make_kitti360_grid());
-    const std::vector<DeviceTarget> targets = frame.targets().download(frame.n_rays);
+    const LidarFrame binned = convert_frame_to_grid(log, log.frames[0], make_kitti360_grid());
+    const std::vector<DeviceTarget> targets = frame.get_device_targets().download(frame.n_rays);
     for (std::size_t i = 0; i < targets.size(); ++i)
         ASSERT_EQ(targets[i].range_m, binned.scan.range_m[i]) << i;
 
     Config config = make_preset("quick");
     config.train.grid = "kitti360";
-    const Split split{positions(log), {}};
+    const TrainTestSplit split{positions(log), {}};
     EXPECT_THAT(error_message<UsageError>(
                     [&] { train(device(), log, split, config, [](const TrainProgress&) { return true; }); }),
                 test::Names("train.grid=kitti360 ... train.sensor_drop ... train.grid=native"));

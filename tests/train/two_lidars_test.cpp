@@ -25,20 +25,21 @@ Config make_two_lidar_config() {
 /// Returns the mean absolute depth error of the held-out frame of a LiDAR, on its nominal
 /// rays.
 double measure_held_out_error(Device& device, const Scene& scene, const Config& config,
-                              const Sequence& street, const Frame& frame) {
+                              const LidarSequence& street, const LidarFrame& frame) {
     ScanRenderer renderer(device, scene, config, street);
     const RenderedScan scan =
         renderer.render(make_configured_sensor(config, street, frame.lidar), frame.time_s);
-    return evaluate(scan.image, make_real_image(config, frame.scan)).at("strict/depth_mae_m");
+    return evaluate(scan.image, make_measured_image(config, frame.scan)).at("strict/depth_mae_m");
 }
 
 TEST_F(TwoLidars, TrainTogetherAndRenderEach) {
-    Sequence street = test::make_two_lidar_street({.n_frames = 11, .rows = 16, .columns = 256});
-    const Split split = split_frames(street, 10);
+    LidarSequence street = test::make_two_lidar_street({.n_frames = 11, .rows = 16, .columns = 256});
+    const TrainTestSplit split = split_frames(street, 10);
     Config config = make_two_lidar_config();
-    std::string told;
-    prepare_log(street, split, config, {[&](const std::string& text) { told += text + "\n"; }, {}, {}});
-    EXPECT_NE(told.find("scans registered"), std::string::npos) << told;
+    std::string report_text;
+    prepare_log(street, split, config,
+                {[&](const std::string& text) { report_text += text + "\n"; }, {}, {}});
+    EXPECT_NE(report_text.find("scans registered"), std::string::npos) << report_text;
     const auto trained = [&](int iterations) {
         config.train.iterations = iterations;
         return train(device(), street, split, config, [](const TrainProgress&) { return true; });
@@ -50,7 +51,7 @@ TEST_F(TwoLidars, TrainTogetherAndRenderEach) {
     EXPECT_EQ(result.poses->world_from_vehicle.pose.size(), 11u)
         << "a pose for each sweep, not for each frame";
     for (const int position : split.test) {
-        const Frame& frame = street.frames[std::size_t(position)];
+        const LidarFrame& frame = street.frames[std::size_t(position)];
         const double before = measure_held_out_error(device(), untrained.scene, config, street, frame),
                      after = measure_held_out_error(device(), result.scene, config, street, frame);
         EXPECT_LT(after, 0.9 * before)

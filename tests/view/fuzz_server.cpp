@@ -15,8 +15,8 @@ namespace {
 
 using namespace relidar;
 
-const std::vector<view::Asset> kAssets = {{"/", "text/html", "page"},
-                                          {"/main.js", "text/javascript", "let a;"}};
+const std::vector<view::WebPageFile> kAssets = {{"/", "text/html", "page"},
+                                                {"/main.js", "text/javascript", "let a;"}};
 constexpr int kTogether = 8;         // requests per connection
 constexpr int kBetweenChecks = 500;  // requests between checks
 
@@ -115,14 +115,15 @@ void bother(int port, Changer& change) {
 }
 
 int run(int n_requests, unsigned seed) {
-    view::ServerOptions options;
+    view::WebServerOptions options;
     options.port = 0;
     options.assets = kAssets;
     options.request_time = std::chrono::milliseconds(500);
     options.max_message_bytes = 4096;
-    view::Server* server = nullptr;
+    view::WebServer* server = nullptr;
     const auto echo = [&](view::ClientId id, std::string text) { server->send_text(id, std::move(text)); };
-    view::Server made(options, {[](view::ClientId) {}, echo, [](view::ClientId) {}, [](view::ClientId) {}});
+    view::WebServer made(options,
+                         {[](view::ClientId) {}, echo, [](view::ClientId) {}, [](view::ClientId) {}});
     server = &made;
     Changer change(seed);
     for (int sent = 0, checked = 0; sent < n_requests; sent += kTogether) {

@@ -38,8 +38,8 @@ std::string RawClient::receive(std::size_t n_bytes, std::chrono::milliseconds pa
     std::string all;
     char part[65536];
     while (all.size() < n_bytes) {
-        pollfd wanted{socket_, POLLIN, 0};
-        if (::poll(&wanted, 1, static_cast<int>(patience.count())) <= 0) break;
+        pollfd poll_request{socket_, POLLIN, 0};
+        if (::poll(&poll_request, 1, static_cast<int>(patience.count())) <= 0) break;
         const ssize_t n = ::recv(socket_, part, std::min(sizeof part, n_bytes - all.size()), 0);
         if (n <= 0) break;
         all.append(part, static_cast<std::size_t>(n));

@@ -23,8 +23,8 @@ namespace {
 using Json = nlohmann::json;
 
 /// Makes an untrained run of a street with two moving cars.
-Run make_small_run() {
-    Run run;
+TrainedRun make_small_run() {
+    TrainedRun run;
     run.folder = "nowhere";
     run.config = make_preset("quick");
     run.config.dataset.path = "synthetic:nowhere";
@@ -35,11 +35,12 @@ Run make_small_run() {
     street.columns = 256;
     run.sequence = make_synthetic_street(street);
     run.split = split_frames(run.sequence, 3);
-    InitialiseOptions options;
+    SceneInitialisationOptions options;
     options.actor_min_points = 10;
     run.scene = initialise_scene(run.sequence, run.split.train, options);
-    run.coverage = find_coverage(run.sequence, run.sequence.world_from_vehicle, run.split.train, 80.0);
-    for (Frame& frame : run.sequence.frames) frame.scan = {};  // as in a loaded run
+    run.coverage =
+        compute_observed_coverage(run.sequence, run.sequence.world_from_vehicle, run.split.train, 80.0);
+    for (LidarFrame& frame : run.sequence.frames) frame.scan = {};  // as in a loaded run
     return run;
 }
 
@@ -71,16 +72,16 @@ struct Read {
 };
 
 /// Checks that a message and a scan have the same ranges and points.
-void expect_same(const Read& live, const RenderedScan& scan, const Run& run) {
+void expect_same(const Read& live, const RenderedScan& scan, const TrainedRun& run) {
     const std::vector<float> range_m = select_point_ranges(scan, run.config);
     EXPECT_EQ(live.array<float>("range"), range_m);
     const Pose world{{1.0, 0.0, 0.0, 0.0}, run.sequence.world_offset_m};
     const std::vector<glm::vec3> points = live.array<glm::vec3>("position");
-    ASSERT_EQ(points, place_points(scan, run.config, world, PointsOf::rays).position_m);
+    ASSERT_EQ(points, convert_scan_to_points(scan, run.config, world, PointSelection::rays).position_m);
     std::vector<glm::vec3> returned_m;
     for (std::size_t i = 0; i < range_m.size(); ++i)
-        if (is_returned(scan.image.drop_prob[i], range_m[i])) returned_m.push_back(points[i]);
-    EXPECT_EQ(returned_m, place_points(scan, run.config, world).position_m) << "as in files";
+        if (is_ray_returned(scan.image.drop_prob[i], range_m[i])) returned_m.push_back(points[i]);
+    EXPECT_EQ(returned_m, convert_scan_to_points(scan, run.config, world).position_m) << "as in files";
 }
 
 class LiveScan : public test::DeviceTest {
@@ -88,17 +89,17 @@ protected:
     void SetUp() override {
         DeviceTest::SetUp();
         if (!IsSkipped() && !HasFatalFailure())
-            made_ =
-                std::make_unique<Scanner>(make_small_run(), OtherRuns{{"other", make_small_run()}}, device());
+            made_ = std::make_unique<BrowserScanRenderer>(
+                make_small_run(), OtherRunsByName{{"other", make_small_run()}}, device());
     }
     void TearDown() override {
         made_.reset();
         DeviceTest::TearDown();
     }
-    Scanner& scanner() { return *made_; }
-    const relidar::Run& run() const { return made_->run(); }
+    BrowserScanRenderer& scanner() { return *made_; }
+    const relidar::TrainedRun& run() const { return made_->get_run(); }
     /// Renders a scan like `relidar render`.
-    RenderedScan rendered(const relidar::Run& run, double time_s, const Pose& offset,
+    RenderedScan rendered(const relidar::TrainedRun& run, double time_s, const Pose& offset,
                           const Weather& weather = {}) {
         ScanRenderer renderer(device(), run);
         renderer.set_weather(weather);
@@ -107,14 +108,14 @@ protected:
     TabCache tab;
 
 private:
-    std::unique_ptr<Scanner> made_;
+    std::unique_ptr<BrowserScanRenderer> made_;
 };
 
 TEST_F(LiveScan, IsWhatTheRendererGives) {
     LiveScanRequest wish;
     wish.time_s = 0.23;  // between frames
     wish.sensor_offset = {make_rotation(0.3, 0.0, 0.0), {1.0, 2.0, 0.5}};
-    const Read live(scanner().scan(tab, wish));
+    const Read live(scanner().render_encoded_scan(tab, wish));
     EXPECT_EQ(live.header["image"], Json({16, 256}));
     expect_same(live, rendered(run(), wish.time_s, wish.sensor_offset), run());
 }
@@ -122,13 +123,13 @@ TEST_F(LiveScan, IsWhatTheRendererGives) {
 /// With a network that predicts a return for every ray, the page must show exactly the
 /// returns that are points of the scan.
 TEST_F(LiveScan, ShowsAsManyReturnsAsTheScanHasPoints) {
-    relidar::Run run = make_small_run();
+    relidar::TrainedRun run = make_small_run();
     run.config.refine.enabled = true;
     run.drop_network = test::make_network_that_never_drops();
-    Scanner scans(run, {}, device());
-    const Read live(scans.scan(tab, {.time_s = 0.2}));
+    BrowserScanRenderer scans(run, {}, device());
+    const Read live(scans.render_encoded_scan(tab, {.time_s = 0.2}));
     const auto drop = live.array<std::uint8_t>("drop");
-    const std::size_t n = place_points(rendered(run, 0.2, {}), run.config, {}).size();
+    const std::size_t n = convert_scan_to_points(rendered(run, 0.2, {}), run.config, {}).size();
     EXPECT_LT(n, drop.size());
     EXPECT_EQ(std::size_t(std::ranges::count_if(drop, [](std::uint8_t d) { return d < 128; })), n);
 }
@@ -137,16 +138,17 @@ TEST_F(LiveScan, HasTheWeatherOfEachRequest) {
     LiveScanRequest wish;
     for (const Weather& weather : {Weather{.fog_visibility_m = 30.0}, Weather{.snow_mm_h = 5.0}, Weather{}}) {
         wish.weather = weather;
-        const Read live(scanner().scan(tab, wish));
+        const Read live(scanner().render_encoded_scan(tab, wish));
         const RenderedScan expected = rendered(run(), wish.time_s, {}, weather);
         expect_same(live, expected, run());
-        if (weather.clear()) continue;
+        if (weather.is_clear()) continue;
         const auto sources = live.array<std::int32_t>("channel_source");
-        EXPECT_EQ(sources, *find_values<std::int32_t>(expected.channels, "source"));
+        EXPECT_EQ(sources, *find_channel_values<std::int32_t>(expected.channels, "source"));
         EXPECT_THAT(sources, testing::Contains(testing::Gt(0)));
     }
-    EXPECT_EQ(scanner().describe()["weather"]["help"], make_weather_help());
-    EXPECT_EQ(scanner().describe()["channels"].back()["name"], "source") << "the page can colour by it";
+    EXPECT_EQ(scanner().describe_run_as_json()["weather"]["help"], make_weather_help());
+    EXPECT_EQ(scanner().describe_run_as_json()["channels"].back()["name"], "source")
+        << "the page can colour by it";
 }
 
 TEST_F(LiveScan, ShowsEditsAsAnEditedRunDoes) {
@@ -156,14 +158,15 @@ TEST_F(LiveScan, ShowsEditsAsAnEditedRunDoes) {
     wish.time_s = 0.2;
     wish.edits.moves[first] = {1.0, -2.0, 0.0, 15.0};
     wish.edits.removed = {second};
-    const relidar::Run edited = make_edited_run(run(), scanner().others(), wish.edits);
+    const relidar::TrainedRun edited = make_edited_run(run(), scanner().get_other_runs(), wish.edits);
     EXPECT_EQ(edited.edits.size(), 2u);
     const RenderedScan expected = rendered(edited, wish.time_s, {});
-    expect_same(Read(scanner().scan(tab, wish)), expected, run());
+    expect_same(Read(scanner().render_encoded_scan(tab, wish)), expected, run());
 
     wish.edits.copies = {{first, "", {5.0, 3.0, -0.9, 45.0, 3.0, -2.0, 2.0}}};
-    const Read with_copy(scanner().scan(tab, wish));
-    expect_same(with_copy, rendered(make_edited_run(run(), scanner().others(), wish.edits), wish.time_s, {}),
+    const Read with_copy(scanner().render_encoded_scan(tab, wish));
+    expect_same(with_copy,
+                rendered(make_edited_run(run(), scanner().get_other_runs(), wish.edits), wish.time_s, {}),
                 run());
     EXPECT_EQ(with_copy.header["instances"][3], first + "-copy-1");
 }
@@ -173,22 +176,22 @@ TEST_F(LiveScan, ShowsActorsOfOtherRuns) {
     LiveScanRequest wish;
     wish.edits.copies = {{first, "", {5.0, 3.0, -0.9, 45.0, 0.0, 0.0, 2.0}},
                          {first, "other", {8.0, -3.0, -0.9, 0.0, 0.0, 0.0, 0.0}}};
-    const relidar::Run edited = make_edited_run(run(), scanner().others(), wish.edits);
+    const relidar::TrainedRun edited = make_edited_run(run(), scanner().get_other_runs(), wish.edits);
     EXPECT_THAT(edited.edits.back().edit, testing::StartsWith("--insert ")) << "as `relidar edit` takes it";
-    const Read live(scanner().scan(tab, wish));
+    const Read live(scanner().render_encoded_scan(tab, wish));
     expect_same(live, rendered(edited, wish.time_s, {}), run());
     EXPECT_EQ(live.header["instances"][4], first + "-insert-1");
     wish.edits.copies[1].from = "elsewhere";
-    EXPECT_THROW(scanner().scan(tab, wish), UsageError);
+    EXPECT_THROW(scanner().render_encoded_scan(tab, wish), UsageError);
 }
 
 TEST_F(LiveScan, PutsCopiesOnTheGround) {
     const BoxTrack& car = run().sequence.boxes.front();
     const Pose there = car.world_from_box.pose.front();  // the street is flat
     for (const char* from : {"", "other"}) {
-        const ActorEdits::Copy copy =
-            copy_on_ground(run(), scanner().others(),
-                           {car.id, from, {there.translation.x - 5.0, there.translation.y + 2.0}});
+        const ActorEdits::ActorCopy copy =
+            place_copy_on_ground(run(), scanner().get_other_runs(),
+                                 {car.id, from, {there.translation.x - 5.0, there.translation.y + 2.0}});
         EXPECT_EQ(copy.from, from);
         EXPECT_NEAR(copy.at[0], there.translation.x - 5.0, 1e-9);
         EXPECT_NEAR(copy.at[1], there.translation.y + 2.0, 1e-9);
@@ -196,25 +199,26 @@ TEST_F(LiveScan, PutsCopiesOnTheGround) {
         EXPECT_NEAR(copy.at[4], 0.0, 1.0);
         EXPECT_NEAR(copy.at[5], 0.0, 1.0);
     }
-    EXPECT_THROW(copy_on_ground(run(), scanner().others(), {car.id, "", {1000.0, 1000.0}}), UsageError);
+    EXPECT_THROW(place_copy_on_ground(run(), scanner().get_other_runs(), {car.id, "", {1000.0, 1000.0}}),
+                 UsageError);
 }
 
 TEST_F(LiveScan, HidesWithoutAnEdit) {
     LiveScanRequest wish;
     wish.edits.hidden = {run().scene.instances[1].track, run().scene.instances[2].track};
-    EXPECT_TRUE(make_edited_run(run(), scanner().others(), wish.edits).edits.empty());
+    EXPECT_TRUE(make_edited_run(run(), scanner().get_other_runs(), wish.edits).edits.empty());
     const std::vector<std::uint16_t> instance =
-        Read(scanner().scan(tab, wish)).array<std::uint16_t>("instance");
+        Read(scanner().render_encoded_scan(tab, wish)).array<std::uint16_t>("instance");
     EXPECT_THAT(instance, testing::Each(testing::AnyOf(0, 65535)));
 }
 
 TEST_F(LiveScan, SaysHowMuchTheLogHasSeen) {
     LiveScanRequest wish;
-    const Json here = Read(scanner().scan(tab, wish)).header;
+    const Json here = Read(scanner().render_encoded_scan(tab, wish)).header;
     EXPECT_LT(here["unseen"].get<double>(), 0.1);
     EXPECT_FALSE(here["much_unseen"].get<bool>());
     wish.sensor_offset.translation = {0.0, 0.0, -5.0};
-    const Json below = Read(scanner().scan(tab, wish)).header;
+    const Json below = Read(scanner().render_encoded_scan(tab, wish)).header;
     EXPECT_GT(below["unseen"].get<double>(), 0.9);
     EXPECT_TRUE(below["much_unseen"].get<bool>());
 }
@@ -222,18 +226,18 @@ TEST_F(LiveScan, SaysHowMuchTheLogHasSeen) {
 TEST_F(LiveScan, RefusesWhatIsNotThere) {
     LiveScanRequest wish;
     wish.sensor = "/etc/passwd";
-    EXPECT_THROW(scanner().scan(tab, wish), UsageError);
+    EXPECT_THROW(scanner().render_encoded_scan(tab, wish), UsageError);
     wish.sensor = "file";
-    EXPECT_THROW(scanner().scan(tab, wish), UsageError);
+    EXPECT_THROW(scanner().render_encoded_scan(tab, wish), UsageError);
     wish.sensor = "native";
     wish.lidar = 1;
-    EXPECT_THROW(scanner().scan(tab, wish), UsageError);
+    EXPECT_THROW(scanner().render_encoded_scan(tab, wish), UsageError);
     wish.lidar = 0;
     wish.edits.removed = {"nobody"};
-    EXPECT_THROW(scanner().scan(tab, wish), UsageError);
-    EXPECT_THROW(scanner().read_sensor(tab, {"x.npz", "x"}), UsageError);
-    EXPECT_THROW(scanner().read_sensor(tab, {"x.csv", "x\n1\n"}), DataError);
-    EXPECT_EQ(scanner().read_sensor(tab, {"x.csv", "elevation_deg\n1\n"})["rows"], 1);
+    EXPECT_THROW(scanner().render_encoded_scan(tab, wish), UsageError);
+    EXPECT_THROW(scanner().load_uploaded_sensor(tab, {"x.npz", "x"}), UsageError);
+    EXPECT_THROW(scanner().load_uploaded_sensor(tab, {"x.csv", "x\n1\n"}), DataError);
+    EXPECT_EQ(scanner().load_uploaded_sensor(tab, {"x.csv", "elevation_deg\n1\n"})["rows"], 1);
 }
 
 }  // namespace

@@ -26,14 +26,14 @@ using testing::HasSubstr;
 using testing::Not;
 
 constexpr const char* kToken = "0123456789abcdef0123456789abcdef";
-const std::vector<Asset> kAssets = {{"/", "text/html", "<p>the page</p>"},
-                                    {"/main.js", "text/javascript", "let a = 1;"}};
+const std::vector<WebPageFile> kAssets = {{"/", "text/html", "<p>the page</p>"},
+                                          {"/main.js", "text/javascript", "let a = 1;"}};
 
 /// Server that echoes texts and stores the events of its clients.
 struct Echo {
-    Server server;
+    WebServer server;
 
-    explicit Echo(ServerOptions options = {})
+    explicit Echo(WebServerOptions options = {})
         : server(filled(options),
                  {[](ClientId) {},
                   [this](ClientId id, std::string text) {
@@ -41,7 +41,7 @@ struct Echo {
                       server.send_text(id, "echo " + text);
                   },
                   [](ClientId) {}, [this](ClientId id) { server.send_text(id, "foxglove"); }}) {}
-    static ServerOptions filled(ServerOptions options) {
+    static WebServerOptions filled(WebServerOptions options) {
         options.port = 0;
         options.assets = kAssets;
         options.request_time = milliseconds(400);
@@ -109,7 +109,7 @@ TEST(ViewServer, AcceptsFoxgloveFromKnownOriginsOrWithTheToken) {
     EXPECT_EQ(status_of(ask(echo.port(), make_upgrade_request(fields))), 403)
         << "not with the page's protocol";
     EXPECT_EQ(status_of(ask(echo.port(), get("/", fields))), 403);
-    ServerOptions options;
+    WebServerOptions options;
     options.token = kToken;
     const Echo locked(options);
     const std::string target = std::string("/?token=") + kToken;
@@ -247,7 +247,7 @@ TEST(ViewServer, RefusesForeignPages) {
 }
 
 TEST(ViewServer, LetsInWhoShowsTheTokenAlone) {
-    ServerOptions options;
+    WebServerOptions options;
     options.token = kToken;
     const Echo echo(options);
     const std::string host = "Host: localhost\r\n", cookie = "relidar_" + std::to_string(echo.port());
@@ -268,7 +268,7 @@ TEST(ViewServer, LetsInWhoShowsTheTokenAlone) {
     const std::string shown = host + "Cookie: other=1; " + cookie + "=" + kToken + "\r\n";
     EXPECT_EQ(status_of(ask(echo.port(), get("/main.js", shown))), 200);
     EXPECT_EQ(status_of(Socket(echo.port(), make_upgrade_request(shown)).answer), 101);
-    EXPECT_THAT(echo.server.url(), HasSubstr(std::string("/?token=") + kToken));
+    EXPECT_THAT(echo.server.get_page_url(), HasSubstr(std::string("/?token=") + kToken));
 }
 
 TEST(ViewServer, HangsUpOnSlowClients) {
@@ -293,7 +293,7 @@ TEST(ViewServer, HangsUpOnSlowClients) {
 }
 
 TEST(ViewServer, TurnsAwayMoreThanItHasRoomFor) {
-    ServerOptions options;
+    WebServerOptions options;
     options.max_connections = 4;
     const Echo echo(options);
     {
@@ -312,7 +312,7 @@ TEST(ViewServer, TurnsAwayMoreThanItHasRoomFor) {
 }
 
 TEST(ViewServer, AnswersWhileManyConnectionsAreSilent) {
-    const ServerOptions options;
+    const WebServerOptions options;
     const Echo echo(options);
     Socket page(echo.port());  // was connected before
     std::vector<std::unique_ptr<RawClient>> silent;
@@ -344,7 +344,7 @@ TEST(ViewServer, AnswersTexts) {
 }
 
 TEST(ViewServer, ClosesOnFramesThatAreNone) {
-    ServerOptions options;
+    WebServerOptions options;
     options.max_message_bytes = 1000;
     const Echo echo(options);
     const std::vector<std::pair<std::string, int>> cases = {
@@ -380,7 +380,7 @@ TEST(ViewServer, SendsTheNewestToWhoReadsSlowly) {
     socket.send(make_text_frame("hello"));
     socket.receive(12);
     constexpr std::size_t kSize = std::size_t(1) << 22;  // larger than the buffers of the system
-    for (char c = 'a'; c <= 'z'; ++c) echo.server.send_newest(echo.last, std::string(kSize, c));
+    for (char c = 'a'; c <= 'z'; ++c) echo.server.send_newest_scan(echo.last, std::string(kSize, c));
     // The same thread answers this request, so the server has processed all earlier
     // messages.
     EXPECT_TRUE(echo.is_server_alive());
@@ -402,15 +402,15 @@ TEST(ViewServer, GivesUpOnWhoNeverReads) {
 
 TEST(ViewServer, SaysWhereItCannotListen) {
     const Echo echo;
-    ServerOptions taken;
-    taken.port = echo.port();
-    const auto listen = [](const ServerOptions& options) { const Server server(options, {}); };
-    EXPECT_THROW(listen(taken), UsageError);
-    ServerOptions nowhere;
+    WebServerOptions used_port_options;
+    used_port_options.port = echo.port();
+    const auto listen = [](const WebServerOptions& options) { const WebServer server(options, {}); };
+    EXPECT_THROW(listen(used_port_options), UsageError);
+    WebServerOptions nowhere;
     nowhere.address = "example.com";
     EXPECT_THROW(listen(nowhere), UsageError);
-    EXPECT_THROW(check_address("x"), UsageError);
-    EXPECT_NO_THROW(check_address("::1"));
+    EXPECT_THROW(check_ip_address("x"), UsageError);
+    EXPECT_NO_THROW(check_ip_address("::1"));
     EXPECT_NE(make_random_token(), make_random_token());
     EXPECT_EQ(make_random_token().size(), 32u);
 }
@@ -422,8 +422,9 @@ TEST(ViewServer, ClosesOnceWhatWaitsHasBeenSent) {
     socket.send(make_text_frame("hello"));
     ASSERT_THAT(socket.receive(12), HasSubstr("echo hello"));
     const std::string large(std::size_t(8) << 20, 'x');  // larger than a single write of the system
-    echo.server.send_newest(echo.last, large);
-    auto closed = std::async(std::launch::async, [&] { echo.server.close(std::chrono::seconds(20)); });
+    echo.server.send_newest_scan(echo.last, large);
+    auto closed =
+        std::async(std::launch::async, [&] { echo.server.close_gracefully(std::chrono::seconds(20)); });
     const std::string received = socket.receive();
     // a message and a close frame
     EXPECT_EQ(received.size(),

@@ -18,39 +18,40 @@ namespace {
 using namespace relidar;
 
 template <class Work>
-double measure_median_ms(int repeat, Work&& work) {
+double measure_median_time_ms(int n_repeats, Work&& work) {
     work();  // Warm-up run, not timed.
     std::vector<double> ms;
-    for (int i = 0; i < repeat; ++i) ms.push_back(measure_milliseconds(work));
+    for (int i = 0; i < n_repeats; ++i) ms.push_back(measure_wall_time_ms(work));
     return median(ms);
 }
 
 /// Prints the total time of each kernel in a training step, the slowest kernel first.
-void print_kernels(const KernelTimes& times, int steps) {
+void print_kernel_times(const KernelTimes& kernel_times, int n_steps) {
     std::vector<std::pair<double, std::string>> rows;
-    for (const auto& [name, ms] : times.milliseconds) {
+    for (const auto& [name, ms] : kernel_times.milliseconds) {
         double sum = 0.0;
         for (const double x : ms) sum += x;
-        rows.emplace_back(sum / steps,
-                          fmt::format("{:<24} {:4} launches", name, ms.size() / std::size_t(steps)));
+        rows.emplace_back(sum / n_steps,
+                          fmt::format("{:<24} {:4} launches", name, ms.size() / std::size_t(n_steps)));
     }
     std::sort(rows.rbegin(), rows.rend());
     for (const auto& [ms, text] : rows) fmt::print("    {:9.2f} ms  {}\n", ms, text);
 }
 
-void measure(const DeviceOptions& chosen, const RefineOptions& options, int rows, int columns, int repeat) {
+void benchmark_drop_network(const DeviceOptions& device_options, const RayDropNetworkOptions& options,
+                            int rows, int columns, int n_repeats) {
     // Opens a new device for each image size, so that the peak of the device memory
     // belongs to this size only.
-    Device device(apply_environment_variables(chosen));
-    MeasuredDropNetwork network(device, options, rows, columns);
+    Device device(apply_environment_variables(device_options));
+    RayDropNetworkBenchmark network(device, options, rows, columns);
     // Measured during training.
-    const double step = measure_median_ms(repeat, [&] { network.step(); }),
-                 peak_mib = double(device.peak_bytes()) / 0x1p20;
-    const double infer = measure_median_ms(repeat, [&] { network.infer(); }),
-                 giga = 1e-6 * network.operations();
+    const double step = measure_median_time_ms(n_repeats, [&] { network.run_training_step(); }),
+                 peak_mib = double(device.peak_allocated_bytes()) / 0x1p20;
+    const double infer = measure_median_time_ms(n_repeats, [&] { network.run_inference(); }),
+                 giga = 1e-6 * network.count_inference_operations();
     fmt::print("{:>8} x {:<6} {:10.2f} {:14.1f} {:10.2f} {:14.1f} {:10.1f}\n", rows, columns, step,
                3.0 * options.batch * giga / step, infer, giga / infer, peak_mib);
-    print_kernels(network.times(), repeat + 1);
+    print_kernel_times(network.times(), n_repeats + 1);
 }
 
 }  // namespace
@@ -60,7 +61,7 @@ int main(int argc, char** argv) {
         "the ray-drop network: milliseconds of a training step and of an inference, medians of wall times, "
         "and peak memory");
     int repeat = 5, index = -1, rows = 0, columns = 0;
-    RefineOptions options{.batch = 1};
+    RayDropNetworkOptions options{.batch = 1};
     app.add_option("--network", options.network, "small, paper or pixel");
     app.add_option("--width", options.width, "channels at full size; 0: the network's own");
     app.add_option("--batch", options.batch, "images a step")->check(CLI::Range(1, 1024));
@@ -74,12 +75,13 @@ int main(int argc, char** argv) {
         chosen.index = index;
         fmt::print("{}; network {}, {} parameters, batch {}, medians of {} runs\n",
                    Device(apply_environment_variables(chosen)).info().name, options.network,
-                   count_parameters(options), options.batch, repeat);
+                   count_network_parameters(options), options.batch, repeat);
         fmt::print("{:<17} {:>10} {:>14} {:>10} {:>14} {:>10}\n", "image", "step ms", "GFLOP/s", "infer ms",
                    "GFLOP/s", "peak MiB");
         std::vector<std::pair<int, int>> sizes{{66, 1030}, {64, 2650}};
         if (rows > 0) sizes = {{rows, columns}};
-        for (const auto& [of_rows, of_columns] : sizes) measure(chosen, options, of_rows, of_columns, repeat);
+        for (const auto& [of_rows, of_columns] : sizes)
+            benchmark_drop_network(chosen, options, of_rows, of_columns, repeat);
     } catch (const std::exception& error) {
         fmt::print(stderr, "relidar_bench_drop_network: {}\n", error.what());
         return 1;

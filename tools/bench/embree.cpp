@@ -42,72 +42,72 @@ constexpr int kMaxChunk = 64, kMaxPasses = 4096;
 constexpr float kGrow = 1.002f, kPad_m = 1e-4f;
 
 /// Geometry and opacity of a surfel, from which hits of rays are computed.
-struct Record {
+struct SurfelGeometry {
     glm::vec3 mean;
     float opacity;
     glm::vec3 axis_u, axis_v, normal;
 };
 
-struct Hit {
+struct EmbreeHit {
     float t, alpha;
     unsigned surfel;
 };
 
-bool is_hit_before(const Hit& first, const Hit& second) {
+bool is_hit_before(const EmbreeHit& first, const EmbreeHit& second) {
     return first.t != second.t ? first.t < second.t : first.surfel < second.surfel;
 }
 
-struct World {
-    ImageModel model;
-    std::vector<Record> records;
+struct EmbreeSceneData {
+    ImageFormationModel model;
+    std::vector<SurfelGeometry> records;
     std::vector<float> sh;
 };
 
 /// State of a ray while it searches its next hits. The context must be the first member,
 /// because Embree passes only its address to the filter callback.
-struct Query {
+struct RayQueryState {
     Context context;
-    const World* world;
+    const EmbreeSceneData* world;
     glm::vec3 origin, direction;
-    Hit after;
+    EmbreeHit after;
     int chunk;
     int n = 0;
-    Hit hits[kMaxChunk];
+    EmbreeHit hits[kMaxChunk];
 
-    void test_surfel_hit(unsigned surfel) {
-        const Record& s = world->records[surfel];
+    void insert_hit_of_surfel(unsigned surfel_index) {
+        const SurfelGeometry& s = world->records[surfel_index];
         const glm::vec3 to_mean = s.mean - origin;
         const float t = glm::dot(s.normal, to_mean) / glm::dot(s.normal, direction);
         if (n == chunk && t > hits[n - 1].t) return;
         const glm::vec3 p = t * direction - to_mean;
         const float u = glm::dot(s.axis_u, p), v = glm::dot(s.axis_v, p);
-        const Hit hit{t, s.opacity * std::exp(-0.5f * (u * u + v * v)), surfel};
+        const EmbreeHit hit{t, s.opacity * std::exp(-0.5f * (u * u + v * v)), surfel_index};
         if (!(hit.alpha >= world->model.alpha_min) || !is_hit_before(after, hit)) return;
         int slot = n;
         while (slot > 0 && is_hit_before(hit, hits[slot - 1])) --slot;
         // Ignores a second hit of the same surfel. Embree splits a quad into two
         // triangles, so a ray can hit both.
-        if (slot == chunk || (slot > 0 && hits[slot - 1].surfel == surfel)) return;
+        if (slot == chunk || (slot > 0 && hits[slot - 1].surfel == surfel_index)) return;
         n = std::min(n + 1, chunk);
         std::copy_backward(hits + slot, hits + n - 1, hits + n);
         hits[slot] = hit;
     }
-    float end() const {
+    float get_search_end_distance() const {
         return n == chunk ? hits[n - 1].t + 1e-4f + 1e-5f * hits[n - 1].t
                           : std::numeric_limits<float>::infinity();
     }
 };
 
-void on_candidate(const RTCFilterFunctionNArguments* args) {
-    Query& query = *reinterpret_cast<Query*>(args->context);
-    query.test_surfel_hit(RTCHitN_primID(args->hit, 1, 0));
+void filter_hit_candidate(const RTCFilterFunctionNArguments* args) {
+    RayQueryState& query = *reinterpret_cast<RayQueryState*>(args->context);
+    query.insert_hit_of_surfel(RTCHitN_primID(args->hit, 1, 0));
     // Rejects hits before the end of the query, so that Embree continues the search.
     // Accepts the first hit after the end, because it stops the ray.
-    args->valid[0] = RTCRayN_tfar(args->ray, 1, 0) > query.end() ? -1 : 0;
+    args->valid[0] = RTCRayN_tfar(args->ray, 1, 0) > query.get_search_end_distance() ? -1 : 0;
 }
 
 /// Evaluates real spherical harmonics of degree 3 (shaders/scene/gaussian/sh.glsl).
-void sh_basis(const glm::vec3& direction, float* basis) {
+void evaluate_sh_basis(const glm::vec3& direction, float* basis_values) {
     const float x = direction.x, y = direction.y, z = direction.z, xx = x * x, yy = y * y, zz = z * z;
     const float values[16] = {0.28209479f,
                               -0.48860251f * y,
@@ -125,17 +125,17 @@ void sh_basis(const glm::vec3& direction, float* basis) {
                               -0.45704580f * x * (4 * zz - xx - yy),
                               1.44530572f * z * (xx - yy),
                               -0.59004359f * x * (xx - 3 * yy)};
-    std::copy(values, values + 16, basis);
+    std::copy(values, values + 16, basis_values);
 }
 
-struct Pixel {
+struct RenderedPixel {
     float depth = 0, weight = 0, intensity = 0, hit_logit = 0, drop_logit = 0, transmittance = 1;
     unsigned n_hits = 0;
 };
 
-class Renderer {
+class EmbreeRenderer {
 public:
-    Renderer(const Surfels& surfels, int chunk, const std::string& build_threads)
+    EmbreeRenderer(const Surfels& surfels, int chunk, const std::string& build_threads)
         : device_(rtcNewDevice(build_threads.c_str())), scene_(rtcNewScene(device_)), chunk_(chunk) {
         world_.sh = surfels.sh;
         const RTCGeometry mesh = rtcNewGeometry(device_, RTC_GEOMETRY_TYPE_QUAD);
@@ -143,9 +143,9 @@ public:
             mesh, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, sizeof(glm::vec3), 4 * surfels.size()));
         auto* indices = static_cast<unsigned*>(rtcSetNewGeometryBuffer(
             mesh, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT4, 4 * sizeof(unsigned), surfels.size()));
-        for (std::size_t i = 0; i < surfels.size(); ++i) add(surfels, i, corners + 4 * i);
+        for (std::size_t i = 0; i < surfels.size(); ++i) add_surfel_quad(surfels, i, corners + 4 * i);
         for (unsigned i = 0; i < 4 * surfels.size(); ++i) indices[i] = i;
-        rtcSetGeometryIntersectFilterFunction(mesh, on_candidate);
+        rtcSetGeometryIntersectFilterFunction(mesh, filter_hit_candidate);
         rtcSetGeometryBuildQuality(mesh, RTC_BUILD_QUALITY_HIGH);
         rtcCommitGeometry(mesh);
         rtcAttachGeometry(scene_, mesh);
@@ -153,25 +153,25 @@ public:
         rtcSetSceneBuildQuality(scene_, RTC_BUILD_QUALITY_HIGH);
         rtcCommitScene(scene_);
     }
-    ~Renderer() {
+    ~EmbreeRenderer() {
         rtcReleaseScene(scene_);
         rtcReleaseDevice(device_);
     }
-    Renderer(const Renderer&) = delete;
-    Renderer& operator=(const Renderer&) = delete;
+    EmbreeRenderer(const EmbreeRenderer&) = delete;
+    EmbreeRenderer& operator=(const EmbreeRenderer&) = delete;
 
-    Pixel trace(const glm::vec3& origin, const glm::vec3& direction) const {
-        Query query;
+    RenderedPixel trace_ray(const glm::vec3& origin, const glm::vec3& direction) const {
+        RayQueryState query;
         query.world = &world_, query.origin = origin, query.direction = direction, query.chunk = chunk_;
         query.after = {world_.model.near_m, 0.0f, ~0u};
         float basis[16];
-        sh_basis(direction, basis);
-        Pixel pixel;
+        evaluate_sh_basis(direction, basis);
+        RenderedPixel pixel;
         for (int pass = 0; pass < kMaxPasses; ++pass) {
             find_next_hits(query);
             for (int i = 0; i < query.n; ++i)
-                if (!blend(query.hits[i], basis, pixel)) return finished(pixel);
-            if (query.n < query.chunk) return finished(pixel);
+                if (!blend_hit_into_pixel(query.hits[i], basis, pixel)) return add_background_to_pixel(pixel);
+            if (query.n < query.chunk) return add_background_to_pixel(pixel);
             query.after = query.hits[query.n - 1];
         }
         return pixel;
@@ -181,22 +181,23 @@ private:
     RTCDevice device_;
     RTCScene scene_;
     int chunk_;
-    World world_;
+    EmbreeSceneData world_;
 
     /// Adds a surfel to the world, and returns the corners of its bounding rectangle.
-    void add(const Surfels& surfels, std::size_t index, glm::vec3* corners) {
-        const glm::vec4 q = surfels.rotation[index];
+    void add_surfel_quad(const Surfels& surfels, std::size_t surfel_index, glm::vec3* output_corners) {
+        const glm::vec4 q = surfels.rotation[surfel_index];
         const glm::mat3 r = glm::mat3_cast(glm::normalize(glm::quat(q[0], q[1], q[2], q[3])));
-        const glm::vec2 scale = glm::exp(surfels.log_scale[index]);
-        const float opacity = 1.0f / (1.0f + std::exp(-surfels.opacity_logit[index]));
-        world_.records.push_back({surfels.mean[index], opacity, r[0] / scale.x, r[1] / scale.y, r[2]});
+        const glm::vec2 scale = glm::exp(surfels.log_scale[surfel_index]);
+        const float opacity = 1.0f / (1.0f + std::exp(-surfels.opacity_logit[surfel_index]));
+        world_.records.push_back({surfels.mean[surfel_index], opacity, r[0] / scale.x, r[1] / scale.y, r[2]});
         const float k = std::sqrt(2.0f * std::log(std::max(opacity / world_.model.alpha_min, 1.0f)));
         const glm::vec3 u = (k * scale.x * kGrow + kPad_m) * r[0], v = (k * scale.y * kGrow + kPad_m) * r[1];
-        const glm::vec3 m = surfels.mean[index];
-        corners[0] = m - u - v, corners[1] = m + u - v, corners[2] = m + u + v, corners[3] = m - u + v;
+        const glm::vec3 m = surfels.mean[surfel_index];
+        output_corners[0] = m - u - v, output_corners[1] = m + u - v, output_corners[2] = m + u + v,
+        output_corners[3] = m - u + v;
     }
 
-    void find_next_hits(Query& query) const {
+    void find_next_hits(RayQueryState& query) const {
         query.n = 0;
         RTCRayHit target{};
         target.ray.org_x = query.origin.x, target.ray.org_y = query.origin.y,
@@ -222,7 +223,8 @@ private:
 
     /// Blends a hit into a pixel.
     /// @return false if the ray is already opaque, so that the hit is invisible
-    bool blend(const Hit& hit, const float* basis, Pixel& pixel) const {
+    bool blend_hit_into_pixel(const EmbreeHit& hit, const float* sh_basis_values,
+                              RenderedPixel& pixel) const {
         const float alpha = std::min(hit.alpha, world_.model.alpha_max),
                     next = pixel.transmittance * (1.0f - alpha);
         if (next < world_.model.transmittance_min) return false;
@@ -230,7 +232,7 @@ private:
         const float* sh = world_.sh.data() + std::size_t(kShFloats) * hit.surfel;
         float channel[3] = {0.5f, 0.5f, 0.5f};
         for (int c = 0; c < 3; ++c)
-            for (int k = 0; k < 16; ++k) channel[c] += basis[k] * sh[16 * c + k];
+            for (int k = 0; k < 16; ++k) channel[c] += sh_basis_values[k] * sh[16 * c + k];
         pixel.depth += w * hit.t, pixel.weight += w;
         pixel.intensity += w * std::max(channel[0], 0.0f), pixel.hit_logit += w * channel[1],
             pixel.drop_logit += w * channel[2];
@@ -239,7 +241,7 @@ private:
         return true;
     }
 
-    static Pixel finished(Pixel pixel) {
+    static RenderedPixel add_background_to_pixel(RenderedPixel pixel) {
         pixel.drop_logit += pixel.transmittance;  // Adds the background, which has a drop logit of 1.
         return pixel;
     }
@@ -247,14 +249,15 @@ private:
 
 /// Renders all rays on several threads. Each thread takes its next block of rays from a
 /// shared counter.
-std::vector<Pixel> render(const Renderer& renderer, const RayTable& rays, int n_threads) {
+std::vector<RenderedPixel> render_rays_on_threads(const EmbreeRenderer& renderer, const RayTable& rays,
+                                                  int n_threads) {
     constexpr std::size_t kBlock = 256;
-    std::vector<Pixel> image(rays.size());
+    std::vector<RenderedPixel> image(rays.size());
     std::atomic<std::size_t> next{0};
     const auto work = [&] {
         for (std::size_t begin = next.fetch_add(kBlock); begin < image.size(); begin = next.fetch_add(kBlock))
             for (std::size_t i = begin; i < std::min(begin + kBlock, image.size()); ++i)
-                image[i] = renderer.trace(rays.origin[i], rays.direction[i]);
+                image[i] = renderer.trace_ray(rays.origin[i], rays.direction[i]);
     };
     std::vector<std::thread> threads;
     for (int i = 1; i < n_threads; ++i) threads.emplace_back(work);
@@ -263,14 +266,14 @@ std::vector<Pixel> render(const Renderer& renderer, const RayTable& rays, int n_
     return image;
 }
 
-double measure_cpu_seconds() { return double(std::clock()) / CLOCKS_PER_SEC; }
+double get_process_cpu_time_s() { return double(std::clock()) / CLOCKS_PER_SEC; }
 
-RayTable make_rays(const std::string& text) {
+RayTable make_named_benchmark_rays(const std::string& rays_name) {
     int rows = 0, columns = 0;
     // Uses the same rays as relidar-dev bench.
-    if (std::sscanf(text.c_str(), "%dx%d", &rows, &columns) == 2)
+    if (std::sscanf(rays_name.c_str(), "%dx%d", &rows, &columns) == 2)
         return make_benchmark_rays(rows, columns, 2.0, -24.9);
-    return make_benchmark_rays(text);
+    return make_benchmark_rays(rays_name);
 }
 
 }  // namespace
@@ -291,22 +294,23 @@ int main(int argc, char** argv) {
     app.add_option("--threads", n_threads, "threads")->check(CLI::Range(1, 256));
     CLI11_PARSE(app, argc, argv);
 
-    const Renderer renderer(make_benchmark_street(n_surfels, 20261120, scene == "B"), chunk,
-                            fmt::format("threads={}", n_threads));
-    const RayTable rays = make_rays(rays_name);
-    std::vector<Pixel> image = render(renderer, rays, n_threads);  // Warm-up run, not timed.
+    const EmbreeRenderer renderer(make_benchmark_street_surfels(n_surfels, 20261120, scene == "B"), chunk,
+                                  fmt::format("threads={}", n_threads));
+    const RayTable rays = make_named_benchmark_rays(rays_name);
+    std::vector<RenderedPixel> image =
+        render_rays_on_threads(renderer, rays, n_threads);  // Warm-up run, not timed.
     std::vector<double> wall, cpu;
     for (int i = 0; i < repeat; ++i) {
         const auto start = std::chrono::steady_clock::now();
-        const double cpu_start = measure_cpu_seconds();
-        image = render(renderer, rays, n_threads);
-        cpu.push_back((measure_cpu_seconds() - cpu_start) / n_threads);
+        const double cpu_start = get_process_cpu_time_s();
+        image = render_rays_on_threads(renderer, rays, n_threads);
+        cpu.push_back((get_process_cpu_time_s() - cpu_start) / n_threads);
         wall.push_back(std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count());
     }
     std::sort(wall.begin(), wall.end());
     std::sort(cpu.begin(), cpu.end());
     double n_hits = 0.0, depth = 0.0;
-    for (const Pixel& pixel : image) n_hits += pixel.n_hits, depth += pixel.depth;
+    for (const RenderedPixel& pixel : image) n_hits += pixel.n_hits, depth += pixel.depth;
     const double mrays = 1e-6 * double(rays.size()), n = double(rays.size());
     fmt::print("{:.4f} {:.4f} {:.3f} {:.6f}\n", mrays / wall[wall.size() / 2], mrays / cpu[cpu.size() / 2],
                n_hits / n, depth / n);

@@ -31,16 +31,16 @@ constexpr float kSeparation_m = 0.5f, kSecondShare = 0.1f;
 // every surface in the beam.
 constexpr float kOnSurface_m = 0.3f;
 
-struct Return {
+struct BeamReturn {
     float range_m = 0.0f, light = 0.0f;
 };
 
 /// Returns of one beam, sorted by range.
-using Returns = std::vector<Return>;
+using BeamReturns = std::vector<BeamReturn>;
 
 /// Replaces each ray by a dense cone of rays, which samples the footprint of the beam.
 /// @param divergence_rad divergence of all beams; if 0, each ray keeps its divergence
-RayTable make_cone_rays(const RayTable& rays, double divergence_rad) {
+RayTable expand_rays_to_cones(const RayTable& rays, double divergence_rad) {
     RayTable cone;
     cone.rows = rays.rows;
     cone.columns = rays.columns * kCone;
@@ -49,7 +49,7 @@ RayTable make_cone_rays(const RayTable& rays, double divergence_rad) {
             side = glm::normalize(
                 glm::cross(d, std::abs(d.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0)));
         for (int k = 0; k < kCone; ++k) {
-            const double full_rad = divergence_rad > 0.0 ? divergence_rad : rays.compute_divergence(i);
+            const double full_rad = divergence_rad > 0.0 ? divergence_rad : rays.get_beam_divergence_rad(i);
             const double angle = 0.5 * full_rad * std::sqrt((k + 0.5) / kCone);
             const glm::dvec3 off =
                 std::cos(k * kGolden_rad) * side + std::sin(k * kGolden_rad) * glm::cross(d, side);
@@ -65,12 +65,13 @@ RayTable make_cone_rays(const RayTable& rays, double divergence_rad) {
 /// Computes the returns of a beam from its cone of rays. After sorting by range,
 /// neighbouring rays belong to the same return if their ranges differ by less than
 /// kSeparation_m.
-Returns list_ray_returns(const Scan& cone, std::size_t ray) {
+BeamReturns merge_cone_into_returns(const Scan& cone_scan, std::size_t beam_index) {
     std::vector<std::pair<float, float>> hits;
-    for (std::size_t i = ray * kCone; i < (ray + 1) * kCone; ++i)
-        if (cone.range_m[i] > 0.0f) hits.emplace_back(cone.range_m[i], std::max(cone.intensity[i], 1e-3f));
+    for (std::size_t i = beam_index * kCone; i < (beam_index + 1) * kCone; ++i)
+        if (cone_scan.range_m[i] > 0.0f)
+            hits.emplace_back(cone_scan.range_m[i], std::max(cone_scan.intensity[i], 1e-3f));
     std::sort(hits.begin(), hits.end());
-    Returns returns;
+    BeamReturns returns;
     float last_m = -1e9f;
     for (const auto& [range_m, light] : hits) {
         if (range_m - last_m >= kSeparation_m) returns.push_back({});
@@ -78,29 +79,30 @@ Returns list_ray_returns(const Scan& cone, std::size_t ray) {
         returns.back().light += light;
         last_m = range_m;
     }
-    for (Return& r : returns) r.range_m /= r.light;
+    for (BeamReturn& r : returns) r.range_m /= r.light;
     return returns;
 }
 
-struct Truth {
-    Returns returns;
+struct TrueBeamReturns {
+    BeamReturns returns;
     float first_m = 0.0f;   ///< Range of the first return. It is 0 if the beam is dropped.
     float second_m = 0.0f;  ///< Range of the second return. It is 0 if there is none.
     bool edge = false;      ///< True if two surfaces each receive at least a tenth of the beam's light.
 };
 
-Truth find_true_returns(const Scan& cone, std::size_t ray) {
-    Truth truth{list_ray_returns(cone, ray)};
+TrueBeamReturns compute_true_returns(const Scan& cone_scan, std::size_t beam_index) {
+    TrueBeamReturns truth{merge_cone_into_returns(cone_scan, beam_index)};
     std::size_t n = 0;
-    for (std::size_t i = ray * kCone; i < (ray + 1) * kCone; ++i) n += cone.range_m[i] > 0.0f;
+    for (std::size_t i = beam_index * kCone; i < (beam_index + 1) * kCone; ++i)
+        n += cone_scan.range_m[i] > 0.0f;
     if (2 * n <= kCone) return truth;
-    const auto strongest = std::ranges::max_element(truth.returns, {}, &Return::light);
+    const auto strongest = std::ranges::max_element(truth.returns, {}, &BeamReturn::light);
     truth.first_m = strongest->range_m;
-    Return second;
+    BeamReturn second;
     if (strongest + 1 != truth.returns.end()) {
         second = truth.returns.back();
     } else {
-        for (const Return& r : truth.returns)
+        for (const BeamReturn& r : truth.returns)
             if (r.range_m != strongest->range_m && r.light > second.light) second = r;
     }
     if (second.light >= kSecondShare * strongest->light) truth.second_m = second.range_m;
@@ -108,57 +110,60 @@ Truth find_true_returns(const Scan& cone, std::size_t ray) {
     return truth;
 }
 
-struct Score {
-    std::size_t edges = 0, in_air = 0, seconds = 0, found = 0, reported = 0, invented = 0;
+struct FootprintScore {
+    std::size_t edges = 0, in_air = 0, second_returns = 0, detected = 0, reported = 0, invented = 0;
     double squares = 0.0, absolute = 0.0;
 };
 
-float nearest_m(const Returns& returns, float range_m) {
+float compute_nearest_range_error_m(const BeamReturns& returns, float range_m) {
     float best = 1e9f;
-    for (const Return& r : returns) best = std::min(best, std::abs(r.range_m - range_m));
+    for (const BeamReturn& r : returns) best = std::min(best, std::abs(r.range_m - range_m));
     return best;
 }
 
-void score_returns(Score& score, const RenderedScan& scan, const Scan& cone) {
-    const std::vector<float>& range_m = scan.median_range_m;
+void add_scan_to_score(FootprintScore& score, const RenderedScan& rendered_scan,
+                       const Scan& exact_cone_scan) {
+    const std::vector<float>& range_m = rendered_scan.median_range_m;
     for (std::size_t i = 0; i < range_m.size(); ++i) {
-        const Truth truth = find_true_returns(cone, i);
-        const bool returns = is_returned(scan.image.drop_prob[i], range_m[i]);
-        const float second_m = scan.second_returns.empty() ? 0.0f : scan.second_returns[0].range_m[i];
-        score.seconds += truth.second_m > 0.0f;
+        const TrueBeamReturns truth = compute_true_returns(exact_cone_scan, i);
+        const bool returns = is_ray_returned(rendered_scan.image.drop_prob[i], range_m[i]);
+        const float second_m =
+            rendered_scan.second_returns.empty() ? 0.0f : rendered_scan.second_returns[0].range_m[i];
+        score.second_returns += truth.second_m > 0.0f;
         score.reported += second_m > 0.0f;
-        score.found +=
-            truth.second_m > 0.0f && second_m > 0.0f && nearest_m(truth.returns, second_m) < kOnSurface_m;
-        score.invented += second_m > 0.0f &&
-                          !(truth.returns.size() > 1 && nearest_m(truth.returns, second_m) < kOnSurface_m);
+        score.detected += truth.second_m > 0.0f && second_m > 0.0f &&
+                          compute_nearest_range_error_m(truth.returns, second_m) < kOnSurface_m;
+        score.invented +=
+            second_m > 0.0f && !(truth.returns.size() > 1 &&
+                                 compute_nearest_range_error_m(truth.returns, second_m) < kOnSurface_m);
         if (!truth.edge || !returns) continue;
         const double error = double(range_m[i]) - double(truth.first_m);
         ++score.edges;
         score.squares += error * error;
         score.absolute += std::abs(error);
-        score.in_air += nearest_m(truth.returns, range_m[i]) > kOnSurface_m;
+        score.in_air += compute_nearest_range_error_m(truth.returns, range_m[i]) > kOnSurface_m;
     }
 }
 
-void run(const std::string& folder, const std::string& sensor_name, double divergence_mrad,
-         int device_index) {
-    Run run = load_run(folder);
+void print_footprint_scores(const std::string& run_folder, const std::string& sensor_name,
+                            double divergence_mrad, int device_index) {
+    TrainedRun run = load_run(run_folder);
     const SensorModel model = find_sensor(sensor_name);
     const RayTable rays = make_rays(model);
     const double divergence_rad = 1e-3 * divergence_mrad;
-    const SyntheticOptions street = read_street_options(run);
+    const SyntheticOptions street = read_synthetic_street_options(run);
     Device device(apply_environment_variables({.index = device_index}));
     std::vector<Scan> cones;
     for (const int position : run.split.test) {
         const double time_s = run.sequence.frames[std::size_t(position)].time_s;
-        cones.push_back(cast_synthetic_street(street, make_cone_rays(rays, divergence_rad),
-                                              run.sequence.world_from_sensor(0), time_s));
-        drop_outside_limits(cones.back(),
-                            intersect_limits(model.limits, run.sequence.lidars[0].sensor.range_limits()));
+        cones.push_back(cast_rays_into_synthetic_street(street, expand_rays_to_cones(rays, divergence_rad),
+                                                        run.sequence.get_world_from_sensor(0), time_s));
+        remove_returns_outside_limits(
+            cones.back(), intersect_range_limits(model.limits, run.sequence.lidars[0].sensor.range_limits()));
     }
     fmt::print("{}: {} rays, divergence {:.2f} mrad, {} held-out frames of {}\n\n", model.name, rays.size(),
-               divergence_rad > 0.0 ? divergence_mrad : 1e3 * rays.find_largest_divergence(), cones.size(),
-               folder);
+               divergence_rad > 0.0 ? divergence_mrad : 1e3 * rays.find_max_divergence_rad(), cones.size(),
+               run_folder);
     fmt::print(
         "| sub-rays | edge beams | RMSE | MAE | in the air | second returns | found | invented, of reported "
         "|\n|--:|--:|--:|--:|--:|--:|--:|--:|\n");
@@ -167,13 +172,14 @@ void run(const std::string& folder, const std::string& sensor_name, double diver
         run.config.sensor.returns = n > 1 ? 2 : 1;
         run.config.sensor.divergence_mrad = 1e3 * divergence_rad;
         ScanRenderer renderer(device, run);
-        Score score;
+        FootprintScore score;
         for (std::size_t f = 0; f < cones.size(); ++f) {
-            SensorChoice choice = make_sensor_choice(model);
-            choice.limits = intersect_limits(model.limits, run.sequence.lidars[0].sensor.range_limits());
-            score_returns(score,
-                          renderer.render(choice, run.sequence.frames[std::size_t(run.split.test[f])].time_s),
-                          cones[f]);
+            SimulatedSensor choice = make_sensor_choice(model);
+            choice.limits =
+                intersect_range_limits(model.limits, run.sequence.lidars[0].sensor.range_limits());
+            add_scan_to_score(
+                score, renderer.render(choice, run.sequence.frames[std::size_t(run.split.test[f])].time_s),
+                cones[f]);
         }
         const auto share = [](std::size_t part, std::size_t whole) {
             return whole ? 100.0 * double(part) / double(whole) : 0.0;
@@ -181,8 +187,8 @@ void run(const std::string& folder, const std::string& sensor_name, double diver
         const double edges = double(std::max<std::size_t>(score.edges, 1));
         fmt::print("| {} | {} | {:.3f} m | {:.3f} m | {:.1f} % | {} | {:.1f} % | {:.1f} % |\n", n,
                    score.edges, std::sqrt(score.squares / edges), score.absolute / edges,
-                   share(score.in_air, score.edges), score.seconds, share(score.found, score.seconds),
-                   share(score.invented, score.reported));
+                   share(score.in_air, score.edges), score.second_returns,
+                   share(score.detected, score.second_returns), share(score.invented, score.reported));
     }
 }
 
@@ -203,7 +209,7 @@ int main(int argc, char** argv) {
     app.add_option("--device", device, "as of `relidar render`");
     CLI11_PARSE(app, argc, argv);
     try {
-        run(folder, sensor, divergence_mrad, device);
+        print_footprint_scores(folder, sensor, divergence_mrad, device);
     } catch (const Error& error) {
         fmt::print(stderr, "relidar_bench_footprints: {}\n", error.what());
         return static_cast<int>(error.code());

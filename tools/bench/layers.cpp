@@ -32,9 +32,9 @@ using dnnl::algorithm, dnnl::memory;
 class HostConvolution {
 public:
     explicit HostConvolution(const ConvolutionSize& size)
-        : of_from_(any({1, size.n_in, size.rows, size.columns + 2})),
-          of_to_(any({1, size.n_out, size.rows, size.columns})),
-          of_weights_(any({size.n_out, size.n_in, 3, 3})) {
+        : of_from_(make_any_layout_descriptor({1, size.n_in, size.rows, size.columns + 2})),
+          of_to_(make_any_layout_descriptor({1, size.n_out, size.rows, size.columns})),
+          of_weights_(make_any_layout_descriptor({size.n_out, size.n_in, 3, 3})) {
         const memory::dims strides{1, 1}, ends{1, 0};
         const auto forward = onednn::describe<dnnl::convolution_forward>(
             engine_, dnnl::prop_kind::forward_training, algorithm::convolution_direct, of_from_, of_weights_,
@@ -46,86 +46,90 @@ public:
             engine_, forward, algorithm::convolution_direct, of_from_, of_weights_, of_to_, strides, ends,
             ends);
         passes_ = {{dnnl::convolution_forward(forward),
-                    {{DNNL_ARG_SRC, filled(forward.src_desc())},
-                     {DNNL_ARG_WEIGHTS, filled(forward.weights_desc())},
-                     {DNNL_ARG_DST, filled(forward.dst_desc())}}},
+                    {{DNNL_ARG_SRC, make_filled_tensor(forward.src_desc())},
+                     {DNNL_ARG_WEIGHTS, make_filled_tensor(forward.weights_desc())},
+                     {DNNL_ARG_DST, make_filled_tensor(forward.dst_desc())}}},
                    {dnnl::convolution_backward_data(by_input),
-                    {{DNNL_ARG_DIFF_DST, filled(by_input.diff_dst_desc())},
-                     {DNNL_ARG_WEIGHTS, filled(by_input.weights_desc())},
-                     {DNNL_ARG_DIFF_SRC, filled(by_input.diff_src_desc())}}},
+                    {{DNNL_ARG_DIFF_DST, make_filled_tensor(by_input.diff_dst_desc())},
+                     {DNNL_ARG_WEIGHTS, make_filled_tensor(by_input.weights_desc())},
+                     {DNNL_ARG_DIFF_SRC, make_filled_tensor(by_input.diff_src_desc())}}},
                    {dnnl::convolution_backward_weights(by_weights),
-                    {{DNNL_ARG_SRC, filled(by_weights.src_desc())},
-                     {DNNL_ARG_DIFF_DST, filled(by_weights.diff_dst_desc())},
-                     {DNNL_ARG_DIFF_WEIGHTS, filled(by_weights.diff_weights_desc())}}}};
+                    {{DNNL_ARG_SRC, make_filled_tensor(by_weights.src_desc())},
+                     {DNNL_ARG_DIFF_DST, make_filled_tensor(by_weights.diff_dst_desc())},
+                     {DNNL_ARG_DIFF_WEIGHTS, make_filled_tensor(by_weights.diff_weights_desc())}}}};
     }
 
     /// Runs one pass of the convolution.
-    /// @param pass 0: forward, 1: derivative by the input, 2: derivative by the weights
-    void run(std::size_t pass) {
-        passes_[pass].primitive.execute(stream_, passes_[pass].arguments);
+    /// @param pass_index 0: forward, 1: derivative by the input, 2: derivative by the
+    /// weights
+    void run_pass(std::size_t pass_index) {
+        passes_[pass_index].primitive.execute(stream_, passes_[pass_index].arguments);
         stream_.wait();
     }
 
 private:
-    struct Pass {
+    struct OnednnPass {
         dnnl::primitive primitive;
         std::unordered_map<int, memory> arguments;
     };
     dnnl::engine engine_{dnnl::engine::kind::cpu, 0};
     dnnl::stream stream_{engine_};
     memory::desc of_from_, of_to_, of_weights_;
-    std::vector<Pass> passes_;
+    std::vector<OnednnPass> passes_;
 
-    static memory::desc any(const memory::dims& dims) {
-        return {dims, memory::data_type::f32, memory::format_tag::any};
+    static memory::desc make_any_layout_descriptor(const memory::dims& dimensions) {
+        return {dimensions, memory::data_type::f32, memory::format_tag::any};
     }
-    memory filled(const memory::desc& desc) {
-        memory result(desc, engine_);
+    memory make_filled_tensor(const memory::desc& descriptor) {
+        memory result(descriptor, engine_);
         auto* values = static_cast<float*>(result.get_data_handle());
-        for (std::size_t i = 0; i < desc.get_size() / sizeof(float); ++i)
+        for (std::size_t i = 0; i < descriptor.get_size() / sizeof(float); ++i)
             values[i] = float(i % 257) / 128.0f - 1.0f;
         return result;
     }
 };
 
 /// Times of the repetitions in milliseconds.
-struct Times {
+struct WallAndCpuTimes {
     std::vector<double> wall, cpu;
 
-    void add(const std::function<void()>& pass) {
+    void append_measured_times(const std::function<void()>& run_pass) {
         const std::clock_t start = std::clock();
-        wall.push_back(measure_milliseconds(pass));
+        wall.push_back(measure_wall_time_ms(run_pass));
         cpu.push_back(1e3 * double(std::clock() - start) / CLOCKS_PER_SEC);
     }
 };
 
 /// Prints one line with wall times, processor times and GFLOP per second, for the device
 /// and for oneDNN.
-void print(const ConvolutionSize& size, const char* pass, const Times& device, const Times& host) {
-    const double of_device = median(device.cpu), of_host = median(host.cpu),
-                 wall_device = median(device.wall), wall_host = median(host.wall),
-                 operations = 1e-6 * size.operations();
+void print_pass_times(const ConvolutionSize& size, const char* pass_name, const WallAndCpuTimes& device_times,
+                      const WallAndCpuTimes& host_times) {
+    const double of_device = median(device_times.cpu), of_host = median(host_times.cpu),
+                 wall_device = median(device_times.wall), wall_host = median(host_times.wall),
+                 operations = 1e-6 * size.count_operations_per_pass();
     fmt::print(
         "{:>7} {:>7} {:<10} {:9.2f} {:9.2f} {:9.2f} {:9.2f} {:9.1f} {:9.1f} {:9.1f} {:9.1f} {:7.2f} "
         "{:7.2f}\n",
-        fmt::format("{}x{}", size.rows, size.columns), fmt::format("{}->{}", size.n_in, size.n_out), pass,
-        wall_device, wall_host, of_device, of_host, operations / wall_device, operations / wall_host,
-        operations / of_device, operations / of_host, wall_device / wall_host, of_device / of_host);
+        fmt::format("{}x{}", size.rows, size.columns), fmt::format("{}->{}", size.n_in, size.n_out),
+        pass_name, wall_device, wall_host, of_device, of_host, operations / wall_device,
+        operations / wall_host, operations / of_device, operations / of_host, wall_device / wall_host,
+        of_device / of_host);
 }
 
-void measure(Device& device, const ConvolutionSize& size, int repeat) {
-    MeasuredConvolution on_device(device, size);
+void benchmark_convolution(Device& device, const ConvolutionSize& size, int n_repeats) {
+    ConvolutionBenchmark on_device(device, size);
     HostConvolution on_host(size);
     const std::vector<std::pair<const char*, std::function<void()>>> passes{
-        {"forward", [&] { on_device.forward(); }},
-        {"by input", [&] { on_device.run_input_gradient(); }},
-        {"by weights", [&] { on_device.run_weights_gradient(); }}};
+        {"forward", [&] { on_device.run_forward_pass(); }},
+        {"by input", [&] { on_device.compute_input_gradient(); }},
+        {"by weights", [&] { on_device.compute_weight_gradient(); }}};
     for (std::size_t pass = 0; pass < passes.size(); ++pass) {
-        const auto host = [&] { on_host.run(pass); };
+        const auto host = [&] { on_host.run_pass(pass); };
         passes[pass].second(), host();  // Warm-up run, not timed.
-        Times of_device, of_host;
-        for (int i = 0; i < repeat; ++i) of_device.add(passes[pass].second), of_host.add(host);
-        print(size, passes[pass].first, of_device, of_host);
+        WallAndCpuTimes of_device, of_host;
+        for (int i = 0; i < n_repeats; ++i)
+            of_device.append_measured_times(passes[pass].second), of_host.append_measured_times(host);
+        print_pass_times(size, passes[pass].first, of_device, of_host);
     }
 }
 
@@ -153,7 +157,7 @@ int main(int argc, char** argv) {
         for (const ConvolutionSize& size :
              {ConvolutionSize{64, 2000, 16, 16}, ConvolutionSize{64, 2650, 32, 32},
               ConvolutionSize{33, 515, 64, 64}})
-            measure(device, size, repeat);
+            benchmark_convolution(device, size, repeat);
     } catch (const std::exception& error) {
         fmt::print(stderr, "relidar_bench_layers: {}\n", error.what());
         return 1;

@@ -25,144 +25,155 @@ using namespace relidar;
 
 constexpr float kOnSurface_m = 0.3f;
 
-struct Score {
+struct RigScanScore {
     /// Range errors of rays that return in both the exact scan and the rendered scan.
     std::vector<double> errors_m;
     double squares = 0.0;
-    std::size_t rays = 0, returns = 0, missed = 0, behind = 0, drops_right = 0, seconds = 0, found = 0,
-                reported = 0, invented = 0;
+    std::size_t rays = 0, returns = 0, missed = 0, behind = 0, drops_right = 0, second_returns = 0,
+                detected = 0, reported = 0, invented = 0;
 };
 
-double format_percent(std::size_t count, std::size_t total) {
+double compute_percentage(std::size_t count, std::size_t total) {
     return total ? 100.0 * double(count) / double(total) : 0.0;
 }
 
 /// Ranges of a scan, either rendered or cast into the exact synthetic street.
-struct Returns {
+struct ScanRanges {
     /// [rays] range in metres, 0 for no return. `second_m` is empty if the sensor has no
     /// second returns.
     std::vector<float> range_m, second_m;
 };
 
-Returns extract_returns(const RenderedScan& scan) {
-    Returns r{scan.median_range_m,
-              scan.second_returns.empty() ? std::vector<float>{} : scan.second_returns[0].range_m};
+ScanRanges extract_return_ranges(const RenderedScan& scan) {
+    ScanRanges r{scan.median_range_m,
+                 scan.second_returns.empty() ? std::vector<float>{} : scan.second_returns[0].range_m};
     for (std::size_t i = 0; i < r.range_m.size(); ++i)
-        if (!is_returned(scan.image.drop_prob[i], r.range_m[i])) r.range_m[i] = 0.0f;
+        if (!is_ray_returned(scan.image.drop_prob[i], r.range_m[i])) r.range_m[i] = 0.0f;
     return r;
 }
 
-Returns extract_returns(const Scan& scan) {
+ScanRanges extract_return_ranges(const Scan& scan) {
     const std::vector<float> second_m =
         scan.second_returns.empty() ? std::vector<float>{} : scan.second_returns[0].range_m;
     return {{scan.range_m.begin(), scan.range_m.end()}, second_m};
 }
 
-/// Compares the second return of ray `index` with the exact scan, and counts the result.
-/// @param truth exact scan; its second returns have at least a tenth of the beam's light
-void score_second_return(Score& score, const Returns& scan, const Returns& truth, std::size_t index) {
-    const float is_m = truth.second_m[index], reported_m = scan.second_m[index];
-    const bool right =
-        is_m > 0.0f && reported_m > 0.0f &&
-        std::min(std::abs(reported_m - is_m), std::abs(reported_m - truth.range_m[index])) < kOnSurface_m;
-    score.seconds += is_m > 0.0f;
+/// Compares the second return of ray `ray_index` with the exact scan, and counts the
+/// result.
+/// @param exact_returns exact scan; its second returns have at least a tenth of the
+/// beam's light
+void add_second_return_to_score(RigScanScore& score, const ScanRanges& rendered_returns,
+                                const ScanRanges& exact_returns, std::size_t ray_index) {
+    const float is_m = exact_returns.second_m[ray_index], reported_m = rendered_returns.second_m[ray_index];
+    const bool right = is_m > 0.0f && reported_m > 0.0f &&
+                       std::min(std::abs(reported_m - is_m),
+                                std::abs(reported_m - exact_returns.range_m[ray_index])) < kOnSurface_m;
+    score.second_returns += is_m > 0.0f;
     score.reported += reported_m > 0.0f;
-    score.found += right;
+    score.detected += right;
     score.invented += reported_m > 0.0f && !right;
 }
 
-void score_returns(Score& score, const Returns& scan, const Returns& truth) {
-    for (std::size_t i = 0; i < truth.range_m.size(); ++i) {
-        const bool returns = scan.range_m[i] > 0.0f, is_there = truth.range_m[i] > 0.0f;
+void add_returns_to_score(RigScanScore& score, const ScanRanges& rendered_returns,
+                          const ScanRanges& exact_returns) {
+    for (std::size_t i = 0; i < exact_returns.range_m.size(); ++i) {
+        const bool returns = rendered_returns.range_m[i] > 0.0f, is_there = exact_returns.range_m[i] > 0.0f;
         ++score.rays;
         score.drops_right += returns == is_there;
         score.returns += is_there;
         score.missed += is_there && !returns;
-        score.behind += is_there && returns && scan.range_m[i] > truth.range_m[i] + kOnSurface_m;
+        score.behind +=
+            is_there && returns && rendered_returns.range_m[i] > exact_returns.range_m[i] + kOnSurface_m;
         if (returns && is_there) {
-            score.errors_m.push_back(std::abs(double(scan.range_m[i]) - double(truth.range_m[i])));
+            score.errors_m.push_back(
+                std::abs(double(rendered_returns.range_m[i]) - double(exact_returns.range_m[i])));
             score.squares += score.errors_m.back() * score.errors_m.back();
         }
-        if (!truth.second_m.empty()) score_second_return(score, scan, truth, i);
+        if (!exact_returns.second_m.empty())
+            add_second_return_to_score(score, rendered_returns, exact_returns, i);
     }
 }
 
-std::string format_score_row(const std::string& name, Score& s) {
-    std::sort(s.errors_m.begin(), s.errors_m.end());
-    if (s.errors_m.empty()) return fmt::format("| {} | {} | nothing returned |\n", name, s.rays);
-    const std::string seconds = s.seconds == 0 ? std::string("– | – | –")
-                                               : fmt::format("{} | {:.1f} % | {:.1f} %", s.seconds,
-                                                             format_percent(s.found, s.seconds),
-                                                             format_percent(s.invented, s.reported));
-    return fmt::format("| {} | {} | {:.4f} m | {:.2f} m | {:.1f} % | {} |\n", name, s.rays,
-                       s.errors_m[s.errors_m.size() / 2], std::sqrt(s.squares / double(s.errors_m.size())),
-                       format_percent(s.drops_right, s.rays), seconds);
+std::string format_score_row(const std::string& name, RigScanScore& score) {
+    std::sort(score.errors_m.begin(), score.errors_m.end());
+    if (score.errors_m.empty()) return fmt::format("| {} | {} | nothing returned |\n", name, score.rays);
+    const std::string seconds = score.second_returns == 0
+                                    ? std::string("– | – | –")
+                                    : fmt::format("{} | {:.1f} % | {:.1f} %", score.second_returns,
+                                                  compute_percentage(score.detected, score.second_returns),
+                                                  compute_percentage(score.invented, score.reported));
+    return fmt::format("| {} | {} | {:.4f} m | {:.2f} m | {:.1f} % | {} |\n", name, score.rays,
+                       score.errors_m[score.errors_m.size() / 2],
+                       std::sqrt(score.squares / double(score.errors_m.size())),
+                       compute_percentage(score.drops_right, score.rays), seconds);
 }
 
 /// Casts rays into the exact synthetic street and returns their ranges. A beam with two
 /// returns is cast as a cone of rays.
 /// @param lateral_offset_m shift of the sensor to the left and upwards, metres
-Returns cast_exact_returns(const SyntheticOptions& street, RayTable rays, const PoseTrack& track,
-                           double time_s, const SensorChoice& sensor, float lateral_offset_m = 0.0f) {
+ScanRanges cast_exact_returns(const SyntheticOptions& street, RayTable rays,
+                              const PoseTrack& world_from_sensor, double time_s,
+                              const SimulatedSensor& sensor, float lateral_offset_m = 0.0f) {
     for (glm::vec3& origin : rays.origin) origin += lateral_offset_m * glm::vec3(0.0f, 1.0f, 1.0f);
-    Scan scan = sensor.returns == 2 ? cast_synthetic_beams(street, rays, track, time_s)
-                                    : cast_synthetic_street(street, rays, track, time_s);
-    drop_outside_limits(scan, sensor.limits);
-    return extract_returns(scan);
+    Scan scan = sensor.returns == 2
+                    ? cast_beams_into_synthetic_street(street, rays, world_from_sensor, time_s)
+                    : cast_rays_into_synthetic_street(street, rays, world_from_sensor, time_s);
+    remove_returns_outside_limits(scan, sensor.limits);
+    return extract_return_ranges(scan);
 }
 
 /// Renders the held-out sweeps with another sensor than the one in the log, and scores
 /// them. The sensor replaces the first LiDAR.
-void score_other_sensor(ScanRenderer& renderer, const Run& run, const SyntheticOptions& street,
-                        const std::string& name) {
-    const SensorChoice sensor = choose_sensor(name, run.config, run.sequence);
+void print_score_of_other_sensor(ScanRenderer& renderer, const TrainedRun& run,
+                                 const SyntheticOptions& street, const std::string& sensor_name) {
+    const SimulatedSensor sensor = choose_sensor(sensor_name, run.config, run.sequence);
     if (sensor.rays.direction.empty())
-        throw UsageError(
-            fmt::format("{}: the rays change from scan to scan, expected a sensor with constant rays", name));
-    const PoseTrack track = run.sequence.world_from_sensor(0);
-    Score score;
+        throw UsageError(fmt::format(
+            "{}: the rays change from scan to scan, expected a sensor with constant rays", sensor_name));
+    const PoseTrack track = run.sequence.get_world_from_sensor(0);
+    RigScanScore score;
     for (const int position : run.split.test) {
-        const Frame& frame = run.sequence.frames[std::size_t(position)];
+        const LidarFrame& frame = run.sequence.frames[std::size_t(position)];
         if (frame.lidar != 0) continue;
-        score_returns(score, extract_returns(renderer.render(sensor, frame.time_s)),
-                      cast_exact_returns(street, sensor.rays, track, frame.time_s, sensor));
+        add_returns_to_score(score, extract_return_ranges(renderer.render(sensor, frame.time_s)),
+                             cast_exact_returns(street, sensor.rays, track, frame.time_s, sensor));
     }
     std::sort(score.errors_m.begin(), score.errors_m.end());
     if (score.errors_m.empty())
-        throw DataError(fmt::format("{}: nothing returned, expected some returns", name));
-    fmt::print("| {} | {} | {} | {:.1f} % | {:.1f} % | {:.4f} m | {:.2f} m | {:.1f} % |\n", name, score.rays,
-               score.returns, format_percent(score.missed, score.returns),
-               format_percent(score.behind, score.returns), score.errors_m[score.errors_m.size() / 2],
+        throw DataError(fmt::format("{}: nothing returned, expected some returns", sensor_name));
+    fmt::print("| {} | {} | {} | {:.1f} % | {:.1f} % | {:.4f} m | {:.2f} m | {:.1f} % |\n", sensor_name,
+               score.rays, score.returns, compute_percentage(score.missed, score.returns),
+               compute_percentage(score.behind, score.returns), score.errors_m[score.errors_m.size() / 2],
                std::sqrt(score.squares / double(score.errors_m.size())),
-               format_percent(score.drops_right, score.rays));
+               compute_percentage(score.drops_right, score.rays));
 }
 
-void run(const std::string& folder, int device_index, float lateral_offset_m,
-         const std::vector<std::string>& other_sensors) {
-    Run run = load_run(folder);
-    const SyntheticOptions street = read_street_options(run);
-    const auto rig = find_rig(street.rig);
+void print_rig_scores(const std::string& run_folder, int device_index, float lateral_offset_m,
+                      const std::vector<std::string>& other_sensor_names) {
+    TrainedRun run = load_run(run_folder);
+    const SyntheticOptions street = read_synthetic_street_options(run);
+    const auto rig = read_sensor_rig(street.rig);
     if (!rig)
         throw UsageError(
-            fmt::format("{}: its street was not logged by a rig, expected one with rig = FILE", folder));
+            fmt::format("{}: its street was not logged by a rig, expected one with rig = FILE", run_folder));
     Device device(apply_environment_variables({.index = device_index}));
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
-    std::vector<Score> scores(run.sequence.lidars.size()), beside(scores.size());
+    std::vector<RigScanScore> scores(run.sequence.lidars.size()), beside(scores.size());
     for (const int position : run.split.test) {
-        const Frame& frame = run.sequence.frames[std::size_t(position)];
+        const LidarFrame& frame = run.sequence.frames[std::size_t(position)];
         const Lidar& lidar = run.sequence.get_lidar(frame);
         const auto mounted = std::ranges::find(*rig, lidar.name, &MountedSensor::name);
-        SensorChoice sensor = make_configured_sensor(run.config, run.sequence, frame.lidar);
+        SimulatedSensor sensor = make_configured_sensor(run.config, run.sequence, frame.lidar);
         sensor.returns = mounted != rig->end() ? mounted->returns : 1;
         const RayTable rays = make_nominal_rays(lidar, frame.time_s);
-        const PoseTrack track = run.sequence.world_from_sensor(frame.lidar);
-        const Returns truth = cast_exact_returns(street, rays, track, frame.time_s, sensor);
-        score_returns(scores[std::size_t(frame.lidar)],
-                      extract_returns(renderer.render(sensor, frame.time_s)), truth);
+        const PoseTrack track = run.sequence.get_world_from_sensor(frame.lidar);
+        const ScanRanges truth = cast_exact_returns(street, rays, track, frame.time_s, sensor);
+        add_returns_to_score(scores[std::size_t(frame.lidar)],
+                             extract_return_ranges(renderer.render(sensor, frame.time_s)), truth);
         if (lateral_offset_m > 0.0f)
-            score_returns(beside[std::size_t(frame.lidar)],
-                          cast_exact_returns(street, rays, track, frame.time_s, sensor, lateral_offset_m),
-                          truth);
+            add_returns_to_score(
+                beside[std::size_t(frame.lidar)],
+                cast_exact_returns(street, rays, track, frame.time_s, sensor, lateral_offset_m), truth);
     }
     fmt::print(
         "| LiDAR | rays | median range error | RMSE | drops right | second returns | found | of those "
@@ -175,13 +186,14 @@ void run(const std::string& folder, int device_index, float lateral_offset_m,
             fmt::format("{}, the street from {:g} cm to the left and above", name, 100.0f * lateral_offset_m);
         if (lateral_offset_m > 0.0f) fmt::print("{}", format_score_row(from, beside[l]));
     }
-    if (!other_sensors.empty())
+    if (!other_sensor_names.empty())
         fmt::print(
             "\n| instead of {} | rays | returns | missed | {} m behind and more | median range error | RMSE "
             "| drops right |\n"
             "|---|--:|--:|--:|--:|--:|--:|--:|\n",
             run.sequence.lidars[0].name, kOnSurface_m);
-    for (const std::string& other : other_sensors) score_other_sensor(renderer, run, street, other);
+    for (const std::string& other : other_sensor_names)
+        print_score_of_other_sensor(renderer, run, street, other);
 }
 
 }  // namespace
@@ -202,7 +214,7 @@ int main(int argc, char** argv) {
         "also score these in the place of the first LiDAR: names of `relidar list sensors`, or files");
     CLI11_PARSE(app, argc, argv);
     try {
-        run(folder, device, aside_m, others);
+        print_rig_scores(folder, device, aside_m, others);
     } catch (const Error& error) {
         fmt::print(stderr, "relidar_bench_rig: {}\n", error.what());
         return static_cast<int>(error.code());

@@ -17,9 +17,9 @@ inline double median(std::vector<double> values) {
 
 /// Returns the wall time of some work.
 template <class Work>
-double measure_milliseconds(Work&& work) {
+double measure_wall_time_ms(Work&& function) {
     const auto start = std::chrono::steady_clock::now();
-    work();
+    function();
     return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
 }
 

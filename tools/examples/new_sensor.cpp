@@ -10,22 +10,22 @@ using namespace relidar;
 
 int main(int argc, char** argv) try {
     if (argc != 4) return std::fprintf(stderr, "usage: %s RUN TRAJECTORY.csv OUT\n", argv[0]), 2;
-    Run run = load_run(argv[1]);
+    TrainedRun run = load_run(argv[1]);
     // Instance 0 is the background, so instance 1 is the first actor.
     if (run.scene.instances.size() > 1)
-        run.replace(remove_track(run.driving(), run.scene.instances[1].track));
-    const PoseTrack trajectory = read_trajectory(argv[2]);
-    const SensorChoice sensor = choose_sensor("OS1-64", run.config, run.sequence);
+        run.replace_driving_scene(remove_track(run.copy_driving_scene(), run.scene.instances[1].track));
+    const PoseTrack trajectory = read_trajectory_csv(argv[2]);
+    const SimulatedSensor sensor = choose_sensor("OS1-64", run.config, run.sequence);
 
     Device device;
     ScanRenderer renderer(device, run);
-    ScanFormat format = make_scan_format(run, sensor);
+    ScanOutputOptions format = make_scan_format(run, sensor);
     format.formats = {"pcd", "png"};
     format.trajectory = argv[2];
-    ScanFolder scans(argv[3], format);
+    ScanFolderWriter scans(argv[3], format);
     int n = 0;
     for (double t = trajectory.time_s.front(); t <= trajectory.time_s.back(); t += 0.1)
-        scans.write(n++, renderer.render(sensor, {t, trajectory}));
+        scans.write_scan(n++, renderer.render(sensor, {t, trajectory}));
     scans.finish();
     std::printf("%d scans of %zu rays in %s\n", n, sensor.rays.size(), argv[3]);
 } catch (const std::exception& error) {

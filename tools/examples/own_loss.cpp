@@ -12,15 +12,16 @@ using namespace relidar;
 
 /// Returns the mean loss of all rays. Writes the derivatives of the loss with respect to
 /// the rendered values to `gradients`.
-double compare(const Rendering& image, const Scan& scan, RenderedGradients& gradients) {
-    const std::size_t n = image.size();
+double compute_loss_and_gradients(const RenderedRayValues& rendering, const Scan& measured_scan,
+                                  RenderedGradients& gradients) {
+    const std::size_t n = rendering.size();
     gradients = {
         std::vector<float>(n), std::vector<float>(n), {}, std::vector<float>(n), std::vector<float>(n)};
     double loss = 0.0;
     for (std::size_t i = 0; i < n; ++i) {
-        const bool returned = scan.range_m[i] > 0.0f;
-        const float weight = image.weight[i],
-                    drop = 1.0f / (1.0f + std::exp(image.hit_logit[i] - image.drop_logit[i]));
+        const bool returned = measured_scan.range_m[i] > 0.0f;
+        const float weight = rendering.weight[i],
+                    drop = 1.0f / (1.0f + std::exp(rendering.hit_logit[i] - rendering.drop_logit[i]));
         loss -= std::log(std::max(returned ? 1.0f - drop : drop, 1e-6f)) / double(n);
         gradients.drop_logit[i] = (drop - (returned ? 0.0f : 1.0f)) / float(n);
         gradients.hit_logit[i] = -gradients.drop_logit[i];
@@ -28,29 +29,29 @@ double compare(const Rendering& image, const Scan& scan, RenderedGradients& grad
         const float error =
             // Divides depth by weight to get the rendered range, because both are sums
             // over the surfels.
-            (image.depth[i] / weight - scan.range_m[i]) / 0.2f;
+            (rendering.depth[i] / weight - measured_scan.range_m[i]) / 0.2f;
         loss += std::log1p(double(error) * double(error)) / double(n);
         gradients.depth[i] = 2.0f * error / (1.0f + error * error) / 0.2f / float(n) / weight;
-        gradients.weight[i] = -gradients.depth[i] * image.depth[i] / weight;
+        gradients.weight[i] = -gradients.depth[i] * rendering.depth[i] / weight;
     }
     return loss;
 }
 
 int main(int argc, char** argv) try {
     if (argc != 2) return std::fprintf(stderr, "usage: %s DRIVE\n", argv[0]), 2;
-    const Sequence log = load_sequence(argv[1], {});
-    const PoseTrack trajectory = log.world_from_sensor(0);
-    const Split split = split_frames(log, 10);
+    const LidarSequence log = load_sequence(argv[1], {});
+    const PoseTrack trajectory = log.get_world_from_sensor(0);
+    const TrainTestSplit split = split_frames(log, 10);
     const Scene scene = initialise_scene(log, split.train, {});
     Device device;
-    DifferentiableRenderer differentiable(device, scene, ImageModel{});
+    DifferentiableRenderer differentiable(device, scene, ImageFormationModel{});
     Renderer& renderer = differentiable.renderer();
     Adam adam(device, static_cast<std::uint32_t>(scene.surfels.size()), {});
     RenderedGradients d;
     double first = 0.0, last = 0.0;
     for (int step = 1; step <= 40; ++step) {
         // Selects the frame of this step. Each frame is used for ten steps.
-        const Frame& frame =
+        const LidarFrame& frame =
             log.frames[std::size_t(split.train[std::size_t(step / 10) % split.train.size()])];
         WorldRays rays;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
@@ -60,12 +61,13 @@ int main(int argc, char** argv) try {
                 rays.direction.push_back(glm::vec3(ray.direction));
             rays.time_s.push_back(log.rolling_shutter ? frame.scan.rays.time_offset_s[i] : 0.0f);
         }
-        renderer.place(place_instances(scene, log, get_sweep_moment(frame)),
-                       glm::vec3(trajectory.at(frame.time_s).translation));
-        last = compare(renderer.forward(rays), frame.scan, d);
-        differentiable.backward(d);
-        adam.step(renderer.stream(), renderer.scene().parameters(), differentiable.gradients().surfels,
-                  &differentiable.gradients().touched, {}, step, 3);
+        renderer.prepare_view(compute_instance_poses(scene, log, get_sweep_moment(frame)),
+                              glm::vec3(trajectory.interpolate_pose(frame.time_s).translation));
+        last = compute_loss_and_gradients(renderer.render_rays(rays), frame.scan, d);
+        differentiable.compute_gradients(d);
+        adam.record_adam_step(renderer.stream(), renderer.scene().get_surfel_parameters(),
+                              differentiable.gradients().surfels, &differentiable.gradients().touched, {},
+                              step, 3);
         if (step == 1) first = last;
     }
     std::printf("loss %.4f -> %.4f\n", first, last);

@@ -8,7 +8,7 @@
 namespace relidar {
 
 /// Raises the limit of open file descriptors to the maximum that the system allows.
-inline void raise_descriptor_limit() {
+inline void raise_file_descriptor_limit() {
     rlimit limit{};
     if (::getrlimit(RLIMIT_NOFILE, &limit) != 0) return;
     limit.rlim_cur = limit.rlim_max;

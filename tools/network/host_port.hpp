@@ -20,20 +20,20 @@ struct HostPort {
 };
 
 /// Parses an address of the form HOST:PORT.
-/// @param description name of the option, for error messages
-/// @param first_port smallest valid port: 0 if port 0 may select a free port, otherwise 1
+/// @param option_name name of the option, for error messages
+/// @param min_port smallest valid port: 0 if port 0 may select a free port, otherwise 1
 /// @throws UsageError if the text is not HOST:PORT, or if the port is not valid
-inline HostPort parse_host_port(const std::string& text, const std::string& description, int first_port) {
+inline HostPort parse_host_port(const std::string& text, const std::string& option_name, int min_port) {
     const auto fail = [&] {
         throw UsageError(fmt::format("{}: found '{}', expected HOST:PORT with a port from {} to {}",
-                                     description, text, first_port, kLastPort));
+                                     option_name, text, min_port, kLastPort));
     };
     const std::size_t colon = text.rfind(':');
     if (colon == std::string::npos || colon == 0) fail();
     HostPort address{text.substr(0, colon), -1};
     const char *begin = text.data() + colon + 1, *end = text.data() + text.size();
     const auto [stop, error] = std::from_chars(begin, end, address.port);
-    if (error != std::errc() || stop != end || address.port < first_port || address.port > kLastPort) fail();
+    if (error != std::errc() || stop != end || address.port < min_port || address.port > kLastPort) fail();
     std::string& host = address.host;
     const bool is_bracketed = host.size() > 2 && host.front() == '[' && host.back() == ']';
     if (is_bracketed) host = host.substr(1, host.size() - 2);

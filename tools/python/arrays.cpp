@@ -10,7 +10,7 @@
 namespace relidar::python {
 namespace {
 
-std::string format_shape(const Shape& shape) {
+std::string format_shape(const NumpyShape& shape) {
     std::string text;
     for (std::size_t i = 0; i < shape.size(); ++i)
         text +=
@@ -21,24 +21,25 @@ std::string format_shape(const Shape& shape) {
 
 std::string format_dtype(const py::dtype& dtype) { return py::str(py::handle(dtype)); }
 
-bool has_shape(const py::array& array, const Shape& shape) {
-    if (static_cast<std::size_t>(array.ndim()) != shape.size()) return false;
-    for (std::size_t i = 0; i < shape.size(); ++i)
-        if (shape[i] != kAny && shape[i] != array.shape(static_cast<py::ssize_t>(i))) return false;
+bool has_shape(const py::array& array, const NumpyShape& expected_shape) {
+    if (static_cast<std::size_t>(array.ndim()) != expected_shape.size()) return false;
+    for (std::size_t i = 0; i < expected_shape.size(); ++i)
+        if (expected_shape[i] != kAny && expected_shape[i] != array.shape(static_cast<py::ssize_t>(i)))
+            return false;
     return true;
 }
 
 }  // namespace
 
 py::array to_numpy(NamedArray&& array) {
-    const Shape shape(array.shape.begin(), array.shape.end());
+    const NumpyShape shape(array.shape.begin(), array.shape.end());
     const py::dtype dtype(array.dtype == "b1" ? "?" : array.dtype);
-    auto* kept = new std::vector<std::byte>(std::move(array.bytes));
-    const py::capsule owner(kept, [](void* p) { delete static_cast<std::vector<std::byte>*>(p); });
-    return py::array(dtype, shape, kept->data(), owner);
+    auto* owned_bytes = new std::vector<std::byte>(std::move(array.bytes));
+    const py::capsule owner(owned_bytes, [](void* p) { delete static_cast<std::vector<std::byte>*>(p); });
+    return py::array(dtype, shape, owned_bytes->data(), owner);
 }
 
-py::dict to_dict(std::vector<NamedArray>&& arrays) {
+py::dict convert_to_array_dict(std::vector<NamedArray>&& arrays) {
     py::dict dict;
     for (NamedArray& array : arrays) {
         const py::str name(array.name);
@@ -47,19 +48,20 @@ py::dict to_dict(std::vector<NamedArray>&& arrays) {
     return dict;
 }
 
-void check_array(const py::handle& object, const std::string& description, const py::dtype& dtype,
-                 const Shape& shape) {
-    const std::string expected = fmt::format("an array of {} {}", format_dtype(dtype), format_shape(shape));
+void check_numpy_array(const py::handle& object, const std::string& name_for_errors,
+                       const py::dtype& expected_dtype, const NumpyShape& expected_shape) {
+    const std::string expected =
+        fmt::format("an array of {} {}", format_dtype(expected_dtype), format_shape(expected_shape));
     if (!py::isinstance<py::array>(object)) {
-        throw DataError(fmt::format("{}: found an object of type {}, expected {}", description,
+        throw DataError(fmt::format("{}: found an object of type {}, expected {}", name_for_errors,
                                     std::string(py::str(py::type::handle_of(object).attr("__name__"))),
                                     expected));
     }
     const auto array = py::reinterpret_borrow<py::array>(object);
-    if (!array.dtype().equal(dtype) || !has_shape(array, shape)) {
-        const Shape found(array.shape(), array.shape() + array.ndim());
-        throw DataError(fmt::format("{}: found {} {}, expected {}", description, format_dtype(array.dtype()),
-                                    format_shape(found), expected));
+    if (!array.dtype().equal(expected_dtype) || !has_shape(array, expected_shape)) {
+        const NumpyShape actual_shape(array.shape(), array.shape() + array.ndim());
+        throw DataError(fmt::format("{}: found {} {}, expected {}", name_for_errors,
+                                    format_dtype(array.dtype()), format_shape(actual_shape), expected));
     }
     const bool ordered = (array.flags() & py::array::c_style) != 0,
                aligned = array.attr("flags").attr("aligned").cast<bool>();
@@ -67,7 +69,7 @@ void check_array(const py::handle& object, const std::string& description, const
         throw DataError(
             fmt::format("{}: found an array that is not contiguous, expected {} in C order; "
                         "numpy.ascontiguousarray() converts it",
-                        description, expected));
+                        name_for_errors, expected));
 }
 
 }  // namespace relidar::python

@@ -15,7 +15,7 @@ namespace relidar::python {
 
 namespace py = pybind11;
 
-using Shape = std::vector<py::ssize_t>;
+using NumpyShape = std::vector<py::ssize_t>;
 /// Placeholder in the expected shape of an array. It means that a dimension may have any
 /// length.
 inline constexpr py::ssize_t kAny = -1;
@@ -24,16 +24,17 @@ inline constexpr py::ssize_t kAny = -1;
 /// @tparam Number element type of the array; each Element of the vector consists of one
 /// or more Numbers
 template <class Number, class Element>
-py::array to_owned_array(std::vector<Element>&& values, const Shape& shape) {
-    auto* kept = new std::vector<Element>(std::move(values));
-    const py::capsule owner(kept, [](void* p) { delete static_cast<std::vector<Element>*>(p); });
-    return py::array(py::dtype::of<Number>(), shape, kept->data(), owner);
+py::array move_to_numpy_array(std::vector<Element>&& values, const NumpyShape& shape) {
+    auto* owned_values = new std::vector<Element>(std::move(values));
+    const py::capsule owner(owned_values, [](void* p) { delete static_cast<std::vector<Element>*>(p); });
+    return py::array(py::dtype::of<Number>(), shape, owned_values->data(), owner);
 }
 
 /// Returns a read-only numpy array of values that belong to the Python object `owner`.
 /// The array keeps `owner` alive.
 template <class Number, class Element>
-py::array view(const std::vector<Element>& values, const Shape& shape, const py::handle& owner) {
+py::array make_read_only_array_view(const std::vector<Element>& values, const NumpyShape& shape,
+                                    const py::handle& owner) {
     py::array array(py::dtype::of<Number>(), shape, values.data(), owner);
     array.attr("setflags")(py::arg("write") = false);
     return array;
@@ -42,22 +43,22 @@ py::array view(const std::vector<Element>& values, const Shape& shape, const py:
 /// Converts one array of an npz file to a numpy array.
 py::array to_numpy(NamedArray&& array);
 /// Converts all arrays of an npz file to a dict of numpy arrays.
-py::dict to_dict(std::vector<NamedArray>&& arrays);
+py::dict convert_to_array_dict(std::vector<NamedArray>&& arrays);
 
 /// Checks the dtype, shape and C order of a numpy array.
 /// @throws DataError if the object is not such an array; the message contains the actual
 /// type and shape
-void check_array(const py::handle& object, const std::string& description, const py::dtype& dtype,
-                 const Shape& shape);
+void check_numpy_array(const py::handle& object, const std::string& name_for_errors,
+                       const py::dtype& expected_dtype, const NumpyShape& expected_shape);
 
 /// Returns the values of a numpy array in C order, without a copy.
-/// @param description name of the values, for error messages
-/// @param shape expected shape; kAny means any length
+/// @param name_for_errors name of the values, for error messages
+/// @param expected_shape expected shape; kAny means any length
 /// @throws DataError if the dtype, shape or order of the array is wrong
 template <class Number>
-std::span<const Number> get_array_values(const py::handle& object, const std::string& description,
-                                         const Shape& shape) {
-    check_array(object, description, py::dtype::of<Number>(), shape);
+std::span<const Number> get_checked_array_values(const py::handle& object, const std::string& name_for_errors,
+                                                 const NumpyShape& expected_shape) {
+    check_numpy_array(object, name_for_errors, py::dtype::of<Number>(), expected_shape);
     const auto array = py::reinterpret_borrow<py::array>(object);
     return {static_cast<const Number*>(array.data()), static_cast<std::size_t>(array.size())};
 }
@@ -65,9 +66,10 @@ std::span<const Number> get_array_values(const py::handle& object, const std::st
 /// Copies the values of a numpy array into a vector. Each Element of the vector consists
 /// of one or more Numbers.
 template <class Number, class Element>
-std::vector<Element> copy_elements(const py::handle& object, const std::string& description,
-                                   const Shape& shape) {
-    const std::span<const Number> values = get_array_values<Number>(object, description, shape);
+std::vector<Element> copy_array_to_vector(const py::handle& object, const std::string& name_for_errors,
+                                          const NumpyShape& expected_shape) {
+    const std::span<const Number> values =
+        get_checked_array_values<Number>(object, name_for_errors, expected_shape);
     const auto* first = reinterpret_cast<const Element*>(values.data());
     return {first, first + values.size() * sizeof(Number) / sizeof(Element)};
 }

@@ -19,22 +19,22 @@ namespace py = pybind11;
 
 /// Python callback that reports progress. Its arguments are the name of the step, and the
 /// finished share from 0 to 1.
-using Tell = std::optional<std::function<void(const std::string&, double)>>;
+using PythonProgressCallback = std::optional<std::function<void(const std::string&, double)>>;
 
 /// Converts a Python callback to a C++ progress callback. If the Python callback raises
 /// an exception or the user presses Ctrl-C, the work is aborted immediately. Use it only
 /// for work that can be aborted at any point.
-inline Progress collect_into(const Tell& report) {
-    return [&report](std::string_view description, double done) {
+inline ProgressReporter make_progress_callback(const PythonProgressCallback& python_callback) {
+    return [&python_callback](std::string_view description, double done) {
         const py::gil_scoped_acquire interpreter;
         if (PyErr_CheckSignals() != 0) throw py::error_already_set();
-        if (report) (*report)(std::string(description), done);
+        if (python_callback) (*python_callback)(std::string(description), done);
     };
 }
 
 /// Calls Python functions from C++ work. After the first exception or Ctrl-C, the work
-/// stops at a safe point, and rethrow() raises the exception again.
-class PythonCalls {
+/// stops at a safe point, and rethrow_stored_exception() raises the exception again.
+class PythonCallGuard {
 public:
     /// Calls a Python function, and stores the first exception that any call raises.
     /// @return false after an exception, so that the caller must stop its work
@@ -55,7 +55,7 @@ public:
     bool can_continue() {
         return (*this)([] {});
     }
-    void rethrow() const {
+    void rethrow_stored_exception() const {
         if (failure_) std::rethrow_exception(failure_);
     }
 

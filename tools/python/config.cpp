@@ -27,30 +27,30 @@ std::string format_setting_value(const std::string& key, const py::handle& value
                     std::string(py::str(py::type::handle_of(value).attr("__name__")))));
 }
 
-ConfigKey find_key(const Config& config, const std::string& key) {
+ConfigKey find_config_key(const Config& config, const std::string& key) {
     const std::vector<ConfigKey> keys = list_config_keys(config);
     const auto it = std::find_if(keys.begin(), keys.end(), [&](const ConfigKey& k) { return k.key == key; });
     if (it != keys.end()) return *it;
     std::vector<std::string> names;
     for (const ConfigKey& k : keys) names.push_back(k.key);
-    throw UsageError(
-        fmt::format("setting {}: unknown key{}", key,
-                    suggest_name(key, names, "", ", expected one of the names in Config.values()")));
+    throw UsageError(fmt::format(
+        "setting {}: unknown key{}", key,
+        format_name_suggestion(key, names, "", ", expected one of the names in Config.values()")));
 }
 
-Config make(const std::string& preset, const py::dict& values) {
+Config make_config_from_preset(const std::string& preset, const py::dict& settings) {
     Config config = make_preset(preset);
-    set_values(config, values);
+    set_config_values_from_python(config, settings);
     return config;
 }
 
-Config load(const std::filesystem::path& path) {
+Config load_config_file(const std::filesystem::path& path) {
     Config config = make_preset("default");
     load_config(config, path);
     return config;
 }
 
-py::dict to_config_dict(const Config& config) {
+py::dict convert_to_settings_dict(const Config& config) {
     py::dict values;
     for (const ConfigKey& key : list_config_keys(config)) values[py::str(key.key)] = key.value;
     return values;
@@ -58,44 +58,46 @@ py::dict to_config_dict(const Config& config) {
 
 }  // namespace
 
-void warn(const std::string& text) {
-    if (PyErr_WarnEx(PyExc_UserWarning, text.c_str(), 1) != 0) throw py::error_already_set();
+void show_python_warning(const std::string& message) {
+    if (PyErr_WarnEx(PyExc_UserWarning, message.c_str(), 1) != 0) throw py::error_already_set();
 }
 
-void set_value(Config& config, const std::string& key, const py::handle& value) {
+void set_config_value_from_python(Config& config, const std::string& key, const py::handle& value) {
     set_config_value(config, key, format_setting_value(key, value));
 }
 
-void set_values(Config& config, const py::dict& values) {
-    for (const auto& [key, value] : values) {
+void set_config_values_from_python(Config& config, const py::dict& settings) {
+    for (const auto& [key, value] : settings) {
         if (!py::isinstance<py::str>(key))
             throw UsageError(
                 "settings: found a key that is not a str, expected names of settings such as "
                 "\"train.iterations\"");
-        set_value(config, key.cast<std::string>(), value);
+        set_config_value_from_python(config, key.cast<std::string>(), value);
     }
 }
 
-void add_config(py::module_& module) {
+void bind_config_class(py::module_& module) {
     py::class_<Config>(module, "Config",
                        "All settings of a run. They have the names that `relidar list settings` prints, for "
                        "example config[\"train.iterations\"] = 300.")
-        .def(py::init(&make), py::arg("preset") = "default", py::arg("settings") = py::dict(),
+        .def(py::init(&make_config_from_preset), py::arg("preset") = "default",
+             py::arg("settings") = py::dict(),
              "preset: \"paper\", \"released\", \"default\" or \"quick\"\n"
              "settings: dict of names and values that replace those of the preset\n\n"
              "Raises UsageError for unknown names and for values out of range.")
-        .def_static("load", &load, py::arg("path"),
+        .def_static("load", &load_config_file, py::arg("path"),
                     "Reads settings from a TOML file, such as config.toml in a run folder. Raises UsageError "
                     "or DataError with a description of the error.")
         .def(
             "__getitem__",
-            [](const Config& config, const std::string& key) { return find_key(config, key).value; },
+            [](const Config& config, const std::string& key) { return find_config_key(config, key).value; },
             py::arg("key"), "Returns the value as text, in the same form as in the TOML file.")
-        .def("__setitem__", &set_value, py::arg("key"), py::arg("value"))
+        .def("__setitem__", &set_config_value_from_python, py::arg("key"), py::arg("value"))
         .def(
-            "help", [](const Config& config, const std::string& key) { return find_key(config, key).help; },
+            "help",
+            [](const Config& config, const std::string& key) { return find_config_key(config, key).help; },
             py::arg("key"), "Returns the description of a setting.")
-        .def("values", &to_config_dict,
+        .def("values", &convert_to_settings_dict,
              "Returns all settings as a dict of texts, in the order of the TOML file.")
         .def(
             "copy", [](const Config& config) { return config; }, "Returns a copy of the settings.")

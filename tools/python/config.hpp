@@ -14,10 +14,10 @@ namespace relidar::python {
 /// Sets one setting. The value is a str, bool, int, float or path.
 /// @throws UsageError if the type of the value is wrong, or if set_config_value() rejects
 /// the key or the value
-void set_value(Config& config, const std::string& key, const pybind11::handle& value);
+void set_config_value_from_python(Config& config, const std::string& key, const pybind11::handle& value);
 /// Shows a note of the C++ library as a Python warning.
-void warn(const std::string& text);
+void show_python_warning(const std::string& message);
 /// Sets each setting that the dict contains.
-void set_values(Config& config, const pybind11::dict& values);
+void set_config_values_from_python(Config& config, const pybind11::dict& settings);
 
 }  // namespace relidar::python

@@ -19,27 +19,27 @@ SharedDevice& get_default_device() {
     return device;
 }
 
-SharedDevice open_device(int index, const std::string& traversal, std::uint64_t memory_limit_bytes,
-                         bool validation) {
+SharedDevice open_device(int index, const std::string& traversal_name, std::uint64_t memory_limit_bytes,
+                         bool enable_validation) {
     if (index < -1)
         throw UsageError(fmt::format(
             "cannot open a device: index: found {}, expected an index from relidar.devices(), or -1", index));
     DeviceOptions options;
     options.index = index;
-    options.traversal = find_traversal(traversal);
+    options.traversal = parse_traversal_method(traversal_name);
     options.memory_limit_bytes = memory_limit_bytes;
-    options.validation = validation;
+    options.validation = enable_validation;
     const py::gil_scoped_release others_run;
-    return std::make_shared<OpenDevice>(apply_environment_variables(options));
+    return std::make_shared<LockableDevice>(apply_environment_variables(options));
 }
 
-const char* get_name(Traversal traversal) {
-    return traversal == Traversal::software ? "software" : "ray_query";
+const char* format_traversal_name(RayTracingBackend traversal) {
+    return traversal == RayTracingBackend::software ? "software" : "ray_query";
 }
 
-std::string describe_open_device(const OpenDevice& open) {
-    return fmt::format("<relidar.Device {}: {}, {}>", open.device.info().index, open.device.info().name,
-                       get_name(open.device.traversal()));
+std::string format_device_repr(const LockableDevice& device) {
+    return fmt::format("<relidar.Device {}: {}, {}>", device.device.info().index, device.device.info().name,
+                       format_traversal_name(device.device.traversal()));
 }
 
 }  // namespace
@@ -50,7 +50,7 @@ SharedDevice get_device_or_default(SharedDevice device) {
     return get_default_device();
 }
 
-DeviceUse::DeviceUse(OpenDevice& device) : device_(device) {
+DeviceLock::DeviceLock(LockableDevice& device) : device_(device) {
     if (device.user == std::this_thread::get_id())
         throw UsageError(
             "cannot use this device: it is busy with the call that runs this callback; use another "
@@ -59,12 +59,12 @@ DeviceUse::DeviceUse(OpenDevice& device) : device_(device) {
     device.user = std::this_thread::get_id();
 }
 
-DeviceUse::~DeviceUse() { device_.user = std::thread::id(); }
+DeviceLock::~DeviceLock() { device_.user = std::thread::id(); }
 
-void add_device(py::module_& module) {
-    set_first_use({check_device_at_first_use, [](const std::string& text) {
-                       std::fprintf(stderr, "relidar: note: %s\n", text.c_str());
-                   }});
+void bind_device_class(py::module_& module) {
+    set_first_use_check({check_device_at_first_use, [](const std::string& text) {
+                             std::fprintf(stderr, "relidar: note: %s\n", text.c_str());
+                         }});
     py::class_<DeviceInfo>(module, "DeviceInfo",
                            "A Vulkan device of this machine and the features that relidar can use.")
         .def_readonly("index", &DeviceInfo::index)
@@ -84,7 +84,7 @@ void add_device(py::module_& module) {
                "Returns all Vulkan devices, in the order of the Vulkan loader. Raises DeviceError if "
                "Vulkan is not available.");
 
-    py::class_<OpenDevice, SharedDevice>(
+    py::class_<LockableDevice, SharedDevice>(
         module, "Device",
         "An open Vulkan device. It stays open as long as objects that were made with it exist. "
         "It can be used by one thread at a time.")
@@ -99,14 +99,15 @@ void add_device(py::module_& module) {
              "These environment variables also have an effect: RELIDAR_VALIDATION, "
              "RELIDAR_MEMORY_LIMIT_MIB, RELIDAR_PIPELINE_CACHE.\n\n"
              "Raises DeviceError naming what is missing.")
-        .def_property_readonly("info", [](const OpenDevice& open) { return open.device.info(); })
+        .def_property_readonly("info", [](const LockableDevice& open) { return open.device.info(); })
         .def_property_readonly(
-            "traversal", [](const OpenDevice& open) { return get_name(open.device.traversal()); },
+            "traversal",
+            [](const LockableDevice& open) { return format_traversal_name(open.device.traversal()); },
             "\"ray_query\" or \"software\".")
         .def_property_readonly(
-            "peak_bytes", [](const OpenDevice& open) { return open.device.peak_bytes(); },
+            "peak_bytes", [](const LockableDevice& open) { return open.device.peak_allocated_bytes(); },
             "Maximum device memory that was allocated so far, in bytes.")
-        .def("__repr__", &describe_open_device);
+        .def("__repr__", &format_device_repr);
     // Closes the default device at exit. The Python interpreter and the Vulkan loader
     // must still exist at this time.
     py::module_::import("atexit").attr("register")(py::cpp_function([] { get_default_device().reset(); }));

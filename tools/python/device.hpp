@@ -18,14 +18,14 @@ namespace relidar::python {
 namespace py = pybind11;
 
 /// An open device, its mutex, and the id of the thread that currently uses it.
-struct OpenDevice {
+struct LockableDevice {
     Device device;
     std::mutex in_use;
     std::atomic<std::thread::id> user{};  ///< Thread that currently uses the device.
 
-    explicit OpenDevice(const DeviceOptions& options) : device(options) {}
+    explicit LockableDevice(const DeviceOptions& options) : device(options) {}
 };
-using SharedDevice = std::shared_ptr<OpenDevice>;
+using SharedDevice = std::shared_ptr<LockableDevice>;
 
 /// Returns the given device. If the argument is null, returns the default device, which
 /// is opened at the first call.
@@ -34,18 +34,18 @@ SharedDevice get_device_or_default(SharedDevice device);
 
 /// Locks a device for the current thread and releases the Python interpreter lock (GIL).
 /// The thread must not use Python objects while this object exists.
-class DeviceUse {
+class DeviceLock {
 public:
     /// Waits until no other thread uses the device.
     /// @throws UsageError if this thread already uses the device, for example because a
     /// callback calls a function of the same device
-    explicit DeviceUse(OpenDevice& device);
-    ~DeviceUse();
-    DeviceUse(const DeviceUse&) = delete;
-    DeviceUse& operator=(const DeviceUse&) = delete;
+    explicit DeviceLock(LockableDevice& device);
+    ~DeviceLock();
+    DeviceLock(const DeviceLock&) = delete;
+    DeviceLock& operator=(const DeviceLock&) = delete;
 
 private:
-    OpenDevice& device_;
+    LockableDevice& device_;
     /// Must be declared before the lock, so that the thread releases the GIL before it
     /// waits for the device.
     py::gil_scoped_release others_run_;
@@ -55,30 +55,30 @@ private:
 /// An object that was created on a device. It keeps the device open, and locks the device
 /// while the object is destroyed.
 template <class Made>
-class OnDevice {
+class DeviceObject {
 public:
-    OnDevice() = default;
-    OnDevice(SharedDevice device, std::unique_ptr<Made> made)
+    DeviceObject() = default;
+    DeviceObject(SharedDevice device, std::unique_ptr<Made> made)
         : device_(std::move(device)), made_(std::move(made)) {}
-    OnDevice(OnDevice&&) noexcept = default;
-    OnDevice& operator=(OnDevice&& other) noexcept {
+    DeviceObject(DeviceObject&&) noexcept = default;
+    DeviceObject& operator=(DeviceObject&& other) noexcept {
         std::swap(device_, other.device_);
         std::swap(made_, other.made_);
         return *this;
     }
-    ~OnDevice() {
+    ~DeviceObject() {
         if (!made_ || device_->user == std::this_thread::get_id())
             // In a training callback, this thread has already locked the device, and the
             // device is idle. Locking it again would be an error.
             return;
-        const DeviceUse use(*device_);
+        const DeviceLock use(*device_);
         made_.reset();
     }
 
     Made& operator*() { return *made_; }
     Made* operator->() { return made_.get(); }
     explicit operator bool() const { return made_ != nullptr; }
-    OpenDevice& device() { return *device_; }
+    LockableDevice& get_open_device() { return *device_; }
 
 private:
     SharedDevice device_;

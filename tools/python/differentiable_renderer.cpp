@@ -20,39 +20,42 @@ namespace {
 
 /// A differentiable renderer, with the numbers of instances and rays that give the shapes
 /// of the numpy arrays.
-struct HeldRenderer {
-    OnDevice<DifferentiableRenderer> differentiable;
+struct PythonDifferentiableRenderer {
+    DeviceObject<DifferentiableRenderer> differentiable;
     std::vector<InstancePose> placed;  ///< [instances] pose of each instance.
     std::size_t n_rays = 0;            ///< Number of rays of the last forward pass.
 };
 
-std::unique_ptr<HeldRenderer> make_renderer(const Scene& scene, const std::optional<Config>& config,
-                                            bool poses, bool rays, SharedDevice device) {
+std::unique_ptr<PythonDifferentiableRenderer> make_differentiable_renderer(
+    const Scene& scene, const std::optional<Config>& config, bool with_pose_gradients,
+    bool with_ray_gradients, SharedDevice device) {
     const Config settings = config.value_or(make_preset("default"));
-    ImageModel image = settings.image;
+    ImageFormationModel image = settings.image;
     image.primitive = scene.surfels.primitive;
     const RendererOptions options{
         {}, make_base_trace_options(settings), 0, static_cast<std::uint32_t>(settings.trace.keep_hits)};
-    const GradientOptions gradients{make_backward_options(settings), {.rays = rays, .poses = poses}};
+    const GradientOptions gradients{make_backward_options(settings),
+                                    {.rays = with_ray_gradients, .poses = with_pose_gradients}};
     device = get_device_or_default(device);
     std::unique_ptr<DifferentiableRenderer> made;
     {
-        const DeviceUse use(*device);
+        const DeviceLock use(*device);
         made = std::make_unique<DifferentiableRenderer>(device->device, scene, image, options, gradients);
     }
-    auto held = std::make_unique<HeldRenderer>();
-    held->differentiable = OnDevice<DifferentiableRenderer>(device, std::move(made));
+    auto held = std::make_unique<PythonDifferentiableRenderer>();
+    held->differentiable = DeviceObject<DifferentiableRenderer>(device, std::move(made));
     held->placed.resize(scene.instances.size());
     return held;
 }
 
-glm::vec3 convert_to_point(const py::object& array, const char* description) {
-    const std::span<const double> v = get_array_values<double>(array, description, {3});
+glm::vec3 convert_array_to_vec3(const py::object& array, const char* name_for_errors) {
+    const std::span<const double> v = get_checked_array_values<double>(array, name_for_errors, {3});
     return {v[0], v[1], v[2]};
 }
 
-void place(HeldRenderer& renderer, const py::object& poses, const py::object& view_origin,
-           const std::optional<std::vector<bool>>& present) {
+void set_instance_poses(PythonDifferentiableRenderer& renderer, const py::object& poses,
+                        const py::object& view_origin,
+                        const std::optional<std::vector<bool>>& is_instance_present) {
     std::vector<InstancePose> placed = renderer.placed;
     const auto check_count = [&](std::size_t found, const char* description) {
         if (found != placed.size())
@@ -65,40 +68,41 @@ void place(HeldRenderer& renderer, const py::object& poses, const py::object& vi
         check_count(model_poses.size(), "poses");
         for (std::size_t i = 0; i < placed.size(); ++i) placed[i].world_from_model = model_poses[i];
     }
-    if (present) {
-        check_count(present->size(), "present");
-        for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = (*present)[i];
+    if (is_instance_present) {
+        check_count(is_instance_present->size(), "present");
+        for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = (*is_instance_present)[i];
     }
     const glm::vec3 view = view_origin.is_none() ? renderer.differentiable->renderer().view_origin_m()
-                                                 : convert_to_point(view_origin, "view_origin");
-    const DeviceUse use(renderer.differentiable.device());
-    renderer.differentiable->renderer().place(placed, view);
+                                                 : convert_array_to_vec3(view_origin, "view_origin");
+    const DeviceLock use(renderer.differentiable.get_open_device());
+    renderer.differentiable->renderer().prepare_view(placed, view);
     renderer.placed = std::move(placed);
 }
 
-py::dict forward(HeldRenderer& renderer, const py::object& origins, const py::object& directions) {
-    const WorldRays rays{copy_elements<float, glm::vec3>(origins, "origins", {kAny, 3}),
-                         copy_elements<float, glm::vec3>(directions, "directions", {kAny, 3})};
+py::dict run_forward_pass(PythonDifferentiableRenderer& renderer, const py::object& origins,
+                          const py::object& directions) {
+    const WorldRays rays{copy_array_to_vector<float, glm::vec3>(origins, "origins", {kAny, 3}),
+                         copy_array_to_vector<float, glm::vec3>(directions, "directions", {kAny, 3})};
     if (rays.origin.size() != rays.direction.size())
         throw DataError(
             fmt::format("directions: found {} directions and {} origins, expected the same number",
                         rays.direction.size(), rays.origin.size()));
-    Rendering r;
+    RenderedRayValues r;
     {
-        const DeviceUse use(renderer.differentiable.device());
-        r = renderer.differentiable->renderer().forward(rays);
+        const DeviceLock use(renderer.differentiable.get_open_device());
+        r = renderer.differentiable->renderer().render_rays(rays);
     }
     renderer.n_rays = rays.size();
-    const Shape shape{static_cast<py::ssize_t>(rays.size())};
+    const NumpyShape shape{static_cast<py::ssize_t>(rays.size())};
     py::dict dict;
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) \
-    dict[#name] = to_owned_array<float>(std::move(r.name), shape);
+    dict[#name] = move_to_numpy_array<float>(std::move(r.name), shape);
     RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
 #undef RELIDAR_VALUES
-    dict["transmittance"] = to_owned_array<float>(std::move(r.transmittance), shape);
-    dict["median_depth"] = to_owned_array<float>(std::move(r.median_depth), shape);
-    dict["hits"] = to_owned_array<std::uint32_t>(std::move(r.hits), shape);
-    dict["instance"] = to_owned_array<std::int32_t>(std::move(r.instance), shape);
+    dict["transmittance"] = move_to_numpy_array<float>(std::move(r.transmittance), shape);
+    dict["median_depth"] = move_to_numpy_array<float>(std::move(r.median_depth), shape);
+    dict["hits"] = move_to_numpy_array<std::uint32_t>(std::move(r.hits), shape);
+    dict["instance"] = move_to_numpy_array<std::int32_t>(std::move(r.instance), shape);
     return dict;
 }
 
@@ -107,64 +111,66 @@ py::dict forward(HeldRenderer& renderer, const py::object& origins, const py::ob
 #define RELIDAR_NAME(name, built, value, input, slope, meaning) #name ", "
 #define RELIDAR_MEANING(name, built, value, input, slope, meaning) #name " (" meaning "), "
 
-RenderedGradients read_gradients(const py::dict& arrays, std::size_t n_rays) {
+RenderedGradients read_output_gradients(const py::dict& arrays, std::size_t n_rays) {
     RenderedGradients d;
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) {#name, &d.name},
-    const std::vector<std::pair<std::string, std::vector<float>*>> places{
+    const std::vector<std::pair<std::string, std::vector<float>*>> gradient_arrays{
         RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)};
 #undef RELIDAR_VALUES
     for (const auto& [key, array] : arrays) {
         const std::string name = py::str(key);
-        const auto place =
-            std::find_if(places.begin(), places.end(), [&](const auto& p) { return p.first == name; });
-        if (place == places.end())
+        const auto match = std::find_if(gradient_arrays.begin(), gradient_arrays.end(),
+                                        [&](const auto& p) { return p.first == name; });
+        if (match == gradient_arrays.end())
             throw UsageError(fmt::format("d_rendered: found \"{}\", expected one of " RELIDAR_IMAGE_VALUES(
                                              RELIDAR_NAME) "which are the values with gradients",
                                          name));
-        *place->second =
-            copy_elements<float, float>(array, "d_rendered: " + name, {static_cast<py::ssize_t>(n_rays)});
+        *match->second = copy_array_to_vector<float, float>(array, "d_rendered: " + name,
+                                                            {static_cast<py::ssize_t>(n_rays)});
     }
     return d;
 }
 
-py::dict backward(HeldRenderer& renderer, const py::dict& d_rendered) {
-    const RenderedGradients d = read_gradients(d_rendered, renderer.n_rays);
+py::dict run_backward_pass(PythonDifferentiableRenderer& renderer, const py::dict& output_gradients) {
+    const RenderedGradients d = read_output_gradients(output_gradients, renderer.n_rays);
     HostGradients gradients;
     {
-        const DeviceUse use(renderer.differentiable.device());
-        gradients = renderer.differentiable->backward(d);
+        const DeviceLock use(renderer.differentiable.get_open_device());
+        gradients = renderer.differentiable->compute_gradients(d);
     }
     const auto rows = [](std::size_t count) { return static_cast<py::ssize_t>(count); };
     const std::size_t n = gradients.surfels.size();
-    py::dict dict = to_dict(std::move(gradients.surfels));
-    dict["touched"] = to_owned_array<std::uint32_t>(std::move(gradients.touched), {rows(n)});
+    py::dict dict = convert_to_array_dict(std::move(gradients.surfels));
+    dict["touched"] = move_to_numpy_array<std::uint32_t>(std::move(gradients.touched), {rows(n)});
     if (!gradients.poses.empty())
-        dict["poses"] = to_owned_array<float>(std::move(gradients.poses), {rows(renderer.placed.size()), 6});
-    if (!gradients.sensor.empty()) dict["sensor"] = to_owned_array<float>(std::move(gradients.sensor), {6});
+        dict["poses"] =
+            move_to_numpy_array<float>(std::move(gradients.poses), {rows(renderer.placed.size()), 6});
+    if (!gradients.sensor.empty())
+        dict["sensor"] = move_to_numpy_array<float>(std::move(gradients.sensor), {6});
     if (!gradients.rays.empty())
-        dict["rays"] = to_owned_array<float>(std::move(gradients.rays), {rows(renderer.n_rays), 6});
+        dict["rays"] = move_to_numpy_array<float>(std::move(gradients.rays), {rows(renderer.n_rays), 6});
     return dict;
 }
 
-void upload(HeldRenderer& renderer, const py::dict& arrays) {
-    const Surfels surfels = read_surfels(arrays);
-    const DeviceUse use(renderer.differentiable.device());
-    renderer.differentiable->renderer().upload(surfels);
+void upload_surfels(PythonDifferentiableRenderer& renderer, const py::dict& surfel_arrays) {
+    const Surfels surfels = read_surfels_from_arrays(surfel_arrays);
+    const DeviceLock use(renderer.differentiable.get_open_device());
+    renderer.differentiable->renderer().upload_surfels(surfels);
 }
 
-py::dict download(HeldRenderer& renderer) {
+py::dict download_surfels(PythonDifferentiableRenderer& renderer) {
     Scene scene;
     {
-        const DeviceUse use(renderer.differentiable.device());
-        scene = renderer.differentiable->renderer().download();
+        const DeviceLock use(renderer.differentiable.get_open_device());
+        scene = renderer.differentiable->renderer().download_scene();
     }
-    return to_dict(std::move(scene.surfels));
+    return convert_to_array_dict(std::move(scene.surfels));
 }
 
 }  // namespace
 
-void add_differentiable_renderer(py::module_& module) {
-    py::class_<HeldRenderer>(module, "DifferentiableRenderer",
+void bind_differentiable_renderer(py::module_& module) {
+    py::class_<PythonDifferentiableRenderer>(module, "DifferentiableRenderer",
                              "Renders rays and computes gradients for custom losses: forward() returns "
                              "rendered values, and backward() converts their gradients to gradients of all "
                              "parameters.\n"
@@ -172,14 +178,14 @@ void add_differentiable_renderer(py::module_& module) {
                              "upload() and place() again. Scales, opacities and channels are\n"
                              "stored before their activation: scale = exp(log_scale), opacity = "
                              "sigmoid(opacity_logit), channel = 0.5 + SH basis . sh.")
-        .def(py::init(&make_renderer), py::arg("scene"), py::arg("config") = py::none(), py::kw_only(),
-             py::arg("poses") = false, py::arg("rays") = false, py::arg("device") = py::none(),
+        .def(py::init(&make_differentiable_renderer), py::arg("scene"), py::arg("config") = py::none(),
+             py::kw_only(), py::arg("poses") = false, py::arg("rays") = false, py::arg("device") = py::none(),
              "scene: copied to the device\n"
              "config: its settings image.*, trace.* and train.deterministic define how rays are "
              "rendered and gradients are summed; None: preset \"default\"\n"
              "poses, rays: if True, backward() also returns the gradients of poses and rays\n\n"
              "Raises DataError if models or instances of the scene are out of range.")
-        .def("place", &place, py::arg("poses") = py::none(), py::arg("view_origin") = py::none(),
+        .def("place", &set_instance_poses, py::arg("poses") = py::none(), py::arg("view_origin") = py::none(),
              py::arg("present") = py::none(),
              "Sets all poses. Call it before forward(), and again after poses, view_origin or "
              "parameters have changed.\n\n"
@@ -189,7 +195,7 @@ void add_differentiable_renderer(py::module_& module) {
              "image.sh_direction=surfel;\n"
              "    None: unchanged, initially the origin\n"
              "present: one bool per instance; None: unchanged, initially all are present")
-        .def("forward", &forward, py::arg("origins"), py::arg("directions"),
+        .def("forward", &run_forward_pass, py::arg("origins"), py::arg("directions"),
              "Renders rays.\n\n"
              "origins: [n,3] float32, C order, world, metres\n"
              "directions: [n,3] float32, C order, world, length 1\n\n"
@@ -197,7 +203,7 @@ void add_differentiable_renderer(py::module_& module) {
                  RELIDAR_MEANING) "transmittance, median_depth (metres, 0: none) float32;\n"
                                   "hits uint32 (blended surfels); instance int32 (-1: none).\n"
                                   "Raises UsageError if place() was not called.")
-        .def("backward", &backward, py::arg("d_rendered"),
+        .def("backward", &run_backward_pass, py::arg("d_rendered"),
              "Computes gradients of a loss of the last forward pass. Poses, view_origin and "
              "parameters must be unchanged since then.\n\n"
              "d_rendered: dict of dL/d(value), [n] float32 each, for any of " RELIDAR_IMAGE_VALUES(
@@ -210,10 +216,10 @@ void add_differentiable_renderer(py::module_& module) {
                                "along the\n"
                                "world's axes (metres; radians about the origin of the model, or about "
                                "view_origin), and rays [n,6], dL/d(origin, direction).")
-        .def("upload", &upload, py::arg("surfels"),
+        .def("upload", &upload_surfels, py::arg("surfels"),
              "Replaces the values of all parameters. The number of surfels must be the same. Call "
              "place() afterwards.")
-        .def("download", &download,
+        .def("download", &download_surfels,
              "Returns the current parameters as a dict of float32 arrays that relidar.Scene accepts.");
 }
 

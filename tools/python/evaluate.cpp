@@ -10,7 +10,7 @@
 namespace relidar::python {
 namespace {
 
-py::dict make_evaluation_dict(const Evaluation& evaluation) {
+py::dict make_evaluation_dict(const EvaluationResult& evaluation) {
     py::list frames;
     for (const ScoredFrame& frame : evaluation.frames)
         frames.append(py::dict(py::arg("frame") = frame.frame, py::arg("time_s") = frame.time_s,
@@ -19,30 +19,31 @@ py::dict make_evaluation_dict(const Evaluation& evaluation) {
                     py::arg("trace_ms") = evaluation.trace_ms);
 }
 
-Evaluation evaluate_loaded_run(LoadedRun& loaded, const Sequence& log,
-                               const std::optional<std::string>& baseline, const Progress& progress) {
-    Run run = loaded.run;
-    attach_scans(run, run.split.test, log);
+EvaluationResult evaluate_loaded_run(LoadedRun& loaded, const LidarSequence& log,
+                                     const std::optional<std::string>& baseline,
+                                     const ProgressReporter& progress) {
+    TrainedRun run = loaded.run;
+    copy_scans_into_run(run, run.split.test, log);
     if (baseline) {
-        attach_scans(run, run.split.train, log);
+        copy_scans_into_run(run, run.split.train, log);
         const py::gil_scoped_release others_run;
         return evaluate_baseline(*baseline, run.config, run.sequence, run.split, progress);
     }
-    OnDevice<ScanRenderer>& renderer = loaded.get_renderer();
-    const DeviceUse use(renderer.device());
+    DeviceObject<ScanRenderer>& renderer = loaded.get_renderer();
+    const DeviceLock use(renderer.get_open_device());
     renderer->set_visible_instances(std::vector<bool>(run.scene.instances.size(), true));
     return evaluate_frames(*renderer, run.config, run.sequence, run.split.test, progress);
 }
 
-py::dict evaluate_run(LoadedRun& run, const Log* log, const std::optional<std::string>& baseline,
-                      const Tell& report) {
+py::dict evaluate_run(LoadedRun& run, const LoadedLog* log, const std::optional<std::string>& baseline,
+                      const PythonProgressCallback& report_progress) {
     // Throws an error if the baseline is unknown. This is checked before the log is
     // loaded, because loading takes a long time.
-    if (baseline) (void)find_baseline(*baseline);
+    if (baseline) (void)parse_baseline_motion(*baseline);
     if (run.run.split.test.empty())
         throw DataError(run.run.folder.string() + ": the run has no held-out frames, expected at least one");
-    const Progress progress = collect_into(report);
-    Sequence read;
+    const ProgressReporter progress = make_progress_callback(report_progress);
+    LidarSequence read;
     if (!log) {
         const py::gil_scoped_release others_run;
         read = load_log(run.run.config, progress);
@@ -52,7 +53,7 @@ py::dict evaluate_run(LoadedRun& run, const Log* log, const std::optional<std::s
 
 }  // namespace
 
-void add_evaluate(py::module_& module) {
+void bind_evaluate_function(py::module_& module) {
     module.def("evaluate", &evaluate_run, py::arg("run"), py::arg("sequence") = py::none(), py::kw_only(),
                py::arg("baseline") = py::none(), py::arg("progress") = py::none(),
                "Scores the held-out frames of a run against its log, like `relidar eval`.\n\n"

@@ -9,17 +9,17 @@ PYBIND11_MODULE(_relidar, module) {
         "LiDAR re-simulation on any Vulkan device. Units are metres, seconds and radians. The "
         "sensor frame has x forward, y left, z up.";
     module.attr("__version__") = RELIDAR_VERSION;
-    add_errors(module);
-    add_device(module);
-    add_config(module);
-    add_poses(module);
-    add_sensors(module);
-    add_sequence(module);
-    add_scene(module);
-    add_run(module);
-    add_edit(module);
-    add_train(module);
-    add_evaluate(module);
-    add_pictures(module);
-    add_differentiable_renderer(module);
+    bind_error_types(module);
+    bind_device_class(module);
+    bind_config_class(module);
+    bind_pose_functions(module);
+    bind_sensor_functions(module);
+    bind_sequence_class_and_loading(module);
+    bind_scene_class(module);
+    bind_run_class(module);
+    bind_edit_class(module);
+    bind_train_function(module);
+    bind_evaluate_function(module);
+    bind_picture_functions(module);
+    bind_differentiable_renderer(module);
 }

@@ -13,27 +13,29 @@
 namespace relidar::python {
 namespace {
 
-py::object get(const py::dict& scan, const char* name) {
-    if (!scan.contains(name))
-        throw DataError(std::string("scan: the dict has no entry \"") + name +
+py::object get_required_scan_entry(const py::dict& scan_dict, const char* entry_name) {
+    if (!scan_dict.contains(entry_name))
+        throw DataError(std::string("scan: the dict has no entry \"") + entry_name +
                         "\", expected range, intensity and drop_prob");
-    return scan[name];
+    return scan_dict[entry_name];
 }
 
 /// Converts a scan dict from Python to a rendered scan. The dict of a measured scan has
 /// no drop_prob, so a ray with range 0 counts as a ray without return.
-RenderedScan image_of(const py::dict& scan) {
-    const py::object range = get(scan, "range");
-    check_array(range, "scan: range", py::dtype::of<float>(), {kAny, kAny});
+RenderedScan convert_to_rendered_scan(const py::dict& scan_dict) {
+    const py::object range = get_required_scan_entry(scan_dict, "range");
+    check_numpy_array(range, "scan: range", py::dtype::of<float>(), {kAny, kAny});
     const auto array = py::reinterpret_borrow<py::array>(range);
-    const Shape shape{array.shape(0), array.shape(1)};
+    const NumpyShape shape{array.shape(0), array.shape(1)};
     RenderedScan result;
     result.image.rows = static_cast<int>(shape[0]);
     result.image.columns = static_cast<int>(shape[1]);
-    result.image.range_m = copy_elements<float, float>(range, "scan: range", shape);
-    result.image.intensity = copy_elements<float, float>(get(scan, "intensity"), "scan: intensity", shape);
-    if (scan.contains("drop_prob"))
-        result.image.drop_prob = copy_elements<float, float>(scan["drop_prob"], "scan: drop_prob", shape);
+    result.image.range_m = copy_array_to_vector<float, float>(range, "scan: range", shape);
+    result.image.intensity = copy_array_to_vector<float, float>(
+        get_required_scan_entry(scan_dict, "intensity"), "scan: intensity", shape);
+    if (scan_dict.contains("drop_prob"))
+        result.image.drop_prob =
+            copy_array_to_vector<float, float>(scan_dict["drop_prob"], "scan: drop_prob", shape);
     else
         for (const float range_m : result.image.range_m)
             result.image.drop_prob.push_back(range_m > 0.0f ? 0.0f : 1.0f);
@@ -42,11 +44,11 @@ RenderedScan image_of(const py::dict& scan) {
 
 }  // namespace
 
-void add_pictures(py::module_& module) {
+void bind_picture_functions(py::module_& module) {
     module.def(
         "write_picture",
         [](const std::filesystem::path& path, const py::dict& scan) {
-            write_png(path, draw_scan_picture(image_of(scan)));
+            write_png(path, draw_scan_picture(convert_to_rendered_scan(scan)));
         },
         py::arg("path"), py::arg("scan"),
         "Writes a scan as PNG with the range in false colours, the intensity and the drop "

@@ -19,12 +19,12 @@ constexpr double kRigid = 1e-4;
 /// Converts a 4x4 matrix to a pose. Throws an error unless the matrix is a rotation and a
 /// translation.
 /// @param matrix 16 numbers in row-major order
-Pose make_rigid_pose(const double* matrix, const std::string& description) {
+Pose convert_row_major_matrix_to_pose(const double* matrix, const std::string& name_for_errors) {
     const auto fail = [&](const std::string& found) {
         throw DataError(fmt::format(
             "{}: found {}, expected a rigid pose: a rotation and a translation, with the last row 0 "
             "0 0 1",
-            description, found));
+            name_for_errors, found));
     };
     if (!std::all_of(matrix, matrix + 16, [](double value) { return std::isfinite(value); }))
         fail("a matrix that is not finite");
@@ -44,62 +44,68 @@ Pose make_rigid_pose(const double* matrix, const std::string& description) {
     return {glm::normalize(glm::quat_cast(rotation)), {matrix[3], matrix[7], matrix[11]}};
 }
 
-void write_matrix(const Pose& pose, double* out) {
+void write_row_major_matrix(const Pose& pose, double* output) {
     const glm::dmat4 columns = to_matrix(pose);
     for (int row = 0; row < 4; ++row)
-        for (int column = 0; column < 4; ++column) *out++ = columns[column][row];
+        for (int column = 0; column < 4; ++column) *output++ = columns[column][row];
 }
 
 }  // namespace
 
-Pose convert_to_pose(const py::handle& matrix, const std::string& description) {
-    return make_rigid_pose(get_array_values<double>(matrix, description, {4, 4}).data(), description);
+Pose convert_to_pose(const py::handle& matrix, const std::string& name_for_errors) {
+    return convert_row_major_matrix_to_pose(
+        get_checked_array_values<double>(matrix, name_for_errors, {4, 4}).data(), name_for_errors);
 }
 
-std::vector<Pose> convert_to_poses(const py::handle& matrices, const std::string& description) {
-    const std::span<const double> numbers = get_array_values<double>(matrices, description, {kAny, 4, 4});
+std::vector<Pose> convert_to_poses(const py::handle& matrices, const std::string& name_for_errors) {
+    const std::span<const double> numbers =
+        get_checked_array_values<double>(matrices, name_for_errors, {kAny, 4, 4});
     std::vector<Pose> poses;
     for (std::size_t i = 0; i < numbers.size() / 16; ++i)
-        poses.push_back(make_rigid_pose(numbers.data() + 16 * i, fmt::format("{}[{}]", description, i)));
+        poses.push_back(convert_row_major_matrix_to_pose(numbers.data() + 16 * i,
+                                                         fmt::format("{}[{}]", name_for_errors, i)));
     return poses;
 }
 
-PoseTrack read_pose_track(const py::handle& object, const std::string& description, double time_s) {
-    if (!py::isinstance<py::tuple>(object)) return {{time_s}, {convert_to_pose(object, description)}};
+PoseTrack read_pose_track(const py::handle& object, const std::string& name_for_errors,
+                          double single_pose_time_s) {
+    if (!py::isinstance<py::tuple>(object))
+        return {{single_pose_time_s}, {convert_to_pose(object, name_for_errors)}};
     const auto pair = py::reinterpret_borrow<py::tuple>(object);
     if (pair.size() != 2)
         throw DataError(fmt::format(
             "{}: found a tuple of {} entries, expected a pose [4,4] or (times [n], poses [n,4,4])",
-            description, pair.size()));
-    PoseTrack track{copy_elements<double, double>(pair[0], description + ": times", {kAny}),
-                    convert_to_poses(pair[1], description + ": poses")};
+            name_for_errors, pair.size()));
+    PoseTrack track{copy_array_to_vector<double, double>(pair[0], name_for_errors + ": times", {kAny}),
+                    convert_to_poses(pair[1], name_for_errors + ": poses")};
     if (track.time_s.size() != track.pose.size())
         throw DataError(fmt::format("{}: found {} times and {} poses, expected the same number of both",
-                                    description, track.time_s.size(), track.pose.size()));
+                                    name_for_errors, track.time_s.size(), track.pose.size()));
     return track;
 }
 
-py::array to_matrix_array(const Pose& pose) {
+py::array convert_to_matrix_array(const Pose& pose) {
     std::vector<double> numbers(16);
-    write_matrix(pose, numbers.data());
-    return to_owned_array<double>(std::move(numbers), {4, 4});
+    write_row_major_matrix(pose, numbers.data());
+    return move_to_numpy_array<double>(std::move(numbers), {4, 4});
 }
 
-py::tuple to_track(const PoseTrack& track, const glm::dvec3& offset_m) {
+py::tuple convert_to_times_and_poses(const PoseTrack& track, const glm::dvec3& position_offset_m) {
     std::vector<double> numbers(16 * track.pose.size());
     for (std::size_t i = 0; i < track.pose.size(); ++i)
-        write_matrix({track.pose[i].rotation, track.pose[i].translation + offset_m}, numbers.data() + 16 * i);
+        write_row_major_matrix({track.pose[i].rotation, track.pose[i].translation + position_offset_m},
+                               numbers.data() + 16 * i);
     const auto n = static_cast<py::ssize_t>(track.pose.size());
-    return py::make_tuple(to_owned_array<double>(std::vector<double>(track.time_s), {n}),
-                          to_owned_array<double>(std::move(numbers), {n, 4, 4}));
+    return py::make_tuple(move_to_numpy_array<double>(std::vector<double>(track.time_s), {n}),
+                          move_to_numpy_array<double>(std::move(numbers), {n, 4, 4}));
 }
 
-void add_poses(py::module_& module) {
+void bind_pose_functions(py::module_& module) {
     module.def(
         "pose",
         [](double x, double y, double z, double yaw_deg, double pitch_deg, double roll_deg) {
             const double radians = kPi / 180.0;
-            return to_matrix_array(
+            return convert_to_matrix_array(
                 {make_rotation(yaw_deg * radians, pitch_deg * radians, roll_deg * radians), {x, y, z}});
         },
         py::arg("x"), py::arg("y"), py::arg("z"), py::arg("yaw_deg") = 0.0, py::arg("pitch_deg") = 0.0,

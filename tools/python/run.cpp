@@ -39,67 +39,69 @@ struct RenderArguments {
     bool boxes;
 };
 
-PointFrame find_frame(const std::string& name) {
-    if (name == "sensor") return PointFrame::sensor;
-    if (name == "world") return PointFrame::world;
-    throw UsageError(fmt::format("frame: found \"{}\", expected sensor or world", name));
+PointCoordinateFrame find_point_frame_by_name(const std::string& frame_name) {
+    if (frame_name == "sensor") return PointCoordinateFrame::sensor;
+    if (frame_name == "world") return PointCoordinateFrame::world;
+    throw UsageError(fmt::format("frame: found \"{}\", expected sensor or world", frame_name));
 }
 
 /// Returns the path of one LiDAR of the log in the world frame of the dataset.
-PoseTrack get_log_track(const Sequence& sequence, int lidar) {
-    return shift_track(sequence.world_from_sensor(lidar), sequence.world_offset_m);
+PoseTrack compute_logged_sensor_track(const LidarSequence& sequence, int lidar_index) {
+    return shift_track(sequence.get_world_from_sensor(lidar_index), sequence.world_offset_m);
 }
 
 /// Checks that a track has poses around a time. At other times, the poses would be
 /// extrapolated.
 /// @throws UsageError if the time is more than `tolerance_s` before or after the track
-void check_covered(const PoseTrack& track, double time_s, double tolerance_s,
-                   const std::string& description) {
+void check_track_covers_time(const PoseTrack& track, double time_s, double tolerance_s,
+                             const std::string& name_for_errors) {
     // A single pose is valid at all times. The library itself rejects a time that is not
     // finite.
     if (track.pose.size() < 2 || !std::isfinite(time_s)) return;
     const double begin_s = track.time_s.front() - tolerance_s, end_s = track.time_s.back() + tolerance_s;
     if (time_s < begin_s || time_s > end_s)
-        throw UsageError(fmt::format("{}: found {} s, expected a time from {} to {} s", description, time_s,
-                                     begin_s, end_s));
+        throw UsageError(fmt::format("{}: found {} s, expected a time from {} to {} s", name_for_errors,
+                                     time_s, begin_s, end_s));
 }
 
-ActorPoses read_actor_poses(const py::dict& actors, double time_s) {
+ActorTracksByName read_actor_poses(const py::dict& poses_by_actor, double time_s) {
     // An actor may be rendered this long before its first pose or after its last pose. A
     // sweep begins before its nominal time and ends after it, so the limit is not 0.
     constexpr double kBeside_s = 1.0;
-    ActorPoses poses;
-    for (const auto& [name, pose] : actors) {
+    ActorTracksByName poses;
+    for (const auto& [name, pose] : poses_by_actor) {
         const std::string track = py::str(name);
         const std::string what = fmt::format("actors[\"{}\"]", track);
         const PoseTrack& added = poses[track] = read_pose_track(pose, what, time_s);
-        check_covered(added, time_s, kBeside_s, fmt::format("time relative to the poses of {}", what));
+        check_track_covers_time(added, time_s, kBeside_s,
+                                fmt::format("time relative to the poses of {}", what));
     }
     return poses;
 }
 
 /// Returns the index of the recorded sweep that is nearest in time.
-int find_nearest_sweep(const Sequence& sequence, double time_s) {
-    const auto farther = [&](const Frame& first, const Frame& second) {
+int find_nearest_frame_number(const LidarSequence& sequence, double time_s) {
+    const auto farther = [&](const LidarFrame& first, const LidarFrame& second) {
         return std::abs(first.time_s - time_s) < std::abs(second.time_s - time_s);
     };
     return std::min_element(sequence.frames.begin(), sequence.frames.end(), farther)->index;
 }
 
-ScanRequest request_of(const RenderArguments& arguments, const Run& run, int lidar) {
+ScanRequest make_scan_request_from_arguments(const RenderArguments& arguments, const TrainedRun& run,
+                                             int lidar_index) {
     ScanRequest request;
     request.time_s = arguments.time.value_or(run.sequence.frames.front().time_s);
     request.dataset_from_sensor = arguments.pose.is_none()
-                                      ? get_log_track(run.sequence, lidar)
+                                      ? compute_logged_sensor_track(run.sequence, lidar_index)
                                       : read_pose_track(arguments.pose, "pose", request.time_s);
-    check_covered(request.dataset_from_sensor, request.time_s, 0.0,
-                  arguments.pose.is_none() ? "time in the log" : "time on the poses");
+    check_track_covers_time(request.dataset_from_sensor, request.time_s, 0.0,
+                            arguments.pose.is_none() ? "time in the log" : "time on the poses");
     if (arguments.actors) request.dataset_from_actor = read_actor_poses(*arguments.actors, request.time_s);
     return request;
 }
 
 /// Returns the boxes of the actors in a scan as a dict of arrays.
-py::dict make_boxes_dict(const RenderedScan& scan, const ScanFormat& format) {
+py::dict make_actor_boxes_dict(const RenderedScan& scan, const ScanOutputOptions& format) {
     const std::vector<ActorBox> boxes = find_actor_boxes(scan, format);
     std::vector<std::string> tracks, categories;
     std::vector<double> sizes_m, times_s, poses, velocities_mps, shares;
@@ -117,63 +119,63 @@ py::dict make_boxes_dict(const RenderedScan& scan, const ScanFormat& format) {
             for (int column = 0; column < 4; ++column) poses.push_back(columns[column][row]);
     }
     const std::size_t n = boxes.size();
-    return to_dict({make_text_array("track", tracks), make_text_array("category", categories),
-                    make_array("size_m", {n, 3}, sizes_m.data(), sizes_m.size()),
-                    make_array("time_s", {n}, times_s.data(), n),
-                    make_array("pose", {n, 4, 4}, poses.data(), poses.size()),
-                    make_array("velocity_mps", {n, 3}, velocities_mps.data(), velocities_mps.size()),
-                    make_array("points", {n}, points.data(), n),
-                    make_array("visible_share", {n}, shares.data(), n)});
+    return convert_to_array_dict(
+        {make_text_array("track", tracks), make_text_array("category", categories),
+         make_array("size_m", {n, 3}, sizes_m.data(), sizes_m.size()),
+         make_array("time_s", {n}, times_s.data(), n),
+         make_array("pose", {n, 4, 4}, poses.data(), poses.size()),
+         make_array("velocity_mps", {n, 3}, velocities_mps.data(), velocities_mps.size()),
+         make_array("points", {n}, points.data(), n), make_array("visible_share", {n}, shares.data(), n)});
 }
 
-py::dict render(LoadedRun& loaded, const RenderArguments& arguments) {
-    const Run& run = loaded.run;
-    const int lidar = find_lidar(run.sequence, arguments.lidar);
-    const ScanRequest request = request_of(arguments, run, lidar);
-    SensorChoice sensor = get_sensor(arguments.sensor, run, lidar);
+py::dict render_scan_as_dict(LoadedRun& loaded, const RenderArguments& arguments) {
+    const TrainedRun& run = loaded.run;
+    const int lidar = find_lidar_index_by_name(run.sequence, arguments.lidar);
+    const ScanRequest request = make_scan_request_from_arguments(arguments, run, lidar);
+    SimulatedSensor sensor = make_sensor_from_python(arguments.sensor, run, lidar);
     if (arguments.pose.is_none())
         sensor = align_sensor_with_sweep(sensor, run.sequence.frames, run.sequence.lidars, request.time_s);
     const std::vector<bool> shown = arguments.only.empty()
                                         ? std::vector<bool>(run.scene.instances.size(), true)
                                         : select_instances(run.scene, arguments.only);
-    ScanFormat format = make_scan_format(run, sensor);
-    format.frame = find_frame(arguments.frame);
+    ScanOutputOptions format = make_scan_format(run, sensor);
+    format.frame = find_point_frame_by_name(arguments.frame);
     format.deskew = arguments.deskew;
     const Weather weather = parse_weather(arguments.weather);
-    OnDevice<ScanRenderer>& renderer = loaded.get_renderer();
+    DeviceObject<ScanRenderer>& renderer = loaded.get_renderer();
     RenderedScan scan;
     {
-        const DeviceUse use(renderer.device());
+        const DeviceLock use(renderer.get_open_device());
         renderer->set_visible_instances(shown);
         renderer->set_weather(weather);
-        renderer->enable_actor_views(arguments.boxes);
+        renderer->enable_actor_visibility(arguments.boxes);
         scan = renderer->render(sensor, request, arguments.sample);
     }
-    py::dict arrays =
-        to_dict(make_scan_arrays(scan, find_nearest_sweep(run.sequence, request.time_s), format));
+    py::dict arrays = convert_to_array_dict(
+        make_scan_arrays(scan, find_nearest_frame_number(run.sequence, request.time_s), format));
     if (!arguments.boxes) return arrays;
-    if (request.dataset_from_actor) place_boxes(format, *request.dataset_from_actor);
-    arrays["boxes"] = make_boxes_dict(scan, format);
+    if (request.dataset_from_actor) replace_actor_box_poses(format, *request.dataset_from_actor);
+    arrays["boxes"] = make_actor_boxes_dict(scan, format);
     return arrays;
 }
 
-std::vector<std::string> list_track_names(const Run& run) {
+std::vector<std::string> list_actor_track_names(const TrainedRun& run) {
     std::vector<std::string> names;
-    for (const Instance& instance : run.scene.instances)
+    for (const ModelInstance& instance : run.scene.instances)
         if (!instance.track.empty()) names.push_back(instance.track);
     return names;
 }
 
 std::unique_ptr<LoadedRun> open_run(const fs::path& folder, const py::dict& settings,
                                     const SharedDevice& device) {
-    Run run = load_run(folder);
-    set_values(run.config, settings);
+    TrainedRun run = load_run(folder);
+    set_config_values_from_python(run.config, settings);
     return std::make_unique<LoadedRun>(std::move(run), device);
 }
 
-std::unique_ptr<LoadedRun> replace_surfels(const LoadedRun& loaded, const py::dict& arrays) {
+std::unique_ptr<LoadedRun> copy_run_with_surfels(const LoadedRun& loaded, const py::dict& surfel_arrays) {
     auto changed = std::make_unique<LoadedRun>(loaded.run, loaded.device);
-    Surfels surfels = read_surfels(arrays);
+    Surfels surfels = read_surfels_from_arrays(surfel_arrays);
     Scene& scene = changed->run.scene;
     scene = load_all_blocks(scene);
     if (surfels.size() != scene.surfels.size() || surfels.primitive != scene.surfels.primitive)
@@ -231,15 +233,16 @@ constexpr const char* kHelpAfterWeather =
 
 /// Returns the documentation of Run.render(). The list of weather effects is inserted in
 /// the middle.
-std::string render_help() {
+std::string make_render_help_text() {
     return fmt::format("{}{}; drawn by `sample`, 0 without;\n    adds `source` [rows,columns] int32: {}{}",
-                       kHelpBeforeWeather, make_weather_help(), parse_channels("source").front().meaning,
+                       kHelpBeforeWeather, make_weather_help(), parse_channel_names("source").front().meaning,
                        kHelpAfterWeather);
 }
 
 /// Adds the methods of the Python class for runs.
-void add_calls(py::class_<LoadedRun>& type) {
-    type.def_static("load", &open_run, py::arg("folder"), py::kw_only(), py::arg("settings") = py::dict(),
+void bind_run_methods(py::class_<LoadedRun>& run_class) {
+    run_class
+        .def_static("load", &open_run, py::arg("folder"), py::kw_only(), py::arg("settings") = py::dict(),
                     py::arg("device") = py::none(),
                     "Reads a run folder.\n\n"
                     "settings: dict of settings that replace those of the run, such as {\"render.range\": "
@@ -250,7 +253,7 @@ void add_calls(py::class_<LoadedRun>& type) {
         .def(
             "save",
             [](LoadedRun& run, const fs::path& folder, bool overwrite) {
-                save_to(run.run, folder, overwrite);
+                save_run_to_folder(run.run, folder, overwrite);
             },
             py::arg("folder"), py::kw_only(), py::arg("overwrite") = false,
             "Writes config.toml, scene.json and model.safetensors. Incomplete files are never left "
@@ -261,32 +264,35 @@ void add_calls(py::class_<LoadedRun>& type) {
                std::optional<py::dict> actors, std::string lidar, std::vector<std::string> only,
                std::optional<std::uint64_t> sample, std::string frame, bool deskew, std::string weather,
                bool boxes) {
-                return render(run, {sensor, pose, time, std::move(actors), std::move(lidar), std::move(only),
-                                    sample, std::move(frame), deskew, std::move(weather), boxes});
+                return render_scan_as_dict(
+                    run, {sensor, pose, time, std::move(actors), std::move(lidar), std::move(only), sample,
+                          std::move(frame), deskew, std::move(weather), boxes});
             },
             py::arg("sensor") = py::none(), py::kw_only(), py::arg("pose") = py::none(),
             py::arg("time") = py::none(), py::arg("actors") = py::none(), py::arg("lidar") = "",
             py::arg("only") = std::vector<std::string>(), py::arg("sample") = py::none(),
             py::arg("frame") = "sensor", py::arg("deskew") = false, py::arg("weather") = "",
-            py::arg("boxes") = false, render_help().c_str())
+            py::arg("boxes") = false, make_render_help_text().c_str())
         .def(
             "rays",
             [](const LoadedRun& run, const py::object& sensor, const std::string& lidar) {
-                SensorChoice choice = get_sensor(sensor, run.run, find_lidar(run.run.sequence, lidar));
+                SimulatedSensor choice = make_sensor_from_python(
+                    sensor, run.run, find_lidar_index_by_name(run.run.sequence, lidar));
                 if (!has_rolling_shutter(choice, run.run.config))
                     std::ranges::fill(choice.rays.time_offset_s, 0.0f);
-                return to_dict(choice.rays);
+                return convert_to_array_dict(choice.rays);
             },
             py::arg("sensor") = py::none(), py::arg("lidar") = "",
             "Returns the rays of a sensor, which has the same form as in render().")
-        .def("with_surfels", &replace_surfels, py::arg("surfels"),
+        .def("with_surfels", &copy_run_with_surfels, py::arg("surfels"),
              "Returns a copy of the run with other values of all surfels. Raises DataError if the "
              "number of surfels differs.");
 }
 
 /// Adds the properties of the Python class for runs.
-void add_properties(py::class_<LoadedRun>& type) {
-    type.def_property_readonly(
+void bind_run_properties(py::class_<LoadedRun>& run_class) {
+    run_class
+        .def_property_readonly(
             "folder", [](const LoadedRun& run) { return run.run.folder.string(); },
             "Folder that the run was read from or saved to. Empty if there is none.")
         .def_property_readonly(
@@ -296,36 +302,41 @@ void add_properties(py::class_<LoadedRun>& type) {
             [](const LoadedRun& run) { return std::make_shared<Scene>(load_all_blocks(run.run.scene)); },
             "A copy of the scene.")
         .def_property_readonly(
-            "surfels", [](const LoadedRun& run) { return to_dict(load_all_blocks(run.run.scene).surfels); },
+            "surfels",
+            [](const LoadedRun& run) {
+                return convert_to_array_dict(load_all_blocks(run.run.scene).surfels);
+            },
             "A copy of the surfels as a dict of float32 arrays that relidar.Scene accepts.")
         .def_property_readonly(
-            "times", [](const LoadedRun& run) { return list_times(run.run.sequence); },
+            "times", [](const LoadedRun& run) { return make_frame_time_array(run.run.sequence); },
             "Times in seconds at which the head of the LiDAR faced forward, [frames] float64.")
         .def_property_readonly(
-            "frame_numbers", [](const LoadedRun& run) { return list_frame_numbers(run.run.sequence); },
+            "frame_numbers", [](const LoadedRun& run) { return make_frame_number_array(run.run.sequence); },
             "Frame numbers of the dataset, [frames] int32.")
         .def_property_readonly(
             "held_out", [](const LoadedRun& run) { return run.run.split.test; },
             "Indices of the held-out frames in `times`.")
         .def_property_readonly(
-            "trajectory", [](const LoadedRun& run) { return make_trajectory(run.run.sequence); },
+            "trajectory", [](const LoadedRun& run) { return make_vehicle_trajectory(run.run.sequence); },
             "Trajectory of the log's vehicle in the dataset's world: (times [n], poses [n,4,4]), in the "
             "form of render(). For a single LiDAR, it is the trajectory of the sensor.")
         .def_property_readonly(
-            "mountings", [](const LoadedRun& run) { return list_mountings(run.run.sequence); },
+            "mountings", [](const LoadedRun& run) { return make_lidar_mounting_dict(run.run.sequence); },
             "Mountings of the LiDARs: dict of LiDAR name -> pose vehicle from sensor, [4,4] float64. The "
             "poses of a LiDAR are poses @ mountings[name]. A single LiDAR has an empty name and the "
             "identity.")
         .def_property_readonly(
             "actors",
-            [](const LoadedRun& run) { return list_actors(run.run.sequence, list_track_names(run.run)); },
+            [](const LoadedRun& run) {
+                return make_actor_track_dict(run.run.sequence, list_actor_track_names(run.run));
+            },
             "Trajectories of the actors in the dataset's world: dict of track -> (times [n], poses "
             "[n,4,4]) of the centre of the box, in the form of render().")
         .def_property_readonly(
             "edits",
             [](const LoadedRun& run) {
                 std::vector<std::string> edits;
-                for (const RunEdit& edit : run.run.edits) edits.push_back(edit.edit);
+                for (const EditHistoryEntry& edit : run.run.edits) edits.push_back(edit.edit);
                 return edits;
             },
             "Descriptions of all edits of the run, the oldest edit first.");
@@ -333,8 +344,8 @@ void add_properties(py::class_<LoadedRun>& type) {
 
 }  // namespace
 
-void save_to(Run& run, const fs::path& folder, bool overwrite) {
-    if (!overwrite && is_run(folder))
+void save_run_to_folder(TrainedRun& run, const fs::path& folder, bool overwrite) {
+    if (!overwrite && is_run_folder(folder))
         throw UsageError(
             fmt::format("cannot save to {}: the folder already contains a run; expected a new folder; "
                         "overwrite=True replaces the run",
@@ -348,27 +359,27 @@ void save_to(Run& run, const fs::path& folder, bool overwrite) {
     }
 }
 
-OnDevice<ScanRenderer>& LoadedRun::get_renderer() {
+DeviceObject<ScanRenderer>& LoadedRun::get_renderer() {
     if (renderer) return renderer;
     device = get_device_or_default(device);
     std::unique_ptr<ScanRenderer> made;
     {
-        const DeviceUse use(*device);
+        const DeviceLock use(*device);
         made = std::make_unique<ScanRenderer>(device->device, run);
     }
-    OnDevice<ScanRenderer> fresh(device, std::move(made));
+    DeviceObject<ScanRenderer> fresh(device, std::move(made));
     // keeps the renderer if another thread has created one during this call
     if (!renderer) renderer = std::move(fresh);
     return renderer;
 }
 
-void add_run(py::module_& module) {
+void bind_run_class(py::module_& module) {
     py::class_<LoadedRun> type(
         module, "Run",
         "A trained scene with the sensor, poses and tracks of its log, as written by `relidar "
         "train`. It is immutable.");
-    add_calls(type);
-    add_properties(type);
+    bind_run_methods(type);
+    bind_run_properties(type);
 }
 
 }  // namespace relidar::python

@@ -12,17 +12,17 @@
 namespace relidar::python {
 
 struct LoadedRun {
-    Run run;
+    TrainedRun run;
     SharedDevice device;  ///< Device of the run. If the pointer is null, the default device is used.
-    OnDevice<ScanRenderer> renderer{};
+    DeviceObject<ScanRenderer> renderer{};
 
     /// Returns the renderer of this run. Creates the renderer at the first call. No other
     /// object uses this renderer.
-    OnDevice<ScanRenderer>& get_renderer();
+    DeviceObject<ScanRenderer>& get_renderer();
 };
 
 /// Saves a run in a folder and sets `run.folder` to this folder.
 /// @throws UsageError if `overwrite` is false and the folder already contains a run
-void save_to(Run& run, const std::filesystem::path& folder, bool overwrite);
+void save_run_to_folder(TrainedRun& run, const std::filesystem::path& folder, bool overwrite);
 
 }  // namespace relidar::python

@@ -19,61 +19,61 @@ constexpr std::string_view kThirdScale = "log_scale_w", kGait = "gait";
 
 /// Calls `callback` for each parameter array of the surfels, with the name of the array,
 /// its values, and the shape of one surfel's values.
-template <class Set, class Take>
-void for_each_group(Set& surfels, Take&& callback) {
-    callback("mean", surfels.mean, Shape{3});
-    callback("rotation", surfels.rotation, Shape{4});
-    callback("log_scale", surfels.log_scale, Shape{2});
-    callback("opacity_logit", surfels.opacity_logit, Shape{});
-    callback("sh", surfels.sh, Shape{kShChannels, kShCoefficients});
-    callback(kThirdScale.data(), surfels.log_scale_w, Shape{});
-    callback(kGait.data(), surfels.gait, Shape{5});
+template <class Set, class Callback>
+void for_each_parameter_array(Set& surfels, Callback&& callback) {
+    callback("mean", surfels.mean, NumpyShape{3});
+    callback("rotation", surfels.rotation, NumpyShape{4});
+    callback("log_scale", surfels.log_scale, NumpyShape{2});
+    callback("opacity_logit", surfels.opacity_logit, NumpyShape{});
+    callback("sh", surfels.sh, NumpyShape{kShChannels, kShCoefficients});
+    callback(kThirdScale.data(), surfels.log_scale_w, NumpyShape{});
+    callback(kGait.data(), surfels.gait, NumpyShape{5});
 }
 
 /// Returns true if surfels of this kind have a parameter array with this name.
-bool has_group(const Surfels& surfels, std::string_view name) {
-    if (name == kGait) return surfels.bends;
-    return name != kThirdScale || get_primitive_kind(surfels.primitive).third_scale;
+bool has_parameter_array(const Surfels& surfels, std::string_view array_name) {
+    if (array_name == kGait) return surfels.bends;
+    return array_name != kThirdScale || get_primitive_kind(surfels.primitive).third_scale;
 }
 
-Shape count_rows_of(py::ssize_t count, const Shape& row) {
-    Shape shape{count};
-    shape.insert(shape.end(), row.begin(), row.end());
+NumpyShape make_array_shape(py::ssize_t n_rows, const NumpyShape& row_shape) {
+    NumpyShape shape{n_rows};
+    shape.insert(shape.end(), row_shape.begin(), row_shape.end());
     return shape;
 }
 
 /// Returns the parameters of a scene's surfels as read-only numpy arrays, without a copy.
-py::dict to_string_view(const py::object& scene_object) {
+py::dict make_surfel_array_views(const py::object& scene_object) {
     const Surfels& surfels = scene_object.cast<const Scene&>().surfels;
     py::dict dict;
-    for_each_group(surfels, [&](const char* name, const auto& values, const Shape& row) {
-        if (!has_group(surfels, name)) return;
-        dict[name] =
-            view<float>(values, count_rows_of(static_cast<py::ssize_t>(surfels.size()), row), scene_object);
+    for_each_parameter_array(surfels, [&](const char* name, const auto& values, const NumpyShape& row) {
+        if (!has_parameter_array(surfels, name)) return;
+        dict[name] = make_read_only_array_view<float>(
+            values, make_array_shape(static_cast<py::ssize_t>(surfels.size()), row), scene_object);
     });
     return dict;
 }
 
-std::uint32_t read_count(const py::dict& dict, const char* name, const char* description) {
-    if (!dict.contains(name))
-        throw DataError(fmt::format("{}: the dict has no entry \"{}\"", description, name));
-    return dict[name].cast<std::uint32_t>();
+std::uint32_t read_uint32_entry(const py::dict& dict, const char* entry_name, const char* name_for_errors) {
+    if (!dict.contains(entry_name))
+        throw DataError(fmt::format("{}: the dict has no entry \"{}\"", name_for_errors, entry_name));
+    return dict[entry_name].cast<std::uint32_t>();
 }
 
 /// Creates a scene from surfels.
 /// @param models dicts with name, first and count; without them, all surfels form one
 /// model
 /// @param instances dicts with model and track; without them, each model has one instance
-Scene make_scene(const py::dict& surfels, const std::optional<std::vector<py::dict>>& models,
-                 const std::optional<std::vector<py::dict>>& instances) {
-    Scene scene = make_background_scene(read_surfels(surfels));
+Scene make_scene_from_dicts(const py::dict& surfel_arrays, const std::optional<std::vector<py::dict>>& models,
+                            const std::optional<std::vector<py::dict>>& instances) {
+    Scene scene = make_background_scene(read_surfels_from_arrays(surfel_arrays));
     if (models) {
         scene.models.clear();
         for (const py::dict& model : *models)
             scene.models.push_back(
                 {.name = model["name"].cast<std::string>(),
-                 .first = read_count(model, "first", "models"),
-                 .count = read_count(model, "count", "models"),
+                 .first = read_uint32_entry(model, "first", "models"),
+                 .count = read_uint32_entry(model, "count", "models"),
                  .stride_m = model.contains("stride_m") ? model["stride_m"].cast<float>() : 0.0f});
     }
     if (models || instances) {
@@ -82,37 +82,37 @@ Scene make_scene(const py::dict& surfels, const std::optional<std::vector<py::di
             scene.instances.push_back({i, i == 0 ? "" : scene.models[i].name});
         for (const py::dict& instance : instances.value_or(std::vector<py::dict>{}))
             scene.instances.push_back(
-                {read_count(instance, "model", "instances"), instance["track"].cast<std::string>()});
+                {read_uint32_entry(instance, "model", "instances"), instance["track"].cast<std::string>()});
     }
     return scene;
 }
 
-py::list list_models(const Scene& scene) {
+py::list list_models_as_dicts(const Scene& scene) {
     py::list list;
-    for (const Model& model : scene.models)
+    for (const SurfelModel& model : scene.models)
         list.append(py::dict(py::arg("name") = model.name, py::arg("first") = model.first,
                              py::arg("count") = model.count));
     return list;
 }
 
-py::list list_instances(const Scene& scene) {
+py::list list_instances_as_dicts(const Scene& scene) {
     py::list list;
-    for (const Instance& instance : scene.instances)
+    for (const ModelInstance& instance : scene.instances)
         list.append(py::dict(py::arg("model") = instance.model, py::arg("track") = instance.track));
     return list;
 }
 
 }  // namespace
 
-Surfels read_surfels(const py::dict& arrays) {
+Surfels read_surfels_from_arrays(const py::dict& arrays) {
     Surfels surfels;
     std::vector<std::string> names;
-    for_each_group(
-        surfels, [&]<class Element>(const char* name, std::vector<Element>& values, const Shape& row) {
+    for_each_parameter_array(
+        surfels, [&]<class Element>(const char* name, std::vector<Element>& values, const NumpyShape& row) {
             names.emplace_back(name);
             if (arrays.contains(name))
-                values = copy_elements<float, Element>(arrays[name], fmt::format("surfels: {}", name),
-                                                       count_rows_of(kAny, row));
+                values = copy_array_to_vector<float, Element>(arrays[name], fmt::format("surfels: {}", name),
+                                                              make_array_shape(kAny, row));
             else if (name != kThirdScale && name != kGait)
                 throw DataError(fmt::format(
                     "surfels: the array \"{}\" is missing, expected mean, rotation, log_scale, opacity_logit "
@@ -123,33 +123,33 @@ Surfels read_surfels(const py::dict& arrays) {
         const std::string text = py::str(name);
         if (std::find(names.begin(), names.end(), text) == names.end())
             throw UsageError(fmt::format("surfels: the array \"{}\" is unknown{} (known: {})", text,
-                                         suggest_name(text, names, "\""), fmt::join(names, ", ")));
+                                         format_name_suggestion(text, names, "\""), fmt::join(names, ", ")));
     }
     // Finds out the kind of primitive. Only 3D Gaussians have an array of third scales;
     // 2D surfels do not.
     const auto kind =
-        std::ranges::find(kPrimitives, arrays.contains(kThirdScale), &PrimitiveKind::third_scale);
+        std::ranges::find(kPrimitives, arrays.contains(kThirdScale), &PrimitiveProperties::third_scale);
     surfels.primitive = kind->primitive, surfels.bends = arrays.contains(kGait);
-    surfels.check_shapes();
+    surfels.check_array_lengths();
     return surfels;
 }
 
-py::dict to_dict(Surfels&& surfels) {
+py::dict convert_to_array_dict(Surfels&& surfels) {
     const auto n = static_cast<py::ssize_t>(surfels.size());
     py::dict dict;
-    for_each_group(surfels, [&](const char* name, auto& values, const Shape& row) {
-        if (!has_group(surfels, name)) return;
-        dict[name] = to_owned_array<float>(std::move(values), count_rows_of(n, row));
+    for_each_parameter_array(surfels, [&](const char* name, auto& values, const NumpyShape& row) {
+        if (!has_parameter_array(surfels, name)) return;
+        dict[name] = move_to_numpy_array<float>(std::move(values), make_array_shape(n, row));
     });
     return dict;
 }
 
-void add_scene(py::module_& module) {
+void bind_scene_class(py::module_& module) {
     py::class_<Scene, std::shared_ptr<Scene>>(
         module, "Scene",
         "Surfels, the models that they belong to, and the instances that place models. It is "
         "immutable.")
-        .def(py::init(&make_scene), py::arg("surfels"), py::arg("models") = py::none(),
+        .def(py::init(&make_scene_from_dicts), py::arg("surfels"), py::arg("models") = py::none(),
              py::arg("instances") = py::none(),
              "surfels: dict of float32 arrays: mean [n,3] metres, rotation [n,4] quaternion w x y z, "
              "log_scale [n,2] ln metres, opacity_logit [n],\n"
@@ -164,12 +164,12 @@ void add_scene(py::module_& module) {
              "Raises DataError for arrays of wrong shape, dtype or order. Whether models and "
              "instances fit together is checked when the scene is rendered.")
         .def_property_readonly(
-            "surfels", [](const py::object& scene) { return to_string_view(scene); },
+            "surfels", [](const py::object& scene) { return make_surfel_array_views(scene); },
             "The arrays, read-only and not copied.")
         .def_property_readonly(
-            "models", &list_models,
+            "models", &list_models_as_dicts,
             "Dicts of name, first (index of the first surfel) and count (number of surfels).")
-        .def_property_readonly("instances", &list_instances,
+        .def_property_readonly("instances", &list_instances_as_dicts,
                                "Dicts of model and track. Instance 0 is the background.")
         .def(
             "__len__", [](const Scene& scene) { return scene.surfels.size(); }, "Number of surfels.");

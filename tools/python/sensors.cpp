@@ -19,7 +19,7 @@ constexpr float kUnit = 1e-3f;  // Largest accepted difference between the lengt
 
 /// Checks the rays of a sensor that a Python user has defined.
 /// @throws DataError if a ray is not finite, or if its direction does not have length 1
-void check_rays(const RayTable& rays) {
+void check_ray_values(const RayTable& rays) {
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const float length = glm::length(rays.direction[i]);
         if (!(std::abs(length - 1.0f) <= kUnit))
@@ -30,73 +30,78 @@ void check_rays(const RayTable& rays) {
     }
 }
 
-RayTable read_ray_table(const py::dict& dict) {
+RayTable read_ray_table_from_dict(const py::dict& dict) {
     if (!dict.contains("directions"))
         throw DataError(
             "sensor: the dict has no entry \"directions\", expected rays with the names of an npz "
             "file");
     const py::object directions = dict["directions"];
-    check_array(directions, "sensor: directions", py::dtype::of<float>(), {kAny, kAny, 3});
+    check_numpy_array(directions, "sensor: directions", py::dtype::of<float>(), {kAny, kAny, 3});
     const auto array = py::reinterpret_borrow<py::array>(directions);
-    const Shape image{array.shape(0), array.shape(1)}, vectors{image[0], image[1], 3};
+    const NumpyShape image{array.shape(0), array.shape(1)}, vectors{image[0], image[1], 3};
     RayTable rays;
     rays.rows = static_cast<int>(image[0]);
     rays.columns = static_cast<int>(image[1]);
     rays.direction =
-        to_scan_array(copy_elements<float, glm::vec3>(directions, "sensor: directions", vectors));
-    const auto given = [&](const char* name) {
+        to_scan_array(copy_array_to_vector<float, glm::vec3>(directions, "sensor: directions", vectors));
+    const auto get_optional_array = [&](const char* name) {
         return dict.contains(name) ? py::object(dict[name]) : py::object();
     };
     const std::size_t n = rays.size();
-    const py::object origin = given("origin"), time = given("time"), ring = given("ring");
+    const py::object origin = get_optional_array("origin"), time = get_optional_array("time"),
+                     ring = get_optional_array("ring");
     rays.origin.resize(n);
     rays.time_offset_s.resize(n);
     rays.channel.resize(n);
     if (origin)
-        rays.origin = to_scan_array(copy_elements<float, glm::vec3>(origin, "sensor: origin", vectors));
-    if (time) rays.time_offset_s = to_scan_array(copy_elements<float, float>(time, "sensor: time", image));
+        rays.origin =
+            to_scan_array(copy_array_to_vector<float, glm::vec3>(origin, "sensor: origin", vectors));
+    if (time)
+        rays.time_offset_s = to_scan_array(copy_array_to_vector<float, float>(time, "sensor: time", image));
     if (ring)
         rays.channel =
-            to_scan_array(copy_elements<std::uint16_t, std::uint16_t>(ring, "sensor: ring", image));
-    check_rays(rays);
+            to_scan_array(copy_array_to_vector<std::uint16_t, std::uint16_t>(ring, "sensor: ring", image));
+    check_ray_values(rays);
     return rays;
 }
 
 }  // namespace
 
-SensorChoice get_sensor(const py::handle& sensor, const Run& run, int lidar) {
-    if (sensor.is_none()) return make_configured_sensor(run.config, run.sequence, lidar);
+SimulatedSensor make_sensor_from_python(const py::handle& sensor, const TrainedRun& run, int lidar_index) {
+    if (sensor.is_none()) return make_configured_sensor(run.config, run.sequence, lidar_index);
     if (py::isinstance<py::str>(sensor))
-        return choose_sensor(sensor.cast<std::string>(), run.config, run.sequence, lidar);
+        return choose_sensor(sensor.cast<std::string>(), run.config, run.sequence, lidar_index);
     if (!py::isinstance<py::dict>(sensor))
         throw UsageError(
             "sensor: found an unsupported type, expected a name from relidar.sensors(), the path of "
             "a sensor file, or a dict with \"directions\"");
-    SensorChoice choice;
-    choice.rays = read_ray_table(py::reinterpret_borrow<py::dict>(sensor));
+    SimulatedSensor choice;
+    choice.rays = read_ray_table_from_dict(py::reinterpret_borrow<py::dict>(sensor));
     choice.limits = {run.config.dataset.min_range_m, run.config.dataset.max_range_m};
     choice.name = "rays";
-    choice.lidar = lidar;
+    choice.lidar = lidar_index;
     return choice;
 }
 
-py::dict to_dict(const RayTable& rays) {
-    const Shape image{rays.rows, rays.columns}, vectors{rays.rows, rays.columns, 3};
+py::dict convert_to_array_dict(const RayTable& rays) {
+    const NumpyShape image{rays.rows, rays.columns}, vectors{rays.rows, rays.columns, 3};
     py::dict dict;
-    dict["directions"] = to_owned_array<float>(to_vector(rays.direction), vectors);
-    dict["origin"] = to_owned_array<float>(to_vector(rays.origin), vectors);
-    dict["time"] = to_owned_array<float>(to_vector(rays.time_offset_s), image);
-    dict["ring"] = to_owned_array<std::uint16_t>(to_vector(rays.channel), image);
+    dict["directions"] = move_to_numpy_array<float>(to_vector(rays.direction), vectors);
+    dict["origin"] = move_to_numpy_array<float>(to_vector(rays.origin), vectors);
+    dict["time"] = move_to_numpy_array<float>(to_vector(rays.time_offset_s), image);
+    dict["ring"] = move_to_numpy_array<std::uint16_t>(to_vector(rays.channel), image);
     return dict;
 }
 
-void add_sensors(py::module_& module) {
+void bind_sensor_functions(py::module_& module) {
     module.def("sensors", &list_sensor_names,
                "Returns the names of the sensors that rays() and Run.render() accept in addition to "
                "\"native\", the sensor of the log.");
     module.def(
         "rays",
-        [](const std::string& sensor, double time) { return to_dict(make_rays(find_sensor(sensor), time)); },
+        [](const std::string& sensor, double time) {
+            return convert_to_array_dict(make_rays(find_sensor(sensor), time));
+        },
         py::arg("sensor"), py::arg("time") = 0.0,
         "Returns the rays of one scan of a sensor. The sensor is a name or a file: a beam table "
         "such as \"beams.csv:1024x10\", a ray table, or\n"

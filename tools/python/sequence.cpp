@@ -24,150 +24,156 @@ namespace {
 
 namespace fs = std::filesystem;
 
-Log load(const std::string& dataset, const std::optional<Config>& config, const Tell& progress) {
-    Log log{{}, config.value_or(make_preset("default"))};
-    log.config.dataset.path = make_dataset_absolute(dataset);
+LoadedLog load_dataset_log(const std::string& dataset_path, const std::optional<Config>& config,
+                           const PythonProgressCallback& progress) {
+    LoadedLog log{{}, config.value_or(make_preset("default"))};
+    log.config.dataset.path = make_dataset_path_absolute(dataset_path);
     const py::gil_scoped_release others_run;
-    log.sequence = load_log(log.config, collect_into(progress));
-    log.config = use_farthest_return(std::move(log.config), log.sequence);
+    log.sequence = load_log(log.config, make_progress_callback(progress));
+    log.config = resolve_max_range(std::move(log.config), log.sequence);
     return log;
 }
 
-py::dict scan_of(const Log& log, int position) {
-    const std::vector<Frame>& frames = log.sequence.frames;
-    if (position < 0 || position >= static_cast<int>(frames.size()))
+py::dict make_scan_dict(const LoadedLog& log, int frame_position) {
+    const std::vector<LidarFrame>& frames = log.sequence.frames;
+    if (frame_position < 0 || frame_position >= static_cast<int>(frames.size()))
         throw py::index_error(
-            fmt::format("cannot read scan {}: the log has only {} frames", position, frames.size()));
-    const Scan& scan = frames[static_cast<std::size_t>(position)].scan;
-    const Shape image{scan.rays.rows, scan.rays.columns};
+            fmt::format("cannot read scan {}: the log has only {} frames", frame_position, frames.size()));
+    const Scan& scan = frames[static_cast<std::size_t>(frame_position)].scan;
+    const NumpyShape image{scan.rays.rows, scan.rays.columns};
     RayTable rays = scan.rays;
     // In a motion-compensated log, all points of a frame have the same time, so all time
     // offsets are 0.
     if (!log.sequence.rolling_shutter) std::ranges::fill(rays.time_offset_s, 0.0f);
-    py::dict dict = to_dict(rays);
-    dict["range"] = to_owned_array<float>(to_vector(scan.range_m), image);
-    dict["intensity"] = to_owned_array<float>(to_vector(scan.intensity), image);
+    py::dict dict = convert_to_array_dict(rays);
+    dict["range"] = move_to_numpy_array<float>(to_vector(scan.range_m), image);
+    dict["intensity"] = move_to_numpy_array<float>(to_vector(scan.intensity), image);
     std::vector<std::int32_t> classes;
     for (const SurfaceClass surface : scan.classes) classes.push_back(std::int32_t(surface));
-    if (!classes.empty()) dict["class"] = to_owned_array<std::int32_t>(std::move(classes), image);
+    if (!classes.empty()) dict["class"] = move_to_numpy_array<std::int32_t>(std::move(classes), image);
     return dict;
 }
 
-std::vector<std::string> list_box_names(const Sequence& sequence) {
+std::vector<std::string> list_box_names(const LidarSequence& sequence) {
     std::vector<std::string> names;
     for (const BoxTrack& box : sequence.boxes) names.push_back(box.id);
     return names;
 }
 
-void save_street(const fs::path& folder, std::uint64_t seed, int n_frames, int rows, int columns, bool people,
-                 bool gait) {
+void save_synthetic_street(const fs::path& folder, std::uint64_t seed, int n_frames, int rows, int columns,
+                           bool with_people, bool with_gait) {
     SyntheticOptions options;
     options.seed = seed;
     options.n_frames = n_frames;
     options.rows = rows;
     options.columns = columns;
-    options.people = people;
-    options.gait = gait;
-    save_synthetic(options, folder);
+    options.people = with_people;
+    options.gait = with_gait;
+    save_synthetic_options(options, folder);
 }
 
 }  // namespace
 
-py::object list_times(const Sequence& sequence) {
+py::object make_frame_time_array(const LidarSequence& sequence) {
     std::vector<double> times;
-    for (const Frame& frame : sequence.frames) times.push_back(frame.time_s);
-    return to_owned_array<double>(std::move(times), {static_cast<py::ssize_t>(sequence.frames.size())});
+    for (const LidarFrame& frame : sequence.frames) times.push_back(frame.time_s);
+    return move_to_numpy_array<double>(std::move(times), {static_cast<py::ssize_t>(sequence.frames.size())});
 }
 
-py::object list_frame_numbers(const Sequence& sequence) {
+py::object make_frame_number_array(const LidarSequence& sequence) {
     std::vector<std::int32_t> numbers;
-    for (const Frame& frame : sequence.frames) numbers.push_back(frame.index);
-    return to_owned_array<std::int32_t>(std::move(numbers),
-                                        {static_cast<py::ssize_t>(sequence.frames.size())});
+    for (const LidarFrame& frame : sequence.frames) numbers.push_back(frame.index);
+    return move_to_numpy_array<std::int32_t>(std::move(numbers),
+                                             {static_cast<py::ssize_t>(sequence.frames.size())});
 }
 
-py::object make_trajectory(const Sequence& sequence) {
-    return to_track(sequence.world_from_vehicle, sequence.world_offset_m);
+py::object make_vehicle_trajectory(const LidarSequence& sequence) {
+    return convert_to_times_and_poses(sequence.world_from_vehicle, sequence.world_offset_m);
 }
 
-py::object list_lidars(const Sequence& sequence) {
+py::object list_lidar_name_per_frame(const LidarSequence& sequence) {
     py::list names;
-    for (const Frame& frame : sequence.frames) names.append(sequence.get_lidar(frame).name);
+    for (const LidarFrame& frame : sequence.frames) names.append(sequence.get_lidar(frame).name);
     return names;
 }
 
-py::object list_mountings(const Sequence& sequence) {
+py::object make_lidar_mounting_dict(const LidarSequence& sequence) {
     py::dict mountings;
     for (const Lidar& lidar : sequence.lidars)
-        mountings[py::str(lidar.name)] = to_matrix_array(lidar.vehicle_from_sensor);
+        mountings[py::str(lidar.name)] = convert_to_matrix_array(lidar.vehicle_from_sensor);
     return mountings;
 }
 
-py::object list_actors(const Sequence& sequence, const std::vector<std::string>& names) {
+py::object make_actor_track_dict(const LidarSequence& sequence, const std::vector<std::string>& track_names) {
     py::dict actors;
     for (const BoxTrack& box : sequence.boxes)
-        if (std::find(names.begin(), names.end(), box.id) != names.end())
-            actors[py::str(box.id)] = to_track(box.world_from_box, sequence.world_offset_m);
+        if (std::find(track_names.begin(), track_names.end(), box.id) != track_names.end())
+            actors[py::str(box.id)] = convert_to_times_and_poses(box.world_from_box, sequence.world_offset_m);
     return actors;
 }
 
 namespace {
 
-void add_sequence_class(py::module_& module) {
-    py::class_<Log>(module, "Sequence",
-                    "A LiDAR log with scans, rays, sensor poses and tracked boxes. load_sequence() creates "
-                    "it.")
+void bind_sequence_class(py::module_& module) {
+    py::class_<LoadedLog>(
+        module, "Sequence",
+        "A LiDAR log with scans, rays, sensor poses and tracked boxes. load_sequence() creates "
+        "it.")
         .def(
-            "__len__", [](const Log& log) { return log.sequence.frames.size(); }, "Number of frames.")
-        .def_property_readonly("name", [](const Log& log) { return log.sequence.name; })
+            "__len__", [](const LoadedLog& log) { return log.sequence.frames.size(); }, "Number of frames.")
+        .def_property_readonly("name", [](const LoadedLog& log) { return log.sequence.name; })
         .def_property_readonly(
-            "notes", [](const Log& log) { return log.sequence.notes; },
+            "notes", [](const LoadedLog& log) { return log.sequence.notes; },
             "Notes about missing data of the log, one line each.")
         .def_property_readonly(
-            "config", [](const Log& log) { return log.config; },
+            "config", [](const LoadedLog& log) { return log.config; },
             "A copy of the settings that the log was read with.")
         .def_property_readonly(
-            "times", [](const Log& log) { return list_times(log.sequence); },
+            "times", [](const LoadedLog& log) { return make_frame_time_array(log.sequence); },
             "Times in seconds at which the head of the LiDAR faced forward, [frames] float64.")
         .def_property_readonly(
-            "frame_numbers", [](const Log& log) { return list_frame_numbers(log.sequence); },
+            "frame_numbers", [](const LoadedLog& log) { return make_frame_number_array(log.sequence); },
             "Frame numbers of the dataset, [frames] int32.")
         .def_property_readonly(
-            "frame_lidars", [](const Log& log) { return list_lidars(log.sequence); },
+            "frame_lidars", [](const LoadedLog& log) { return list_lidar_name_per_frame(log.sequence); },
             "Name of the LiDAR of each frame, [frames]. Empty if the log has a single LiDAR.")
         .def_property_readonly(
-            "trajectory", [](const Log& log) { return make_trajectory(log.sequence); },
+            "trajectory", [](const LoadedLog& log) { return make_vehicle_trajectory(log.sequence); },
             "Trajectory of the vehicle in the dataset's world: (times [n], poses [n,4,4]), float64, "
             "metres. For a single LiDAR, it is the trajectory of the sensor.")
         .def_property_readonly(
-            "mountings", [](const Log& log) { return list_mountings(log.sequence); },
+            "mountings", [](const LoadedLog& log) { return make_lidar_mounting_dict(log.sequence); },
             "Mountings of the LiDARs: dict of LiDAR name -> pose vehicle from sensor, [4,4] float64. A "
             "single LiDAR has an empty name and the identity.")
         .def_property_readonly(
-            "boxes", [](const Log& log) { return list_actors(log.sequence, list_box_names(log.sequence)); },
+            "boxes",
+            [](const LoadedLog& log) {
+                return make_actor_track_dict(log.sequence, list_box_names(log.sequence));
+            },
             "Trajectories of the labelled boxes in the dataset's world: dict of track -> (times [n], poses "
             "[n,4,4]) of the centre of the box.")
         .def(
             "rays",
-            [](const Log& log, const std::string& lidar) {
-                return to_dict(
-                    make_rays(log.sequence.lidars[std::size_t(find_lidar(log.sequence, lidar))].sensor));
+            [](const LoadedLog& log, const std::string& lidar) {
+                return convert_to_array_dict(make_rays(
+                    log.sequence.lidars[std::size_t(find_lidar_index_by_name(log.sequence, lidar))].sensor));
             },
             py::arg("lidar") = "",
             "Returns the rays of a LiDAR of the log, in the form of relidar.rays(). Empty name: the "
             "first LiDAR.")
-        .def("scan", &scan_of, py::arg("position"),
+        .def("scan", &make_scan_dict, py::arg("position"),
              "Returns the scan of a frame: the arrays of relidar.rays(), range [rows,columns] float32 "
              "(metres along the ray, 0 if dropped) and intensity.\n\n"
              "position: 0 ... len(sequence) - 1");
 }
 
-void add_loading(py::module_& module) {
+void bind_loading_functions(py::module_& module) {
     module.def(
         "load_sequence",
-        [](const py::object& dataset, const std::optional<Config>& config, const Tell& progress) {
-            return load(py::module_::import("os").attr("fspath")(dataset).cast<std::string>(), config,
-                        progress);
+        [](const py::object& dataset, const std::optional<Config>& config,
+           const PythonProgressCallback& progress) {
+            return load_dataset_log(py::module_::import("os").attr("fspath")(dataset).cast<std::string>(),
+                                    config, progress);
         },
         py::arg("dataset"), py::arg("config") = py::none(), py::arg("progress") = py::none(),
         "Reads a log.\n\n"
@@ -177,7 +183,7 @@ void add_loading(py::module_& module) {
         "\"default\"\n"
         "progress: called with the name of a step and its progress from 0 to 1\n\n"
         "Raises DataError with the name of the file and a description of the error.");
-    module.def("save_street", &save_street, py::arg("folder"), py::kw_only(), py::arg("seed") = 1,
+    module.def("save_street", &save_synthetic_street, py::arg("folder"), py::kw_only(), py::arg("seed") = 1,
                py::arg("n_frames") = 30, py::arg("rows") = 32, py::arg("columns") = 512,
                py::arg("people") = false, py::arg("gait") = false,
                "Writes the synthetic street of `relidar demo` as a folder that load_sequence() reads. "
@@ -187,9 +193,9 @@ void add_loading(py::module_& module) {
 
 }  // namespace
 
-void add_sequence(py::module_& module) {
-    add_sequence_class(module);
-    add_loading(module);
+void bind_sequence_class_and_loading(py::module_& module) {
+    bind_sequence_class(module);
+    bind_loading_functions(module);
 }
 
 }  // namespace relidar::python

@@ -10,25 +10,28 @@
 
 namespace relidar::python {
 
-struct Log {
-    Sequence sequence;
+struct LoadedLog {
+    LidarSequence sequence;
     /// settings; config.dataset and config.sensor.rolling_shutter have the values with
     /// which the log was loaded
     Config config;
 };
 
 /// The following functions return the frames and poses of a log.
-pybind11::object list_times(const Sequence& sequence);  ///< Returns the frame times, [frames] float64.
-pybind11::object list_frame_numbers(
-    const Sequence& sequence);                           ///< Returns the frame numbers, [frames] int32.
-pybind11::object list_lidars(const Sequence& sequence);  ///< Returns the LiDAR name of each frame.
+pybind11::object make_frame_time_array(
+    const LidarSequence& sequence);  ///< Returns the frame times, [frames] float64.
+pybind11::object make_frame_number_array(
+    const LidarSequence& sequence);  ///< Returns the frame numbers, [frames] int32.
+pybind11::object list_lidar_name_per_frame(
+    const LidarSequence& sequence);  ///< Returns the LiDAR name of each frame.
 /// Returns the path of the vehicle as (times, poses) in the world frame of the dataset.
-pybind11::object make_trajectory(const Sequence& sequence);
-pybind11::object list_mountings(
+pybind11::object make_vehicle_trajectory(const LidarSequence& sequence);
+pybind11::object make_lidar_mounting_dict(
     /// Returns a dict from the LiDAR name to the mounting pose vehicle_from_sensor.
-    const Sequence& sequence);
+    const LidarSequence& sequence);
 /// Returns a dict from the track name to (times, poses). The poses are poses of the box
 /// centre.
-pybind11::object list_actors(const Sequence& sequence, const std::vector<std::string>& names);
+pybind11::object make_actor_track_dict(const LidarSequence& sequence,
+                                       const std::vector<std::string>& track_names);
 
 }  // namespace relidar::python

@@ -30,7 +30,7 @@ struct TrainArguments {
 
 /// Returns the user's settings for a training, except settings that were fixed when the
 /// log was loaded.
-Config choose_config(const Log& log, const std::optional<Config>& requested_config) {
+Config merge_training_config(const LoadedLog& log, const std::optional<Config>& requested_config) {
     Config config = requested_config.value_or(log.config);
     config.dataset = log.config.dataset;
     if (requested_config) {
@@ -42,117 +42,120 @@ Config choose_config(const Log& log, const std::optional<Config>& requested_conf
 }
 
 std::optional<Checkpoint> load_resume_checkpoint(const TrainArguments& arguments,
-                                                 const std::function<void(const std::string&)>& note) {
+                                                 const std::function<void(const std::string&)>& print_note) {
     if (!arguments.resume) return std::nullopt;
     if (!arguments.checkpoints)
         throw UsageError(
             "train: resume=True needs the argument checkpoints, which is the folder that contains "
             "the checkpoints");
-    return load_newest_checkpoint(*arguments.checkpoints, note);
+    return load_newest_checkpoint(*arguments.checkpoints, print_note);
 }
 
-TrainResult run_training(OpenDevice& open, Run& run, const TrainArguments& arguments, PythonCalls& python) {
+TrainResult run_training(LockableDevice& device, TrainedRun& run, const TrainArguments& arguments,
+                         PythonCallGuard& python_calls) {
     const auto note = [&](const std::string& line) {
-        python([&] {
+        python_calls([&] {
             if (arguments.note) (*arguments.note)(line);
         });
     };
-    const auto stop = [&] { return !python.can_continue(); };
+    const auto stop = [&] { return !python_calls.can_continue(); };
     const std::optional<Checkpoint> start = load_resume_checkpoint(arguments, note);
-    const DeviceUse use(open);
+    const DeviceLock use(device);
     prepare_log(run.sequence, run.split, run.config,
-                {note, stop, [&](std::string_view, double) { (void)python.can_continue(); }});
-    if (start) check_resumable(*start, run.sequence, run.split, run.config);
+                {note, stop, [&](std::string_view, double) { (void)python_calls.can_continue(); }});
+    if (start) check_training_resumable(*start, run.sequence, run.split, run.config);
     const auto report = [&](const TrainProgress& line) {
         bool go_on = true;
-        return python([&] {
+        return python_calls([&] {
                    if (arguments.callback) go_on = !(*arguments.callback)(line).is(py::bool_(false));
                }) &&
                go_on;
     };
-    return train(open.device, run.sequence, run.split, run.config, report,
+    return train(device.device, run.sequence, run.split, run.config, report,
                  {arguments.checkpoints.value_or(""), start ? &*start : nullptr, stop, note, {}});
 }
 
 /// Aligns the held-out scans with the trained scene.
-void place_held_out_scans(OpenDevice& open, Run& run, PythonCalls& python) {
-    const DeviceUse use(open);
-    place_held_out(open.device, run, {{}, [&] { return !python.can_continue(); }});
-    python.rethrow();
+void align_held_out_scans(LockableDevice& device, TrainedRun& run, PythonCallGuard& python_calls) {
+    const DeviceLock use(device);
+    place_held_out(device.device, run, {{}, [&] { return !python_calls.can_continue(); }});
+    python_calls.rethrow_stored_exception();
 }
 
 /// Measures the noise of the LiDAR intensities.
-void run_scatter_fit(OpenDevice& open, Run& run, PythonCalls& python) {
-    const DeviceUse use(open);
-    run.intensity_scatter = learn_scatter(open.device, run, {{}, [&] { return !python.can_continue(); }});
-    python.rethrow();
+void fit_intensity_noise(LockableDevice& device, TrainedRun& run, PythonCallGuard& python_calls) {
+    const DeviceLock use(device);
+    run.intensity_scatter =
+        learn_scatter(device.device, run, {{}, [&] { return !python_calls.can_continue(); }});
+    python_calls.rethrow_stored_exception();
 }
 
 /// Trains the ray-drop network. Only prints a note if the log has no suitable training
 /// data, or if the checkpoint belongs to another network.
-void run_drop_refinement(OpenDevice& open, Run& run, const TrainArguments& arguments, PythonCalls& python) {
+void train_ray_drop_network(LockableDevice& device, TrainedRun& run, const TrainArguments& arguments,
+                            PythonCallGuard& python_calls) {
     const auto note = [&](const std::string& line) {
-        if (arguments.note) python([&] { (*arguments.note)(line); });
+        if (arguments.note) python_calls([&] { (*arguments.note)(line); });
     };
     const fs::path folder = arguments.checkpoints ? *arguments.checkpoints / kRefineCheckpoints : fs::path();
     std::optional<Checkpoint> start;
     try {
         if (arguments.resume) start = load_newest_checkpoint(folder, note);
-        if (start) check_refine_resumable(*start, run);
+        if (start) check_network_training_resumable(*start, run);
     } catch (const Error& error) {
         note(error.what());
         start.reset();
     }
     try {
-        const DeviceUse use(open);
-        run.drop_network = refine_drops(open.device, run,
-                                        {.stop = [&] { return !python.can_continue(); },
+        const DeviceLock use(device);
+        run.drop_network = refine_drops(device.device, run,
+                                        {.stop = [&] { return !python_calls.can_continue(); },
                                          .checkpoints = folder,
                                          .start = start ? &*start : nullptr,
                                          .note = note});
     } catch (const DataError& error) {
         note(error.what());
     }
-    python.rethrow();
+    python_calls.rethrow_stored_exception();
     if (!folder.empty()) remove_checkpoints(folder);
 }
 
-std::unique_ptr<LoadedRun> train_run(const Log& log, const TrainArguments& arguments) {
-    const Config config = choose_config(log, arguments.config);
-    Run run{{},
-            config,
-            log.sequence,
-            split_frames(log.sequence, config.dataset.test_every, config.dataset.test_frames),
-            {}};
+std::unique_ptr<LoadedRun> train_run(const LoadedLog& log, const TrainArguments& arguments) {
+    const Config config = merge_training_config(log, arguments.config);
+    TrainedRun run{{},
+                   config,
+                   log.sequence,
+                   split_frames(log.sequence, config.dataset.test_every, config.dataset.test_frames),
+                   {}};
     const SharedDevice device = get_device_or_default(arguments.device);
-    PythonCalls python;
+    PythonCallGuard python;
     TrainResult result;
     try {
         result = run_training(*device, run, arguments, python);
     } catch (const Error&) {
         // If a Python callback raised an exception, raises this exception instead of the
         // error of the library.
-        python.rethrow();
+        python.rethrow_stored_exception();
         throw;
     }
-    python.rethrow();
+    python.rethrow_stored_exception();
     move_result_into_run(run, result);
-    if (!result.interrupted) place_held_out_scans(*device, run, python);
-    if (!result.interrupted) run_scatter_fit(*device, run, python);
-    if (config.refine.enabled && !result.interrupted) run_drop_refinement(*device, run, arguments, python);
-    for (Frame& frame : run.sequence.frames) frame.scan = {};
+    if (!result.interrupted) align_held_out_scans(*device, run, python);
+    if (!result.interrupted) fit_intensity_noise(*device, run, python);
+    if (config.refine.enabled && !result.interrupted) train_ray_drop_network(*device, run, arguments, python);
+    for (LidarFrame& frame : run.sequence.frames) frame.scan = {};
     return std::make_unique<LoadedRun>(std::move(run), device);
 }
 
-py::dict make_terms_dict(const TrainProgress& line) {
+py::dict make_loss_terms_dict(const TrainProgress& progress) {
     py::dict terms;
-    for (std::size_t k = 0; k < line.terms.size(); ++k) terms[kLossTermNames[k]] = line.terms[k];
+    for (std::size_t k = 0; k < progress.terms.size(); ++k) terms[kLossTermNames[k]] = progress.terms[k];
     return terms;
 }
 
 }  // namespace
 
-void add_train(py::module_& module) {
+void bind_train_function(py::module_& module) {
     py::class_<TrainProgress>(module, "TrainProgress", "One line of the training log.")
         .def_readonly("iteration", &TrainProgress::iteration)
         .def_readonly("n_iterations", &TrainProgress::n_iterations)
@@ -160,11 +163,11 @@ void add_train(py::module_& module) {
         .def_readonly("iterations_per_second", &TrainProgress::iterations_per_second)
         .def_readonly("eta_s", &TrainProgress::eta_s)
         .def_readonly("loss", &TrainProgress::loss, "Mean loss over the iterations since the previous line.")
-        .def_property_readonly("terms", &make_terms_dict, "Dict of name -> weighted term of the loss.")
+        .def_property_readonly("terms", &make_loss_terms_dict, "Dict of name -> weighted term of the loss.")
         .def_readonly("n_surfels", &TrainProgress::n_surfels);
     module.def(
         "train",
-        [](const Log& sequence, std::optional<Config> config,
+        [](const LoadedLog& sequence, std::optional<Config> config,
            std::optional<std::function<py::object(const TrainProgress&)>> callback,
            std::optional<std::function<void(const std::string&)>> note, std::optional<fs::path> checkpoints,
            bool resume, SharedDevice device) {

@@ -13,10 +13,10 @@ extern char** environ;
 
 namespace relidar::cli {
 
-void open_in_browser(const std::string& address) {
+void open_in_browser(const std::string& url_or_path) {
     // Starts the program without a shell, because the address may contain special
     // characters.
-    std::string program = "xdg-open", argument = address;
+    std::string program = "xdg-open", argument = url_or_path;
     char* const arguments[] = {program.data(), argument.data(), nullptr};
     posix_spawn_file_actions_t quiet;
     posix_spawn_file_actions_init(&quiet);
@@ -27,7 +27,7 @@ void open_in_browser(const std::string& address) {
     const int failed = posix_spawnp(&process, program.c_str(), &quiet, nullptr, arguments, environ);
     posix_spawn_file_actions_destroy(&quiet);
     if (failed != 0)
-        note(fmt::format("cannot open a browser: xdg-open is missing; open {} yourself", address));
+        print_note(fmt::format("cannot open a browser: xdg-open is missing; open {} yourself", url_or_path));
 }
 
 }  // namespace relidar::cli

@@ -8,6 +8,6 @@ namespace relidar::cli {
 
 /// Opens a URL or a file with the program xdg-open. If xdg-open is missing, prints a note
 /// with the address.
-void open_in_browser(const std::string& address);
+void open_in_browser(const std::string& url_or_path);
 
 }  // namespace relidar::cli

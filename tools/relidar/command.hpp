@@ -17,27 +17,27 @@ class App;
 namespace relidar::cli {
 
 /// The typed command line, and the function that runs the chosen command.
-struct Call {
+struct ParsedCommand {
     std::string command_line;   ///< Command line as the user typed it. Reports show this text.
     std::function<void()> run;  ///< Runs the chosen command. Throws an exception if the command fails.
 };
 
 /// Adds all commands to the parser.
-void add_commands(CLI::App& app, Call& call);
+void add_commands(CLI::App& app, ParsedCommand& selected_command);
 
-void add_list(CLI::App& app, Call& call);
-void add_convert(CLI::App& app, Call& call);
-void add_info(CLI::App& app, Call& call);
-void add_train(CLI::App& app, Call& call);
-void add_refine(CLI::App& app, Call& call);
-void add_serve(CLI::App& app, Call& call);
-void add_edit(CLI::App& app, Call& call);
-void add_assets(CLI::App& app, Call& call);
-void add_render(CLI::App& app, Call& call);
-void add_eval(CLI::App& app, Call& call);
-void add_export(CLI::App& app, Call& call);
-void add_demo(CLI::App& app, Call& call);
-void add_view(CLI::App& app, Call& call);
-void add_check(CLI::App& app, Call& call);
+void add_list_command(CLI::App& app, ParsedCommand& selected_command);
+void add_convert_command(CLI::App& app, ParsedCommand& selected_command);
+void add_info_command(CLI::App& app, ParsedCommand& selected_command);
+void add_train_command(CLI::App& app, ParsedCommand& selected_command);
+void add_refine_command(CLI::App& app, ParsedCommand& selected_command);
+void add_serve_command(CLI::App& app, ParsedCommand& selected_command);
+void add_edit_command(CLI::App& app, ParsedCommand& selected_command);
+void add_assets_command(CLI::App& app, ParsedCommand& selected_command);
+void add_render_command(CLI::App& app, ParsedCommand& selected_command);
+void add_eval_command(CLI::App& app, ParsedCommand& selected_command);
+void add_export_command(CLI::App& app, ParsedCommand& selected_command);
+void add_demo_command(CLI::App& app, ParsedCommand& selected_command);
+void add_view_command(CLI::App& app, ParsedCommand& selected_command);
+void add_check_command(CLI::App& app, ParsedCommand& selected_command);
 
 }  // namespace relidar::cli

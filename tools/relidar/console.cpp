@@ -24,7 +24,7 @@ bool line_open = false;
 
 /// Returns the number of terminal columns that a text needs. Assumes that each UTF-8
 /// character needs one column.
-std::size_t compute_text_width(const std::string& text) {
+std::size_t count_terminal_columns(const std::string& text) {
     return static_cast<std::size_t>(std::count_if(text.begin(), text.end(), [](char character) {
         return (static_cast<unsigned char>(character) & 0xC0) != 0x80;
     }));
@@ -32,13 +32,13 @@ std::size_t compute_text_width(const std::string& text) {
 
 /// Cuts a line to the width of the terminal. A longer line would wrap, and the next
 /// progress line could not overwrite a wrapped line.
-std::string shorten_to_terminal(const std::string& text) {
+std::string truncate_to_terminal_width(const std::string& text) {
     winsize size{};
-    const bool known = ::ioctl(STDERR_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col > 1;
-    return text.substr(0, known ? size.ws_col - 1u : std::string::npos);
+    const bool is_width_known = ::ioctl(STDERR_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col > 1;
+    return text.substr(0, is_width_known ? size.ws_col - 1u : std::string::npos);
 }
 
-bool is_number(const std::string& text) {
+bool is_numeric_cell(const std::string& text) {
     return text.empty() || text == "-" || std::isdigit(static_cast<unsigned char>(text.front())) ||
            (text.size() > 1 && text.front() == '-' && std::isdigit(static_cast<unsigned char>(text[1])));
 }
@@ -52,15 +52,15 @@ std::string format_table(const std::vector<std::vector<std::string>>& rows) {
         widths.resize(std::max(widths.size(), rows[r].size()), 0);
         right.resize(widths.size(), true);
         for (std::size_t c = 0; c < rows[r].size(); ++c) {
-            widths[c] = std::max(widths[c], compute_text_width(rows[r][c]));
-            if (r > 0 && !is_number(rows[r][c])) right[c] = false;
+            widths[c] = std::max(widths[c], count_terminal_columns(rows[r][c]));
+            if (r > 0 && !is_numeric_cell(rows[r][c])) right[c] = false;
         }
     }
     std::string text;
     for (const auto& row : rows) {
         std::string line;
         for (std::size_t c = 0; c < row.size(); ++c) {
-            const std::string gap(widths[c] - compute_text_width(row[c]), ' ');
+            const std::string gap(widths[c] - count_terminal_columns(row[c]), ' ');
             line += (c > 0 ? "  " : "") + (right[c] ? gap + row[c] : row[c] + gap);
         }
         text += line.substr(0, line.find_last_not_of(' ') + 1) + "\n";
@@ -83,15 +83,15 @@ std::string format_byte_size(std::uint64_t n_bytes) {
     return unit == 0 ? fmt::format("{} B", n_bytes) : fmt::format("{:.1f} {}", value, kUnits[unit]);
 }
 
-std::string format_short_number(double value) { return fmt::format("{:.4g}", value); }
+std::string format_four_significant_digits(double value) { return fmt::format("{:.4g}", value); }
 
-std::string join_lines(std::string text) {
+std::string replace_control_characters(std::string text) {
     std::replace_if(
         text.begin(), text.end(), [](unsigned char character) { return std::iscntrl(character) != 0; }, ' ');
     return text;
 }
 
-std::string quote_shell_word(const std::string& word) {
+std::string quote_word_for_shell(const std::string& word) {
     const bool plain = !word.empty() && std::all_of(word.begin(), word.end(), [](unsigned char character) {
         return std::isalnum(character) ||
                std::string("-_./=:,+%@").find(static_cast<char>(character)) != std::string::npos;
@@ -104,9 +104,9 @@ std::string quote_shell_word(const std::string& word) {
 
 void print(const std::string& text) { std::fputs(text.c_str(), stdout); }
 
-void note(const std::string& text) {
+void print_note(const std::string& text) {
     end_progress_line();
-    std::fputs(("relidar: note: " + join_lines(text) + "\n").c_str(), stderr);
+    std::fputs(("relidar: note: " + replace_control_characters(text) + "\n").c_str(), stderr);
     std::fflush(stderr);
 }
 
@@ -115,32 +115,35 @@ void end_progress_line() {
     line_open = false;
 }
 
-Progress::Progress(bool quiet) : quiet_(quiet), terminal_(::isatty(STDERR_FILENO) == 1) {}
+TerminalProgress::TerminalProgress(bool quiet) : quiet_(quiet), terminal_(::isatty(STDERR_FILENO) == 1) {}
 
-void Progress::show(const std::string& text, bool immediately) {
+void TerminalProgress::show_progress_text(const std::string& text, bool ignore_rate_limit) {
     const auto time = Clock::now();
     const Clock::duration due = terminal_                      ? Clock::duration(kTerminalInterval)
                                 : last_ == Clock::time_point{} ? Clock::duration(kPlainFirst)
                                                                : Clock::duration(kPlainInterval);
-    if (quiet_ || (!immediately && time - std::max(start_, last_) < due)) return;
+    if (quiet_ || (!ignore_rate_limit && time - std::max(start_, last_) < due)) return;
     last_ = time;
-    std::fputs(terminal_ ? ("\r" + shorten_to_terminal(text) + "\x1b[K").c_str() : (text + "\n").c_str(),
-               stderr);
+    std::fputs(
+        terminal_ ? ("\r" + truncate_to_terminal_width(text) + "\x1b[K").c_str() : (text + "\n").c_str(),
+        stderr);
     std::fflush(stderr);
     line_open = terminal_;
 }
 
-void Progress::count(const std::string& description, std::size_t done, std::size_t total) {
+void TerminalProgress::show_step_progress(const std::string& description, std::size_t n_done,
+                                          std::size_t n_total) {
     const double seconds = std::chrono::duration<double>(Clock::now() - start_).count();
-    const double rate = static_cast<double>(done) / std::max(seconds, 1e-9);
-    show(fmt::format("{} {}/{}  {:.2f}/s  eta {}", description, done, total, rate,
-                     format_duration(static_cast<double>(total - done) / std::max(rate, 1e-9))),
-         done == total);
+    const double rate = static_cast<double>(n_done) / std::max(seconds, 1e-9);
+    show_progress_text(
+        fmt::format("{} {}/{}  {:.2f}/s  eta {}", description, n_done, n_total, rate,
+                    format_duration(static_cast<double>(n_total - n_done) / std::max(rate, 1e-9))),
+        n_done == n_total);
 }
 
-relidar::Progress make_progress(Progress& progress) {
-    return [&progress](std::string_view description, double done) {
-        progress.show(fmt::format("{} {:.0f} %", description, 100.0 * done));
+relidar::ProgressReporter make_progress_callback(TerminalProgress& terminal_progress) {
+    return [&terminal_progress](std::string_view description, double done) {
+        terminal_progress.show_progress_text(fmt::format("{} {:.0f} %", description, 100.0 * done));
     };
 }
 

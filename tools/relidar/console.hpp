@@ -18,38 +18,38 @@ namespace relidar::cli {
 /// the header. Columns of numbers are aligned to the right.
 std::string format_table(const std::vector<std::vector<std::string>>& rows);
 
-std::string format_duration(double seconds);          ///< For example "0:42" or "1:54:00".
-std::string format_byte_size(std::uint64_t n_bytes);  ///< For example "512 B" or "1.3 GiB".
-std::string format_short_number(double value);        ///< Formats a number with four significant digits.
+std::string format_duration(double seconds);               ///< For example "0:42" or "1:54:00".
+std::string format_byte_size(std::uint64_t n_bytes);       ///< For example "512 B" or "1.3 GiB".
+std::string format_four_significant_digits(double value);  ///< Formats a number with four significant digits.
 /// Replaces line breaks and other control characters in a text by spaces.
-std::string join_lines(std::string text);
+std::string replace_control_characters(std::string text);
 /// Puts a word into quotes if a shell would split or change it.
-std::string quote_shell_word(const std::string& word);
+std::string quote_word_for_shell(const std::string& word);
 
 /// Writes to stdout.
 void print(const std::string& text);
 
 /// Prints a one-line warning on stderr. The program continues.
-void note(const std::string& text);
+void print_note(const std::string& text);
 
 /// Prints a line break if the terminal shows a progress line, so that other output starts
 /// on a new line.
 void end_progress_line();
 
-class Progress {
+class TerminalProgress {
 public:
-    explicit Progress(bool quiet);
-    ~Progress() { end_progress_line(); }
-    Progress(const Progress&) = delete;
-    Progress& operator=(const Progress&) = delete;
+    explicit TerminalProgress(bool quiet);
+    ~TerminalProgress() { end_progress_line(); }
+    TerminalProgress(const TerminalProgress&) = delete;
+    TerminalProgress& operator=(const TerminalProgress&) = delete;
 
     /// Shows a progress text. Does nothing if the previous text was shown only a short
     /// time ago.
-    /// @param immediately if true, always shows the text
-    void show(const std::string& text, bool immediately = false);
+    /// @param ignore_rate_limit if true, always shows the text
+    void show_progress_text(const std::string& text, bool ignore_rate_limit = false);
 
-    /// Shows the progress of `total` equal steps as "what 3/10  2.1/s  eta 0:03".
-    void count(const std::string& description, std::size_t done, std::size_t total);
+    /// Shows the progress of `n_total` equal steps as "what 3/10  2.1/s  eta 0:03".
+    void show_step_progress(const std::string& description, std::size_t n_done, std::size_t n_total);
 
 private:
     using Clock = std::chrono::steady_clock;
@@ -60,6 +60,6 @@ private:
 };
 
 /// Returns a callback that library functions call to show their progress as "what 30 %".
-relidar::Progress make_progress(Progress& progress);
+relidar::ProgressReporter make_progress_callback(TerminalProgress& terminal_progress);
 
 }  // namespace relidar::cli

@@ -36,11 +36,11 @@ struct DemoOptions {
     std::string out = "demo";
     std::string seed = "1";
     std::vector<std::string> sets;
-    DeviceChoice device;
+    DeviceCommandOptions device;
     bool quiet = false;
 };
 
-Config make_demo_config(const DemoOptions& options, const fs::path& street) {
+Config make_demo_config(const DemoOptions& options, const fs::path& street_folder) {
     Config config = make_preset("quick");
     set_config_value(config, "train.seed", options.seed);
     // The preset is made for 64 beams. This sensor has 32 beams, so the gaps between its
@@ -50,101 +50,107 @@ Config make_demo_config(const DemoOptions& options, const fs::path& street) {
     // on two processor cores
     config.train.iterations = 250;
     apply_setting_texts(config, options.sets);
-    config.dataset.path = make_dataset_absolute("synthetic:" + street.string());
+    config.dataset.path = make_dataset_path_absolute("synthetic:" + street_folder.string());
     return config;
 }
 
-Evaluation evaluate_held_out(Device& device, const Run& run, bool quiet) {
-    Progress progress(quiet);
+EvaluationResult evaluate_held_out_frames(Device& device, const TrainedRun& run, bool quiet) {
+    TerminalProgress progress(quiet);
     ScanRenderer renderer(device, run);
     std::vector<ScoredFrame> with_images;  // Frames whose scans are written to files.
-    Evaluation evaluation =
-        evaluate_frames(renderer, run.config, run.sequence, run.split.test, stop_on_interrupt(progress),
-                        [&](const ScoredFrame& frame) { with_images.push_back(frame); });
+    EvaluationResult evaluation = evaluate_frames(
+        renderer, run.config, run.sequence, run.split.test, make_interruptible_callback(progress),
+        [&](const ScoredFrame& frame) { with_images.push_back(frame); });
     evaluation.frames = std::move(with_images);
     return evaluation;
 }
 
 /// Renders the held-out frames from the shifted sensor. Compares the rendered scans with
 /// exact scans of the street from the same position.
-Evaluation evaluate_shifted(Device& device, const Run& run, const SyntheticOptions& street, bool quiet) {
-    Progress progress(quiet);
+EvaluationResult evaluate_shifted_sensor(Device& device, const TrainedRun& run,
+                                         const SyntheticOptions& street_options, bool quiet) {
+    TerminalProgress progress(quiet);
     ScanRenderer renderer(device, run);
-    const PoseTrack track = mount_on_track(run.sequence.world_from_sensor(0), kShift);
+    const PoseTrack track = compute_mounted_track(run.sequence.get_world_from_sensor(0), kShift);
     const RayTable rays = make_rays(run.sequence.lidars[0].sensor);
     std::vector<ScoredFrame> frames;
     for (const int position : run.split.test) {
-        stop_if_interrupted();
-        const Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
-        Frame exact{frame.index, frame.time_s, cast_synthetic_street(street, rays, track, frame.time_s)};
-        drop_outside_limits(exact.scan, run.sequence.lidars[0].sensor.range_limits());
+        throw_if_interrupted();
+        const LidarFrame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
+        LidarFrame exact{frame.index, frame.time_s,
+                         cast_rays_into_synthetic_street(street_options, rays, track, frame.time_s)};
+        remove_returns_outside_limits(exact.scan, run.sequence.lidars[0].sensor.range_limits());
         frames.push_back(score_frame(renderer, run.config, run.sequence, exact, kShift));
-        progress.count("shifted sensor, frame", frames.size(), run.split.test.size());
+        progress.show_step_progress("shifted sensor, frame", frames.size(), run.split.test.size());
     }
-    return summarise(std::move(frames), renderer.times());
+    return summarise_evaluation(std::move(frames), renderer.times());
 }
 
-void write_scans(const fs::path& folder, const Evaluation& evaluation, const Run& run, const Pose& offset) {
+void write_evaluated_scans(const fs::path& folder, const EvaluationResult& evaluation, const TrainedRun& run,
+                           const Pose& sensor_offset) {
     const OutputFolder made(folder);
-    ScanFormat format = make_scan_format(run, make_configured_sensor(run.config, run.sequence));
-    format.offset = offset;
+    ScanOutputOptions format = make_scan_format(run, make_configured_sensor(run.config, run.sequence));
+    format.offset = sensor_offset;
     format.formats = {"npz", "png", "ply", "exr"};
-    ScanFolder scans(folder, format);
+    ScanFolderWriter scans(folder, format);
     for (const ScoredFrame& frame : evaluation.frames) {
-        scans.write(frame.frame, frame.rendered);
+        scans.write_scan(frame.frame, frame.rendered);
         write_png(folder / fmt::format("range_{:06}.png", frame.frame),
-                  draw_range_pair(frame, run.config.dataset.max_range_m));
+                  draw_real_and_rendered_range(frame, run.config.dataset.max_range_m));
     }
     scans.finish();
 }
 
-std::string make_short_table(const Evaluation& held_out, const Evaluation& shifted) {
+std::string format_demo_metrics_table(const EvaluationResult& held_out_evaluation,
+                                      const EvaluationResult& shifted_evaluation) {
     std::vector<std::vector<std::string>> rows{{"metric", "held out", "shifted sensor"}};
-    const auto cell = [](const MetricRow& row, const char* name) {
-        return row.contains(name) ? format_short_number(row.at(name)) : std::string("-");
+    const auto cell = [](const MetricValues& row, const char* name) {
+        return row.contains(name) ? format_four_significant_digits(row.at(name)) : std::string("-");
     };
     for (const char* name : kDemoMetrics)
-        rows.push_back({name, cell(held_out.mean, name), cell(shifted.mean, name)});
+        rows.push_back({name, cell(held_out_evaluation.mean, name), cell(shifted_evaluation.mean, name)});
     return format_table(rows);
 }
 
-void finish_demo_report(Device& device, const Run& run, const SyntheticOptions& street, Report report,
-                        const fs::path& out, bool quiet) {
-    const Evaluation held_out = evaluate_held_out(device, run, quiet);
-    const Evaluation shifted = evaluate_shifted(device, run, street, quiet);
-    write_text(run.folder / "metrics.json",
-               make_metrics_json(
-                   held_out, run.config,
-                   {make_absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), 0.0}));
-    write_scans(out / "held_out", held_out, run, {});
-    write_scans(out / "shifted", shifted, run, kShift);
+void evaluate_and_write_demo_report(Device& device, const TrainedRun& run,
+                                    const SyntheticOptions& street_options, Report report,
+                                    const fs::path& output_folder, bool quiet) {
+    const EvaluationResult held_out = evaluate_held_out_frames(device, run, quiet);
+    const EvaluationResult shifted = evaluate_shifted_sensor(device, run, street_options, quiet);
+    write_text_file(run.folder / "metrics.json",
+                    make_metrics_json(held_out, run.config,
+                                      {make_absolute_path(run.folder.string()), device.info().name,
+                                       device.peak_allocated_bytes(), 0.0}));
+    write_evaluated_scans(output_folder / "held_out", held_out, run, {});
+    write_evaluated_scans(output_folder / "shifted", shifted, run, kShift);
     report.title = "relidar demo: a synthetic street";
     report.same_scans = false;
-    add_evaluation(report, held_out, run, {"held out", "real"});
+    add_evaluation_to_report(report, held_out, run, {"held out", "real"});
     report.summary +=
         " The shifted sensor is 2 m to the left of the real one and 1 m higher. Its exact scan is made by "
         "casting rays into the street, without noise. Moving cars are actors: each has its own surfels, "
         "placed by its tracked box.";
-    add_evaluation(report, shifted, run, {"shifted sensor", "exact"});
+    add_evaluation_to_report(report, shifted, run, {"shifted sensor", "exact"});
     write_report(run.folder / "report.html", report);
-    write_report(out / "report.html", report);
+    write_report(output_folder / "report.html", report);
     if (!quiet)
-        print(make_short_table(held_out, shifted) +
-              fmt::format("\nreport  {}\n", make_absolute_path((out / "report.html").string())));
+        print(format_demo_metrics_table(held_out, shifted) +
+              fmt::format("\nreport  {}\n", make_absolute_path((output_folder / "report.html").string())));
 }
 
-void run_demo(const DemoOptions& options, const std::string& command_line) {
+void run_demo_command(const DemoOptions& options, const std::string& command_line) {
     const fs::path out = options.out;
     const Config config = make_demo_config(options, out / "street");
     check_lpips_weights();
     const LockedFolder folder(out);
-    const RunFolder run_folder(out / "run", Existing::replace);
+    const RunOutputFolder run_folder(out / "run", ExistingRunPolicy::replace);
     Device device(make_device_options(options.device));
     SyntheticOptions street;
     street.seed = config.train.seed;
-    save_synthetic(street, out / "street");
-    Sequence sequence = load_dataset(config, options.quiet);
-    const Split split = split_frames(sequence, config.dataset.test_every, config.dataset.test_frames);
+    save_synthetic_options(street, out / "street");
+    LidarSequence sequence = load_dataset(config, options.quiet);
+    const TrainTestSplit split =
+        split_frames(sequence, config.dataset.test_every, config.dataset.test_frames);
     if (!options.quiet) {
         print(fmt::format("{}: {} frames of {} x {} rays, {} held out; training {} iterations on {}\n",
                           sequence.name, sequence.frames.size(), street.rows, street.columns,
@@ -152,24 +158,27 @@ void run_demo(const DemoOptions& options, const std::string& command_line) {
         std::fflush(stdout);
     }
 
-    catch_interrupts();
-    remove_run_files(run_folder.path());
-    remove_blocks(run_folder.path());
-    prepare_log_with_progress(sequence, split, config, options.quiet);
-    TrainResult result = train_with_log(device, sequence, split, config, run_folder.path(), options.quiet);
+    install_interrupt_handlers();
+    remove_run_result_files(run_folder.path());
+    remove_block_folders(run_folder.path());
+    prepare_sequence_for_training(sequence, split, config, options.quiet);
+    TrainResult result =
+        train_scene_with_progress(device, sequence, split, config, run_folder.path(), options.quiet);
     end_progress_line();
-    Run run{run_folder.path(), use_farthest_return(config, sequence), std::move(sequence), split, {}, {}};
+    TrainedRun run{
+        run_folder.path(), resolve_max_range(config, sequence), std::move(sequence), split, {}, {}};
     move_result_into_run(run, result);
     save_run(run);
-    stop_if_interrupted();
+    throw_if_interrupted();
     StageTimes stages;
-    complete_scene_with_progress(device, run, options.quiet, stages);
-    stop_if_interrupted();
-    if (config.refine.enabled && refine_with_progress(device, run, options.quiet) == TrainingEnd::finished)
+    align_scans_and_learn_noise(device, run, options.quiet, stages);
+    throw_if_interrupted();
+    if (config.refine.enabled &&
+        train_drop_network_with_progress(device, run, options.quiet) == TrainingEndReason::finished)
         save_run(run);
-    stop_if_interrupted();
-    finish_demo_report(device, run, street, make_report(run, result, device, command_line), out,
-                       options.quiet);
+    throw_if_interrupted();
+    evaluate_and_write_demo_report(
+        device, run, street, make_training_report(run, result, device, command_line), out, options.quiet);
 }
 
 constexpr const char* kDemoHelp =
@@ -179,18 +188,21 @@ Example: relidar demo --out demo)";
 
 }  // namespace
 
-void add_demo(CLI::App& app, Call& call) {
+void add_demo_command(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand("demo", "train, render, score and report on a synthetic street");
     const auto options = std::make_shared<DemoOptions>();
     command->add_option("--out", options->out, "folder for all results (default: demo)")->type_name("DIR");
     command->add_option("--seed", options->seed, "seed of the street and of training (default: 1)")
         ->type_name("S");
-    add_set_option(*command, options->sets);
+    add_setting_override_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(kDemoHelp);
-    command->callback(
-        [&call, options] { call.run = [&call, options] { run_demo(*options, call.command_line); }; });
+    command->callback([&selected_command, options] {
+        selected_command.run = [&selected_command, options] {
+            run_demo_command(*options, selected_command.command_line);
+        };
+    });
 }
 
 }  // namespace relidar::cli

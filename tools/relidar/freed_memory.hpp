@@ -16,7 +16,7 @@ namespace relidar::cli {
 
 /// Keeps up to 256 MiB of freed memory in the process, so that later allocations can use
 /// it. Must be called once at program start.
-inline void keep_freed_memory() {
+inline void keep_freed_memory_in_process() {
 #ifdef __GLIBC__
     constexpr int kMiB = 1 << 20;
     mallopt(M_MMAP_THRESHOLD, 128 * kMiB);
@@ -27,7 +27,7 @@ inline void keep_freed_memory() {
 
 /// Returns all freed memory to the operating system. Call it before a stage that needs
 /// other memory, for example a GPU that shares the memory of the host.
-inline void release_freed_memory() {
+inline void return_freed_memory_to_system() {
 #ifdef __GLIBC__
     malloc_trim(0);
 #endif

@@ -19,27 +19,27 @@ constexpr long long kSameSignal_ms = 1000;
 std::atomic<long long> first_signal_ms{0};
 static_assert(std::atomic<long long>::is_always_lock_free, "a signal handler may not wait for a lock");
 
-extern "C" void store_signal(int number) {
+extern "C" void handle_interrupt_signal(int signal_number) {
     timespec now{};
     ::clock_gettime(CLOCK_MONOTONIC, &now);
     const long long now_ms = now.tv_sec * 1000LL + now.tv_nsec / 1'000'000;
     long long first_ms = 0;
     if (first_signal_ms.compare_exchange_strong(first_ms, now_ms) || now_ms - first_ms < kSameSignal_ms)
         return;
-    std::signal(number, SIG_DFL);
-    std::raise(number);
+    std::signal(signal_number, SIG_DFL);
+    std::raise(signal_number);
 }
 
 }  // namespace
 
-void catch_interrupts() {
-    std::signal(SIGINT, store_signal);
-    std::signal(SIGTERM, store_signal);
+void install_interrupt_handlers() {
+    std::signal(SIGINT, handle_interrupt_signal);
+    std::signal(SIGTERM, handle_interrupt_signal);
 }
 
 bool is_interrupted() { return first_signal_ms != 0; }
 
-void stop_if_interrupted() {
+void throw_if_interrupted() {
     if (is_interrupted())
         throw Error(ExitCode::interrupted, "interrupted; files already written are complete");
 }

@@ -8,10 +8,10 @@ namespace relidar::cli {
 
 /// Installs handlers for SIGINT and SIGTERM. The handlers only store the time of the
 /// signal, so that the program can stop at the next safe point.
-void catch_interrupts();
+void install_interrupt_handlers();
 bool is_interrupted();
 /// Throws an error if the user has pressed Ctrl-C, so that the program stops here.
 /// @throws Error with exit code 130
-void stop_if_interrupted();
+void throw_if_interrupted();
 
 }  // namespace relidar::cli

@@ -24,7 +24,7 @@ namespace fs = std::filesystem;
 
 /// Returns the number in a text. Returns no value if the text is not a number.
 template <class T>
-std::optional<T> parse(const std::string& text) {
+std::optional<T> parse_number_text(const std::string& text) {
     T value{};
     const char* begin = text.data() + (!text.empty() && text.front() == '+' ? 1 : 0);
     const char* end = text.data() + text.size();
@@ -34,7 +34,7 @@ std::optional<T> parse(const std::string& text) {
 
 }  // namespace
 
-void add_device_options(CLI::App& command, DeviceChoice& choice) {
+void add_device_options(CLI::App& command, DeviceCommandOptions& choice) {
     command
         .add_option("--device", choice.index,
                     "number of the Vulkan device in `relidar list devices` (default: a GPU with ray query, "
@@ -47,47 +47,47 @@ void add_device_options(CLI::App& command, DeviceChoice& choice) {
         ->type_name("HOW");
 }
 
-DeviceOptions make_device_options(const DeviceChoice& choice) {
+DeviceOptions make_device_options(const DeviceCommandOptions& choice) {
     DeviceOptions options;
     if (choice.index < -1)
         throw UsageError(fmt::format(
             "--device: found {}; expected a device number from `relidar list devices`", choice.index));
     options.index = choice.index;
-    options.traversal = find_traversal(choice.traversal);
-    set_first_use({check_device_at_first_use, note});
+    options.traversal = parse_traversal_method(choice.traversal);
+    set_first_use_check({check_device_at_first_use, print_note});
     return apply_environment_variables(options);
 }
 
-std::vector<std::string> make_device_arguments(const DeviceChoice& choice) {
+std::vector<std::string> make_device_arguments(const DeviceCommandOptions& choice) {
     std::vector<std::string> words;
     if (choice.index >= 0) words.insert(words.end(), {"--device", fmt::format("{}", choice.index)});
     if (choice.traversal != "auto") words.insert(words.end(), {"--traversal", choice.traversal});
     return words;
 }
 
-void add_channels_option(CLI::App& command, std::optional<std::string>& channels) {
+void add_channels_option(CLI::App& command, std::optional<std::string>& channel_list) {
     command
         .add_option(
-            "--channels", channels,
+            "--channels", channel_list,
             fmt::format(
                 "additional channels of scans, separated by commas: {}; short for --set render.channels=LIST",
-                fmt::join(list_optional_channels(), ", ")))
+                fmt::join(list_optional_channel_names(), ", ")))
         ->type_name("LIST");
 }
 
-void add_weather_option(CLI::App& command, std::string& weather, const std::string& description) {
+void add_weather_option(CLI::App& command, std::string& weather, const std::string& scope_help_text) {
     command
         .add_option(
             "--weather", weather,
             fmt::format(
                 "{}; applies to {} (default: clear); the channel `source` holds the cause of each point",
-                make_weather_help(), description))
+                make_weather_help(), scope_help_text))
         ->type_name("WEATHER");
 }
 
-void add_set_option(CLI::App& command, std::vector<std::string>& sets) {
+void add_setting_override_option(CLI::App& command, std::vector<std::string>& setting_texts) {
     command
-        .add_option("--set", sets,
+        .add_option("--set", setting_texts,
                     "change one setting, for example loss.depth=0.2; repeatable; `relidar list settings` "
                     "lists all keys")
         ->type_name("KEY=VALUE")
@@ -95,7 +95,7 @@ void add_set_option(CLI::App& command, std::vector<std::string>& sets) {
         ->allow_extra_args(false);
 }
 
-void add_settings_options(CLI::App& command, Settings& settings) {
+void add_settings_options(CLI::App& command, SettingsCommandOptions& settings) {
     command
         .add_option("--preset", settings.preset,
                     "settings to start from: default, quick (trains in minutes on a CPU), paper (as "
@@ -103,18 +103,18 @@ void add_settings_options(CLI::App& command, Settings& settings) {
         ->type_name("NAME");
     command.add_option("--config", settings.file, "TOML file with settings that replace those of the preset")
         ->type_name("FILE");
-    add_set_option(command, settings.sets);
+    add_setting_override_option(command, settings.sets);
 }
 
-Config resolve_settings(const Settings& settings) {
+Config make_config_from_settings(const SettingsCommandOptions& settings) {
     Config config = make_preset(settings.preset);
     if (!settings.file.empty()) load_config(config, settings.file);
     apply_setting_texts(config, settings.sets);
     return config;
 }
 
-void apply_setting_texts(Config& config, const std::vector<std::string>& sets) {
-    for (const std::string& set : sets) {
+void apply_setting_texts(Config& config, const std::vector<std::string>& setting_texts) {
+    for (const std::string& set : setting_texts) {
         const std::size_t equals = set.find('=');
         if (equals == std::string::npos || equals == 0)
             throw UsageError(
@@ -123,7 +123,7 @@ void apply_setting_texts(Config& config, const std::vector<std::string>& sets) {
     }
 }
 
-std::vector<std::string> list_rendering_settings() {
+std::vector<std::string> list_rendering_setting_names() {
     return {"dataset.min_range_m",
             "dataset.max_range_m",
             "sensor.grid",
@@ -139,48 +139,50 @@ std::vector<std::string> list_rendering_settings() {
             "trace."};
 }
 
-void check_setting_names(const std::vector<std::string>& sets, const std::vector<std::string>& used,
-                         const std::string& command) {
+void check_settings_have_effect(const std::vector<std::string>& setting_texts,
+                                const std::vector<std::string>& effective_names,
+                                const std::string& command_name) {
     Config scratch;
-    for (const std::string& set : sets) {
+    for (const std::string& set : setting_texts) {
         // Throws an error if the key or the value is invalid. The result is not used.
         apply_setting_texts(scratch, {set});
         const std::string key = set.substr(0, set.find('='));
-        const bool is_used = std::ranges::any_of(used, [&](const std::string& name) {
+        const bool is_used = std::ranges::any_of(effective_names, [&](const std::string& name) {
             return name.ends_with('.') ? key.starts_with(name) : key == name;
         });
         if (is_used) continue;
-        throw UsageError(
-            fmt::format("--set: the setting {} has no effect in `relidar {}`; expected {}", key, command,
-                        used.empty() ? "no setting" : fmt::format("one of {}", fmt::join(used, ", "))));
+        throw UsageError(fmt::format(
+            "--set: the setting {} has no effect in `relidar {}`; expected {}", key, command_name,
+            effective_names.empty() ? "no setting"
+                                    : fmt::format("one of {}", fmt::join(effective_names, ", "))));
     }
 }
 
-void add_log_part_options(CLI::App& command, LogPart& part) {
+void add_log_selection_options(CLI::App& command, LogSelection& log_part) {
     command
-        .add_option("--frames", part.frames,
+        .add_option("--frames", log_part.frames,
                     "frames of the log to read, first:end, by the dataset's frame numbers (default: all)")
         ->type_name("A:B");
     command
-        .add_option("--sequence", part.sequence,
+        .add_option("--sequence", log_part.sequence,
                     "name of the drive if the dataset contains several (default: the first)")
         ->type_name("NAME");
 }
 
-void apply_log_part(Config& config, const LogPart& part) {
-    if (!part.sequence.empty()) config.dataset.sequence = part.sequence;
-    if (part.frames.empty()) return;
-    const FrameRange range = parse_frames(part.frames);
+void apply_log_part(Config& config, const LogSelection& log_part) {
+    if (!log_part.sequence.empty()) config.dataset.sequence = log_part.sequence;
+    if (log_part.frames.empty()) return;
+    const FrameRange range = parse_frame_range(log_part.frames);
     config.dataset.frames_begin = range.begin;
     config.dataset.frames_end = range.end;
 }
 
-FrameRange parse_frames(const std::string& text) {
+FrameRange parse_frame_range(const std::string& text) {
     const std::size_t colon = text.find(':');
     const std::string begin = text.substr(0, colon),
                       end = colon == std::string::npos ? "" : text.substr(colon + 1);
-    const int first = begin.empty() ? 0 : parse<int>(begin).value_or(-1),
-              last = end.empty() ? -1 : parse<int>(end).value_or(-1);
+    const int first = begin.empty() ? 0 : parse_number_text<int>(begin).value_or(-1),
+              last = end.empty() ? -1 : parse_number_text<int>(end).value_or(-1);
     if (colon == std::string::npos || first < 0 || (!end.empty() && last < 0)) {
         throw UsageError(fmt::format(
             "--frames: found \"{}\"; expected FIRST:END without frame END, for example 0:50", text));
@@ -191,20 +193,22 @@ FrameRange parse_frames(const std::string& text) {
     return {first, last};
 }
 
-void note_frames_beyond(const FrameRange& range, int last, const std::string& location) {
-    if (range.end > last + 1)
-        note(fmt::format("frames {}:{}: {} ends with frame {}; the missing frames are skipped", range.begin,
-                         range.end, location, last));
+void print_missing_frames_note(const FrameRange& requested_frames, int last_frame_number,
+                               const std::string& run_or_log_path) {
+    if (requested_frames.end > last_frame_number + 1)
+        print_note(fmt::format("frames {}:{}: {} ends with frame {}; the missing frames are skipped",
+                               requested_frames.begin, requested_frames.end, run_or_log_path,
+                               last_frame_number));
 }
 
-std::vector<double> parse_list(const std::string& option, const std::string& text) {
+std::vector<double> parse_number_list(const std::string& option_name, const std::string& text) {
     std::vector<double> numbers;
     for (const std::string& typed : split_text(text, ',')) {
-        const std::string word = remove_blanks(typed);
-        const std::optional<double> value = parse<double>(word);
+        const std::string word = trim_blanks(typed);
+        const std::optional<double> value = parse_number_text<double>(word);
         if (!value || !std::isfinite(*value))
             throw UsageError(fmt::format("{}: found \"{}\" in \"{}\", expected numbers separated by commas",
-                                         option, word, text));
+                                         option_name, word, text));
         numbers.push_back(*value);
     }
     return numbers;
@@ -219,7 +223,7 @@ std::vector<std::string> split_text(const std::string& text, char separator) {
     return words;
 }
 
-std::string remove_blanks(const std::string& text) {
+std::string trim_blanks(const std::string& text) {
     const std::size_t begin = text.find_first_not_of(" \t"), end = text.find_last_not_of(" \t");
     return begin == std::string::npos ? "" : text.substr(begin, end - begin + 1);
 }
@@ -230,14 +234,14 @@ std::string make_absolute_path(const std::string& path) {
     return clean.size() > 1 && clean.back() == '/' ? clean.substr(0, clean.size() - 1) : clean;
 }
 
-Sequence load_dataset(const Config& config, bool quiet, int max_scans) {
-    Progress progress(quiet);
-    Sequence sequence = load_log(config, make_progress(progress), max_scans);
+LidarSequence load_dataset(const Config& config, bool quiet, int max_scans_per_lidar) {
+    TerminalProgress progress(quiet);
+    LidarSequence sequence = load_log(config, make_progress_callback(progress), max_scans_per_lidar);
     if (!sequence.frames.empty())
-        note_frames_beyond({config.dataset.frames_begin, config.dataset.frames_end},
-                           sequence.frames.back().index, sequence.source);
+        print_missing_frames_note({config.dataset.frames_begin, config.dataset.frames_end},
+                                  sequence.frames.back().index, sequence.source);
     if (const ScanMemoryUse use = get_scan_memory_use(); use.in_file > 0 && !quiet)
-        note(
+        print_note(
             fmt::format("{} of scan data are kept in memory and {} in a temporary file in {}; the setting "
                         "dataset.memory_mib is the limit",
                         format_byte_size(use.in_memory), format_byte_size(use.in_file),

@@ -20,70 +20,73 @@ class App;
 namespace relidar::cli {
 
 /// Values of --device and --traversal.
-struct DeviceChoice {
+struct DeviceCommandOptions {
     int index = -1;
     std::string traversal = "auto";
 };
-void add_device_options(CLI::App& command, DeviceChoice& choice);
-DeviceOptions make_device_options(const DeviceChoice& choice);
+void add_device_options(CLI::App& command, DeviceCommandOptions& choice);
+DeviceOptions make_device_options(const DeviceCommandOptions& choice);
 /// Converts the device options back to command line words, for example to start another
 /// process. Options with default values are left out.
-std::vector<std::string> make_device_arguments(const DeviceChoice& choice);
+std::vector<std::string> make_device_arguments(const DeviceCommandOptions& choice);
 
 /// Values of the options --preset, --config and --set. A later option in this order
 /// overwrites an earlier one.
-struct Settings {
+struct SettingsCommandOptions {
     std::string preset = "default";
     std::string file;
     std::vector<std::string> sets;  ///< Settings of the form "key=value".
 };
-void add_settings_options(CLI::App& command, Settings& settings);
+void add_settings_options(CLI::App& command, SettingsCommandOptions& settings);
 /// Adds the option --channels, which is a short form of the setting render.channels.
-void add_channels_option(CLI::App& command, std::optional<std::string>& channels);
+void add_channels_option(CLI::App& command, std::optional<std::string>& channel_list);
 /// Adds the option --weather.
 /// @param weather output: text that the user typed; parse_weather() reads the text later
-/// @param description part of the help text that says to which scans the weather applies
-void add_weather_option(CLI::App& command, std::string& weather, const std::string& description);
+/// @param scope_help_text part of the help text that says to which scans the weather
+/// applies
+void add_weather_option(CLI::App& command, std::string& weather, const std::string& scope_help_text);
 /// Adds the option --set, for commands that read all other settings from a trained run.
-void add_set_option(CLI::App& command, std::vector<std::string>& sets);
-Config resolve_settings(const Settings& settings);
-void apply_setting_texts(Config& config, const std::vector<std::string>& sets);
+void add_setting_override_option(CLI::App& command, std::vector<std::string>& setting_texts);
+Config make_config_from_settings(const SettingsCommandOptions& settings);
+void apply_setting_texts(Config& config, const std::vector<std::string>& setting_texts);
 /// Returns the names of the settings that affect rendering. A name that ends in a dot
 /// means all settings of that group.
-std::vector<std::string> list_rendering_settings();
+std::vector<std::string> list_rendering_setting_names();
 /// Checks that each setting of --set has an effect in a command.
-/// @param used names and groups of settings that the command uses, as in
-/// list_rendering_settings()
-/// @param command name of the command
+/// @param effective_names names and groups of settings that the command uses, as in
+/// list_rendering_setting_names()
+/// @param command_name name of the command
 /// @throws UsageError that names the first setting without effect
-void check_setting_names(const std::vector<std::string>& sets, const std::vector<std::string>& used,
-                         const std::string& command);
+void check_settings_have_effect(const std::vector<std::string>& setting_texts,
+                                const std::vector<std::string>& effective_names,
+                                const std::string& command_name);
 
 /// Values of the options --frames and --sequence. They select the part of a log that is
 /// loaded.
-struct LogPart {
+struct LogSelection {
     std::string frames;
     std::string sequence;
 };
-void add_log_part_options(CLI::App& command, LogPart& part);
-void apply_log_part(Config& config, const LogPart& part);
+void add_log_selection_options(CLI::App& command, LogSelection& log_part);
+void apply_log_part(Config& config, const LogSelection& log_part);
 
 /// Parses a range of frames "a:b". Either number may be missing.
 /// @throws UsageError if the text has another form
-FrameRange parse_frames(const std::string& text);
+FrameRange parse_frame_range(const std::string& text);
 /// Prints a note if the user requested frames after the last frame of a log or run.
-/// @param last number of the last frame of the log or run
-void note_frames_beyond(const FrameRange& range, int last, const std::string& location);
+/// @param last_frame_number number of the last frame of the log or run
+void print_missing_frames_note(const FrameRange& requested_frames, int last_frame_number,
+                               const std::string& run_or_log_path);
 /// Parses a list of numbers that are separated by commas.
 /// @throws UsageError if a word is not a number; the message names the option
-std::vector<double> parse_list(const std::string& option, const std::string& text);
+std::vector<double> parse_number_list(const std::string& option_name, const std::string& text);
 std::vector<std::string> split_text(const std::string& text, char separator);
-std::string remove_blanks(const std::string& text);  ///< Removes spaces and tabs at both ends of a text.
+std::string trim_blanks(const std::string& text);  ///< Removes spaces and tabs at both ends of a text.
 
 /// Returns the absolute path. An empty path stays empty.
 std::string make_absolute_path(const std::string& path);
 /// Loads the log that the settings in config.dataset describe.
-/// @param max_scans maximum number of scans to read per LiDAR; 0: all scans
-Sequence load_dataset(const Config& config, bool quiet = false, int max_scans = 0);
+/// @param max_scans_per_lidar maximum number of scans to read per LiDAR; 0: all scans
+LidarSequence load_dataset(const Config& config, bool quiet = false, int max_scans_per_lidar = 0);
 
 }  // namespace relidar::cli

@@ -39,7 +39,7 @@ constexpr const char* kLockFile = ".lock";
 
 /// Returns true if a killed process may have left this file behind. This is either an
 /// unlocked lock file or a half-written temporary file.
-bool is_leftover(const fs::path& path) {
+bool is_leftover_temporary_file(const fs::path& path) {
     const std::string name = path.filename().string();
     return name == kLockFile || (name.starts_with('.') && name.find(".tmp-") != std::string::npos);
 }
@@ -51,12 +51,12 @@ bool is_empty_folder(const fs::path& folder) {
     std::error_code failed;
     for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end;
          entry.increment(failed)) {
-        if (!is_leftover(entry->path())) return false;
+        if (!is_leftover_temporary_file(entry->path())) return false;
     }
     return true;
 }
 
-void check_content(const fs::path& folder, Existing existing) {
+void check_output_folder_content(const fs::path& folder, ExistingRunPolicy existing_run_policy) {
     if (is_empty_folder(folder)) return;
     if (is_dataset(folder))
         throw UsageError(fmt::format(
@@ -65,7 +65,7 @@ void check_content(const fs::path& folder, Existing existing) {
         throw UsageError(fmt::format(
             "--out {}: the folder is not empty and contains no run; expected a new or empty folder",
             folder.string()));
-    if (existing == Existing::refuse)
+    if (existing_run_policy == ExistingRunPolicy::refuse)
         throw UsageError(fmt::format(
             "--out {}: the folder already contains a run; expected a new or empty folder; --force "
             "overwrites the run",
@@ -74,21 +74,21 @@ void check_content(const fs::path& folder, Existing existing) {
 
 /// Removes the half-written files of a killed process from a folder and from its
 /// checkpoint folders. The caller must hold the lock of the folder.
-void remove_incomplete(const fs::path& folder) {
+void remove_half_written_files(const fs::path& folder) {
     for (const fs::path& in : {folder, get_checkpoint_folder(folder), get_network_checkpoint_folder(folder)})
-        remove_temporaries(in);
+        remove_temporary_files(in);
 }
 
 /// Returns true if the path still names the open file. Another process may have removed
 /// the lock file and created a new file with the same path.
-bool is_same_file(int descriptor, const fs::path& file) {
+bool is_descriptor_of_file(int file_descriptor, const fs::path& file) {
     struct stat opened {
     }, named{};
-    return ::fstat(descriptor, &opened) == 0 && ::stat(file.c_str(), &named) == 0 &&
+    return ::fstat(file_descriptor, &opened) == 0 && ::stat(file.c_str(), &named) == 0 &&
            opened.st_dev == named.st_dev && opened.st_ino == named.st_ino;
 }
 
-struct OpenLock {
+struct OpenLockFile {
     int descriptor;
     /// True if the file is locked. False if the file system does not support locks.
     bool exclusive;
@@ -96,7 +96,7 @@ struct OpenLock {
 
 /// Opens a file and locks it.
 /// @return no value if another process holds the lock
-std::optional<OpenLock> open_locked(const fs::path& file) {
+std::optional<OpenLockFile> open_and_lock_file(const fs::path& file) {
     for (;;) {
         const int descriptor = ::open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0666);
         if (descriptor < 0)
@@ -104,7 +104,7 @@ std::optional<OpenLock> open_locked(const fs::path& file) {
                 fmt::format("cannot write {}: {}", file.string(), std::generic_category().message(errno)));
         const bool locked = ::flock(descriptor, LOCK_EX | LOCK_NB) == 0;
         const bool held = !locked && errno == EWOULDBLOCK;
-        if (!held && is_same_file(descriptor, file)) return OpenLock{descriptor, locked};
+        if (!held && is_descriptor_of_file(descriptor, file)) return OpenLockFile{descriptor, locked};
         ::close(descriptor);
         if (held) return std::nullopt;
     }
@@ -127,11 +127,11 @@ OutputFolder::~OutputFolder() {
 
 FolderLock::FolderLock(fs::path file, int descriptor) : file_(std::move(file)), descriptor_(descriptor) {}
 
-FolderLock::FolderLock(const fs::path& folder, std::chrono::milliseconds patience)
+FolderLock::FolderLock(const fs::path& folder, std::chrono::milliseconds max_wait_time)
     : file_(folder / kLockFile) {
-    const auto end = std::chrono::steady_clock::now() + patience;
-    std::optional<OpenLock> lock = open_locked(file_);
-    for (; !lock && std::chrono::steady_clock::now() < end; lock = open_locked(file_))
+    const auto end = std::chrono::steady_clock::now() + max_wait_time;
+    std::optional<OpenLockFile> lock = open_and_lock_file(file_);
+    for (; !lock && std::chrono::steady_clock::now() < end; lock = open_and_lock_file(file_))
         std::this_thread::sleep_for(kLockLook);
     if (!lock)
         throw DataError(fmt::format(
@@ -139,18 +139,18 @@ FolderLock::FolderLock(const fs::path& folder, std::chrono::milliseconds patienc
             "has finished",
             folder.string(), contains_run(folder) ? "run" : "folder"));
     descriptor_ = lock->descriptor;
-    if (lock->exclusive) remove_incomplete(folder);
+    if (lock->exclusive) remove_half_written_files(folder);
 }
 
 std::unique_ptr<FolderLock> FolderLock::try_lock(const fs::path& folder) {
     const fs::path file = folder / kLockFile;
-    const std::optional<OpenLock> lock = open_locked(file);
+    const std::optional<OpenLockFile> lock = open_and_lock_file(file);
     if (!lock) return nullptr;
-    if (lock->exclusive) remove_incomplete(folder);
+    if (lock->exclusive) remove_half_written_files(folder);
     return std::unique_ptr<FolderLock>(new FolderLock(file, lock->descriptor));
 }
 
-bool FolderLock::is_held(const fs::path& folder) {
+bool FolderLock::is_folder_locked(const fs::path& folder) {
     const int descriptor = ::open((folder / kLockFile).c_str(), O_RDONLY | O_CLOEXEC);
     if (descriptor < 0) return false;
     const bool held = ::flock(descriptor, LOCK_SH | LOCK_NB) != 0 && errno == EWOULDBLOCK;
@@ -161,23 +161,24 @@ bool FolderLock::is_held(const fs::path& folder) {
 FolderLock::~FolderLock() {
     // Removes the lock file before the lock is released. Otherwise another process could
     // lock this file just before it is removed.
-    if (is_same_file(descriptor_, file_)) ::unlink(file_.c_str());
+    if (is_descriptor_of_file(descriptor_, file_)) ::unlink(file_.c_str());
     ::close(descriptor_);
 }
 
-RunFolder::RunFolder(const fs::path& path, Existing existing) {
+RunOutputFolder::RunOutputFolder(const fs::path& path, ExistingRunPolicy existing_run_policy) {
     // Checks the content before the folder is locked, because the lock writes a file into
     // the folder.
-    if (!contains_run(path)) check_content(path, existing);
+    if (!contains_run(path)) check_output_folder_content(path, existing_run_policy);
     folder_.emplace(path);
-    lock_.emplace(path, existing == Existing::keep ? kEndOfOthers : std::chrono::milliseconds{});
-    check_content(path, existing);
+    lock_.emplace(
+        path, existing_run_policy == ExistingRunPolicy::keep ? kEndOfOthers : std::chrono::milliseconds{});
+    check_output_folder_content(path, existing_run_policy);
 }
 
 namespace {
 
 /// Returns true if a folder contains files of a run and no other files.
-bool contains_only_run(const fs::path& folder) {
+bool contains_only_run_files(const fs::path& folder) {
     static const std::set<std::string> kNames{"config.toml",
                                               "scene.json",
                                               "model.safetensors",
@@ -194,24 +195,26 @@ bool contains_only_run(const fs::path& folder) {
                                               "asset.json",
                                               "intensity_scatter.safetensors"};
     for (const auto& entry : fs::directory_iterator(folder))
-        if (!is_leftover(entry.path()) && !kNames.contains(entry.path().filename().string())) return false;
+        if (!is_leftover_temporary_file(entry.path()) && !kNames.contains(entry.path().filename().string()))
+            return false;
     return true;
 }
 
 }  // namespace
 
-NewRun::NewRun(const fs::path& path, bool replace) : path_(path) {
+RunFolderWriter::RunFolderWriter(const fs::path& path, bool replace_existing) : path_(path) {
     std::error_code failed;
-    if (fs::exists(path, failed)) earlier_.emplace(path, replace ? Existing::replace : Existing::refuse);
+    if (fs::exists(path, failed))
+        earlier_.emplace(path, replace_existing ? ExistingRunPolicy::replace : ExistingRunPolicy::refuse);
 }
 
-void NewRun::save(Run& run) const {
+void RunFolderWriter::save_run_to_folder(TrainedRun& run) const {
     run.folder = path_;
     if (!earlier_) return save_run(run);
-    if (contains_only_run(path_)) {
+    if (contains_only_run_files(path_)) {
         try {
             run.folder = fs::canonical(path_);
-            replace_folder(run);
+            replace_run_folder(run);
             run.folder = path_;
             return;
         } catch (const DataError&) {
@@ -220,9 +223,9 @@ void NewRun::save(Run& run) const {
             run.folder = path_;
         }
     }
-    replace_run(run, [&] {
-        remove_run_files(path_);
-        remove_blocks(path_);
+    overwrite_run(run, [&] {
+        remove_run_result_files(path_);
+        remove_block_folders(path_);
         std::error_code failed;
         // removes the old checkpoints, because a later training would continue from them
         fs::remove_all(get_checkpoint_folder(path_), failed);
@@ -230,37 +233,37 @@ void NewRun::save(Run& run) const {
 }
 
 bool contains_run(const fs::path& folder) {
-    if (is_run(folder) || !list_checkpoints(get_checkpoint_folder(folder)).empty()) return true;
+    if (is_run_folder(folder) || !list_checkpoints(get_checkpoint_folder(folder)).empty()) return true;
     const std::string header_line = to_toml({}).substr(0, to_toml({}).find('\n'));
     std::string line;
     std::ifstream config(folder / "config.toml");
     return std::getline(config, line) && line == header_line;
 }
 
-void remove_run_files(const fs::path& folder) {
+void remove_run_result_files(const fs::path& folder) {
     std::error_code failed;
     for (const char* name : {"scene.json", "model.safetensors", "log.jsonl", "metrics.json", "report.html"})
         fs::remove(folder / name, failed);
 }
 
-void remove_blocks(const fs::path& folder) {
+void remove_block_folders(const fs::path& run_folder) {
     std::error_code failed;
-    fs::remove_all(get_blocks_folder(folder), failed);
+    fs::remove_all(get_blocks_folder(run_folder), failed);
 }
 
-fs::path get_blocks_folder(const fs::path& run) { return run / "blocks"; }
+fs::path get_blocks_folder(const fs::path& run_folder) { return run_folder / "blocks"; }
 
-fs::path get_checkpoint_folder(const fs::path& run) { return run / "checkpoints"; }
+fs::path get_checkpoint_folder(const fs::path& run_folder) { return run_folder / "checkpoints"; }
 
-fs::path get_network_checkpoint_folder(const fs::path& run) {
-    return get_checkpoint_folder(run) / kRefineCheckpoints;
+fs::path get_network_checkpoint_folder(const fs::path& run_folder) {
+    return get_checkpoint_folder(run_folder) / kRefineCheckpoints;
 }
 
-void remove_network_checkpoints(const fs::path& run) {
-    remove_checkpoints(get_network_checkpoint_folder(run));
+void remove_network_checkpoints(const fs::path& run_folder) {
+    remove_checkpoints(get_network_checkpoint_folder(run_folder));
     std::error_code failed;
     // Fails if the folder still contains checkpoints of the scene. The error is ignored.
-    fs::remove(get_checkpoint_folder(run), failed);
+    fs::remove(get_checkpoint_folder(run_folder), failed);
 }
 
 }  // namespace relidar::cli

@@ -9,7 +9,7 @@
 #include <optional>
 
 namespace relidar {
-struct Run;
+struct TrainedRun;
 }
 
 namespace relidar::cli {
@@ -39,10 +39,10 @@ private:
 class FolderLock {
 public:
     /// Locks a folder. Waits if another process holds the lock.
-    /// @param patience longest waiting time
+    /// @param max_wait_time longest waiting time
     /// @throws DataError if another process still holds the lock after this time, or if
     /// the folder cannot be written
-    explicit FolderLock(const std::filesystem::path& folder, std::chrono::milliseconds patience = {});
+    explicit FolderLock(const std::filesystem::path& folder, std::chrono::milliseconds max_wait_time = {});
     ~FolderLock();
     FolderLock(const FolderLock&) = delete;
     FolderLock& operator=(const FolderLock&) = delete;
@@ -52,7 +52,7 @@ public:
     /// @throws DataError if the folder cannot be written
     static std::unique_ptr<FolderLock> try_lock(const std::filesystem::path& folder);
     /// Returns true if a process holds the lock of the folder. Does not change any file.
-    static bool is_held(const std::filesystem::path& folder);
+    static bool is_folder_locked(const std::filesystem::path& folder);
 
 private:
     FolderLock(std::filesystem::path file, int descriptor);
@@ -83,7 +83,7 @@ private:
 bool contains_run(const std::filesystem::path& folder);
 
 /// Says what to do if the output folder already contains a trained run.
-enum class Existing {
+enum class ExistingRunPolicy {
     refuse,  ///< Throws an error if the folder is not empty.
     keep,    ///< Keeps the existing run. Training continues from its last checkpoint.
     replace  ///< Overwrites the existing run with the new run.
@@ -91,14 +91,15 @@ enum class Existing {
 
 /// Output folder of a run. The folder stays locked as long as this object exists, so that
 /// no other process writes to it.
-class RunFolder {
+class RunOutputFolder {
 public:
     /// Checks the content of the folder, creates the folder if it does not exist, and
     /// locks it.
-    /// @throws UsageError if the folder contains files that `existing` does not allow
+    /// @throws UsageError if the folder contains files that `existing_run_policy` does
+    /// not allow
     /// @throws DataError if another process has locked the folder, or if the folder
     /// cannot be created
-    RunFolder(const std::filesystem::path& path, Existing existing);
+    RunOutputFolder(const std::filesystem::path& path, ExistingRunPolicy existing_run_policy);
 
     const std::filesystem::path& path() const { return folder_->path(); }
 
@@ -115,31 +116,31 @@ private:
 /// replaced
 /// @throws DataError if another process has locked the folder, or if the folder cannot be
 /// written
-class NewRun {
+class RunFolderWriter {
 public:
-    NewRun(const std::filesystem::path& path, bool replace);
+    RunFolderWriter(const std::filesystem::path& path, bool replace_existing);
     /// Writes the run and sets `run.folder` to this folder.
-    void save(Run& run) const;
+    void save_run_to_folder(TrainedRun& run) const;
 
 private:
     std::filesystem::path path_;
     /// Lock of the existing folder. Has no value if the folder does not exist yet.
-    std::optional<RunFolder> earlier_;
+    std::optional<RunOutputFolder> earlier_;
 };
 
 /// Removes the result files of an earlier run, so that nobody mistakes them for results
 /// of the new run. Keeps the settings and the checkpoints.
-void remove_run_files(const std::filesystem::path& folder);
+void remove_run_result_files(const std::filesystem::path& folder);
 /// Removes the folders of all blocks of a long scene, even if their training is finished.
-void remove_blocks(const std::filesystem::path& folder);
+void remove_block_folders(const std::filesystem::path& run_folder);
 /// Returns the folder that contains the blocks of a run. Each block is stored as a
 /// complete run.
-std::filesystem::path get_blocks_folder(const std::filesystem::path& run);
+std::filesystem::path get_blocks_folder(const std::filesystem::path& run_folder);
 /// These two functions return the folders of checkpoints. The first folder is for the
 /// scene, and the second is for the ray-drop network.
-std::filesystem::path get_checkpoint_folder(const std::filesystem::path& run);
-std::filesystem::path get_network_checkpoint_folder(const std::filesystem::path& run);
+std::filesystem::path get_checkpoint_folder(const std::filesystem::path& run_folder);
+std::filesystem::path get_network_checkpoint_folder(const std::filesystem::path& run_folder);
 /// Removes the checkpoints of the ray-drop network.
-void remove_network_checkpoints(const std::filesystem::path& run);
+void remove_network_checkpoints(const std::filesystem::path& run_folder);
 
 }  // namespace relidar::cli

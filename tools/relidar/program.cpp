@@ -16,13 +16,13 @@
 namespace relidar::cli {
 namespace {
 
-std::string format_command_line(const std::string& name, int argc, char** argv) {
-    std::string text = name;
-    for (int i = 1; i < argc; ++i) text += fmt::format(" {}", quote_shell_word(argv[i]));
+std::string format_command_line(const std::string& program_name, int argc, char** argv) {
+    std::string text = program_name;
+    for (int i = 1; i < argc; ++i) text += fmt::format(" {}", quote_word_for_shell(argv[i]));
     return text;
 }
 
-void flush_output() {
+void flush_stdout_or_throw() {
     if (std::fflush(stdout) != 0 || std::ferror(stdout))
         throw DataError(
             "cannot write all text to standard output: the disk is full or the reader has closed the pipe");
@@ -38,9 +38,9 @@ std::string make_program_help(const CLI::App& app) {
     return text + "\n" + app.get_footer() + "\n";
 }
 
-void run(const Program& program, int argc, char** argv) {
+void parse_and_run_command(const ProgramDescription& program, int argc, char** argv) {
     CLI::App app(program.description, program.name);
-    Call call{format_command_line(program.name, argc, argv), {}};
+    ParsedCommand call{format_command_line(program.name, argc, argv), {}};
     app.set_version_flag("--version", fmt::format("{} {}", program.name, RELIDAR_VERSION));
     app.require_subcommand(0, 1);
     app.footer(program.footer);
@@ -51,27 +51,28 @@ void run(const Program& program, int argc, char** argv) {
         app.parse(argc, argv);
     } catch (const CLI::Success& help) {
         app.exit(help);  // Prints the help text.
-        return flush_output();
+        return flush_stdout_or_throw();
     } catch (const CLI::ParseError& error) {
-        throw UsageError(make_usage_message(app, error.what()));
+        throw UsageError(make_usage_error_message(app, error.what()));
     }
     if (!call.run)
         throw UsageError(fmt::format("no command is given; `{} --help` lists all commands", program.name));
     call.run();
-    flush_output();
+    flush_stdout_or_throw();
 }
 
 }  // namespace
 
-int run_program(const Program& program, int argc, char** argv) {
+int run_program(const ProgramDescription& program, int argc, char** argv) {
     const auto report = [&](ExitCode code, const std::string& message) {
         end_progress_line();
-        std::fputs(fmt::format("{}: {}\n", program.name, join_lines(message)).c_str(), stderr);
+        std::fputs(fmt::format("{}: {}\n", program.name, replace_control_characters(message)).c_str(),
+                   stderr);
         return static_cast<int>(code);
     };
-    keep_freed_memory();
+    keep_freed_memory_in_process();
     try {
-        run(program, argc, argv);
+        parse_and_run_command(program, argc, argv);
         return static_cast<int>(ExitCode::ok);
     } catch (const Error& error) {
         return report(error.code(), error.what());

@@ -11,15 +11,15 @@
 namespace relidar::cli {
 
 /// Describes a program with several commands, for example relidar or relidar-dev.
-struct Program {
+struct ProgramDescription {
     std::string name;         ///< Name of the program as the user types it.
     std::string description;  ///< One-line description.
     std::string footer;       ///< Text below the list of commands in the help of the program.
-    void (*add_commands)(CLI::App& app, Call& call);
+    void (*add_commands)(CLI::App& app, ParsedCommand& call);
 };
 
 /// Runs the command that the user typed.
 /// @return the exit code of the process
-int run_program(const Program& program, int argc, char** argv);
+int run_program(const ProgramDescription& program, int argc, char** argv);
 
 }  // namespace relidar::cli

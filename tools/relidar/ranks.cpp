@@ -28,7 +28,7 @@ void wait_for_mpi_request(MPI_Request request) {
 
 /// Returns a hash (FNV-1a) of the program file. Two processes with the same hash run the
 /// same build. Returns 0 if the file cannot be read.
-unsigned long long get_build_number() {
+unsigned long long compute_program_file_hash() {
     std::ifstream program("/proc/self/exe", std::ios::binary);
     unsigned long long hash = 14695981039346656037ull;
     std::vector<char> block(1 << 20);
@@ -42,8 +42,8 @@ unsigned long long get_build_number() {
 /// store settings and arrays in a different order.
 /// @throws UsageError if the build of this process differs from the build of the first
 /// process
-void check_build(int rank) {
-    const unsigned long long build = get_build_number();
+void check_same_build_on_all_ranks(int rank) {
+    const unsigned long long build = compute_program_file_hash();
     unsigned long long first_build = build;
     MPI_Bcast(&first_build, 1, MPI_UNSIGNED_LONG_LONG, 0, MPI_COMM_WORLD);
     if (build != first_build)
@@ -54,9 +54,9 @@ void check_build(int rank) {
 }
 
 /// Concatenates the texts of all MPI processes. Every process receives the complete text.
-std::string gather_on_all_ranks(const std::string& text, int size) {
+std::string concatenate_texts_of_all_ranks(const std::string& text, int n_ranks) {
     const auto n = static_cast<unsigned long long>(text.size());
-    std::vector<unsigned long long> sizes(static_cast<std::size_t>(size));
+    std::vector<unsigned long long> sizes(static_cast<std::size_t>(n_ranks));
     MPI_Request request;
     MPI_Iallgather(&n, 1, MPI_UNSIGNED_LONG_LONG, sizes.data(), 1, MPI_UNSIGNED_LONG_LONG, MPI_COMM_WORLD,
                    &request);
@@ -67,24 +67,24 @@ std::string gather_on_all_ranks(const std::string& text, int size) {
         throw Error(ExitCode::bug,
                     "cannot collect the results of the MPI processes: they exceed 2 GiB; expected at most 2 "
                     "GiB");
-    std::vector<int> counts(sizes.begin(), sizes.end()), places(sizes.size());
-    std::exclusive_scan(counts.begin(), counts.end(), places.begin(), 0);
+    std::vector<int> counts(sizes.begin(), sizes.end()), displacements(sizes.size());
+    std::exclusive_scan(counts.begin(), counts.end(), displacements.begin(), 0);
     std::string all(total, '\0');
-    MPI_Iallgatherv(text.data(), static_cast<int>(n), MPI_CHAR, all.data(), counts.data(), places.data(),
-                    MPI_CHAR, MPI_COMM_WORLD, &request);
+    MPI_Iallgatherv(text.data(), static_cast<int>(n), MPI_CHAR, all.data(), counts.data(),
+                    displacements.data(), MPI_CHAR, MPI_COMM_WORLD, &request);
     wait_for_mpi_request(request);
     return all;
 }
 
 }  // namespace
 
-Ranks::Ranks() {
+MpiProcessGroup::MpiProcessGroup() {
     if (!is_launched_by_mpi()) return;
     MPI_Init(nullptr, nullptr);
     MPI_Comm_rank(MPI_COMM_WORLD, &group_.rank);
     MPI_Comm_size(MPI_COMM_WORLD, &group_.size);
     group_.all_gather = [size = group_.size](const std::string& text) {
-        return gather_on_all_ranks(text, size);
+        return concatenate_texts_of_all_ranks(text, size);
     };
     MPI_Comm on_this_machine;
     MPI_Comm_split_type(MPI_COMM_WORLD, MPI_COMM_TYPE_SHARED, group_.rank, MPI_INFO_NULL, &on_this_machine);
@@ -93,25 +93,25 @@ Ranks::Ranks() {
     MPI_Comm_size(on_this_machine, &n_here);
     MPI_Comm_free(&on_this_machine);
     set_scan_process_count(n_here);
-    check_build(group_.rank);
+    check_same_build_on_all_ranks(group_.rank);
 }
 
-Ranks::~Ranks() {
+MpiProcessGroup::~MpiProcessGroup() {
     int begun = 0;
     MPI_Initialized(&begun);
     if (begun && std::uncaught_exceptions() == 0) MPI_Finalize();
 }
 
-void Ranks::wait_for_all() const {
+void MpiProcessGroup::wait_for_all_ranks() const {
     if (size() == 1) return;
     MPI_Request request;
     MPI_Ibarrier(MPI_COMM_WORLD, &request);
     wait_for_mpi_request(request);
 }
 
-std::vector<std::string> Ranks::gather(const std::string& text) const {
+std::vector<std::string> MpiProcessGroup::gather_texts_on_first_rank(const std::string& text) const {
     if (size() == 1) return {text};
-    const std::vector<std::size_t> sizes = group_.gather_all(std::vector{text.size()});
+    const std::vector<std::size_t> sizes = group_.gather_from_all_processes(std::vector{text.size()});
     const std::string all = group_.all_gather(text);
     if (!is_first()) return {};
     std::vector<std::string> texts;
@@ -123,13 +123,13 @@ std::vector<std::string> Ranks::gather(const std::string& text) const {
     return texts;
 }
 
-DeviceChoice Ranks::device(DeviceChoice chosen) const {
-    if (size() == 1 || chosen.index >= 0) return chosen;
+DeviceCommandOptions MpiProcessGroup::select_device_for_rank(DeviceCommandOptions device_choice) const {
+    if (size() == 1 || device_choice.index >= 0) return device_choice;
     std::vector<int> gpus;
     for (const DeviceInfo& device : list_devices())
         if (device.type != "CPU" && device.why_not_usable.empty()) gpus.push_back(device.index);
-    if (!gpus.empty()) chosen.index = gpus[std::size_t(local_rank_) % gpus.size()];
-    return chosen;
+    if (!gpus.empty()) device_choice.index = gpus[std::size_t(local_rank_) % gpus.size()];
+    return device_choice;
 }
 
 }  // namespace relidar::cli

@@ -15,33 +15,33 @@ namespace relidar::cli {
 /// Represents this process in a group of MPI processes that work on the same job. With a
 /// single process, no function waits or communicates. If an exception destroys this
 /// object, the other processes are not notified, and mpirun terminates them.
-class Ranks {
+class MpiProcessGroup {
 public:
     /// Joins the group of processes that mpirun has started.
     /// @throws UsageError if mpirun started a program that was built without MPI, or if
     /// the processes run different builds
-    Ranks();
-    ~Ranks();
-    Ranks(const Ranks&) = delete;
-    Ranks& operator=(const Ranks&) = delete;
+    MpiProcessGroup();
+    ~MpiProcessGroup();
+    MpiProcessGroup(const MpiProcessGroup&) = delete;
+    MpiProcessGroup& operator=(const MpiProcessGroup&) = delete;
 
     int size() const { return group_.size; }
     /// Returns true in the first process, which prints messages and writes the shared
     /// files.
-    bool is_first() const { return group_.is_first(); }
+    bool is_first() const { return group_.is_first_process(); }
     /// Returns the process group, which library functions use to divide work among the
     /// processes.
-    const ProcessGroup& group() const { return group_; }
+    const ProcessGroup& get_process_group() const { return group_; }
     /// Sends the text of each process to the first process.
     /// @return in the first process, the texts in the order of ranks; in all other
     /// processes, an empty list
-    std::vector<std::string> gather(const std::string& text) const;
+    std::vector<std::string> gather_texts_on_first_rank(const std::string& text) const;
     /// Waits until all processes have called this function. The process sleeps while it
     /// waits.
-    void wait_for_all() const;
+    void wait_for_all_ranks() const;
     /// Selects a GPU for this process, so that the processes of one machine use different
     /// GPUs. If the user has chosen a device, returns the user's choice.
-    DeviceChoice device(DeviceChoice chosen) const;
+    DeviceCommandOptions select_device_for_rank(DeviceCommandOptions device_choice) const;
 
 private:
     ProcessGroup group_;

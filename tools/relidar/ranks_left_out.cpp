@@ -9,15 +9,19 @@
 
 namespace relidar::cli {
 
-Ranks::Ranks() {
+MpiProcessGroup::MpiProcessGroup() {
     if (is_launched_by_mpi())
         throw UsageError(
             "mpirun has started this program, but it was built without MPI; install libopenmpi-dev "
             "and build relidar again");
 }
-Ranks::~Ranks() = default;
-std::vector<std::string> Ranks::gather(const std::string& text) const { return {text}; }
-void Ranks::wait_for_all() const {}
-DeviceChoice Ranks::device(DeviceChoice chosen) const { return chosen; }
+MpiProcessGroup::~MpiProcessGroup() = default;
+std::vector<std::string> MpiProcessGroup::gather_texts_on_first_rank(const std::string& text) const {
+    return {text};
+}
+void MpiProcessGroup::wait_for_all_ranks() const {}
+DeviceCommandOptions MpiProcessGroup::select_device_for_rank(DeviceCommandOptions device_choice) const {
+    return device_choice;
+}
 
 }  // namespace relidar::cli

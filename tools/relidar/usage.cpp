@@ -32,20 +32,20 @@ std::vector<std::string> list_option_names(const CLI::App& command) {
 
 /// Rewrites the parser message "Could not convert: --device = x", because it does not
 /// name the expected value. All other messages stay as they are.
-std::string simplify_message(const std::string& description) {
+std::string rewrite_conversion_error(const std::string& parser_message) {
     const std::string start = "Could not convert: ", middle = " = ";
-    const std::size_t at = description.find(middle);
-    if (description.rfind(start, 0) != 0 || at == std::string::npos) return description;
+    const std::size_t at = parser_message.find(middle);
+    if (parser_message.rfind(start, 0) != 0 || at == std::string::npos) return parser_message;
     return fmt::format("{}: found \"{}\", expected an integer",
-                       description.substr(start.size(), at - start.size()),
-                       description.substr(at + middle.size()));
+                       parser_message.substr(start.size(), at - start.size()),
+                       parser_message.substr(at + middle.size()));
 }
 
 std::string remove_option_value(const std::string& option) { return option.substr(0, option.find('=')); }
 
 }  // namespace
 
-std::string make_usage_message(const CLI::App& app, const std::string& description) {
+std::string make_usage_error_message(const CLI::App& app, const std::string& parser_message) {
     const CLI::App* chosen = &app;
     std::string path = app.get_name();
     while (!chosen->get_subcommands().empty()) {
@@ -55,17 +55,19 @@ std::string make_usage_message(const CLI::App& app, const std::string& descripti
     const CLI::App& command = *chosen;
     const std::string help = path + " --help";
     std::vector<std::string> unexpected = app.remaining(true);
-    if (unexpected.empty() && description.find("subcommand") != std::string::npos)
+    if (unexpected.empty() && parser_message.find("subcommand") != std::string::npos)
         return fmt::format("no subcommand is given; expected one of {} (see `{}`)",
                            fmt::join(list_command_names(command), ", "), help);
-    if (unexpected.empty()) return fmt::format("{} (see `{}`)", simplify_message(description), help);
+    if (unexpected.empty())
+        return fmt::format("{} (see `{}`)", rewrite_conversion_error(parser_message), help);
     const std::string word = remove_option_value(unexpected.front());
     if (word.size() > 1 && word.front() == '-') {
         return fmt::format("unknown option {}{} (see `{}`)", word,
-                           suggest_name(word, list_option_names(command)), help);
+                           format_name_suggestion(word, list_option_names(command)), help);
     }
     if (const std::vector<std::string> names = list_command_names(command); !names.empty())
-        return fmt::format("unknown command {}{} (see `{}`)", word, suggest_name(word, names), help);
+        return fmt::format("unknown command {}{} (see `{}`)", word, format_name_suggestion(word, names),
+                           help);
     return fmt::format("unexpected argument {} (see `{}`)", word, help);
 }
 

@@ -13,7 +13,7 @@ namespace relidar::cli {
 
 /// Returns the error message for an invalid command line.
 /// @param app parser after it has failed
-/// @param description error message of the parser
-std::string make_usage_message(const CLI::App& app, const std::string& description);
+/// @param parser_message error message of the parser
+std::string make_usage_error_message(const CLI::App& app, const std::string& parser_message);
 
 }  // namespace relidar::cli

@@ -28,128 +28,131 @@ constexpr int kImageRows = 64, kImageColumns = 1024;
 /// street.
 Surfels make_actor_surfels() {
     constexpr float kHalfLength_m = 2.0f;
-    Surfels actor = make_benchmark_street(kActorSurfels);
+    Surfels actor = make_benchmark_street_surfels(kActorSurfels);
     float longest = 0.0f;
     for (const glm::vec3& mean : actor.mean) longest = std::max(longest, glm::length(mean));
     for (glm::vec3& mean : actor.mean) mean *= kHalfLength_m / longest;
-    return actor.reorder(compute_kd_order(actor.mean));
+    return actor.reorder(compute_kd_tree_order(actor.mean));
 }
 
-Scene make_scene_of_actors(int n_actors, bool copy_shared_models) {
+Scene make_scene_of_actors(int n_actors, bool one_model_per_actor) {
     Scene scene = make_background_scene({});
     scene.models.push_back({"actor", 0, kActorSurfels});
     scene.surfels = make_actor_surfels();
     for (int i = 0; i < n_actors; ++i) scene.instances.push_back({1, fmt::format("{}", i)});
-    return copy_shared_models ? relidar::copy_shared_models(std::move(scene)) : scene;
+    return one_model_per_actor ? relidar::duplicate_shared_models(std::move(scene)) : scene;
 }
 
 /// Returns the poses of all actors. The first actor is 8 m ahead of the sensor. The other
 /// actors are placed on a spiral, about 5 m apart. Each step moves all actors by 1 cm.
-std::vector<InstancePose> make_poses_at(int n_actors, int step) {
+std::vector<InstancePose> make_spiral_actor_poses(int n_actors, int motion_step) {
     constexpr double kGoldenAngle_rad = 2.39996323;
     std::vector<InstancePose> placed{InstancePose{}};
     for (int i = 0; i < n_actors; ++i) {
         const double radius_m = 8.0 + 3.0 * std::sqrt(double(i)), azimuth_rad = kGoldenAngle_rad * i;
-        placed.push_back(
-            {Pose{{1.0, 0.0, 0.0, 0.0},
-                  {radius_m * std::cos(azimuth_rad) + 0.01 * step, radius_m * std::sin(azimuth_rad), 0.0}}});
+        placed.push_back({Pose{
+            {1.0, 0.0, 0.0, 0.0},
+            {radius_m * std::cos(azimuth_rad) + 0.01 * motion_step, radius_m * std::sin(azimuth_rad), 0.0}}});
     }
     return placed;
 }
 
-DevCase make_case_of_actors(int n_actors, bool copy_shared_models) {
+DevCase make_actor_benchmark(int n_actors, bool one_model_per_actor) {
     DevCase bench;
     bench.name = fmt::format("{} actors", n_actors);
     const RayTable table = make_benchmark_rays(kImageRows, kImageColumns, 2.0, -24.9);
     bench.rows = table.rows;
     bench.columns = table.columns;
     bench.rays = {to_vector(table.origin), to_vector(table.direction)};
-    bench.scene = make_scene_of_actors(n_actors, copy_shared_models);
+    bench.scene = make_scene_of_actors(n_actors, one_model_per_actor);
     bench.config = make_preset("paper");
-    bench.config.image.sh_direction = copy_shared_models ? ShDirection::surfel : ShDirection::ray;
-    bench.placed = make_poses_at(n_actors, 0);
+    bench.config.image.sh_direction = one_model_per_actor ? ShDirection::surfel : ShDirection::ray;
+    bench.placed = make_spiral_actor_poses(n_actors, 0);
     return bench;
 }
 
-void measure_moves(Device& device, const DevCase& bench, int repeat, ActorTimes& times) {
+void measure_actor_move_times(Device& device, const DevCase& bench_case, int n_repetitions,
+                              ActorBenchTimes& actor_times) {
     constexpr int kWarmUp = 3;
-    DeviceScene on_device(device, bench.scene);
-    Accel accel(device, on_device, make_accel_options(bench));
+    DeviceScene on_device(device, bench_case.scene);
+    AccelerationStructure accel(device, on_device, make_accel_options(bench_case));
     Stream stream(device, false);
-    on_device.activate(stream, bench.config.image, glm::vec3(0.0f));
-    stream.finish();
+    on_device.compute_surfel_records(stream, bench_case.config.image, glm::vec3(0.0f));
+    stream.submit_and_wait();
     Clock::time_point start = Clock::now();
-    accel.update(stream, on_device);
-    stream.finish();
-    times.build_ms = measure_ms_since(start);
-    const std::uint64_t builds_before = accel.updates();
+    accel.update_bvh(stream, on_device);
+    stream.submit_and_wait();
+    actor_times.build_ms = measure_ms_since(start);
+    const std::uint64_t builds_before = accel.get_update_count();
     std::vector<double> samples;
-    for (int step = 1; step <= kWarmUp + repeat; ++step) {
-        stop_if_interrupted();
-        const std::vector<InstancePose> placed = make_poses_at(times.n_actors, step);
+    for (int step = 1; step <= kWarmUp + n_repetitions; ++step) {
+        throw_if_interrupted();
+        const std::vector<InstancePose> placed = make_spiral_actor_poses(actor_times.n_actors, step);
         start = Clock::now();
-        on_device.place(stream, placed);
-        accel.move(stream, on_device);
-        stream.finish();
+        on_device.record_instance_poses(stream, placed);
+        accel.update_top_level_bvh(stream, on_device);
+        stream.submit_and_wait();
         if (step > kWarmUp) samples.push_back(measure_ms_since(start));
     }
-    times.move_ms = find_spread(samples);
-    times.builds = accel.updates() - builds_before;
+    actor_times.move_ms = compute_p10_median_p90(samples);
+    actor_times.builds = accel.get_update_count() - builds_before;
 }
 
-Spread sum_iteration(const BenchResult& result) {
-    const auto row = std::ranges::find(result.phases, "iteration_wall", &BenchRow::name);
+TimePercentiles get_iteration_wall_time(const BenchResult& result) {
+    const auto row = std::ranges::find(result.phases, "iteration_wall", &KernelBenchTime::name);
     if (row == result.phases.end())
         throw DeviceError("timing actors: found a device without timestamps, expected one that has them");
     return row->ms;
 }
 
-std::string format_milliseconds(const Spread& spread) { return fmt::format("{:.2f}", spread.median); }
+std::string format_median_ms(const TimePercentiles& percentiles_ms) {
+    return fmt::format("{:.2f}", percentiles_ms.median);
+}
 
 }  // namespace
 
-std::uint64_t ActorTimes::n_surfels() const {
+std::uint64_t ActorBenchTimes::n_surfels() const {
     return std::uint64_t(copy_shared_models ? n_actors : 1) * kActorSurfels;
 }
 
-ActorTimes measure_actors(Device& device, int n_actors, bool copy_shared_models,
-                          const BenchSettings& settings) {
-    const DevCase bench = make_case_of_actors(n_actors, copy_shared_models);
-    ActorTimes times{.n_actors = n_actors, .copy_shared_models = copy_shared_models};
-    measure_moves(device, bench, settings.repeat, times);
+ActorBenchTimes measure_actor_times(Device& device, int n_actors, bool one_model_per_actor,
+                                    const BenchSettings& settings) {
+    const DevCase bench = make_actor_benchmark(n_actors, one_model_per_actor);
+    ActorBenchTimes times{.n_actors = n_actors, .copy_shared_models = one_model_per_actor};
+    measure_actor_move_times(device, bench, settings.repeat, times);
     BenchSettings scan = settings, step = settings;
     scan.backward = false;
     step.backward = true;
-    times.scan_ms = sum_iteration(measure(device, bench, scan));
-    const BenchResult trained = measure(device, bench, step);
-    times.step_ms = sum_iteration(trained);
+    times.scan_ms = get_iteration_wall_time(run_benchmark(device, bench, scan));
+    const BenchResult trained = run_benchmark(device, bench, step);
+    times.step_ms = get_iteration_wall_time(trained);
     times.memory =
         trained.memory.scene + trained.memory.accel + trained.memory.training + trained.memory.rays;
     return times;
 }
 
-std::string format_actor_times(const std::vector<ActorTimes>& times) {
+std::string format_actor_times(const std::vector<ActorBenchTimes>& times) {
     std::vector<std::vector<std::string>> rows{{"actors", "models", "surfels", "build ms", "move ms",
                                                 "scan ms", "step ms", "memory MiB", "bottom levels rebuilt"}};
-    for (const ActorTimes& t : times)
-        rows.push_back(
-            {fmt::format("{}", t.n_actors), t.copy_shared_models ? "own" : "one",
-             fmt::format("{}", t.n_surfels()), fmt::format("{:.2f}", t.build_ms),
-             format_milliseconds(t.move_ms), format_milliseconds(t.scan_ms), format_milliseconds(t.step_ms),
-             fmt::format("{:.1f}", double(t.memory) / double(1 << 20)), fmt::format("{}", t.builds)});
+    for (const ActorBenchTimes& t : times)
+        rows.push_back({fmt::format("{}", t.n_actors), t.copy_shared_models ? "own" : "one",
+                        fmt::format("{}", t.n_surfels()), fmt::format("{:.2f}", t.build_ms),
+                        format_median_ms(t.move_ms), format_median_ms(t.scan_ms), format_median_ms(t.step_ms),
+                        fmt::format("{:.1f}", double(t.memory) / double(1 << 20)),
+                        fmt::format("{}", t.builds)});
     return format_table(rows);
 }
 
-std::string make_actors_json(const std::vector<ActorTimes>& times, const Device& device,
-                             const std::string& command_line) {
-    const auto json_of = [](const Spread& s) {
+std::string make_actor_times_json(const std::vector<ActorBenchTimes>& times, const Device& device,
+                                  const std::string& command_line) {
+    const auto json_of = [](const TimePercentiles& s) {
         return nlohmann::ordered_json{{"p10", s.p10}, {"median", s.median}, {"p90", s.p90}};
     };
     nlohmann::ordered_json json = {
         {"format", "relidar-dev bench actors"}, {"version", 2},
         {"relidar", RELIDAR_VERSION},           {"command", command_line},
         {"device", device.info().name},         {"actors", nlohmann::ordered_json::array()}};
-    for (const ActorTimes& t : times)
+    for (const ActorBenchTimes& t : times)
         json["actors"].push_back({{"actors", t.n_actors},
                                   {"own_models", t.copy_shared_models},
                                   {"surfels", t.n_surfels()},

@@ -13,7 +13,7 @@ namespace relidar::cli {
 
 /// Times of a scene with `n_actors` copies of an actor, each with kActorSurfels surfels.
 /// The sensor has 64 x 1024 rays.
-struct ActorTimes {
+struct ActorBenchTimes {
     int n_actors = 0;
     /// If true, each actor has its own model, and spherical harmonics are evaluated per
     /// surfel. If false, all actors share one model, and spherical harmonics are
@@ -24,13 +24,13 @@ struct ActorTimes {
     double build_ms = 0.0;
     /// Wall time of uploading the poses and rebuilding the top level of the acceleration
     /// structure. Includes all waits.
-    Spread move_ms{};
+    TimePercentiles move_ms{};
     /// number of times that bottom levels were built or refitted while the actors moved
     std::uint64_t builds = 0;
     /// wall time of rendering: activation functions, refit and forward pass
-    Spread scan_ms{};
-    Spread step_ms{};          ///< Wall time of a training iteration.
-    std::uint64_t memory = 0;  ///< Device memory during training, in bytes.
+    TimePercentiles scan_ms{};
+    TimePercentiles step_ms{};  ///< Wall time of a training iteration.
+    std::uint64_t memory = 0;   ///< Device memory during training, in bytes.
 
     std::uint64_t n_surfels() const;
 };
@@ -39,11 +39,11 @@ inline constexpr std::uint32_t kActorSurfels = 1000;
 /// Measures the times of a scene with many actors.
 /// @throws DeviceError if a ray reaches the maximum number of passes, or if the device
 /// has no timestamps
-ActorTimes measure_actors(Device& device, int n_actors, bool copy_shared_models,
-                          const BenchSettings& settings);
+ActorBenchTimes measure_actor_times(Device& device, int n_actors, bool one_model_per_actor,
+                                    const BenchSettings& settings);
 
-std::string format_actor_times(const std::vector<ActorTimes>& times);
-std::string make_actors_json(const std::vector<ActorTimes>& times, const Device& device,
-                             const std::string& command_line);
+std::string format_actor_times(const std::vector<ActorBenchTimes>& times);
+std::string make_actor_times_json(const std::vector<ActorBenchTimes>& times, const Device& device,
+                                  const std::string& command_line);
 
 }  // namespace relidar::cli

@@ -29,7 +29,7 @@ namespace {
 constexpr int kMaxRepeat = 100000;
 
 struct BenchOptions {
-    BenchChoice choice;
+    BenchCaseOptions choice;
     bool describes_street = false;  ///< True if the user gave --scene, --surfels or --rays.
     BenchSettings settings;
     bool no_backward = false;
@@ -37,17 +37,17 @@ struct BenchOptions {
     /// Numbers of actors, such as "1,10,100". If set, measures scenes with so many actors
     /// instead of the street.
     std::string actors;
-    ServeBench service;
-    ScanBench scans;
+    ServeBenchOptions service;
+    ScanBenchOptions scans;
     int n_steps = 0;  ///< Number of training steps to measure. 0 means that no steps are measured.
-    DeviceChoice device;
+    DeviceCommandOptions device;
 };
 
 constexpr int kMaxActors = 1000;
 
 std::vector<int> parse_actor_counts(const std::string& list) {
     std::vector<int> counts;
-    for (const double n : parse_list("--actors", list)) {
+    for (const double n : parse_number_list("--actors", list)) {
         if (!(n >= 1.0 && n <= kMaxActors) || n != static_cast<int>(n))
             throw UsageError(fmt::format("--actors: found {} in \"{}\", expected whole numbers from 1 to {}",
                                          n, list, kMaxActors));
@@ -56,34 +56,38 @@ std::vector<int> parse_actor_counts(const std::string& list) {
     return counts;
 }
 
-void bench_actors(const BenchOptions& options, Device& device, const std::string& command_line) {
-    std::vector<ActorTimes> times;
+void run_actor_benchmark(const BenchOptions& options, Device& device, const std::string& command_line) {
+    std::vector<ActorBenchTimes> times;
     for (const int n : parse_actor_counts(options.actors))
         for (const bool copy_shared_models : {false, true})
-            times.push_back(measure_actors(device, n, copy_shared_models, options.settings));
+            times.push_back(measure_actor_times(device, n, copy_shared_models, options.settings));
     end_progress_line();
-    if (!options.json.empty()) write_text(options.json, make_actors_json(times, device, command_line));
+    if (!options.json.empty())
+        write_text_file(options.json, make_actor_times_json(times, device, command_line));
     if (!options.settings.quiet) print(format_actor_times(times));
 }
 
-void bench_scans(const BenchOptions& options, Device& device, const std::string& command_line) {
-    ScanBench bench = options.scans;
+void run_scan_benchmark(const BenchOptions& options, Device& device, const std::string& command_line) {
+    ScanBenchOptions bench = options.scans;
     bench.run = options.choice.run;
     bench.sensor = options.service.sensor;
-    const ScanTimes times = measure_scans(device, bench);
-    if (!options.json.empty()) write_text(options.json, make_scan_times_json(times, device, command_line));
+    const ScanBenchTimes times = measure_scan_times(device, bench);
+    if (!options.json.empty())
+        write_text_file(options.json, make_scan_times_json(times, device, command_line));
     if (!options.settings.quiet) print(format_scan_times(times));
 }
 
-void bench_steps(const BenchOptions& options, Device& device, const std::string& command_line) {
-    const StepTimes times =
-        measure_steps(device, options.choice.run, options.n_steps, options.settings.quiet);
-    if (!options.json.empty()) write_text(options.json, make_step_times_json(times, device, command_line));
+void run_training_step_benchmark(const BenchOptions& options, Device& device,
+                                 const std::string& command_line) {
+    const TrainingStepTimes times =
+        measure_training_steps(device, options.choice.run, options.n_steps, options.settings.quiet);
+    if (!options.json.empty())
+        write_text_file(options.json, make_step_times_json(times, device, command_line));
     if (!options.settings.quiet) print(format_step_times(times, device));
 }
 
-void run_bench(const BenchOptions& options, const std::string& command_line) {
-    if (!options.service.address.empty()) return bench_service(options.service);
+void run_bench_command(const BenchOptions& options, const std::string& command_line) {
+    if (!options.service.address.empty()) return run_service_benchmark(options.service);
     check_bench_choice(options.choice);
     if (!options.choice.run.empty() && options.describes_street)
         throw UsageError(
@@ -111,22 +115,23 @@ void run_bench(const BenchOptions& options, const std::string& command_line) {
     if (!json.empty()) folder.emplace(json.has_parent_path() ? json.parent_path() : ".");
     Device device(make_device_options(options.device));
 
-    catch_interrupts();
-    if (!options.actors.empty()) return bench_actors(options, device, command_line);
-    if (options.scans.n_scans != 0) return bench_scans(options, device, command_line);
-    if (options.n_steps != 0) return bench_steps(options, device, command_line);
-    const DevCase bench = make_case(options.choice);
-    BenchResult result = measure(device, bench, settings);
+    install_interrupt_handlers();
+    if (!options.actors.empty()) return run_actor_benchmark(options, device, command_line);
+    if (options.scans.n_scans != 0) return run_scan_benchmark(options, device, command_line);
+    if (options.n_steps != 0) return run_training_step_benchmark(options, device, command_line);
+    const DevCase bench = make_chosen_benchmark(options.choice);
+    BenchResult result = run_benchmark(device, bench, settings);
     // The copy bandwidth is measured last, when the memory of the scene is free again.
-    result.copy_bytes_per_s = copy_bytes_per_s(device);
+    result.copy_bytes_per_s = measure_copy_bytes_per_s(device);
     end_progress_line();
-    if (!json.empty()) write_text(json, make_bench_json(bench, settings, result, device, command_line));
-    if (!settings.quiet) print(format_bench(bench, result, device));
+    if (!json.empty())
+        write_text_file(json, make_bench_result_json(bench, settings, result, device, command_line));
+    if (!settings.quiet) print(format_bench_result(bench, result, device));
 }
 
 /// Adds options that affect only the losses, the backward pass and the optimizer of a
 /// training step.
-void add_training_options(CLI::App& command, BenchChoice& choice) {
+void add_training_benchmark_options(CLI::App& command, BenchCaseOptions& choice) {
     command
         .add_option("--keep-hits", choice.keep_hits,
                     "hits a ray that the backward pass need not search again; 0: it casts every ray again "
@@ -143,7 +148,7 @@ void add_training_options(CLI::App& command, BenchChoice& choice) {
 
 /// Adds options that select measurements of complete scans: scans with many actors, scans
 /// of a run, or scans of a service.
-void add_scan_options(CLI::App& command, BenchOptions& options) {
+void add_scan_benchmark_options(CLI::App& command, BenchOptions& options) {
     command
         .add_option("--actors", options.actors,
                     "time scans, training and moves of so many copies of an actor of 1000 surfels; several "
@@ -165,7 +170,7 @@ void add_scan_options(CLI::App& command, BenchOptions& options) {
         ->type_name("N");
     command.add_flag("--sampled", options.scans.sampled,
                      "scans of --scans are drawn by a seed, with the sensor's noise");
-    ServeBench& service = options.service;
+    ServeBenchOptions& service = options.service;
     command
         .add_option("--serve", service.address,
                     "time calls of a running `relidar serve` at this address instead")
@@ -183,7 +188,7 @@ void add_scan_options(CLI::App& command, BenchOptions& options) {
 }
 
 /// Adds the options for ray tracing to the command.
-void add_trace_options(CLI::App& command, BenchChoice& choice) {
+void add_ray_tracing_options(CLI::App& command, BenchCaseOptions& choice) {
     command
         .add_option("--chunk", choice.chunk,
                     "hits sorted at a time, 1 to 64 (default: 16, or as the run says)")
@@ -195,7 +200,7 @@ void add_trace_options(CLI::App& command, BenchChoice& choice) {
         ->type_name("WHAT");
     command
         .add_option(
-            "--walk", choice.walk,
+            "--walk", choice.traversal_mode,
             "how rays walk the software tree: auto, lane or subgroup (default: auto, or as the run says)")
         ->type_name("HOW");
     command
@@ -228,11 +233,11 @@ Examples:
 
 }  // namespace
 
-void add_dev_bench(CLI::App& app, Call& call) {
+void add_bench_command(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand(
         "bench", "time every kernel of a training iteration, on a benchmark street or a run");
     const auto options = std::make_shared<BenchOptions>();
-    BenchChoice& choice = options->choice;
+    BenchCaseOptions& choice = options->choice;
     const CLI::Option* scene = command
                                    ->add_option("--scene", choice.street,
                                                 "street A: surfels of 0.1 to 0.3 m; B: smaller the more "
@@ -251,20 +256,22 @@ void add_dev_bench(CLI::App& app, Call& call) {
         ->add_option("--run", choice.run,
                      "bench a run instead: its scene, and its sensor's rays at the first held-out frame")
         ->type_name("RUN");
-    add_trace_options(*command, choice);
-    add_training_options(*command, choice);
+    add_ray_tracing_options(*command, choice);
+    add_training_benchmark_options(*command, choice);
     command->add_option("--repeat", options->settings.repeat, "repetitions after warming up (default: 10)")
         ->type_name("N");
     command->add_flag("--no-backward", options->no_backward,
                       "rendering alone: no loss, gradients or optimiser, nor their memory");
-    add_scan_options(*command, *options);
+    add_scan_benchmark_options(*command, *options);
     command->add_option("--json", options->json, "write the numbers to this file too")->type_name("FILE");
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->settings.quiet, "print errors only");
     command->footer(kBenchHelp);
-    command->callback([&call, options, scene, surfels, rays] {
+    command->callback([&selected_command, options, scene, surfels, rays] {
         options->describes_street = scene->count() + surfels->count() + rays->count() > 0;
-        call.run = [&call, options] { run_bench(*options, call.command_line); };
+        selected_command.run = [&selected_command, options] {
+            run_bench_command(*options, selected_command.command_line);
+        };
     });
 }
 

@@ -35,18 +35,19 @@ struct ImageSize {
     long long columns = 0;
 };
 
-bool parse_count(const std::string& text, long long& value) {
+bool try_parse_positive_integer(const std::string& text, long long& value) {
     const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), value);
     return error == std::errc() && stop == text.data() + text.size() && value >= 1;
 }
 
 /// Parses an image size such as "64x1024". Returns nothing if the text is the name of a
 /// sensor.
-std::optional<ImageSize> parse_rays(const std::string& text) {
+std::optional<ImageSize> parse_ray_grid_size(const std::string& text) {
     if (text == "waymo" || text == "kitti") return std::nullopt;
     const std::vector<std::string> words = split_text(text, 'x');
     ImageSize size;
-    if (words.size() != 2 || !parse_count(words[0], size.rows) || !parse_count(words[1], size.columns)) {
+    if (words.size() != 2 || !try_parse_positive_integer(words[0], size.rows) ||
+        !try_parse_positive_integer(words[1], size.columns)) {
         throw UsageError(
             fmt::format("--rays: found \"{}\", expected waymo, kitti or ROWSxCOLUMNS, as in 64x1024", text));
     }
@@ -58,7 +59,7 @@ std::optional<ImageSize> parse_rays(const std::string& text) {
 }
 
 /// Applies the options of the command line to the settings.
-void apply_choice(const BenchChoice& choice, Config& config) {
+void apply_bench_options(const BenchCaseOptions& choice, Config& config) {
     if (!choice.chunk.empty()) set_config_value(config, "trace.chunk", choice.chunk);
     if (!choice.keep_hits.empty()) set_config_value(config, "trace.keep_hits", choice.keep_hits);
     if (!choice.likelihood.empty()) set_config_value(config, "loss.likelihood", choice.likelihood);
@@ -68,39 +69,41 @@ void apply_choice(const BenchChoice& choice, Config& config) {
 
 /// Returns the position of a word in the list of allowed values of an option.
 /// @throws UsageError if the word is not in the list
-std::size_t find_word_index(const char* option, const std::string& word,
-                            const std::vector<std::string>& words) {
-    const auto match = std::find(words.begin(), words.end(), word);
-    if (match == words.end())
-        throw UsageError(
-            fmt::format("{}: found \"{}\", expected one of {}", option, word, fmt::join(words, ", ")));
-    return std::size_t(match - words.begin());
+std::size_t find_word_index(const char* option_name, const std::string& option_value,
+                            const std::vector<std::string>& allowed_values) {
+    const auto match = std::find(allowed_values.begin(), allowed_values.end(), option_value);
+    if (match == allowed_values.end())
+        throw UsageError(fmt::format("{}: found \"{}\", expected one of {}", option_name, option_value,
+                                     fmt::join(allowed_values, ", ")));
+    return std::size_t(match - allowed_values.begin());
 }
 
 /// Parse the values of options. The words are listed in the order of the enumerations
-/// Proxy, Walk and HitOrder.
+/// Proxy, Walk and HitSortMethod.
 /// @throws UsageError if a word is unknown
-Proxy parse_proxy(const BenchChoice& choice) {
+ProxyShape parse_proxy_shape(const BenchCaseOptions& choice) {
     return choice.proxy.empty()
-               ? Proxy::automatic
-               : Proxy(find_word_index("--proxy", choice.proxy, {"auto", "triangles", "boxes"}));
+               ? ProxyShape::automatic
+               : ProxyShape(find_word_index("--proxy", choice.proxy, {"auto", "triangles", "boxes"}));
 }
-Walk parse_traversal_mode(const BenchChoice& choice) {
-    return choice.walk.empty() ? Walk::automatic
-                               : Walk(find_word_index("--walk", choice.walk, {"auto", "lane", "subgroup"}));
+BvhTraversalMode parse_traversal_mode(const BenchCaseOptions& choice) {
+    return choice.traversal_mode.empty() ? BvhTraversalMode::automatic
+                                         : BvhTraversalMode(find_word_index("--walk", choice.traversal_mode,
+                                                                            {"auto", "lane", "subgroup"}));
 }
-HitOrder parse_order(const BenchChoice& choice) {
+HitSortMethod parse_hit_sort_method(const BenchCaseOptions& choice) {
     return choice.order.empty()
-               ? HitOrder::automatic
-               : HitOrder(find_word_index("--order", choice.order, {"auto", "chunks", "lists"}));
+               ? HitSortMethod::automatic
+               : HitSortMethod(find_word_index("--order", choice.order, {"auto", "chunks", "lists"}));
 }
 
-DevCase make_street_test_case(const BenchChoice& choice) {
-    const std::optional<ImageSize> size = parse_rays(choice.rays);
+DevCase make_chosen_street_benchmark(const BenchCaseOptions& choice) {
+    const std::optional<ImageSize> size = parse_ray_grid_size(choice.rays);
     const RayTable rays = size ? make_benchmark_rays(static_cast<int>(size->rows),
                                                      static_cast<int>(size->columns), kTop_deg, kBottom_deg)
                                : make_benchmark_rays(choice.rays);
-    DevCase bench{make_street_case(static_cast<std::uint32_t>(choice.n_surfels), choice.street != "A", rays)};
+    DevCase bench{
+        make_street_benchmark(static_cast<std::uint32_t>(choice.n_surfels), choice.street != "A", rays)};
     bench.name = "street " + choice.street;
     if (choice.street == "C")
         bench.scene.surfels.opacity_logit.assign(bench.scene.surfels.size(), kFaintLogit);
@@ -109,34 +112,34 @@ DevCase make_street_test_case(const BenchChoice& choice) {
 
 }  // namespace
 
-void check_bench_choice(const BenchChoice& choice) {
+void check_bench_choice(const BenchCaseOptions& choice) {
     if (choice.street != "A" && choice.street != "B" && choice.street != "C")
         throw UsageError(fmt::format("--scene: found \"{}\", expected A, B or C", choice.street));
     if (choice.n_surfels < 1 || choice.n_surfels > kMaxSurfels)
         throw UsageError(fmt::format("--surfels: found {}, expected 1 to {}", choice.n_surfels, kMaxSurfels));
-    parse_rays(choice.rays);
+    parse_ray_grid_size(choice.rays);
     Config unused;
-    apply_choice(choice, unused);
-    parse_proxy(choice), parse_traversal_mode(choice), parse_order(choice);
+    apply_bench_options(choice, unused);
+    parse_proxy_shape(choice), parse_traversal_mode(choice), parse_hit_sort_method(choice);
 }
 
-DevCase make_case(const BenchChoice& choice) {
-    DevCase bench =
-        choice.run.empty() ? make_street_test_case(choice) : DevCase{make_run_case(load_run(choice.run))};
-    apply_choice(choice, bench.config);
-    bench.proxy = parse_proxy(choice);
-    bench.walk = parse_traversal_mode(choice);
-    bench.order = parse_order(choice);
+DevCase make_chosen_benchmark(const BenchCaseOptions& choice) {
+    DevCase bench = choice.run.empty() ? make_chosen_street_benchmark(choice)
+                                       : DevCase{make_benchmark_from_run(load_run(choice.run))};
+    apply_bench_options(choice, bench.config);
+    bench.proxy = parse_proxy_shape(choice);
+    bench.traversal_mode = parse_traversal_mode(choice);
+    bench.order = parse_hit_sort_method(choice);
     bench.keeps_more_hits = choice.keep_hits.empty();
     return bench;
 }
 
-AccelOptions make_accel_options(const DevCase& bench) { return {.proxy = bench.proxy}; }
+AccelOptions make_accel_options(const DevCase& bench_case) { return {.proxy = bench_case.proxy}; }
 
-TraceOptions make_case_trace_options(const DevCase& bench) {
-    TraceOptions options = make_base_trace_options(bench.config);
-    options.walk = bench.walk;
-    options.order = bench.order;
+TraceOptions make_benchmark_trace_options(const DevCase& bench_case) {
+    TraceOptions options = make_base_trace_options(bench_case.config);
+    options.traversal_mode = bench_case.traversal_mode;
+    options.order = bench_case.order;
     return options;
 }
 

@@ -12,7 +12,7 @@
 namespace relidar::cli {
 
 /// Options of the command line that describe the case.
-struct BenchChoice {
+struct BenchCaseOptions {
     /// Kind of benchmark street. In "A", all surfels have the same size for any number of
     /// surfels. In "B", a larger number makes each surfel smaller. "C" is like "B", but
     /// all surfels have opacity 0.1.
@@ -22,7 +22,7 @@ struct BenchChoice {
     std::string run;               ///< run folder; if it is set, the run is measured instead of the street
     /// values that override settings of the benchmark; an empty text leaves the setting
     /// unchanged
-    std::string chunk, proxy, walk, order, sh, keep_hits;
+    std::string chunk, proxy, traversal_mode, order, sh, keep_hits;
     std::string likelihood;  ///< Weight of the likelihood loss. An empty text leaves it unchanged.
     /// If true, gradients are summed in a fixed order instead of by atomic operations.
     /// Overrides the setting of the benchmark.
@@ -31,9 +31,9 @@ struct BenchChoice {
 
 /// Input of a benchmark, with additional options that are not settings of a training.
 struct DevCase : BenchCase {
-    Proxy proxy = Proxy::automatic;
-    Walk walk = Walk::automatic;
-    HitOrder order = HitOrder::automatic;
+    ProxyShape proxy = ProxyShape::automatic;
+    BvhTraversalMode traversal_mode = BvhTraversalMode::automatic;
+    HitSortMethod order = HitSortMethod::automatic;
     /// If true, more hits per ray are stored than config.trace.keep_hits if many rays
     /// need it, as in training.
     bool keeps_more_hits = true;
@@ -41,15 +41,15 @@ struct DevCase : BenchCase {
 
 /// Return the options for building the acceleration structure, and for tracing rays
 /// through it.
-AccelOptions make_accel_options(const DevCase& bench);
-TraceOptions make_case_trace_options(const DevCase& bench);
+AccelOptions make_accel_options(const DevCase& bench_case);
+TraceOptions make_benchmark_trace_options(const DevCase& bench_case);
 
 /// Checks all options before a scene is created.
 /// @throws UsageError that names the first invalid option
-void check_bench_choice(const BenchChoice& choice);
+void check_bench_choice(const BenchCaseOptions& choice);
 
 /// Creates the scene and the rays that the user has chosen.
 /// @throws DataError if the run cannot be read
-DevCase make_case(const BenchChoice& choice);
+DevCase make_chosen_benchmark(const BenchCaseOptions& choice);
 
 }  // namespace relidar::cli

@@ -10,7 +10,8 @@ namespace {
 
 // Sizes in bytes of the data structures that kernels read and write (shaders/shared).
 constexpr double kRecord = 64, kGeometry = 4 * (3 + 4 + 2 + 1), kNode = 80, kRay = 24, kRendered = 36,
-                 kTarget = 12, kUpstream = 20, kKeptHit = 16, kHit = 16, kHitRecord = 16, kRow = 4, kMark = 4;
+                 kTarget = 12, kUpstream = 20, kStoredHit = 16, kHit = 16, kHitRecord = 16, kRow = 4,
+                 kMark = 4;
 constexpr double kBox = 24, kCorners = 48, kKey = 8, kIndex = 4;
 // Minimum number of tree nodes per surfel, because a node has 8 children and a leaf has 4
 // surfels.
@@ -19,20 +20,20 @@ constexpr double kFewestNodes = 1.0 / 28.0;
 // tests. Counted in shaders/diff/traversal/software_bvh.glsl.
 constexpr double kNodeOperations = 150, kSurfelOperations = 40;
 
-double count_sh_bytes(const FloorSizes& sizes) { return 4 * 3 * sizes.n_sh; }
-double count_sh_bytes_along_ray(const FloorSizes& sizes) {
-    return sizes.sh_per_surfel ? 0.0 : count_sh_bytes(sizes);
+double count_sh_coefficient_bytes(const MemoryTrafficSizes& sizes) { return 4 * 3 * sizes.n_sh; }
+double count_sh_bytes_if_per_ray(const MemoryTrafficSizes& sizes) {
+    return sizes.sh_per_surfel ? 0.0 : count_sh_coefficient_bytes(sizes);
 }
-double count_sh_bytes_per_surfel(const FloorSizes& sizes) {
-    return sizes.sh_per_surfel ? count_sh_bytes(sizes) : 0.0;
+double count_sh_bytes_if_per_surfel(const MemoryTrafficSizes& sizes) {
+    return sizes.sh_per_surfel ? count_sh_coefficient_bytes(sizes) : 0.0;
 }
 
 /// Returns how many 8-bit digits the radix sort needs for n different keys.
-double round_to_digits(double value) {
-    return std::ceil(std::bit_width(static_cast<std::uint64_t>(value)) / 8.0);
+double count_radix_digits(double n_keys) {
+    return std::ceil(std::bit_width(static_cast<std::uint64_t>(n_keys)) / 8.0);
 }
 
-double count_refit_bytes(const FloorSizes& sizes) {
+double count_bvh_refit_bytes(const MemoryTrafficSizes& sizes) {
     return sizes.n_surfels * (kBox + kIndex) + kFewestNodes * sizes.n_surfels * (28 + kNode + kBox);
 }
 
@@ -41,108 +42,116 @@ double count_refit_bytes(const FloorSizes& sizes) {
 /// keys. For each 8-bit digit, the sort reads the keys twice and the values once, and
 /// writes both. Then the build writes the binary tree, reads its topology, and writes the
 /// leaf order and the wide nodes.
-double count_build_bytes(const FloorSizes& sizes) {
+double count_bvh_build_bytes(const MemoryTrafficSizes& sizes) {
     const double bits = 39 + std::bit_width(static_cast<std::uint64_t>(sizes.n_models) - 1);
     const double sort = std::ceil(bits / 8) * (3 * kKey + 2 * kIndex);
     const double tree = kBox + kKey + kIndex + (kKey + kBox + 28 + kIndex) + (kKey + kIndex);
-    return sizes.n_surfels * (kBox + 12 + kKey + kIndex + sort + tree + kIndex) + count_refit_bytes(sizes);
+    return sizes.n_surfels * (kBox + 12 + kKey + kIndex + sort + tree + kIndex) +
+           count_bvh_refit_bytes(sizes);
 }
 
-double count_backward_trace_bytes(const FloorSizes& sizes) {
+double count_backward_trace_bytes(const MemoryTrafficSizes& sizes) {
     const double sums = sizes.gather ? sizes.n_hits * (kHitRecord + kRow)
-                                     : sizes.n_touched * 2 * (kRecord + count_sh_bytes_along_ray(sizes));
-    return sizes.n_rays * (kRay + kRendered + kUpstream) + sizes.n_hits_kept * kKeptHit +
-           sizes.n_touched * (kRecord + count_sh_bytes_along_ray(sizes)) + sums;
+                                     : sizes.n_touched * 2 * (kRecord + count_sh_bytes_if_per_ray(sizes));
+    return sizes.n_rays * (kRay + kRendered + kUpstream) + sizes.n_stored_hits_read * kStoredHit +
+           sizes.n_touched * (kRecord + count_sh_bytes_if_per_ray(sizes)) + sums;
 }
 
 /// Returns the number of bytes that the derivative of the activation functions must read
 /// and write. It reads the gradient of every surfel record. Only for surfels with a
 /// gradient, it reads the parameters and writes their gradients.
-double count_activation_gradient_bytes(const FloorSizes& sizes) {
+double count_activation_gradient_bytes(const MemoryTrafficSizes& sizes) {
     return sizes.n_surfels * (kRecord + kMark) +
-           sizes.n_touched * 2 * (kGeometry + count_sh_bytes_per_surfel(sizes));
+           sizes.n_touched * 2 * (kGeometry + count_sh_bytes_if_per_surfel(sizes));
 }
 
 /// Returns the number of bytes of one optimizer step (Adam). The kernel reads the
 /// gradients that are not zero. It reads and writes the parameters and both moments.
-double count_adam_bytes(const FloorSizes& sizes) {
+double count_adam_step_bytes(const MemoryTrafficSizes& sizes) {
     const double updated = sizes.only_touched ? sizes.n_touched : sizes.n_surfels;
-    return sizes.n_surfels * kMark + (sizes.n_touched + 6 * updated) * (kGeometry + count_sh_bytes(sizes));
+    return sizes.n_surfels * kMark +
+           (sizes.n_touched + 6 * updated) * (kGeometry + count_sh_coefficient_bytes(sizes));
 }
 
-enum class When { always, software, training, gather, chunks, lists };
+enum class KernelCondition { always, software, training, gather, chunks, lists };
 
-struct Row {
+struct KernelTraffic {
     const char* kernel;
-    When when;
-    double (*bytes)(const FloorSizes&);
+    KernelCondition when;
+    double (*bytes)(const MemoryTrafficSizes&);
 };
 
 /// Minimum number of bytes of each kernel. Kernels need to load only surfels that rays
 /// hit; these are the surfels with a gradient.
-constexpr Row kFloorRows[] = {
-    {"scene/activate", When::always,
-     [](const FloorSizes& sizes) { return sizes.n_surfels * (kGeometry + count_sh_bytes(sizes) + kRecord); }},
-    {"diff/accel/proxies", When::always,
-     [](const FloorSizes& sizes) { return sizes.n_surfels * (kRecord + (sizes.boxes ? kBox : kCorners)); }},
-    {"accel/build", When::software, count_build_bytes},
-    {"accel/refit", When::software, count_refit_bytes},
-    {"diff/forward/append", When::lists,
-     [](const FloorSizes& sizes) {
+constexpr KernelTraffic kFloorRows[] = {
+    {"scene/activate", KernelCondition::always,
+     [](const MemoryTrafficSizes& sizes) {
+         return sizes.n_surfels * (kGeometry + count_sh_coefficient_bytes(sizes) + kRecord);
+     }},
+    {"diff/accel/proxies", KernelCondition::always,
+     [](const MemoryTrafficSizes& sizes) {
+         return sizes.n_surfels * (kRecord + (sizes.boxes ? kBox : kCorners));
+     }},
+    {"accel/build", KernelCondition::software, count_bvh_build_bytes},
+    {"accel/refit", KernelCondition::software, count_bvh_refit_bytes},
+    {"diff/forward/append", KernelCondition::lists,
+     [](const MemoryTrafficSizes& sizes) {
          return sizes.n_rays * kRay + sizes.n_touched * kRecord + sizes.n_hits * kHit;
      }},
-    {"diff/forward/sort_hits", When::lists, [](const FloorSizes& sizes) { return 2 * sizes.n_hits * kHit; }},
-    {"diff/forward/blend", When::lists,
-     [](const FloorSizes& sizes) {
-         return sizes.n_rays * kRendered + sizes.n_hits * kHit + sizes.n_hits_written * kKeptHit +
-                sizes.n_touched * (kRecord + count_sh_bytes_along_ray(sizes));
+    {"diff/forward/sort_hits", KernelCondition::lists,
+     [](const MemoryTrafficSizes& sizes) { return 2 * sizes.n_hits * kHit; }},
+    {"diff/forward/blend", KernelCondition::lists,
+     [](const MemoryTrafficSizes& sizes) {
+         return sizes.n_rays * kRendered + sizes.n_hits * kHit + sizes.n_hits_written * kStoredHit +
+                sizes.n_touched * (kRecord + count_sh_bytes_if_per_ray(sizes));
      }},
-    {"diff/forward/trace", When::chunks,
-     [](const FloorSizes& sizes) {
-         return sizes.n_rays * (kRay + kRendered) + sizes.n_hits_written * kKeptHit +
-                sizes.n_touched * (kRecord + count_sh_bytes_along_ray(sizes));
+    {"diff/forward/trace", KernelCondition::chunks,
+     [](const MemoryTrafficSizes& sizes) {
+         return sizes.n_rays * (kRay + kRendered) + sizes.n_hits_written * kStoredHit +
+                sizes.n_touched * (kRecord + count_sh_bytes_if_per_ray(sizes));
      }},
-    {"diff/loss/image_loss", When::training,
-     [](const FloorSizes& sizes) { return sizes.n_rays * (kRendered + kTarget + kUpstream); }},
-    {"fill", When::training,
-     [](const FloorSizes& sizes) {
+    {"diff/loss/image_loss", KernelCondition::training,
+     [](const MemoryTrafficSizes& sizes) { return sizes.n_rays * (kRendered + kTarget + kUpstream); }},
+    {"fill", KernelCondition::training,
+     [](const MemoryTrafficSizes& sizes) {
          return sizes.n_surfels * (kRecord + (sizes.sh_per_surfel ? 0.0 : 192.0));
      }},
-    {"diff/backward/trace", When::training, count_backward_trace_bytes},
-    {"backward/sort", When::gather,
-     [](const FloorSizes& sizes) {
-         return sizes.n_hits * round_to_digits(sizes.n_surfels) * (kRow + 2 * (kRow + kIndex));
+    {"diff/backward/trace", KernelCondition::training, count_backward_trace_bytes},
+    {"backward/sort", KernelCondition::gather,
+     [](const MemoryTrafficSizes& sizes) {
+         return sizes.n_hits * count_radix_digits(sizes.n_surfels) * (kRow + 2 * (kRow + kIndex));
      }},
-    {"diff/backward/gather", When::gather,
-     [](const FloorSizes& sizes) {
+    {"diff/backward/gather", KernelCondition::gather,
+     [](const MemoryTrafficSizes& sizes) {
          return sizes.n_hits * (kHitRecord + kRow + kIndex) +
-                sizes.n_touched * 2 * (kRecord + count_sh_bytes_along_ray(sizes));
+                sizes.n_touched * 2 * (kRecord + count_sh_bytes_if_per_ray(sizes));
      }},
-    {"scene/activate_vjp", When::training, count_activation_gradient_bytes},
-    {"diff/optimizer/adam", When::training, count_adam_bytes},
+    {"scene/activate_vjp", KernelCondition::training, count_activation_gradient_bytes},
+    {"diff/optimizer/adam", KernelCondition::training, count_adam_step_bytes},
 };
 
-bool is_row_used(const Row& row, const FloorSizes& sizes) {
-    if (row.when == When::chunks || row.when == When::lists) return sizes.lists == (row.when == When::lists);
-    return row.when == When::always || (row.when == When::software && sizes.software) ||
-           (row.when == When::training && sizes.training) ||
-           (row.when == When::gather && sizes.training && sizes.gather);
+bool is_kernel_used(const KernelTraffic& row, const MemoryTrafficSizes& sizes) {
+    if (row.when == KernelCondition::chunks || row.when == KernelCondition::lists)
+        return sizes.lists == (row.when == KernelCondition::lists);
+    return row.when == KernelCondition::always || (row.when == KernelCondition::software && sizes.software) ||
+           (row.when == KernelCondition::training && sizes.training) ||
+           (row.when == KernelCondition::gather && sizes.training && sizes.gather);
 }
 
 }  // namespace
 
-std::map<std::string, double> compute_floor_bytes(const FloorSizes& sizes) {
+std::map<std::string, double> compute_min_bytes_per_kernel(const MemoryTrafficSizes& sizes) {
     std::map<std::string, double> bytes;
-    for (const Row& row : kFloorRows)
-        if (is_row_used(row, sizes)) bytes[row.kernel] = row.bytes(sizes);
+    for (const KernelTraffic& row : kFloorRows)
+        if (is_kernel_used(row, sizes)) bytes[row.kernel] = row.bytes(sizes);
     return bytes;
 }
 
-std::map<std::string, double> compute_cache_bytes(const FloorSizes& sizes) {
+std::map<std::string, double> compute_cache_load_bytes_per_kernel(const MemoryTrafficSizes& sizes) {
     std::map<std::string, double> bytes;
     if (sizes.nodes_opened <= 0.0) return bytes;
     const double search = sizes.nodes_opened * kNode + sizes.surfels_tested * kRecord;
-    const double shading = sizes.n_hits * (kRecord + count_sh_bytes_along_ray(sizes));
+    const double shading = sizes.n_hits * (kRecord + count_sh_bytes_if_per_ray(sizes));
     if (sizes.lists) {
         bytes["diff/forward/append"] = search + sizes.n_hits * kHit;
         bytes["diff/forward/blend"] = shading + sizes.n_hits * kHit;
@@ -152,15 +161,15 @@ std::map<std::string, double> compute_cache_bytes(const FloorSizes& sizes) {
     if (!sizes.training) return bytes;
     // share of the hits that are not stored, so that the backward pass must search them
     // again
-    const double searched_again = sizes.n_hits > 0.0 ? 1.0 - sizes.n_hits_kept / sizes.n_hits : 0.0;
+    const double searched_again = sizes.n_hits > 0.0 ? 1.0 - sizes.n_stored_hits_read / sizes.n_hits : 0.0;
     // Bytes that each hit adds to the gradient sums: a hit record, or atomic operations
     // on 16 floats.
-    const double sums = sizes.gather ? kHitRecord + kRow : kRecord + count_sh_bytes_along_ray(sizes);
+    const double sums = sizes.gather ? kHitRecord + kRow : kRecord + count_sh_bytes_if_per_ray(sizes);
     bytes["diff/backward/trace"] = searched_again * search + shading + sizes.n_hits * (kRecord + sums);
     return bytes;
 }
 
-double count_search_operations(const FloorSizes& sizes) {
+double count_traversal_operations(const MemoryTrafficSizes& sizes) {
     return sizes.nodes_opened * kNodeOperations + sizes.surfels_tested * kSurfelOperations;
 }
 

@@ -13,7 +13,7 @@
 namespace relidar::cli {
 
 /// Sizes of a benchmark, from which the minimum number of bytes is computed.
-struct FloorSizes {
+struct MemoryTrafficSizes {
     double n_surfels = 0.0;
     double n_models = 1.0;
     /// Number of surfels that receive a gradient, or 0 if there is no backward pass.
@@ -23,7 +23,7 @@ struct FloorSizes {
     double n_hits_written = 0.0;  ///< Number of hits that the forward pass stores.
     /// number of stored hits that the backward pass reads; all other hits are searched
     /// again
-    double n_hits_kept = 0.0;
+    double n_stored_hits_read = 0.0;
     double n_sh = 16.0;  ///< Number of active spherical harmonics per channel.
     bool sh_per_surfel = true;
     bool training = true;
@@ -45,14 +45,14 @@ struct FloorSizes {
 /// Returns the minimum number of bytes that each kernel must exchange with other kernels.
 /// Counts a read only if another kernel has written the data, and a write only if another
 /// kernel reads them. Leaves out kernels of the driver and very short kernels.
-std::map<std::string, double> compute_floor_bytes(const FloorSizes& sizes);
+std::map<std::string, double> compute_min_bytes_per_kernel(const MemoryTrafficSizes& sizes);
 
 /// Returns how many bytes the tracing kernels load through the caches, for all visits of
 /// tree nodes and all hits. Returns an empty map if visits were not counted.
-std::map<std::string, double> compute_cache_bytes(const FloorSizes& sizes);
+std::map<std::string, double> compute_cache_load_bytes_per_kernel(const MemoryTrafficSizes& sizes);
 
 /// Returns the number of arithmetic operations with which the forward pass finds hits, or
 /// 0 if visits were not counted.
-double count_search_operations(const FloorSizes& sizes);
+double count_traversal_operations(const MemoryTrafficSizes& sizes);
 
 }  // namespace relidar::cli

@@ -6,9 +6,9 @@
 
 namespace {
 
-void add_dev_commands(CLI::App& app, relidar::cli::Call& call) {
-    relidar::cli::add_dev_bench(app, call);
-    relidar::cli::add_pipelines(app, call);
+void add_dev_commands(CLI::App& app, relidar::cli::ParsedCommand& selected_command) {
+    relidar::cli::add_bench_command(app, selected_command);
+    relidar::cli::add_pipelines_command(app, selected_command);
 }
 
 }  // namespace

@@ -21,22 +21,22 @@ namespace relidar::cli {
 struct DevCase;
 
 /// Percentiles in milliseconds over the repetitions.
-struct Spread {
+struct TimePercentiles {
     double p10 = 0.0;
     double median = 0.0;
     double p90 = 0.0;
 };
 /// Computes the percentiles of some samples.
 /// @param samples [n], at least one
-Spread find_spread(std::vector<double> samples);
+TimePercentiles compute_p10_median_p90(std::vector<double> samples);
 
 /// Returns the time since `start` in milliseconds.
 double measure_ms_since(std::chrono::steady_clock::time_point start);
 
 /// Time of a kernel or a group of kernels in one repetition, summed over all launches.
-struct BenchRow {
+struct KernelBenchTime {
     std::string name;
-    Spread ms;
+    TimePercentiles ms;
 };
 
 /// Device memory of each part in bytes.
@@ -59,23 +59,23 @@ struct BenchVisits {
 struct BenchResult {
     bool device_clock = true;  ///< If false, only the wall time of the forward pass was measured.
     std::string proxy;
-    std::vector<BenchRow> kernels;  ///< Times of the kernels, in the order of a training iteration.
+    std::vector<KernelBenchTime> kernels;  ///< Times of the kernels, in the order of a training iteration.
     /// Times of the phases "rebuild", "iteration", "iteration_wall" and "move".
-    std::vector<BenchRow> phases;
+    std::vector<KernelBenchTime> phases;
     /// Speed of the forward pass in million rays per second, from the median times of the
     /// kernels diff/forward/*.
     double forward_mrays_per_s = 0.0;
     /// Speed of the backward pass in million rays per second, from the median time of the
     /// kernel diff/backward/trace.
     std::optional<double> backward_mrays_per_s;
-    double hits_per_ray = 0.0;    ///< Mean number of hits that are blended per ray.
-    std::uint32_t kept_hits = 0;  ///< Number of hits that are stored per ray for the backward pass.
+    double hits_per_ray = 0.0;              ///< Mean number of hits that are blended per ray.
+    std::uint32_t stored_hits_per_ray = 0;  ///< Number of hits that are stored per ray for the backward pass.
     /// Visited nodes and surfels. Empty for hardware traversal (ray query).
     std::optional<BenchVisits> visits;
     BenchMemory memory;
-    FloorSizes sizes;
+    MemoryTrafficSizes sizes;
     /// Copy bandwidth of the device: bytes read plus bytes written per second. Not set by
-    /// measure(), because it does not depend on the benchmark.
+    /// run_benchmark(), because it does not depend on the benchmark.
     std::optional<double> copy_bytes_per_s;
 };
 
@@ -88,6 +88,6 @@ struct BenchSettings {
 /// Warms up the device and then measures all kernels. The learning rates are 0, so that
 /// the scene is the same in every repetition.
 /// @throws DeviceError if a ray reaches the maximum number of passes
-BenchResult measure(Device& device, const DevCase& bench, const BenchSettings& settings);
+BenchResult run_benchmark(Device& device, const DevCase& bench_case, const BenchSettings& settings);
 
 }  // namespace relidar::cli

@@ -22,32 +22,33 @@ struct PipelinesOptions {
     bool tsv = false;
 };
 
-std::vector<PipelineStatistics> compile_variant(int index, Traversal traversal) {
-    Device device({.index = index, .traversal = traversal, .compile_only = true});
-    Progress progress(false);
-    compile_pipelines(device,
-                      [&](const std::string& description) { progress.show("compiling: " + description); });
-    return device.pipelines();
+std::vector<PipelineStatistics> compile_pipelines_for_backend(int device_index, RayTracingBackend backend) {
+    Device device({.index = device_index, .traversal = backend, .compile_only = true});
+    TerminalProgress progress(false);
+    compile_all_pipelines(device, [&](const std::string& description) {
+        progress.show_progress_text("compiling: " + description);
+    });
+    return device.get_pipeline_statistics();
 }
 
 /// Compiles the pipelines for the requested kind of ray traversal. "both" means all kinds
 /// that the device supports. Each pipeline is listed only once.
-std::vector<PipelineStatistics> compile_all_variants(const PipelinesOptions& options) {
+std::vector<PipelineStatistics> compile_requested_pipelines(const PipelinesOptions& options) {
     const DeviceInfo info =
         Device(apply_environment_variables({.index = options.device, .compile_only = true})).info();
     std::vector<PipelineStatistics> all;
     std::set<std::string> pipeline_names;
-    const auto add = [&](const char* name, Traversal traversal, bool has) {
+    const auto add = [&](const char* name, RayTracingBackend traversal, bool has) {
         if (options.traversal != name && !(options.traversal == "both" && has)) return;
-        for (PipelineStatistics& p : compile_variant(info.index, traversal)) {
+        for (PipelineStatistics& p : compile_pipelines_for_backend(info.index, traversal)) {
             if (p.kernel.find(options.kernel) == std::string::npos) continue;
             if (pipeline_names.insert(fmt::format("{} {} {}", p.kernel, p.constants, p.workgroup_size))
                     .second)
                 all.push_back(std::move(p));
         }
     };
-    add("software", Traversal::software, info.software);
-    add("ray_query", Traversal::ray_query, info.ray_query);
+    add("software", RayTracingBackend::software, info.software);
+    add("ray_query", RayTracingBackend::ray_query, info.ray_query);
     return all;
 }
 
@@ -72,8 +73,8 @@ std::vector<std::vector<std::string>> make_statistic_rows(const std::vector<Pipe
     return rows;
 }
 
-void run(const PipelinesOptions& options) {
-    const std::vector<PipelineStatistics> pipelines = compile_all_variants(options);
+void print_pipeline_statistics(const PipelinesOptions& options) {
+    const std::vector<PipelineStatistics> pipelines = compile_requested_pipelines(options);
     if (!options.tsv) {
         print(format_table(make_statistic_rows(pipelines)));
         return;
@@ -84,7 +85,7 @@ void run(const PipelinesOptions& options) {
 
 }  // namespace
 
-void add_pipelines(CLI::App& app, Call& call) {
+void add_pipelines_command(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand("pipelines",
                                            "compile every kernel as the program uses it and print what the "
                                            "device's compiler says: registers, spills, waves");
@@ -97,7 +98,9 @@ void add_pipelines(CLI::App& app, Call& call) {
     command->footer(
         "Nothing is run, so a driver without hardware will do (tools/dev/gpu_report).\nExample: relidar-dev "
         "pipelines --kernel trace");
-    command->callback([&call, options] { call.run = [options] { run(*options); }; });
+    command->callback([&selected_command, options] {
+        selected_command.run = [options] { print_pipeline_statistics(*options); };
+    });
 }
 
 }  // namespace relidar::cli

@@ -26,15 +26,16 @@ constexpr int kMostTogether = int(ScanRenderer::kScansInFlight) / 2;
 
 /// Returns requests for scans along the path of the log. With several sensors, uses one
 /// sensor after the other.
-class Drive {
+class LogPathRequests {
 public:
-    Drive(const Run& run, const ScanBench& bench) {
-        const PoseTrack log = shift_track(run.sequence.world_from_sensor(0), run.sequence.world_offset_m);
+    LogPathRequests(const TrainedRun& run, const ScanBenchOptions& bench) {
+        const PoseTrack log = shift_track(run.sequence.get_world_from_sensor(0), run.sequence.world_offset_m);
         first_s_ = log.time_s.front(), last_s_ = log.time_s.back();
-        if (const auto rig = find_rig(bench.sensor)) {
+        if (const auto rig = read_sensor_rig(bench.sensor)) {
             for (const MountedSensor& mounted : *rig) {
                 sensors_.push_back(make_sensor_choice(mounted));
-                tracks_.push_back(mount_on_track(refine_turns(log), mounted.rig_from_sensor));
+                tracks_.push_back(
+                    compute_mounted_track(subdivide_turning_segments(log), mounted.rig_from_sensor));
             }
         } else {
             sensors_.push_back(
@@ -44,27 +45,29 @@ public:
         n_moments_ = (bench.n_scans - 1) / n_sensors() + 1;
     }
     int n_sensors() const { return int(sensors_.size()); }
-    const SensorChoice& sensor(int scan) const { return sensors_[std::size_t(scan % n_sensors())]; }
-    ScanRequest at(int scan) const {
-        return {first_s_ + (last_s_ - first_s_) * (scan / n_sensors() + 0.5) / n_moments_,
-                tracks_[std::size_t(scan % n_sensors())]};
+    const SimulatedSensor& get_sensor_of_scan(int scan_index) const {
+        return sensors_[std::size_t(scan_index % n_sensors())];
+    }
+    ScanRequest make_scan_request(int scan_index) const {
+        return {first_s_ + (last_s_ - first_s_) * (scan_index / n_sensors() + 0.5) / n_moments_,
+                tracks_[std::size_t(scan_index % n_sensors())]};
     }
 
 private:
-    std::vector<SensorChoice> sensors_;
+    std::vector<SimulatedSensor> sensors_;
     std::vector<PoseTrack> tracks_;
     double first_s_, last_s_;
     int n_moments_;
 };
 
-double sum_kernel_ms(const KernelTimes& times) {
+double sum_kernel_ms(const KernelTimes& kernel_times) {
     double sum = 0.0;
-    for (const auto& [kernel, total] : times.totals) sum += total.ms;
+    for (const auto& [kernel, total] : kernel_times.totals) sum += total.ms;
     return sum;
 }
 
 /// Returns the processor time of this thread.
-double measure_thread_ms() {
+double get_thread_cpu_time_ms() {
     timespec t{};
     clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
     return 1e3 * double(t.tv_sec) + 1e-6 * double(t.tv_nsec);
@@ -72,62 +75,64 @@ double measure_thread_ms() {
 
 }  // namespace
 
-ScanTimes measure_scans(Device& device, const ScanBench& bench) {
-    using Send = ScanRenderer::Send;
-    if (bench.n_scans < 1 || bench.n_scans > kMostInOneGo)
-        throw UsageError(fmt::format("--scans: found {}, expected 1 to {}", bench.n_scans, kMostInOneGo));
-    if (bench.together < 0 || bench.together > kMostTogether)
+ScanBenchTimes measure_scan_times(Device& device, const ScanBenchOptions& bench_options) {
+    using Send = ScanRenderer::SubmissionTiming;
+    if (bench_options.n_scans < 1 || bench_options.n_scans > kMostInOneGo)
         throw UsageError(
-            fmt::format("--together: found {}, expected 1 to {}", bench.together, kMostTogether));
-    const Run run = load_run(bench.run);
+            fmt::format("--scans: found {}, expected 1 to {}", bench_options.n_scans, kMostInOneGo));
+    if (bench_options.together < 0 || bench_options.together > kMostTogether)
+        throw UsageError(
+            fmt::format("--together: found {}, expected 1 to {}", bench_options.together, kMostTogether));
+    const TrainedRun run = load_run(bench_options.run);
     ScanRenderer renderer(device, run);
-    const Drive drive(run, bench);
-    const int together =
-        std::min(bench.together ? bench.together : drive.n_sensors(), std::min(kMostTogether, bench.n_scans));
+    const LogPathRequests drive(run, bench_options);
+    const int together = std::min(bench_options.together ? bench_options.together : drive.n_sensors(),
+                                  std::min(kMostTogether, bench_options.n_scans));
     const auto ask = [&](int first) {
-        const int end = std::min(first + together, bench.n_scans);
+        const int end = std::min(first + together, bench_options.n_scans);
         for (int scan = first; scan < end; ++scan) {
-            const ScanRequest request = drive.at(scan);
-            renderer.submit_points(drive.sensor(scan), request, request.time_s,
-                                   bench.sampled ? std::optional<std::uint64_t>(scan) : std::nullopt,
+            const ScanRequest request = drive.make_scan_request(scan);
+            renderer.submit_points(drive.get_sensor_of_scan(scan), request, request.time_s,
+                                   bench_options.sampled ? std::optional<std::uint64_t>(scan) : std::nullopt,
                                    scan + 1 < end ? Send::with_next : Send::now);
         }
         return end - first;
     };
     // Does not measure the first scans, because they allocate memory.
     for (int n = ask(0); n > 0; --n) renderer.wait_for_points();
-    ScanTimes result{.sensor = drive.n_sensors() > 1 ? bench.sensor : drive.sensor(0).name,
-                     .n_scans = bench.n_scans,
-                     .together = together,
-                     .side_by_side = std::min(together, renderer.side_by_side())};
+    ScanBenchTimes result{
+        .sensor = drive.n_sensors() > 1 ? bench_options.sensor : drive.get_sensor_of_scan(0).name,
+        .n_scans = bench_options.n_scans,
+        .together = together,
+        .side_by_side = std::min(together, renderer.get_max_parallel_scans())};
     const double kernels_before_ms = sum_kernel_ms(renderer.times());
     std::vector<double> scan_ms;
     const auto start = std::chrono::steady_clock::now();
-    const double thread_begun_ms = measure_thread_ms();
+    const double thread_begun_ms = get_thread_cpu_time_ms();
     RenderedPoints scan;
     for (int first = 0, n_requested = ask(0); n_requested > 0;) {
-        stop_if_interrupted();
+        throw_if_interrupted();
         const auto begun = std::chrono::steady_clock::now();
         const int n_scans = n_requested;
         first += n_scans;
         // Submits the next scans before it reads the finished scans, so that the device
         // always has work.
-        n_requested = first < bench.n_scans ? ask(first) : 0;
+        n_requested = first < bench_options.n_scans ? ask(first) : 0;
         for (int i = 0; i < n_scans; ++i) {
             scan = renderer.wait_for_points(std::move(scan.points));
-            result.points += double(scan.points.size()) / bench.n_scans;
-            result.rays += double(scan.n_rays) / bench.n_scans;
+            result.points += double(scan.points.size()) / bench_options.n_scans;
+            result.rays += double(scan.n_rays) / bench_options.n_scans;
         }
         scan_ms.push_back(measure_ms_since(begun) / n_scans);
     }
-    result.host_ms = (measure_thread_ms() - thread_begun_ms) / bench.n_scans;
-    result.scans_per_s = 1e3 * bench.n_scans / measure_ms_since(start);
-    result.scan_ms = find_spread(scan_ms).median;
-    result.device_ms = (sum_kernel_ms(renderer.times()) - kernels_before_ms) / bench.n_scans;
+    result.host_ms = (get_thread_cpu_time_ms() - thread_begun_ms) / bench_options.n_scans;
+    result.scans_per_s = 1e3 * bench_options.n_scans / measure_ms_since(start);
+    result.scan_ms = compute_p10_median_p90(scan_ms).median;
+    result.device_ms = (sum_kernel_ms(renderer.times()) - kernels_before_ms) / bench_options.n_scans;
     return result;
 }
 
-std::string format_scan_times(const ScanTimes& times) {
+std::string format_scan_times(const ScanBenchTimes& times) {
     return fmt::format(
         "{}: {} scans of {:.0f} rays, {:.0f} points each{}\n"
         "{:.1f} scans/s, {:.2f} ms a scan (median), of it kernels {:.2f}; the thread that asks works "
@@ -139,7 +144,7 @@ std::string format_scan_times(const ScanTimes& times) {
         times.scans_per_s, times.scan_ms, times.device_ms, times.host_ms);
 }
 
-std::string make_scan_times_json(const ScanTimes& times, const Device& device,
+std::string make_scan_times_json(const ScanBenchTimes& times, const Device& device,
                                  const std::string& command_line) {
     const nlohmann::ordered_json json = {{"format", "relidar-dev bench scans"},
                                          {"version", 1},

@@ -12,7 +12,7 @@ class Device;
 
 namespace relidar::cli {
 
-struct ScanBench {
+struct ScanBenchOptions {
     int n_scans = 0;  ///< Number of scans to measure. 0 means that scans are not measured.
     /// Run folder and sensor. The sensor is a name of `relidar list sensors` or the path
     /// of a rig file. If the sensor is empty, the sensor of the log is used.
@@ -25,7 +25,7 @@ struct ScanBench {
     bool sampled = false;
 };
 
-struct ScanTimes {
+struct ScanBenchTimes {
     std::string sensor;
     int n_scans = 0;
     int together = 1;
@@ -46,10 +46,10 @@ struct ScanTimes {
 /// the scans are evenly spaced between the first and the last sweep.
 /// @throws UsageError if a number is out of range
 /// @throws DataError if the run or the rig cannot be read
-ScanTimes measure_scans(Device& device, const ScanBench& bench);
+ScanBenchTimes measure_scan_times(Device& device, const ScanBenchOptions& bench_options);
 
-std::string format_scan_times(const ScanTimes& times);
-std::string make_scan_times_json(const ScanTimes& times, const Device& device,
+std::string format_scan_times(const ScanBenchTimes& times);
+std::string make_scan_times_json(const ScanBenchTimes& times, const Device& device,
                                  const std::string& command_line);
 
 }  // namespace relidar::cli

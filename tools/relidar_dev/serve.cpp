@@ -15,25 +15,27 @@ constexpr int kMostClients = 256, kMostCalls = 1'000'000;
 
 }  // namespace
 
-void bench_service(const ServeBench& bench) {
-    if (bench.clients < 1 || bench.clients > kMostClients)
-        throw UsageError(fmt::format("--clients: found {}, expected 1 to {}", bench.clients, kMostClients));
-    if (bench.calls < 1 || bench.calls > kMostCalls)
-        throw UsageError(fmt::format("--calls: found {}, expected 1 to {}", bench.calls, kMostCalls));
-    (void)parse_host_port(bench.address, "--serve", 1);
+void run_service_benchmark(const ServeBenchOptions& bench_options) {
+    if (bench_options.clients < 1 || bench_options.clients > kMostClients)
+        throw UsageError(
+            fmt::format("--clients: found {}, expected 1 to {}", bench_options.clients, kMostClients));
+    if (bench_options.calls < 1 || bench_options.calls > kMostCalls)
+        throw UsageError(fmt::format("--calls: found {}, expected 1 to {}", bench_options.calls, kMostCalls));
+    (void)parse_host_port(bench_options.address, "--serve", 1);
     const serve::LatencyResult r =
-        serve::measure_latency({bench.address, bench.scene, bench.sensor, bench.clients, bench.calls});
+        serve::measure_latency({bench_options.address, bench_options.scene, bench_options.sensor,
+                                bench_options.clients, bench_options.calls});
     const auto row = [](const char* name, const serve::Percentiles& p) -> std::vector<std::string> {
         return {name, fmt::format("{:.1f}", p.p50), fmt::format("{:.1f}", p.p99)};
     };
-    print(
-        fmt::format("{} at {}: {} calls by {} clients, {} rays and {:.0f} points a scan\n{}{:.1f} scans/s\n",
-                    r.scene, bench.address, bench.calls, bench.clients, r.rays, r.points,
-                    format_table({{"ms", "p50", "p99"},
-                                  row("latency", r.latency_ms),
-                                  row("of it queued", r.queued_ms),
-                                  row("of it rendering", r.rendered_ms)}),
-                    r.scans_per_s));
+    print(fmt::format(
+        "{} at {}: {} calls by {} clients, {} rays and {:.0f} points a scan\n{}{:.1f} scans/s\n", r.scene,
+        bench_options.address, bench_options.calls, bench_options.clients, r.rays, r.points,
+        format_table({{"ms", "p50", "p99"},
+                      row("latency", r.latency_ms),
+                      row("of it queued", r.queued_ms),
+                      row("of it rendering", r.rendered_ms)}),
+        r.scans_per_s));
 }
 
 }  // namespace relidar::cli

@@ -7,7 +7,7 @@
 
 namespace relidar::cli {
 
-struct ServeBench {
+struct ServeBenchOptions {
     std::string address;  ///< address of the service; if it is empty, no service is measured
     std::string scene, sensor;
     int clients = 1;
@@ -17,6 +17,6 @@ struct ServeBench {
 /// Measures a service and prints the latencies and the scans per second.
 /// @throws UsageError if this program was built without gRPC
 /// @throws DataError if no server answers
-void bench_service(const ServeBench& bench);
+void run_service_benchmark(const ServeBenchOptions& bench_options);
 
 }  // namespace relidar::cli

@@ -6,7 +6,7 @@
 
 namespace relidar::cli {
 
-void bench_service(const ServeBench&) {
+void run_service_benchmark(const ServeBenchOptions&) {
     throw UsageError(
         "--serve: this program was built without gRPC, expected one with it: `tools/dev/setup --serve`, then "
         "build again");

@@ -14,35 +14,36 @@
 
 namespace relidar::cli {
 
-StepTimes measure_steps(Device& device, const std::string& folder, int n_steps, bool quiet) {
-    Run run = load_run(folder);
-    attach_scans(run, run.split.train, load_dataset(run.config, quiet));
-    StepTimes times = time_steps(device, run, n_steps, is_interrupted);
-    stop_if_interrupted();
+TrainingStepTimes measure_training_steps(Device& device, const std::string& folder, int n_steps, bool quiet) {
+    TrainedRun run = load_run(folder);
+    copy_scans_into_run(run, run.split.train, load_dataset(run.config, quiet));
+    TrainingStepTimes times = measure_step_times(device, run, n_steps, is_interrupted);
+    throw_if_interrupted();
     return times;
 }
 
-std::string format_step_times(const StepTimes& times, const Device& device) {
-    using Row = std::pair<std::string, StepTimes::Kernel>;
-    std::vector<Row> rows(times.kernels.begin(), times.kernels.end());
-    std::sort(rows.begin(), rows.end(),
-              [](const Row& first, const Row& second) { return first.second.ms > second.second.ms; });
+std::string format_step_times(const TrainingStepTimes& times, const Device& device) {
+    using KernelTimeRow = std::pair<std::string, TrainingStepTimes::StepKernelTime>;
+    std::vector<KernelTimeRow> rows(times.kernels.begin(), times.kernels.end());
+    std::sort(rows.begin(), rows.end(), [](const KernelTimeRow& first, const KernelTimeRow& second) {
+        return first.second.ms > second.second.ms;
+    });
     std::string text = fmt::format(
         "{}\n{} surfels, {} rays a step, {} hits kept a ray; means of {} steps\n\n{:<28}{:>9}{:>10}{:>8}\n",
-        device.info().name, times.surfels, times.rays, times.kept_hits, times.n_steps, "kernel", "launches",
-        "ms", "share");
+        device.info().name, times.surfels, times.rays, times.stored_hits_per_ray, times.n_steps, "kernel",
+        "launches", "ms", "share");
     const auto row = [&](const std::string& name, const std::string& launches, double ms) {
         text +=
             fmt::format("{:<28}{:>9}{:>10.3f}{:>7.1f}%\n", name, launches, ms, 100.0 * ms / times.wall_ms);
     };
     for (const auto& [name, kernel] : rows) row(name, fmt::format("{:.3g}", kernel.launches), kernel.ms);
     if (rows.empty()) text += "the device has no timestamps\n";
-    else row("between kernels", "", times.compute_interval_ms());
+    else row("between kernels", "", times.compute_idle_ms());
     row("step, wall time", "", times.wall_ms);
     return text + fmt::format("{:.2f} steps/s\n", 1e3 / times.wall_ms);
 }
 
-std::string make_step_times_json(const StepTimes& times, const Device& device,
+std::string make_step_times_json(const TrainingStepTimes& times, const Device& device,
                                  const std::string& command_line) {
     nlohmann::ordered_json kernels = nlohmann::ordered_json::object();
     for (const auto& [name, kernel] : times.kernels)
@@ -55,9 +56,9 @@ std::string make_step_times_json(const StepTimes& times, const Device& device,
                                          {"steps", times.n_steps},
                                          {"surfels", times.surfels},
                                          {"rays", times.rays},
-                                         {"kept_hits", times.kept_hits},
+                                         {"kept_hits", times.stored_hits_per_ray},
                                          {"wall_ms", times.wall_ms},
-                                         {"between_ms", times.compute_interval_ms()},
+                                         {"between_ms", times.compute_idle_ms()},
                                          {"kernels", kernels}};
     return json.dump(1) + "\n";
 }

@@ -10,11 +10,13 @@
 namespace relidar::cli {
 
 /// Runs training steps and measures them.
-/// @param run run folder. The log must be at the same path as when the run was trained.
-StepTimes measure_steps(Device& device, const std::string& run, int n_steps, bool quiet);
+/// @param run_folder run folder. The log must be at the same path as when the run was
+/// trained.
+TrainingStepTimes measure_training_steps(Device& device, const std::string& run_folder, int n_steps,
+                                         bool quiet);
 
-std::string format_step_times(const StepTimes& times, const Device& device);
-std::string make_step_times_json(const StepTimes& times, const Device& device,
+std::string format_step_times(const TrainingStepTimes& times, const Device& device);
+std::string make_step_times_json(const TrainingStepTimes& times, const Device& device,
                                  const std::string& command_line);
 
 }  // namespace relidar::cli

@@ -14,11 +14,12 @@ struct DevCase;
 struct BenchResult;
 struct BenchSettings;
 
-std::string format_bench(const DevCase& bench, const BenchResult& result, const Device& device);
+std::string format_bench_result(const DevCase& bench_case, const BenchResult& result, const Device& device);
 
 /// Returns the result of a benchmark as JSON.
 /// @param command_line command line as the user typed it
-std::string make_bench_json(const DevCase& bench, const BenchSettings& settings, const BenchResult& result,
-                            const Device& device, const std::string& command_line);
+std::string make_bench_result_json(const DevCase& bench_case, const BenchSettings& settings,
+                                   const BenchResult& result, const Device& device,
+                                   const std::string& command_line);
 
 }  // namespace relidar::cli

@@ -33,26 +33,26 @@ constexpr int kMostDescriptors = 16384;
 // Number of file descriptors that are reserved for files and the GPU driver.
 constexpr int kReservedDescriptors = 256;
 
-std::string describe_error(int error) { return std::generic_category().message(error); }
+std::string get_errno_message(int error_number) { return std::generic_category().message(error_number); }
 
-[[noreturn]] void fail(const std::string& address, const std::string& why) {
+[[noreturn]] void throw_listen_error(const std::string& address, const std::string& reason) {
     throw UsageError(
-        fmt::format("cannot listen at {}: {}; use a free HOST:PORT of this machine", address, why));
+        fmt::format("cannot listen at {}: {}; use a free HOST:PORT of this machine", address, reason));
 }
 
 struct FreeAddresses {
     void operator()(addrinfo* all) const { ::freeaddrinfo(all); }
 };
-using Addresses = std::unique_ptr<addrinfo, FreeAddresses>;
+using AddrInfoPtr = std::unique_ptr<addrinfo, FreeAddresses>;
 
-Addresses resolve_addresses(const std::string& host, const std::string& address) {
+AddrInfoPtr resolve_host_addresses(const std::string& host, const std::string& address_for_errors) {
     addrinfo hints{};
     hints.ai_socktype = SOCK_STREAM;
     hints.ai_flags = AI_PASSIVE;
     addrinfo* all = nullptr;
     if (const int error = ::getaddrinfo(host.c_str(), nullptr, &hints, &all); error != 0)
-        fail(address, ::gai_strerror(error));
-    return Addresses(all);
+        throw_listen_error(address_for_errors, ::gai_strerror(error));
+    return AddrInfoPtr(all);
 }
 
 void set_port(sockaddr& address, int port) {
@@ -61,15 +61,15 @@ void set_port(sockaddr& address, int port) {
     else reinterpret_cast<sockaddr_in&>(address).sin_port = number;
 }
 
-int parse_port(int listener) {
+int get_bound_port(int listening_socket) {
     sockaddr_storage storage{};
     socklen_t size = sizeof(storage);
-    if (::getsockname(listener, reinterpret_cast<sockaddr*>(&storage), &size) != 0) return 0;
+    if (::getsockname(listening_socket, reinterpret_cast<sockaddr*>(&storage), &size) != 0) return 0;
     if (storage.ss_family == AF_INET6) return ntohs(reinterpret_cast<const sockaddr_in6&>(storage).sin6_port);
     return ntohs(reinterpret_cast<const sockaddr_in&>(storage).sin_port);
 }
 
-void set_option(int socket, int level, int name, int value) {
+void set_socket_option(int socket, int level, int name, int value) {
     (void)::setsockopt(socket, level, name, &value, sizeof(value));
 }
 
@@ -78,9 +78,9 @@ void set_option(int socket, int level, int name, int value) {
 int listen_on_address(const addrinfo& address) {
     const int listener = ::socket(address.ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
     if (listener < 0) return -1;
-    set_option(listener, SOL_SOCKET, SO_REUSEADDR, 1);
-    set_option(listener, IPPROTO_TCP, TCP_NODELAY, 1);  // Accepted connections inherit this option.
-    if (address.ai_family == AF_INET6) set_option(listener, IPPROTO_IPV6, IPV6_V6ONLY, 0);
+    set_socket_option(listener, SOL_SOCKET, SO_REUSEADDR, 1);
+    set_socket_option(listener, IPPROTO_TCP, TCP_NODELAY, 1);  // Accepted connections inherit this option.
+    if (address.ai_family == AF_INET6) set_socket_option(listener, IPPROTO_IPV6, IPV6_V6ONLY, 0);
     if (::bind(listener, address.ai_addr, address.ai_addrlen) == 0 && ::listen(listener, SOMAXCONN) == 0)
         return listener;
     const int error = errno;
@@ -92,11 +92,11 @@ int listen_on_address(const addrinfo& address) {
 /// Returns the lowest file descriptor number at which a new connection is closed. The
 /// system always assigns the lowest free number, so a high number means that many
 /// descriptors are open.
-int find_first_spare_descriptor() {
+int compute_max_connection_descriptor() {
     rlimit limit{};
-    const bool is_known =
+    const bool has_usable_limit =
         ::getrlimit(RLIMIT_NOFILE, &limit) == 0 && limit.rlim_cur < rlim_t(kMostDescriptors);
-    const int most = is_known ? int(limit.rlim_cur) : kMostDescriptors;
+    const int most = has_usable_limit ? int(limit.rlim_cur) : kMostDescriptors;
     return most - std::min(kReservedDescriptors, most / 4);
 }
 
@@ -104,7 +104,7 @@ int find_first_spare_descriptor() {
 
 Acceptor::Acceptor(const std::string& text) {
     const HostPort host_port = parse_host_port(text, "--listen", 0);
-    const Addresses all = resolve_addresses(host_port.host, text);
+    const AddrInfoPtr all = resolve_host_addresses(host_port.host, text);
     int error = EADDRNOTAVAIL;
     port_ = host_port.port;
     for (const addrinfo* address = all.get(); address; address = address->ai_next) {
@@ -116,33 +116,34 @@ Acceptor::Acceptor(const std::string& text) {
         // IPv6).
         if (listener < 0) continue;
         listeners_.push_back(listener);
-        port_ = parse_port(listener);
+        port_ = get_bound_port(listener);
     }
-    const bool is_taken = error == EADDRINUSE && host_port.port != 0;
-    if (listeners_.empty() || is_taken || ::pipe2(wake_, O_CLOEXEC) != 0) {
-        close_all();
-        fail(text, is_taken ? "another process already uses it" : describe_error(error));
+    const bool is_port_in_use = error == EADDRINUSE && host_port.port != 0;
+    if (listeners_.empty() || is_port_in_use || ::pipe2(wake_, O_CLOEXEC) != 0) {
+        close_all_sockets();
+        throw_listen_error(text,
+                           is_port_in_use ? "another process already uses it" : get_errno_message(error));
     }
 }
 
 Acceptor::~Acceptor() {
-    stop();
-    close_all();
+    stop_accepting();
+    close_all_sockets();
 }
 
-void Acceptor::close_all() {
+void Acceptor::close_all_sockets() {
     for (const int listener : listeners_) ::close(listener);
     listeners_.clear();
     for (int& end : wake_)
         if (end >= 0) ::close(std::exchange(end, -1));
 }
 
-void Acceptor::start(Receive receive) {
-    receive_ = std::move(receive);
-    thread_ = std::thread([this] { serve(); });
+void Acceptor::start_accepting(ConnectionCallback handle_connection) {
+    receive_ = std::move(handle_connection);
+    thread_ = std::thread([this] { run_accept_loop(); });
 }
 
-void Acceptor::stop() {
+void Acceptor::stop_accepting() {
     if (!thread_.joinable()) return;
     const char any = 0;
     while (::write(wake_[1], &any, 1) < 0 && errno == EINTR) {}
@@ -152,26 +153,26 @@ void Acceptor::stop() {
     listeners_.clear();
 }
 
-void Acceptor::serve() {
+void Acceptor::run_accept_loop() {
     std::vector<pollfd> waits{{wake_[0], POLLIN, 0}};
     for (const int listener : listeners_) waits.push_back({listener, POLLIN, 0});
     while (true) {
         if (::poll(waits.data(), waits.size(), -1) < 0) continue;
         if (waits.front().revents != 0) return;
         for (const pollfd& wait : waits)
-            if (wait.revents != 0) accept_one(wait.fd);
+            if (wait.revents != 0) accept_connection(wait.fd);
     }
 }
 
-void Acceptor::accept_one(int listener) {
-    const int connection = ::accept4(listener, nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC);
+void Acceptor::accept_connection(int listening_socket) {
+    const int connection = ::accept4(listening_socket, nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC);
     const bool is_full =
         connection < 0 && (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM);
     if (is_full) std::this_thread::sleep_for(kPause);
     // Does nothing if the client has already disconnected.
     if (connection < 0) return;
-    if (connection >= find_first_spare_descriptor()) ::close(connection);
-    else receive_(listener, connection);
+    if (connection >= compute_max_connection_descriptor()) ::close(connection);
+    else receive_(listening_socket, connection);
 }
 
 }  // namespace relidar::serve

@@ -14,7 +14,7 @@ class Acceptor {
 public:
     /// Callback that receives a new connection and must close its file descriptor. It
     /// runs on the thread of the acceptor.
-    using Receive = std::function<void(int listener, int connection)>;
+    using ConnectionCallback = std::function<void(int listener, int connection)>;
 
     /// Opens listening sockets at all network addresses of a host name.
     /// @param address HOST:PORT; port 0 selects a free port
@@ -28,20 +28,21 @@ public:
     int port() const { return port_; }
     /// Starts to accept connections. If too few file descriptors are free, closes new
     /// connections immediately.
-    void start(Receive receive);
+    void start_accepting(ConnectionCallback handle_connection);
     /// Stops accepting connections. Waits until a running callback has returned.
-    void stop();
+    void stop_accepting();
 
 private:
     std::vector<int> listeners_;
-    int wake_[2] = {-1, -1};  ///< Pipe that stop() uses to wake the thread that waits for connections.
+    int wake_[2] = {-1,
+                    -1};  ///< Pipe that stop_accepting() uses to wake the thread that waits for connections.
     int port_ = 0;
-    Receive receive_;
+    ConnectionCallback receive_;
     std::thread thread_;
 
-    void close_all();
-    void serve();
-    void accept_one(int listener);
+    void close_all_sockets();
+    void run_accept_loop();
+    void accept_connection(int listening_socket);
 };
 
 }  // namespace relidar::serve

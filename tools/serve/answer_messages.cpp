@@ -21,7 +21,7 @@ static_assert(std::endian::native == std::endian::little,
               "arrays of messages are sent with the byte order of this machine, which must be little-endian");
 
 template <class T>
-void set_array(std::string& bytes, const std::vector<T>& values) {
+void set_bytes_of_array(std::string& bytes, const std::vector<T>& values) {
     bytes.assign(reinterpret_cast<const char*>(values.data()), values.size() * sizeof(T));
 }
 
@@ -34,23 +34,24 @@ void write_channels(const std::vector<ScanChannel>& channels, Messages& messages
         message.set_meaning(info.meaning);
         message.set_components(std::holds_alternative<std::vector<glm::vec3>>(values) ? 3 : 1);
         message.set_is_integer(std::holds_alternative<std::vector<std::int32_t>>(values));
-        std::visit([&](const auto& of_rays) { set_array(*message.mutable_values(), of_rays); }, values);
+        std::visit([&](const auto& of_rays) { set_bytes_of_array(*message.mutable_values(), of_rays); },
+                   values);
     }
 }
 
-void write_points(const Points& points, v1::Points& message) {
+void write_points(const LidarPoints& points, v1::Points& message) {
     message.set_count(std::uint32_t(points.size()));
-    set_array(*message.mutable_xyz_m(), points.position_m);
-    set_array(*message.mutable_intensity(), points.intensity);
-    set_array(*message.mutable_ring(), points.ring);
-    set_array(*message.mutable_time_s(), points.time_offset_s);
-    set_array(*message.mutable_instance(), points.instance);
+    set_bytes_of_array(*message.mutable_xyz_m(), points.position_m);
+    set_bytes_of_array(*message.mutable_intensity(), points.intensity);
+    set_bytes_of_array(*message.mutable_ring(), points.ring);
+    set_bytes_of_array(*message.mutable_time_s(), points.time_offset_s);
+    set_bytes_of_array(*message.mutable_instance(), points.instance);
     if (points.return_number.empty()) message.mutable_return_number()->assign(points.size(), 1);
-    else set_array(*message.mutable_return_number(), points.return_number);
+    else set_bytes_of_array(*message.mutable_return_number(), points.return_number);
     write_channels(points.channels, *message.mutable_channels());
 }
 
-std::size_t count_first_returns(const Points& points) {
+std::size_t count_first_returns(const LidarPoints& points) {
     if (points.return_number.empty()) return points.size();
     return std::size_t(std::ranges::count(points.return_number, 1));
 }
@@ -62,9 +63,9 @@ double compute_track_length_m(const PoseTrack& track) {
     return length;
 }
 
-void write_actor(const Run& run, const std::string& name, v1::Actor& message) {
-    message.set_name(name);
-    const BoxTrack* box = find_box(run.sequence, name);
+void write_actor(const TrainedRun& run, const std::string& actor_name, v1::Actor& message) {
+    message.set_name(actor_name);
+    const BoxTrack* box = find_box(run.sequence, actor_name);
     if (!box) return;
     const PoseTrack& track = box->world_from_box;
     message.set_category(box->category);
@@ -91,34 +92,35 @@ void write_scan(const RenderedPoints& scan, const RenderRequest& request, v1::Li
 
 void write_scan(const RenderedScan& scan, const RenderRequest& request, const Config& config,
                 v1::LidarScan& message) {
-    const Pose dataset_from_points = request.request.dataset_from_sensor.at(request.points_at_s);
-    write_scan(
-        {place_points(scan, config, dataset_from_points), scan.image.range_m.size(), scan.unseen_share},
-        request, message);
+    const Pose dataset_from_points =
+        request.request.dataset_from_sensor.interpolate_pose(request.points_at_s);
+    write_scan({convert_scan_to_points(scan, config, dataset_from_points), scan.image.range_m.size(),
+                scan.unseen_share},
+               request, message);
     if (!request.range_image && !request.drop_probability) return;
     v1::RangeImage& image = *message.mutable_image();
     image.set_rows(std::uint32_t(scan.image.rows));
     image.set_columns(std::uint32_t(scan.image.columns));
-    if (request.drop_probability) set_array(*image.mutable_drop_probability(), scan.image.drop_prob);
+    if (request.drop_probability) set_bytes_of_array(*image.mutable_drop_probability(), scan.image.drop_prob);
     if (!request.range_image) return;
-    set_array(*image.mutable_range_m(), scan.image.range_m);
-    set_array(*image.mutable_intensity(), scan.image.intensity);
+    set_bytes_of_array(*image.mutable_range_m(), scan.image.range_m);
+    set_bytes_of_array(*image.mutable_intensity(), scan.image.intensity);
     write_channels(scan.channels, *image.mutable_channels());
 }
 
-void write_boxes(const RenderedScan& scan, const RenderRequest& request, const Run& run,
-                 v1::LidarScan& message) {
-    ScanFormat format = make_scan_format(run, *request.sensor);
+void write_actor_boxes(const RenderedScan& scan, const RenderRequest& request, const TrainedRun& run,
+                       v1::LidarScan& message) {
+    ScanOutputOptions format = make_scan_format(run, *request.sensor);
     std::map<std::string, std::string> names;  // of the actors by track
     if (request.request.dataset_from_actor) {
         format.actors.clear();
-        for (const PlacedActor& actor : request.placed) {
+        for (const VisibleActor& actor : request.placed) {
             names[actor.track] = actor.name;
             format.instance_names.resize(std::max(format.instance_names.size(), actor.instance + 1));
             format.instance_names[actor.instance] = actor.track;
             format.actors.push_back({actor.track, actor.category, actor.size_m, {}});
         }
-        place_boxes(format, *request.request.dataset_from_actor);
+        replace_actor_box_poses(format, *request.request.dataset_from_actor);
     }
     for (const ActorBox& box : find_actor_boxes(scan, format)) {
         v1::ActorBox& written = *message.add_boxes();
@@ -134,9 +136,9 @@ void write_boxes(const RenderedScan& scan, const RenderRequest& request, const R
     }
 }
 
-void write_scene(const std::string& name, const Run& run, v1::Scene& message) {
-    const Sequence& log = run.sequence;
-    message.set_name(name);
+void write_scene(const std::string& scene_name, const TrainedRun& run, v1::Scene& message) {
+    const LidarSequence& log = run.sequence;
+    message.set_name(scene_name);
     message.set_begin_s(log.frames.front().time_s);
     message.set_end_s(log.frames.back().time_s);
     message.set_sampled_noise(std::ranges::any_of(
@@ -146,30 +148,31 @@ void write_scene(const std::string& name, const Run& run, v1::Scene& message) {
         v1::Lidar& added = *message.add_lidars();
         added.set_name(lidar.name);
         added.set_sensor(lidar.sensor.name);
-        added.set_rays(count_rays(make_configured_sensor(run.config, log, int(i))));
+        added.set_rays(count_rays_of_sensor(make_configured_sensor(run.config, log, int(i))));
         added.set_period_s(lidar.period_s());
     }
     for (const std::string& actor : list_actor_names_of_run(run))
         write_actor(run, actor, *message.add_actors());
 }
 
-void write_tracks(const Run& run, int lidar, const google::protobuf::RepeatedPtrField<std::string>& actors,
+void write_tracks(const TrainedRun& run, int lidar_index,
+                  const google::protobuf::RepeatedPtrField<std::string>& actor_names,
                   v1::GetTracksResponse& message) {
-    const Sequence& log = run.sequence;
+    const LidarSequence& log = run.sequence;
     const auto in_dataset = [&](const PoseTrack& track) { return shift_track(track, log.world_offset_m); };
-    write_track(in_dataset(log.world_from_sensor(lidar)), *message.mutable_dataset_from_sensor());
-    if (std::size_t(actors.size()) > run.scene.instances.size())
-        throw_refusal("actors", fmt::format("{} names", actors.size()), "each actor at most once");
-    std::vector<std::string> names(actors.begin(), actors.end());
+    write_track(in_dataset(log.get_world_from_sensor(lidar_index)), *message.mutable_dataset_from_sensor());
+    if (std::size_t(actor_names.size()) > run.scene.instances.size())
+        throw_invalid_field("actors", fmt::format("{} names", actor_names.size()), "each actor at most once");
+    std::vector<std::string> names(actor_names.begin(), actor_names.end());
     if (names.empty()) names = list_actor_names_of_run(run);
     for (const std::string& name : names) {
         const BoxTrack* box = find_box(run.sequence, name);
         if (!box)
-            throw Refusal(
+            throw RejectedRequest(
                 grpc::StatusCode::NOT_FOUND,
                 fmt::format(
                     "cannot read actors: found {}, expected an actor of the log that ListScenes returns",
-                    quoted(name)));
+                    quote_for_error_message(name)));
         v1::ActorTrack& track = *message.add_actors();
         track.set_name(name);
         write_track(in_dataset(box->world_from_box), *track.mutable_poses());

@@ -19,17 +19,18 @@ void write_scan(const RenderedPoints& scan, const RenderRequest& request, v1::Li
 
 /// Writes the boxes of the actors in a scan into a Protobuf message.
 /// @param run run without surfels
-void write_boxes(const RenderedScan& scan, const RenderRequest& request, const Run& run,
-                 v1::LidarScan& message);
+void write_actor_boxes(const RenderedScan& scan, const RenderRequest& request, const TrainedRun& run,
+                       v1::LidarScan& message);
 
 /// Writes the description of a scene into a message.
 /// @param run run without surfels
-void write_scene(const std::string& name, const Run& run, v1::Scene& message);
+void write_scene(const std::string& scene_name, const TrainedRun& run, v1::Scene& message);
 
 /// Writes the recorded poses of a LiDAR and of actors, in the world frame of the dataset.
-/// @param actors names of actors; if the list is empty, all actors are written
+/// @param actor_names names of actors; if the list is empty, all actors are written
 /// @throws Refusal if an actor is unknown
-void write_tracks(const Run& run, int lidar, const google::protobuf::RepeatedPtrField<std::string>& actors,
+void write_tracks(const TrainedRun& run, int lidar_index,
+                  const google::protobuf::RepeatedPtrField<std::string>& actor_names,
                   v1::GetTracksResponse& message);
 
 }  // namespace relidar::serve

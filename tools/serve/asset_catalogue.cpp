@@ -12,8 +12,8 @@ namespace relidar::serve {
 AssetCatalogue::AssetCatalogue(const std::vector<std::string>& folders) {
     for (const std::string& folder : folders) {
         for (const std::filesystem::path& entry : list_asset_folders(folder)) {
-            AssetFacts facts = read_asset_facts(entry);
-            if (const Entry* same = find(facts.name))
+            AssetDescription facts = read_asset_facts(entry);
+            if (const CatalogueEntry* same = find_asset(facts.name))
                 throw UsageError(
                     fmt::format("cannot serve the assets of {}: found {} also in {}, expected each name once",
                                 folder, facts.name, same->folder.parent_path().string()));
@@ -22,8 +22,9 @@ AssetCatalogue::AssetCatalogue(const std::vector<std::string>& folders) {
     }
 }
 
-const AssetCatalogue::Entry* AssetCatalogue::find(const std::string& name) const {
-    const auto entry = std::ranges::find_if(entries_, [&](const Entry& e) { return e.facts.name == name; });
+const AssetCatalogue::CatalogueEntry* AssetCatalogue::find_asset(const std::string& asset_name) const {
+    const auto entry =
+        std::ranges::find_if(entries_, [&](const CatalogueEntry& e) { return e.facts.name == asset_name; });
     return entry == entries_.end() ? nullptr : &*entry;
 }
 

@@ -20,16 +20,16 @@ public:
     /// @throws UsageError if two assets have the same name
     explicit AssetCatalogue(const std::vector<std::string>& folders);
 
-    struct Entry {
+    struct CatalogueEntry {
         std::filesystem::path folder;  ///< Folder of the asset.
-        AssetFacts facts;
+        AssetDescription facts;
     };
-    const std::vector<Entry>& entries() const { return entries_; }
+    const std::vector<CatalogueEntry>& get_entries() const { return entries_; }
     /// Returns the asset with this name, or null if the name is unknown.
-    const Entry* find(const std::string& name) const;
+    const CatalogueEntry* find_asset(const std::string& asset_name) const;
 
 private:
-    std::vector<Entry> entries_;
+    std::vector<CatalogueEntry> entries_;
 };
 
 }  // namespace relidar::serve

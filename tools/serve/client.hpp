@@ -14,7 +14,7 @@ namespace relidar::serve {
 
 /// Opens a new gRPC channel without TLS. The size of messages is not limited, because
 /// scans can be large.
-std::shared_ptr<grpc::Channel> connect(const std::string& address);
+std::shared_ptr<grpc::Channel> open_insecure_channel(const std::string& address);
 
 /// Client of the render service. Each call waits for its response.
 /// @throws DataError with the gRPC code and message if a call fails
@@ -24,13 +24,13 @@ public:
 
     v1::ListScenesResponse list_scenes();
     v1::GetTracksResponse get_tracks(const v1::GetTracksRequest& request);
-    v1::LidarScan render(const v1::RenderLidarRequest& request);
+    v1::LidarScan render_lidar_scan(const v1::RenderLidarRequest& request);
 
 private:
     std::string address_;
     std::unique_ptr<v1::RenderService::Stub> stub_;
 
-    void check(const grpc::Status& status) const;
+    void throw_if_call_failed(const grpc::Status& status) const;
 };
 
 }  // namespace relidar::serve

@@ -18,43 +18,46 @@ constexpr double kFarthest = 1e10;
 constexpr double kDoublePrecision = 1e-12;
 constexpr int kMostPoses = 100'000;
 
-double read_number(double value, const std::string& field) {
+double require_limited_number(double value, const std::string& field_name) {
     if (!(std::abs(value) <= kFarthest))
-        throw_refusal(field, fmt::format("{}", value), "a finite number of at most 1e10");
+        throw_invalid_field(field_name, fmt::format("{}", value), "a finite number of at most 1e10");
     return value;
 }
 
 }  // namespace
 
-double read_time(double time_s, const std::string& field) { return read_number(time_s, field); }
+double require_limited_time(double time_s, const std::string& field_name) {
+    return require_limited_number(time_s, field_name);
+}
 
-Pose read_pose(const v1::Pose& message, const std::string& field) {
+Pose read_pose(const v1::Pose& message, const std::string& field_name) {
     const v1::Vector& t = message.translation();
     Pose pose;
-    pose.translation = {read_number(t.x(), field + ".translation.x"),
-                        read_number(t.y(), field + ".translation.y"),
-                        read_number(t.z(), field + ".translation.z")};
+    pose.translation = {require_limited_number(t.x(), field_name + ".translation.x"),
+                        require_limited_number(t.y(), field_name + ".translation.y"),
+                        require_limited_number(t.z(), field_name + ".translation.z")};
     if (!message.has_rotation()) return pose;
     const v1::Quaternion& q = message.rotation();
     pose.rotation = glm::dquat(q.w(), q.x(), q.y(), q.z());
     const double length = glm::length(pose.rotation);
     if (!(std::abs(length - 1.0) <= kUnitSlack))
-        throw_refusal(field + ".rotation", fmt::format("a quaternion of length {}", length), "1");
+        throw_invalid_field(field_name + ".rotation", fmt::format("a quaternion of length {}", length), "1");
     if (std::abs(length - 1.0) > kDoublePrecision) pose.rotation = glm::normalize(pose.rotation);
     return pose;
 }
 
 PoseTrack read_track(const google::protobuf::RepeatedPtrField<v1::TimedPose>& messages,
-                     const std::string& field) {
+                     const std::string& field_name) {
     if (messages.empty() || messages.size() > kMostPoses)
-        throw_refusal(field, fmt::format("{} poses", messages.size()), fmt::format("1 to {}", kMostPoses));
+        throw_invalid_field(field_name, fmt::format("{} poses", messages.size()),
+                            fmt::format("1 to {}", kMostPoses));
     PoseTrack track;
     for (int i = 0; i < messages.size(); ++i) {
-        const std::string entry = fmt::format("{}[{}]", field, i);
-        const double time_s = read_time(messages[i].time_s(), entry + ".time_s");
+        const std::string entry = fmt::format("{}[{}]", field_name, i);
+        const double time_s = require_limited_time(messages[i].time_s(), entry + ".time_s");
         if (i > 0 && !(time_s > track.time_s.back()))
-            throw_refusal(entry + ".time_s", fmt::format("{} after {}", time_s, track.time_s.back()),
-                          "increasing times");
+            throw_invalid_field(entry + ".time_s", fmt::format("{} after {}", time_s, track.time_s.back()),
+                                "increasing times");
         track.time_s.push_back(time_s);
         track.pose.push_back(read_pose(messages[i].pose(), entry + ".pose"));
     }

@@ -18,18 +18,18 @@ namespace relidar::serve {
 inline constexpr double kUnitSlack = 1e-3;
 
 /// Reads a pose and checks its values.
-/// @param field name of the field in the request, for error messages
+/// @param field_name name of the field in the request, for error messages
 /// @throws Refusal if a value is not finite or too large, or if the rotation is not a
 /// unit quaternion
-Pose read_pose(const v1::Pose& message, const std::string& field);
+Pose read_pose(const v1::Pose& message, const std::string& field_name);
 /// Reads a track of poses and checks it.
 /// @throws Refusal if a pose is invalid, if the number of poses is 0 or too large, or if
 /// the times do not increase
 PoseTrack read_track(const google::protobuf::RepeatedPtrField<v1::TimedPose>& messages,
-                     const std::string& field);
+                     const std::string& field_name);
 /// Checks a time and returns it.
 /// @throws Refusal if the time is not finite or exceeds 1e10 s
-double read_time(double time_s, const std::string& field);
+double require_limited_time(double time_s, const std::string& field_name);
 
 void write_vector(const glm::dvec3& vector, v1::Vector& message);
 void write_pose(const Pose& pose, v1::Pose& message);

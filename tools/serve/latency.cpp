@@ -21,41 +21,42 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-struct Sample {
+struct LatencySample {
     double latency_ms, queued_ms, rendered_ms;
     std::size_t rays, points;
 };
 
-/// Returns a percentile of the values, for example the median if `share` is 0.5. It is
+/// Returns a percentile of the values, for example the median if `fraction` is 0.5. It is
 /// the smallest value that at least this share of the values does not exceed.
-double compute_percentile(std::vector<double> values, double share) {
+double compute_percentile(std::vector<double> values, double fraction) {
     std::sort(values.begin(), values.end());
-    const auto rank = std::size_t(std::ceil(share * double(values.size())));
+    const auto rank = std::size_t(std::ceil(fraction * double(values.size())));
     return values[std::max<std::size_t>(rank, 1) - 1];
 }
 
-Percentiles compute_percentiles(const std::vector<Sample>& samples, double Sample::*value) {
+Percentiles compute_percentiles(const std::vector<LatencySample>& samples,
+                                double LatencySample::*sample_member) {
     std::vector<double> values;
-    for (const Sample& sample : samples) values.push_back(sample.*value);
+    for (const LatencySample& sample : samples) values.push_back(sample.*sample_member);
     return {compute_percentile(values, 0.5), compute_percentile(values, 0.99)};
 }
 
 /// Returns a request for a sweep between two successive poses of the log. After the last
 /// pose, the requests start again at the first pose.
-v1::RenderLidarRequest make_sweep_request(const LatencyOptions& options, const std::string& scene,
-                                          const v1::GetTracksResponse& tracks, int number) {
+v1::RenderLidarRequest make_sweep_request(const LatencyOptions& options, const std::string& scene_name,
+                                          const v1::GetTracksResponse& tracks, int request_number) {
     v1::RenderLidarRequest request;
-    request.set_scene(scene);
+    request.set_scene(scene_name);
     if (!options.sensor.empty()) request.mutable_sensor()->set_name(options.sensor);
-    const int n = tracks.dataset_from_sensor_size(), first = n > 1 ? number % (n - 1) : 0;
+    const int n = tracks.dataset_from_sensor_size(), first = n > 1 ? request_number % (n - 1) : 0;
     for (int i = first; i < std::min(first + 2, n); ++i) *request.add_path() = tracks.dataset_from_sensor(i);
     request.mutable_wanted()->set_points(true);
     return request;
 }
 
-Sample time_render_call(ScanClient& client, const v1::RenderLidarRequest& request) {
+LatencySample measure_render_call(ScanClient& client, const v1::RenderLidarRequest& request) {
     const Clock::time_point begin = Clock::now();
-    const v1::LidarScan scan = client.render(request);
+    const v1::LidarScan scan = client.render_lidar_scan(request);
     const double latency_ms = std::chrono::duration<double, std::milli>(Clock::now() - begin).count();
     return {latency_ms, scan.queued_ms(), scan.rendered_ms(), std::size_t(scan.rays()),
             scan.points().count()};
@@ -76,9 +77,9 @@ LatencyResult measure_latency(const LatencyOptions& options) {
     const v1::GetTracksResponse tracks = first.get_tracks(which);
     // The first call is not measured. It takes longer than later calls, because it
     // computes the rays of the sensor and allocates memory.
-    time_render_call(first, make_sweep_request(options, result.scene, tracks, 0));
+    measure_render_call(first, make_sweep_request(options, result.scene, tracks, 0));
 
-    std::vector<Sample> samples;
+    std::vector<LatencySample> samples;
     std::exception_ptr failure;
     std::mutex mutex;
     std::atomic<int> next = 0;
@@ -90,7 +91,7 @@ LatencyResult measure_latency(const LatencyOptions& options) {
                 try {
                     ScanClient client(options.address);
                     for (int number = next++; number < options.calls; number = next++) {
-                        const Sample sample = time_render_call(
+                        const LatencySample sample = measure_render_call(
                             client, make_sweep_request(options, result.scene, tracks, number));
                         const std::lock_guard lock(mutex);
                         samples.push_back(sample);
@@ -103,11 +104,12 @@ LatencyResult measure_latency(const LatencyOptions& options) {
     }
     if (failure) std::rethrow_exception(failure);
     result.scans_per_s = double(samples.size()) / std::chrono::duration<double>(Clock::now() - begin).count();
-    result.latency_ms = compute_percentiles(samples, &Sample::latency_ms);
-    result.queued_ms = compute_percentiles(samples, &Sample::queued_ms);
-    result.rendered_ms = compute_percentiles(samples, &Sample::rendered_ms);
+    result.latency_ms = compute_percentiles(samples, &LatencySample::latency_ms);
+    result.queued_ms = compute_percentiles(samples, &LatencySample::queued_ms);
+    result.rendered_ms = compute_percentiles(samples, &LatencySample::rendered_ms);
     result.rays = samples.front().rays;
-    for (const Sample& sample : samples) result.points += double(sample.points) / double(samples.size());
+    for (const LatencySample& sample : samples)
+        result.points += double(sample.points) / double(samples.size());
     return result;
 }
 

@@ -10,38 +10,42 @@
 
 namespace relidar::serve {
 
-void throw_refusal(const std::string& field, const std::string& found_value, const std::string& expected) {
-    throw Refusal(grpc::StatusCode::INVALID_ARGUMENT,
-                  fmt::format("cannot read {}: found {}, expected {}", field, found_value, expected));
+void throw_invalid_field(const std::string& field_name, const std::string& found_value,
+                         const std::string& expected_value) {
+    throw RejectedRequest(
+        grpc::StatusCode::INVALID_ARGUMENT,
+        fmt::format("cannot read {}: found {}, expected {}", field_name, found_value, expected_value));
 }
 
-void throw_unknown_name(const std::string& field, const std::string& name,
+void throw_unknown_name(const std::string& field_name, const std::string& name,
                         const std::vector<std::string>& known_names) {
-    const std::string nearest = find_nearest_name(name.substr(0, 80), known_names);
+    const std::string nearest = find_most_similar_name(name.substr(0, 80), known_names);
     const std::string expected = nearest.empty() ? "no name, because none exists"
                                                  : fmt::format("an existing name such as \"{}\"", nearest);
-    throw Refusal(grpc::StatusCode::NOT_FOUND,
-                  fmt::format("cannot read {}: found {}, expected {}", field, quoted(name), expected));
+    throw RejectedRequest(grpc::StatusCode::NOT_FOUND,
+                          fmt::format("cannot read {}: found {}, expected {}", field_name,
+                                      quote_for_error_message(name), expected));
 }
 
-std::string quoted(const std::string& word) {
+std::string quote_for_error_message(const std::string& client_text) {
     constexpr std::size_t kMost = 80;
-    std::size_t n = std::min(word.size(), kMost);
+    std::size_t n = std::min(client_text.size(), kMost);
     // Cuts the text before a UTF-8 character, not in the middle of it.
-    while (n < word.size() && n > 0 && (static_cast<unsigned char>(word[n]) & 0xc0) == 0x80) --n;
-    std::string shown = word.substr(0, n);
+    while (n < client_text.size() && n > 0 && (static_cast<unsigned char>(client_text[n]) & 0xc0) == 0x80)
+        --n;
+    std::string shown = client_text.substr(0, n);
     std::replace_if(
         shown.begin(), shown.end(),
         [](unsigned char character) { return character < 0x20 || character == 0x7f; }, ' ');
-    return n == word.size() ? fmt::format("\"{}\"", shown)
-                            : fmt::format("\"{}...\" of {} bytes", shown, word.size());
+    return n == client_text.size() ? fmt::format("\"{}\"", shown)
+                                   : fmt::format("\"{}...\" of {} bytes", shown, client_text.size());
 }
 
-grpc::Status run_with_grpc_status(const std::function<void()>& answer) {
+grpc::Status call_and_get_grpc_status(const std::function<void()>& function) {
     try {
-        answer();
+        function();
         return grpc::Status::OK;
-    } catch (const Refusal& refusal) {
+    } catch (const RejectedRequest& refusal) {
         return {refusal.code(), refusal.what()};
     } catch (const UsageError& error) {
         return {grpc::StatusCode::INVALID_ARGUMENT, error.what()};

@@ -12,9 +12,10 @@
 namespace relidar::serve {
 
 /// Exception that rejects a request. The client receives its gRPC code and message.
-class Refusal : public std::runtime_error {
+class RejectedRequest : public std::runtime_error {
 public:
-    Refusal(grpc::StatusCode code, const std::string& message) : std::runtime_error(message), code_(code) {}
+    RejectedRequest(grpc::StatusCode code, const std::string& message)
+        : std::runtime_error(message), code_(code) {}
     grpc::StatusCode code() const { return code_; }
 
 private:
@@ -23,21 +24,21 @@ private:
 
 /// Rejects a request because one of its fields has an invalid value.
 /// @throws Refusal always
-[[noreturn]] void throw_refusal(const std::string& field, const std::string& found_value,
-                                const std::string& expected);
+[[noreturn]] void throw_invalid_field(const std::string& field_name, const std::string& found_value,
+                                      const std::string& expected_value);
 
 /// Rejects a request because it contains an unknown name.
 /// @param known_names valid names; the error message may suggest a similar one
 /// @throws Refusal always
-[[noreturn]] void throw_unknown_name(const std::string& field, const std::string& name,
+[[noreturn]] void throw_unknown_name(const std::string& field_name, const std::string& name,
                                      const std::vector<std::string>& known_names);
 
 /// Puts a client's text into quotes for an error message. Removes line breaks and
 /// shortens long texts.
-std::string quoted(const std::string& word);
+std::string quote_for_error_message(const std::string& client_text);
 
 /// Calls the function that handles a request. If the function throws an exception,
 /// returns an error status with a one-line message.
-grpc::Status run_with_grpc_status(const std::function<void()>& answer);
+grpc::Status call_and_get_grpc_status(const std::function<void()>& function);
 
 }  // namespace relidar::serve

@@ -13,10 +13,10 @@ namespace {
 /// render thread checks this again before it submits the request.
 constexpr std::chrono::milliseconds kPoll{10};
 
-class FunctionRequest final : public Request {
+class FunctionRequest final : public QueuedRequest {
 public:
     explicit FunctionRequest(const std::function<void()>& function) : function_(function) {}
-    void submit(bool) override { function_(); }
+    void submit_to_device(bool) override { function_(); }
 
 private:
     const std::function<void()>& function_;
@@ -24,7 +24,8 @@ private:
 
 }  // namespace
 
-RenderQueue::RenderQueue(std::size_t n_pending) : slots_(n_pending + 1), thread_([this] { serve(); }) {}
+RenderQueue::RenderQueue(std::size_t n_pending)
+    : slots_(n_pending + 1), thread_([this] { run_render_loop(); }) {}
 
 RenderQueue::~RenderQueue() {
     {
@@ -35,11 +36,11 @@ RenderQueue::~RenderQueue() {
     thread_.join();
 }
 
-std::optional<RenderQueue::Slot> RenderQueue::reserve() {
+std::optional<RenderQueue::QueueSlot> RenderQueue::reserve_slot() {
     const std::lock_guard lock(mutex_);
     if (n_reserved_ == slots_) return {};
     ++n_reserved_;
-    return Slot(this);
+    return QueueSlot(this);
 }
 
 std::optional<std::string> RenderQueue::get_device_loss_message() {
@@ -47,34 +48,35 @@ std::optional<std::string> RenderQueue::get_device_loss_message() {
     return device_loss_;
 }
 
-void RenderQueue::set_batch_size(std::size_t count) {
+void RenderQueue::set_batch_size(std::size_t max_requests) {
     const std::lock_guard lock(mutex_);
-    batch_size_ = count;
+    batch_size_ = max_requests;
 }
 
-RenderQueue::Slot::~Slot() {
+RenderQueue::QueueSlot::~QueueSlot() {
     if (!queue_) return;
     const std::lock_guard lock(queue_->mutex_);
     --queue_->n_reserved_;
 }
 
-RenderQueue::Outcome RenderQueue::Slot::run(Request& request) {
-    request.queued_at_ = Request::Clock::now();
+RenderQueue::RequestOutcome RenderQueue::QueueSlot::run_request_and_wait(QueuedRequest& request) {
+    request.queued_at_ = QueuedRequest::Clock::now();
     std::unique_lock lock(queue_->mutex_);
     queue_->pending_.push_back(&request);
     queue_->more_.notify_one();
-    queue_->wait(request, lock);
+    queue_->wait_until_request_ended(request, lock);
     if (request.failure_) std::rethrow_exception(request.failure_);
-    return request.state_ == Request::State::done ? Outcome::done : Outcome::cancelled;
+    return request.state_ == QueuedRequest::RequestState::done ? RequestOutcome::done
+                                                               : RequestOutcome::cancelled;
 }
 
-void RenderQueue::Slot::run(const std::function<void()>& function) {
+void RenderQueue::QueueSlot::run_on_render_thread(const std::function<void()>& function) {
     FunctionRequest request(function);
-    run(request);
+    run_request_and_wait(request);
 }
 
-void RenderQueue::wait(Request& request, std::unique_lock<std::mutex>& lock) {
-    using State = Request::State;
+void RenderQueue::wait_until_request_ended(QueuedRequest& request, std::unique_lock<std::mutex>& lock) {
+    using State = QueuedRequest::RequestState;
     while (request.state_ == State::pending &&
            !request.changed_.wait_for(lock, kPoll, [&] { return request.state_ != State::pending; })) {
         if (!request.is_cancelled()) continue;
@@ -87,68 +89,72 @@ void RenderQueue::wait(Request& request, std::unique_lock<std::mutex>& lock) {
 
 /// Removes the next request that is not cancelled from the queue and returns it. Returns
 /// null if there is none.
-/// @param scene if set, also returns null if the next request is for another scene
-Request* RenderQueue::next(const std::optional<std::size_t>& scene) {
+/// @param scene_index if set, also returns null if the next request is for another scene
+QueuedRequest* RenderQueue::take_next_request(const std::optional<std::size_t>& scene_index) {
     while (!pending_.empty()) {
-        Request* request = pending_.front();
-        if (scene && request->scene != scene) return nullptr;
+        QueuedRequest* request = pending_.front();
+        if (scene_index && request->scene != scene_index) return nullptr;
         pending_.pop_front();
-        request->state_ = request->is_cancelled() ? Request::State::cancelled : Request::State::in_flight;
+        request->state_ = request->is_cancelled() ? QueuedRequest::RequestState::cancelled
+                                                  : QueuedRequest::RequestState::in_flight;
         request->changed_.notify_one();
-        if (request->state_ == Request::State::in_flight) return request;
+        if (request->state_ == QueuedRequest::RequestState::in_flight) return request;
     }
     return nullptr;
 }
 
-/// Runs submit() or finish() of a request. A request is done after finish(), or when one
-/// of them throws an exception.
-/// @param submits_last argument of submit(); without a value, runs finish() instead
-void RenderQueue::run_request_part(Request& request, std::optional<bool> submits_last,
-                                   std::unique_lock<std::mutex>& lock) {
+/// Runs submit_to_device() or wait_and_store_response() of a request. A request is done
+/// after wait_and_store_response(), or when one of them throws an exception.
+/// @param is_last_submission argument of submit_to_device(); without a value, runs
+/// wait_and_store_response() instead
+void RenderQueue::submit_or_finish_request(QueuedRequest& request, std::optional<bool> is_last_submission,
+                                           std::unique_lock<std::mutex>& lock) {
     lock.unlock();
     std::exception_ptr failure;
     std::optional<std::string> loss;
-    if (submits_last) request.submitted_at_ = Request::Clock::now();
+    if (is_last_submission) request.submitted_at_ = QueuedRequest::Clock::now();
     try {
-        if (submits_last) request.submit(*submits_last);
-        else request.finish();
+        if (is_last_submission) request.submit_to_device(*is_last_submission);
+        else request.wait_and_store_response();
     } catch (const DeviceLost& error) {
         failure = std::current_exception();
         loss = error.what();
     } catch (...) {
         failure = std::current_exception();
     }
-    request.finished_at_ = Request::Clock::now();
+    request.finished_at_ = QueuedRequest::Clock::now();
     lock.lock();
     if (loss && !device_loss_) device_loss_ = loss;
-    if (submits_last && request.scene && !failure) return;
+    if (is_last_submission && request.scene && !failure) return;
     request.failure_ = failure;
-    request.state_ = Request::State::done;
+    request.state_ = QueuedRequest::RequestState::done;
     request.changed_.notify_one();
 }
 
 /// Submits a batch: a request, and the requests after it for the same scene.
 /// @return the submitted requests that are not finished yet
-RenderQueue::Batch RenderQueue::submit(Request* request, std::unique_lock<std::mutex>& lock) {
-    Batch batch;
-    for (std::size_t n = 1; request; ++n) {
-        Request* following = request->scene && n < batch_size_ ? next(request->scene) : nullptr;
-        run_request_part(*request, !following, lock);
-        if (request->state_ == Request::State::in_flight) batch.push_back(request);
-        request = following;
+RenderQueue::RequestBatch RenderQueue::submit_batch(QueuedRequest* first_request,
+                                                    std::unique_lock<std::mutex>& lock) {
+    RequestBatch batch;
+    for (std::size_t n = 1; first_request; ++n) {
+        QueuedRequest* following =
+            first_request->scene && n < batch_size_ ? take_next_request(first_request->scene) : nullptr;
+        submit_or_finish_request(*first_request, !following, lock);
+        if (first_request->state_ == QueuedRequest::RequestState::in_flight) batch.push_back(first_request);
+        first_request = following;
     }
     return batch;
 }
 
-void RenderQueue::finish(const Batch& batch, std::unique_lock<std::mutex>& lock) {
-    for (Request* request : batch) run_request_part(*request, {}, lock);
+void RenderQueue::finish_batch(const RequestBatch& batch, std::unique_lock<std::mutex>& lock) {
+    for (QueuedRequest* request : batch) submit_or_finish_request(*request, {}, lock);
 }
 
-void RenderQueue::serve() {
+void RenderQueue::run_render_loop() {
     std::unique_lock lock(mutex_);
-    Batch in_flight;
+    RequestBatch in_flight;
     while (true) {
-        Request* request = next();
+        QueuedRequest* request = take_next_request();
         if (!request && in_flight.empty()) {
             more_.wait(lock, [&] { return closed_ || !pending_.empty(); });
             if (pending_.empty()) return;
@@ -156,10 +162,10 @@ void RenderQueue::serve() {
         }
         const bool overlaps =
             request && !in_flight.empty() && request->scene && request->scene == in_flight.front()->scene;
-        if (!overlaps) finish(std::exchange(in_flight, {}), lock);
+        if (!overlaps) finish_batch(std::exchange(in_flight, {}), lock);
         if (!request) continue;
-        const Batch submitted = submit(request, lock);
-        finish(std::exchange(in_flight, submitted), lock);
+        const RequestBatch submitted = submit_batch(request, lock);
+        finish_batch(std::exchange(in_flight, submitted), lock);
     }
 }
 

@@ -17,14 +17,14 @@ namespace relidar::serve {
 
 /// Reserves a slot in the queue of the render thread.
 /// @throws Refusal if the queue is full
-RenderQueue::Slot reserve(RenderQueue& queue);
+RenderQueue::QueueSlot reserve_slot_or_throw(RenderQueue& queue);
 
 /// Ends a call whose client has disconnected or whose deadline has passed.
 /// @throws Refusal always
-[[noreturn]] void throw_if_cancelled(const grpc::ServerContext& context);
+[[noreturn]] void throw_cancellation(const grpc::ServerContext& context);
 
 /// A request that a gRPC client has sent.
-class ClientRequest : public Request {
+class ClientRequest : public QueuedRequest {
 public:
     ClientRequest(SceneSet& scenes, const grpc::ServerContext& context)
         : scenes_(scenes), context_(context) {}
@@ -32,13 +32,13 @@ public:
     /// Runs the request on the render thread and waits for the response.
     /// @throws Refusal if the client has disconnected, if the deadline has passed, or if
     /// the run cannot be read
-    void run(RenderQueue::Slot& slot);
+    void run_or_throw_cancellation(RenderQueue::QueueSlot& slot);
 
 protected:
     SceneSet& scenes_;
     /// Called if the client no longer waits for the response. Reverts the effects of the
     /// request.
-    virtual void undo() {}
+    virtual void revert_effects() {}
 
 private:
     const grpc::ServerContext& context_;
@@ -48,13 +48,13 @@ private:
 class ScanImageRequest final : public ClientRequest {
 public:
     ScanImageRequest(SceneSet& scenes, const grpc::ServerContext& context, const RenderRequest& request)
-        : ClientRequest(scenes, context), wanted_(request) {}
-    void submit(bool is_last) override;
+        : ClientRequest(scenes, context), render_request_(request) {}
+    void submit_to_device(bool is_last) override;
 
     RenderedScan scan;  ///< the response
 
 private:
-    const RenderRequest& wanted_;
+    const RenderRequest& render_request_;
 };
 
 /// Maximum number of scans in one PointsRequest.
@@ -72,14 +72,14 @@ public:
     /// @param requests scans to render, at most kMostAtOnce
     PointsRequest(SceneSet& scenes, const grpc::ServerContext& context,
                   std::span<const RenderRequest> requests);
-    void submit(bool is_last) override;
-    void finish() override;
+    void submit_to_device(bool is_last) override;
+    void wait_and_store_response() override;
 
     std::vector<RenderedPoints> points;  ///< the response
 
 private:
-    const std::span<const RenderRequest> wanted_;
-    SceneSet::Load load_{};
+    const std::span<const RenderRequest> render_requests_;
+    SceneSet::SceneLoadNumber load_{};
     std::size_t n_submitted_ = 0;
     /// Exception from the submission of a scan. It is thrown again after the earlier
     /// scans are read, because the renderer returns scans in order.
@@ -92,12 +92,12 @@ public:
     SpawnRequest(SceneSet& scenes, const grpc::ServerContext& context, std::size_t spawn_scene,
                  const std::vector<ActorToSpawn>& actors)
         : ClientRequest(scenes, context), spawn_scene_(spawn_scene), wishes_(actors) {}
-    void submit(bool is_last) override;
+    void submit_to_device(bool is_last) override;
 
-    std::vector<SpawnedActors::Place> places;  ///< the response
+    std::vector<SpawnedActorRegistry::SpawnSlot> occupied_slots;  ///< the response
 
 private:
-    void undo() override;
+    void revert_effects() override;
     const std::size_t spawn_scene_;
     const std::vector<ActorToSpawn>& wishes_;
 };

@@ -21,11 +21,11 @@ namespace relidar::serve {
 
 class AssetCatalogue;
 class SceneSet;
-class SpawnedActors;
+class SpawnedActorRegistry;
 struct ActorToSpawn;
 
 /// An actor that is visible in the requested scan.
-struct PlacedActor {
+struct VisibleActor {
     std::string name;   ///< Name of the actor in the request.
     std::string track;  ///< Name of the actor's track in the rendered scene.
     std::string category;
@@ -35,7 +35,7 @@ struct PlacedActor {
 };
 
 /// Name and poses of an actor that a client wants to see in the scan.
-struct ActorRequest {
+struct RequestedActor {
     /// name of the field of the request that holds the actor's name, for error messages
     std::string field;
     std::string name;
@@ -45,10 +45,10 @@ struct ActorRequest {
 /// A request for a scan after all checks.
 struct RenderRequest {
     std::size_t scene = 0;  ///< Index of the scene in the list of runs.
-    std::shared_ptr<const SensorChoice> sensor;
+    std::shared_ptr<const SimulatedSensor> sensor;
     ScanRequest request;
     /// Actors that are visible in the scan, in the order of the request.
-    std::vector<PlacedActor> placed;
+    std::vector<VisibleActor> placed;
     std::optional<std::uint64_t> sample;
     /// Weather to simulate. Without a value, the renderer uses the weather with which the
     /// server was started.
@@ -58,7 +58,7 @@ struct RenderRequest {
 };
 
 /// Returns the names of a run's actors. They equal the names of the actors' tracks.
-std::vector<std::string> list_actor_names_of_run(const Run& run);
+std::vector<std::string> list_actor_names_of_run(const TrainedRun& run);
 
 /// Reads and checks scan requests. Caches the sensors, but keeps no other data of a
 /// request. The constructor's arguments must outlive this object.
@@ -68,40 +68,45 @@ public:
     /// @param scenes uses only members that any thread may call
     explicit RequestReader(SceneSet& scenes);
     /// Creates a reader of requests for runs whose surfels are not on a device.
-    RequestReader(const std::vector<Run>& outlines, const std::vector<SceneSource>& sources,
-                  const AssetCatalogue& assets, const SpawnedActors& spawned);
+    RequestReader(const std::vector<TrainedRun>& outlines, const std::vector<SceneSource>& sources,
+                  const AssetCatalogue& assets, const SpawnedActorRegistry& spawned);
 
     /// Returns the index of the scene with this name.
-    /// @param field name of the field in the request, for error messages
+    /// @param field_name name of the field in the request, for error messages
     /// @throws Refusal if the scene is unknown
-    std::size_t find_scene(const std::string& name, const std::string& field = "scene") const;
+    std::size_t find_scene_index(const std::string& scene_name,
+                                 const std::string& field_name = "scene") const;
     /// Returns the index of the LiDAR with this name. For an empty name, returns 0.
-    /// @param field name of the field in the request, for error messages
+    /// @param field_name name of the field in the request, for error messages
     /// @throws Refusal if the LiDAR is unknown
-    int find_lidar(std::size_t scene, const std::string& name, const std::string& field = "lidar") const;
+    int find_lidar_index(std::size_t scene_index, const std::string& lidar_name,
+                         const std::string& field_name = "lidar") const;
     /// Caches a sensor that a client has described.
     /// @return a handle, with which later requests select this sensor, and the sensor
     /// @throws Refusal if the description is invalid
-    std::pair<std::string, std::shared_ptr<const SensorChoice>> upload(const v1::SensorSpec& spec);
+    std::pair<std::string, std::shared_ptr<const SimulatedSensor>> cache_uploaded_sensor(
+        const v1::SensorSpec& spec);
     /// Reads a request to add actors to a scene. Returns these actors.
     /// @throws Refusal if a name is invalid, or if an actor or asset is unknown
-    std::vector<ActorToSpawn> read_spawns(const v1::SpawnActorsRequest& message, std::size_t scene) const;
+    std::vector<ActorToSpawn> read_actors_to_spawn(const v1::SpawnActorsRequest& message,
+                                                   std::size_t scene_index) const;
     /// Reads a request for a scan and checks all fields.
     /// @throws Refusal that names the first invalid field
-    RenderRequest read(const v1::RenderLidarRequest& message);
+    RenderRequest read_lidar_request(const v1::RenderLidarRequest& message);
     /// Reads a request for several sensors on one vehicle. Returns one scan request per
     /// sensor.
-    std::vector<RenderRequest> read(const v1::RenderRigRequest& message);
+    std::vector<RenderRequest> read_rig_request(const v1::RenderRigRequest& message);
     /// Sets the actors that are visible in a scan. All other actors of the scene are
     /// hidden.
     /// @throws Refusal if an actor is unknown or appears twice
-    void place_actors(const std::vector<ActorRequest>& requests, RenderRequest& request) const;
+    void add_actors_to_request(const std::vector<RequestedActor>& actor_requests,
+                               RenderRequest& render_request) const;
 
 private:
-    const std::vector<Run>& outlines_;
+    const std::vector<TrainedRun>& outlines_;
     const std::vector<SceneSource>& sources_;
     const AssetCatalogue& assets_;
-    const SpawnedActors& spawned_;
+    const SpawnedActorRegistry& spawned_;
     SensorCache uploaded_, named_;
 
     struct SensorRequest {
@@ -109,16 +114,17 @@ private:
         std::string field;
         std::uint32_t returns;
     };
-    std::shared_ptr<const SensorChoice> find_sensor(const SensorRequest& request, std::size_t scene,
-                                                    int lidar);
-    std::shared_ptr<const SensorChoice> find_built_in_sensor(const std::string& name, std::size_t scene,
-                                                             int lidar);
-    std::vector<PlacedActor> list_known_actors(std::size_t scene) const;
+    std::shared_ptr<const SimulatedSensor> find_requested_sensor(const SensorRequest& request,
+                                                                 std::size_t scene_index, int lidar_index);
+    std::shared_ptr<const SimulatedSensor> find_built_in_sensor(const std::string& sensor_name,
+                                                                std::size_t scene_index, int lidar_index);
+    std::vector<VisibleActor> list_actors_of_scene(std::size_t scene_index) const;
     /// Reads a scan request for one sensor.
     /// @param path_from_sensor pose of the sensor on its rig; without a value, the path
     /// in the request is the path of the sensor itself
-    RenderRequest read_scan(const v1::RenderLidarRequest& message, const SensorRequest& request,
-                            const std::optional<Pose>& path_from_sensor);
+    RenderRequest read_request_of_one_sensor(const v1::RenderLidarRequest& message,
+                                             const SensorRequest& sensor_request,
+                                             const std::optional<Pose>& path_from_sensor);
 };
 
 }  // namespace relidar::serve

@@ -13,29 +13,29 @@ namespace {
 
 namespace fs = std::filesystem;
 
-std::string get_folder_name(const std::string& folder) {
-    const fs::path path = fs::absolute(folder).lexically_normal();
+std::string get_last_path_component(const std::string& folder_path) {
+    const fs::path path = fs::absolute(folder_path).lexically_normal();
     return path.has_filename() ? path.filename().string() : path.parent_path().filename().string();
 }
 
 }  // namespace
 
-Run SceneSource::load() const {
-    Run run = load_run(folder);
+TrainedRun SceneSource::load_run_with_channels() const {
+    TrainedRun run = load_run(folder);
     if (channels) set_config_value(run.config, "render.channels", *channels);
     return run;
 }
 
-std::vector<SceneSource> parse_scene_sources(const std::vector<std::string>& words,
+std::vector<SceneSource> parse_scene_sources(const std::vector<std::string>& run_arguments,
                                              const std::optional<std::string>& channels,
                                              const Weather& weather) {
     std::vector<SceneSource> sources;
-    for (const std::string& word : words) {
+    for (const std::string& word : run_arguments) {
         const std::size_t equals = word.find('=');
         const bool named = equals != std::string::npos && !fs::exists(word);
         const std::string folder = named ? word.substr(equals + 1) : word;
         sources.push_back(
-            {named ? word.substr(0, equals) : get_folder_name(folder), folder, channels, weather});
+            {named ? word.substr(0, equals) : get_last_path_component(folder), folder, channels, weather});
         const SceneSource& added = sources.back();
         const auto same = std::find_if(sources.begin(), sources.end() - 1,
                                        [&](const SceneSource& s) { return s.name == added.name; });

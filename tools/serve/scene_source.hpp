@@ -10,7 +10,7 @@
 #include <relidar/simulate/weather.hpp>
 
 namespace relidar {
-struct Run;
+struct TrainedRun;
 }
 
 namespace relidar::serve {
@@ -27,13 +27,13 @@ struct SceneSource {
     /// Loads the run and sets its channels.
     /// @throws the exceptions of load_run()
     /// @throws UsageError if a channel is unknown
-    Run load() const;
+    TrainedRun load_run_with_channels() const;
 };
 
 /// Parses words of the form "RUN" or "NAME=RUN". Without NAME, the scene gets the name of
 /// the run's folder.
 /// @throws UsageError if two scenes have the same name
-std::vector<SceneSource> parse_scene_sources(const std::vector<std::string>& words,
+std::vector<SceneSource> parse_scene_sources(const std::vector<std::string>& run_arguments,
                                              const std::optional<std::string>& channels = {},
                                              const Weather& weather = {});
 

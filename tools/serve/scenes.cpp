@@ -17,20 +17,20 @@ constexpr double kMiB = 1024.0 * 1024.0;
 
 /// Returns the run without its surfels and its ray-drop network, which need most of the
 /// memory.
-Run copy_without_model_data(Run run) {
-    run.scene = copy_layout(run.scene);
+TrainedRun copy_run_without_model_data(TrainedRun run) {
+    run.scene = copy_scene_without_surfels(run.scene);
     run.drop_network = {};
     return run;
 }
 
 /// Returns a sensor with a single ray. Rendering this ray uploads the complete scene to
 /// the device.
-SensorChoice make_one_ray() {
+SimulatedSensor make_one_ray_sensor() {
     return {.rays = {1, 1, {glm::vec3(0.0f)}, {{1.0f, 0.0f, 0.0f}}, {0.0f}, {0}}, .name = "one ray"};
 }
 
-ScanRequest make_first_pose_request(const Run& run) {
-    const PoseTrack track = run.sequence.world_from_sensor(0);
+ScanRequest make_request_at_first_pose(const TrainedRun& run) {
+    const PoseTrack track = run.sequence.get_world_from_sensor(0);
     Pose pose = track.pose.front();
     pose.translation += run.sequence.world_offset_m;
     return {track.time_s.front(), {{track.time_s.front()}, {pose}}};
@@ -47,126 +47,130 @@ SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64
       assets_(assets),
       spawned_(sources_.size()) {
     for (std::size_t i = 0; i < sources_.size(); ++i) {
-        Run run = sources_[i].load();
-        load(i, run);
-        outlines_.push_back(copy_without_model_data(std::move(run)));
+        TrainedRun run = sources_[i].load_run_with_channels();
+        load_scene_to_device(i, run);
+        outlines_.push_back(copy_run_without_model_data(std::move(run)));
         if (loaded_[i].bytes > memory_bytes_)
             throw DataError(fmt::format(
                 "cannot serve {}: it needs {:.1f} MiB of device memory, expected at most {:.1f} MiB "
                 "(--memory-mib)",
                 sources_[i].folder.string(), double(loaded_[i].bytes) / kMiB, double(memory_bytes_) / kMiB));
-        free_scene_memory(i, 0);
+        unload_other_scenes(i, 0);
     }
 }
 
-SceneSet::Load SceneSet::use(std::size_t scene, const std::optional<Weather>& weather,
-                             const std::function<void(ScanRenderer&)>& work) {
-    loaded_[scene].used = ++clock_;
-    if (!loaded_[scene].renderer) {
-        free_scene_memory(scene, loaded_[scene].bytes);
-        load_with_spawn_slots(scene);
+SceneSet::SceneLoadNumber SceneSet::call_with_scene(std::size_t scene_index,
+                                                    const std::optional<Weather>& weather,
+                                                    const std::function<void(ScanRenderer&)>& function) {
+    loaded_[scene_index].used = ++clock_;
+    if (!loaded_[scene_index].renderer) {
+        unload_other_scenes(scene_index, loaded_[scene_index].bytes);
+        load_scene_with_spawned_actors(scene_index);
     }
-    attempt(scene, [&](ScanRenderer& renderer) {
-        renderer.set_weather(weather.value_or(sources_[scene].weather));
-        work(renderer);
+    call_with_renderer(scene_index, [&](ScanRenderer& renderer) {
+        renderer.set_weather(weather.value_or(sources_[scene_index].weather));
+        function(renderer);
     });
     // Unloads other scenes if memory is exceeded, because rendering may have allocated
     // larger arrays for a sensor with more rays.
-    free_scene_memory(scene, 0);
-    return loaded_[scene].load;
+    unload_other_scenes(scene_index, 0);
+    return loaded_[scene_index].load;
 }
 
-void SceneSet::call_with_loaded_scene(std::size_t scene, Load load,
-                                      const std::function<void(ScanRenderer&)>& work) {
-    if (!loaded_[scene].renderer || loaded_[scene].load != load)
-        throw DeviceError(fmt::format(
-            "cannot render a scan of {}: the scene was unloaded for a later request", sources_[scene].name));
-    attempt(scene, work);
+void SceneSet::call_with_loaded_scene(std::size_t scene_index, SceneLoadNumber load_number,
+                                      const std::function<void(ScanRenderer&)>& function) {
+    if (!loaded_[scene_index].renderer || loaded_[scene_index].load != load_number)
+        throw DeviceError(
+            fmt::format("cannot render a scan of {}: the scene was unloaded for a later request",
+                        sources_[scene_index].name));
+    call_with_renderer(scene_index, function);
 }
 
-void SceneSet::attempt(std::size_t scene, const std::function<void(ScanRenderer&)>& work) {
+void SceneSet::call_with_renderer(std::size_t scene_index,
+                                  const std::function<void(ScanRenderer&)>& function) {
     try {
-        measure_memory_growth(scene, [&] { work(*loaded_[scene].renderer); });
+        call_and_record_memory_growth(scene_index, [&] { function(*loaded_[scene_index].renderer); });
     } catch (const DeviceError&) {
         // The state of the renderer is unknown after an error. The next request loads the
         // scene again.
-        loaded_[scene].renderer.reset();
+        loaded_[scene_index].renderer.reset();
         throw;
     }
 }
 
-void SceneSet::load(std::size_t scene, const Run& run) {
-    Loaded& loaded = loaded_[scene];
+void SceneSet::load_scene_to_device(std::size_t scene_index, const TrainedRun& run) {
+    SceneInMemory& loaded = loaded_[scene_index];
     loaded.bytes = 0;
     loaded.used = ++clock_;
-    loaded.load = Load(std::uint64_t(loaded.load) + 1);
-    measure_memory_growth(scene, [&] {
+    loaded.load = SceneLoadNumber(std::uint64_t(loaded.load) + 1);
+    call_and_record_memory_growth(scene_index, [&] {
         loaded.renderer = std::make_unique<ScanRenderer>(device_, run);
-        loaded.renderer->render(make_one_ray(), make_first_pose_request(run));
+        loaded.renderer->render(make_one_ray_sensor(), make_request_at_first_pose(run));
     });
     const std::uint64_t left = memory_bytes_ - std::min(memory_bytes_, device_.allocated_bytes());
     // Number of copies of the scene that fit into the free memory. Copies allow parallel
     // rendering, but they must not displace another scene.
     const std::uint64_t copies = left / std::max<std::uint64_t>(loaded.bytes, 1);
-    const int side_by_side = loaded.renderer->side_by_side();
-    loaded.renderer->side_by_side(int(std::min<std::uint64_t>(1 + copies, std::uint64_t(side_by_side))));
+    const int side_by_side = loaded.renderer->get_max_parallel_scans();
+    loaded.renderer->set_max_parallel_scans(
+        int(std::min<std::uint64_t>(1 + copies, std::uint64_t(side_by_side))));
 }
 
 /// Loads the run together with the actors that clients have added.
-void SceneSet::load_with_spawn_slots(std::size_t scene) {
-    const std::vector<SpawnedActors::Place> places = spawned_.places(scene);
-    Run run = sources_[scene].load();
-    add_places(run, places, assets_);
-    load(scene, run);
-    loaded_[scene].n_places = places.size();
+void SceneSet::load_scene_with_spawned_actors(std::size_t scene_index) {
+    const std::vector<SpawnedActorRegistry::SpawnSlot> slots = spawned_.list_all_slots(scene_index);
+    TrainedRun run = sources_[scene_index].load_run_with_channels();
+    add_spawned_actors_to_run(run, slots, assets_);
+    load_scene_to_device(scene_index, run);
+    loaded_[scene_index].n_slots = slots.size();
 }
 
-std::vector<SpawnedActors::Place> SceneSet::spawn(std::size_t scene,
-                                                  const std::vector<ActorToSpawn>& actors) {
-    Loaded& loaded = loaded_[scene];
-    const std::size_t n_before = spawned_.count_places(scene);
-    std::vector<SpawnedActors::Place> places = spawned_.take(scene, actors);
-    if (loaded.renderer && loaded.n_places == spawned_.count_places(scene)) return places;
+std::vector<SpawnedActorRegistry::SpawnSlot> SceneSet::spawn_actors(std::size_t scene_index,
+                                                                    const std::vector<ActorToSpawn>& actors) {
+    SceneInMemory& loaded = loaded_[scene_index];
+    const std::size_t n_before = spawned_.count_slots(scene_index);
+    std::vector<SpawnedActorRegistry::SpawnSlot> occupied_slots = spawned_.occupy_slots(scene_index, actors);
+    if (loaded.renderer && loaded.n_slots == spawned_.count_slots(scene_index)) return occupied_slots;
     const auto undo = [&] {
         // Without the renderer, the next request loads the scene again, without the new
         // actors.
         loaded.renderer.reset();
-        spawned_.undo(scene, places, n_before);
+        spawned_.revert_occupied_slots(scene_index, occupied_slots, n_before);
     };
     try {
         loaded.renderer.reset();
-        free_scene_memory(scene, loaded.bytes);
-        load_with_spawn_slots(scene);
-        free_scene_memory(scene, 0);
+        unload_other_scenes(scene_index, loaded.bytes);
+        load_scene_with_spawned_actors(scene_index);
+        unload_other_scenes(scene_index, 0);
     } catch (const DataError& error) {
         undo();
-        throw Refusal(grpc::StatusCode::FAILED_PRECONDITION,
-                      fmt::format("cannot spawn {} actors: {}", actors.size(), error.what()));
+        throw RejectedRequest(grpc::StatusCode::FAILED_PRECONDITION,
+                              fmt::format("cannot spawn {} actors: {}", actors.size(), error.what()));
     } catch (const OutOfDeviceMemory& error) {
         undo();
-        throw Refusal(grpc::StatusCode::RESOURCE_EXHAUSTED,
-                      fmt::format("cannot spawn {} actors: {}", actors.size(), error.what()));
+        throw RejectedRequest(grpc::StatusCode::RESOURCE_EXHAUSTED,
+                              fmt::format("cannot spawn {} actors: {}", actors.size(), error.what()));
     } catch (...) {
         undo();
         throw;
     }
-    if (loaded.bytes <= memory_bytes_) return places;
+    if (loaded.bytes <= memory_bytes_) return occupied_slots;
     const double needed_mib = double(loaded.bytes) / kMiB;
     undo();
-    throw Refusal(
+    throw RejectedRequest(
         grpc::StatusCode::RESOURCE_EXHAUSTED,
         fmt::format("cannot spawn {} actors: the scene would need {:.1f} MiB of device memory with them, "
                     "expected at most {:.1f} MiB (--memory-mib of the server)",
                     actors.size(), needed_mib, double(memory_bytes_) / kMiB));
 }
 
-/// Unloads other scenes, the least recently used first, until `bytes` more bytes fit into
-/// the memory.
-void SceneSet::free_scene_memory(std::size_t scene, std::uint64_t bytes) {
-    while (device_.allocated_bytes() + bytes > memory_bytes_) {
-        Loaded* oldest = nullptr;
+/// Unloads other scenes, the least recently used first, until `n_bytes_needed` more bytes
+/// fit into the memory.
+void SceneSet::unload_other_scenes(std::size_t kept_scene_index, std::uint64_t n_bytes_needed) {
+    while (device_.allocated_bytes() + n_bytes_needed > memory_bytes_) {
+        SceneInMemory* oldest = nullptr;
         for (std::size_t i = 0; i < loaded_.size(); ++i)
-            if (i != scene && loaded_[i].renderer && (!oldest || loaded_[i].used < oldest->used))
+            if (i != kept_scene_index && loaded_[i].renderer && (!oldest || loaded_[i].used < oldest->used))
                 oldest = &loaded_[i];
         if (!oldest) return;
         oldest->renderer.reset();
@@ -175,10 +179,10 @@ void SceneSet::free_scene_memory(std::size_t scene, std::uint64_t bytes) {
 
 /// Calls a function, and adds the device memory that it allocates to the recorded size of
 /// the scene.
-void SceneSet::measure_memory_growth(std::size_t scene, const std::function<void()>& work) {
+void SceneSet::call_and_record_memory_growth(std::size_t scene_index, const std::function<void()>& function) {
     const std::uint64_t before = device_.allocated_bytes();
-    work();
-    loaded_[scene].bytes += device_.allocated_bytes() - before;
+    function();
+    loaded_[scene_index].bytes += device_.allocated_bytes() - before;
 }
 
 }  // namespace relidar::serve

@@ -9,27 +9,28 @@
 
 namespace relidar::serve {
 
-std::string SensorCache::add(SensorChoice sensor) {
+std::string SensorCache::add_uploaded_sensor(SimulatedSensor sensor) {
     std::string key;
     {
         const std::lock_guard lock(mutex_);
         key = fmt::format("sensor-{}", ++added_);
     }
-    put(key, std::move(sensor));
+    store_sensor(key, std::move(sensor));
     return key;
 }
 
-std::shared_ptr<const SensorChoice> SensorCache::put(const std::string& key, SensorChoice sensor) {
-    const auto kept = std::make_shared<const SensorChoice>(std::move(sensor));
+std::shared_ptr<const SimulatedSensor> SensorCache::store_sensor(const std::string& key,
+                                                                 SimulatedSensor sensor) {
+    const auto shared_sensor = std::make_shared<const SimulatedSensor>(std::move(sensor));
     const std::lock_guard lock(mutex_);
     while (!entries_.empty() &&
-           (entries_.size() >= kMostSensors || count_rays() + kept->rays.size() > kMostRays))
-        remove_oldest();
-    entries_[key] = {kept, ++clock_};
-    return kept;
+           (entries_.size() >= kMostSensors || count_cached_rays() + shared_sensor->rays.size() > kMostRays))
+        remove_least_recently_used();
+    entries_[key] = {shared_sensor, ++clock_};
+    return shared_sensor;
 }
 
-std::shared_ptr<const SensorChoice> SensorCache::find(const std::string& key) {
+std::shared_ptr<const SimulatedSensor> SensorCache::find_cached_sensor(const std::string& key) {
     const std::lock_guard lock(mutex_);
     const auto entry = entries_.find(key);
     if (entry == entries_.end()) return nullptr;
@@ -37,13 +38,13 @@ std::shared_ptr<const SensorChoice> SensorCache::find(const std::string& key) {
     return entry->second.sensor;
 }
 
-void SensorCache::remove_oldest() {
+void SensorCache::remove_least_recently_used() {
     entries_.erase(std::min_element(
         entries_.begin(), entries_.end(),
         [](const auto& first, const auto& second) { return first.second.used < second.second.used; }));
 }
 
-std::size_t SensorCache::count_rays() const {
+std::size_t SensorCache::count_cached_rays() const {
     std::size_t rays = 0;
     for (const auto& [handle, entry] : entries_) rays += entry.sensor->rays.size();
     return rays;

@@ -11,7 +11,7 @@
 #include <string>
 
 namespace relidar {
-struct SensorChoice;
+struct SimulatedSensor;
 }
 
 namespace relidar::serve {
@@ -25,24 +25,24 @@ public:
 
     /// Adds a sensor that a client has uploaded.
     /// @return a new handle for this sensor
-    std::string add(SensorChoice sensor);
-    std::shared_ptr<const SensorChoice> put(const std::string& key, SensorChoice sensor);
+    std::string add_uploaded_sensor(SimulatedSensor sensor);
+    std::shared_ptr<const SimulatedSensor> store_sensor(const std::string& key, SimulatedSensor sensor);
     /// Returns the sensor for a name or handle. Returns null if the key is unknown or if
     /// the cache has removed the sensor.
-    std::shared_ptr<const SensorChoice> find(const std::string& key);
+    std::shared_ptr<const SimulatedSensor> find_cached_sensor(const std::string& key);
 
 private:
-    struct Entry {
-        std::shared_ptr<const SensorChoice> sensor;
+    struct CachedSensor {
+        std::shared_ptr<const SimulatedSensor> sensor;
         std::uint64_t used;
     };
     std::mutex mutex_;
-    std::map<std::string, Entry> entries_;
+    std::map<std::string, CachedSensor> entries_;
     std::uint64_t clock_ = 0;
     std::uint64_t added_ = 0;
 
-    void remove_oldest();
-    std::size_t count_rays() const;
+    void remove_least_recently_used();
+    std::size_t count_cached_rays() const;
 };
 
 }  // namespace relidar::serve

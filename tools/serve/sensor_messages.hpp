@@ -16,25 +16,25 @@ namespace relidar::serve {
 inline constexpr std::size_t kMostRaysOfScan = std::size_t(1) << 20;
 
 /// Reads the description of a sensor.
-/// @param field name of the field in the request, for error messages
+/// @param field_name name of the field in the request, for error messages
 /// @throws Refusal that names the first invalid field
-SensorChoice read_sensor(const v1::SensorSpec& message, const std::string& field);
+SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& field_name);
 
 /// Returns the built-in sensor with this name. The names "native" and "" mean the sensor
 /// of the log. File names are rejected, because clients must not read files of the
 /// server.
 /// @param run run without surfels
 /// @throws Refusal if the name is unknown or the sensor has too many rays
-SensorChoice find_named_sensor(const std::string& name, const Run& run, int lidar);
+SimulatedSensor find_named_sensor(const std::string& sensor_name, const TrainedRun& run, int lidar_index);
 
 /// Firing times of the first and the last ray, in seconds relative to the time of the
 /// scan.
-struct FiringSpan {
+struct FiringTimeSpan {
     double first_s = 0.0, last_s = 0.0;
 };
-FiringSpan compute_firing_span(const SensorChoice& sensor);
+FiringTimeSpan compute_firing_span(const SimulatedSensor& sensor);
 
 /// Returns the number of rays of one scan.
-std::size_t count_rays(const SensorChoice& sensor);
+std::size_t count_rays_of_sensor(const SimulatedSensor& sensor);
 
 }  // namespace relidar::serve

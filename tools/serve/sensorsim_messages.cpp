@@ -20,18 +20,19 @@ constexpr double kMicrosecond = 1e-6;
 constexpr std::uint64_t kLongestFrame_us = 60'000'000;
 
 /// Maps a LiDAR type of sensorsim.proto to the name of a built-in sensor.
-struct WireLidar {
+struct LidarTypeSensor {
     sensorsim::LidarType type;
     const char* name;
     double period_s;  ///< Time of one turn of the sensor in seconds, as in find_sensor().
 };
-constexpr WireLidar kLidars[] = {{sensorsim::PANDAR128, "Pandar128", 0.1}, {sensorsim::AT128, "AT128", 0.1}};
+constexpr LidarTypeSensor kLidars[] = {{sensorsim::PANDAR128, "Pandar128", 0.1},
+                                       {sensorsim::AT128, "AT128", 0.1}};
 
-const WireLidar& find_wire_lidar(sensorsim::LidarType type) {
-    const auto match = std::ranges::find(kLidars, type, &WireLidar::type);
+const LidarTypeSensor& find_sensor_of_lidar_type(sensorsim::LidarType lidar_type) {
+    const auto match = std::ranges::find(kLidars, lidar_type, &LidarTypeSensor::type);
     if (match == std::end(kLidars))
-        throw_refusal("lidar.lidar_type", fmt::format("{}", int(type)),
-                      "0 (PANDAR128), 1 (AT128) or 2 (OTHER)");
+        throw_invalid_field("lidar.lidar_type", fmt::format("{}", int(lidar_type)),
+                            "0 (PANDAR128), 1 (AT128) or 2 (OTHER)");
     return *match;
 }
 
@@ -39,9 +40,10 @@ bool are_poses_equal(const Pose& first, const Pose& second) {
     return first.translation == second.translation && first.rotation == second.rotation;
 }
 
-void write_pose(const Pose& pose, PoseOrder order, sensorsim::Pose& message) {
-    const glm::dvec3 t = order == PoseOrder::rotation_first ? pose.translation
-                                                            : glm::inverse(pose.rotation) * pose.translation;
+void write_pose(const Pose& pose, PoseTransformOrder pose_order, sensorsim::Pose& message) {
+    const glm::dvec3 t = pose_order == PoseTransformOrder::rotation_first
+                             ? pose.translation
+                             : glm::inverse(pose.rotation) * pose.translation;
     message.mutable_translation()->set_x(float(t.x));
     message.mutable_translation()->set_y(float(t.y));
     message.mutable_translation()->set_z(float(t.z));
@@ -51,51 +53,52 @@ void write_pose(const Pose& pose, PoseOrder order, sensorsim::Pose& message) {
     message.mutable_rotation()->set_z(float(pose.rotation.z));
 }
 
-void write_track(const PoseTrack& track, PoseOrder order, sensorsim::Trajectory& message) {
+void write_track(const PoseTrack& track, PoseTransformOrder pose_order, sensorsim::Trajectory& message) {
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         if (!(track.time_s[i] >= 0.0))
-            throw Refusal(
+            throw RejectedRequest(
                 grpc::StatusCode::FAILED_PRECONDITION,
                 fmt::format(
                     "cannot write a trajectory: found a pose at {} s, expected times of at least 0, because "
                     "the message format has no negative times",
                     track.time_s[i]));
         sensorsim::PoseAtTime& pose = *message.add_poses();
-        write_pose(track.pose[i], order, *pose.mutable_pose());
+        write_pose(track.pose[i], pose_order, *pose.mutable_pose());
         pose.set_timestamp_us(std::uint64_t(std::llround(track.time_s[i] / kMicrosecond)));
     }
 }
 
 }  // namespace
 
-std::shared_ptr<const SensorChoice> SensorsimReader::sensor(const sensorsim::LidarRenderRequest& message,
-                                                            std::size_t scene) {
+std::shared_ptr<const SimulatedSensor> SensorsimReader::find_or_make_sensor(
+    const sensorsim::LidarRenderRequest& message, std::size_t scene_index) {
     const sensorsim::LidarType type = message.lidar().lidar_type();
     const std::string& id = message.lidar().logical_id();
     const bool is_of_log = type == sensorsim::OTHER;
-    const std::vector<Lidar>& lidars = outlines_[scene].sequence.lidars;
+    const std::vector<Lidar>& lidars = outlines_[scene_index].sequence.lidars;
     if (is_of_log && id.empty() && lidars.size() > 1)
-        throw_refusal("lidar.logical_id", "none with lidar_type OTHER",
-                      fmt::format("the name of one of the log's {} LiDARs", lidars.size()));
-    const int lidar = reader_.find_lidar(scene, id, "lidar.logical_id");
-    const std::string name = is_of_log ? "native" : find_wire_lidar(type).name;
+        throw_invalid_field("lidar.logical_id", "none with lidar_type OTHER",
+                            fmt::format("the name of one of the log's {} LiDARs", lidars.size()));
+    const int lidar = reader_.find_lidar_index(scene_index, id, "lidar.logical_id");
+    const std::string name = is_of_log ? "native" : find_sensor_of_lidar_type(type).name;
     const std::uint64_t frame_us = message.frame_end_us() - message.frame_start_us();
-    const std::string key = fmt::format("{} {} {} {}", is_of_log ? scene : 0, lidar, name, frame_us);
-    if (auto sensor = sensors_.find(key)) return sensor;
-    SensorChoice sensor = find_named_sensor(name, outlines_[scene], lidar);
-    if (count_rays(sensor) == 0)
-        throw_refusal("lidar.logical_id", quoted(id) + ", a LiDAR whose beams are unknown",
-                      "another LiDAR, or the lidar_type PANDAR128 or AT128");
+    const std::string key = fmt::format("{} {} {} {}", is_of_log ? scene_index : 0, lidar, name, frame_us);
+    if (auto sensor = sensors_.find_cached_sensor(key)) return sensor;
+    SimulatedSensor sensor = find_named_sensor(name, outlines_[scene_index], lidar);
+    if (count_rays_of_sensor(sensor) == 0)
+        throw_invalid_field("lidar.logical_id",
+                            quote_for_error_message(id) + ", a LiDAR whose beams are unknown",
+                            "another LiDAR, or the lidar_type PANDAR128 or AT128");
     const double period_s =
-        is_of_log ? lidars[std::size_t(lidar)].period_s() : find_wire_lidar(type).period_s;
+        is_of_log ? lidars[std::size_t(lidar)].period_s() : find_sensor_of_lidar_type(type).period_s;
     const float stretch = period_s > 0.0 ? float(double(frame_us) * kMicrosecond / period_s) : 1.0f;
     for (float& time_s : sensor.rays.time_offset_s) time_s *= stretch;
-    return sensors_.put(key, std::move(sensor));
+    return sensors_.store_sensor(key, std::move(sensor));
 }
 
-Pose SensorsimReader::read_pose(const sensorsim::Pose& message, const std::string& field) const {
+Pose SensorsimReader::read_pose(const sensorsim::Pose& message, const std::string& field_name) const {
     if (!message.has_translation() || !message.has_rotation())
-        throw_refusal(field, message.has_translation() ? "no rotation" : "no translation", "both");
+        throw_invalid_field(field_name, message.has_translation() ? "no rotation" : "no translation", "both");
     v1::Pose wide;
     wide.mutable_translation()->set_x(double(message.translation().x()));
     wide.mutable_translation()->set_y(double(message.translation().y()));
@@ -104,53 +107,55 @@ Pose SensorsimReader::read_pose(const sensorsim::Pose& message, const std::strin
     wide.mutable_rotation()->set_x(double(message.rotation().x()));
     wide.mutable_rotation()->set_y(double(message.rotation().y()));
     wide.mutable_rotation()->set_z(double(message.rotation().z()));
-    Pose pose = serve::read_pose(wide, field);
-    if (order_ == PoseOrder::translation_first) pose.translation = pose.rotation * pose.translation;
+    Pose pose = serve::read_pose(wide, field_name);
+    if (order_ == PoseTransformOrder::translation_first) pose.translation = pose.rotation * pose.translation;
     return pose;
 }
 
-PoseTrack SensorsimReader::read_track(const sensorsim::PosePair& message, const Frame& frame,
-                                      const std::string& field) const {
+PoseTrack SensorsimReader::read_track(const sensorsim::PosePair& message, const SensorsimTimeFrame& frame,
+                                      const std::string& field_name) const {
     if (!message.has_start() || !message.has_end())
-        throw_refusal(field, message.has_start() ? "no pose at the end" : "no pose at the start", "both");
-    Pose start = read_pose(message.start(), field + ".start"), end = read_pose(message.end(), field + ".end");
+        throw_invalid_field(field_name, message.has_start() ? "no pose at the end" : "no pose at the start",
+                            "both");
+    Pose start = read_pose(message.start(), field_name + ".start"),
+         end = read_pose(message.end(), field_name + ".end");
     start.translation += frame.world_offset_m;
     end.translation += frame.world_offset_m;
     if (frame.end_s > frame.start_s) return {{frame.start_s, frame.end_s}, {start, end}};
     if (!are_poses_equal(start, end))
-        throw_refusal(field, "two different poses in a frame without duration",
-                      "the same pose at start and end, or a frame_end_us after frame_start_us");
+        throw_invalid_field(field_name, "two different poses in a frame without duration",
+                            "the same pose at start and end, or a frame_end_us after frame_start_us");
     return {{frame.start_s}, {start}};
 }
 
-RenderRequest SensorsimReader::read(const sensorsim::LidarRenderRequest& message) {
+RenderRequest SensorsimReader::read_lidar_request(const sensorsim::LidarRenderRequest& message) {
     const std::uint64_t start_us = message.frame_start_us(), end_us = message.frame_end_us();
     if (end_us < start_us || end_us - start_us > kLongestFrame_us)
-        throw_refusal("frame_end_us", fmt::format("{} with frame_start_us {}", end_us, start_us),
-                      fmt::format("a time in microseconds that is at most {} later", kLongestFrame_us));
-    RenderRequest wanted;
-    wanted.scene = find_scene(message.scene_id());
-    const Frame frame{read_time(double(start_us) * kMicrosecond, "frame_start_us"),
-                      read_time(double(end_us) * kMicrosecond, "frame_end_us"),
-                      outlines_[wanted.scene].sequence.world_offset_m};
-    wanted.sensor = sensor(message, wanted.scene);
+        throw_invalid_field("frame_end_us", fmt::format("{} with frame_start_us {}", end_us, start_us),
+                            fmt::format("a time in microseconds that is at most {} later", kLongestFrame_us));
+    RenderRequest render_request;
+    render_request.scene = find_scene_index(message.scene_id());
+    const SensorsimTimeFrame frame{require_limited_time(double(start_us) * kMicrosecond, "frame_start_us"),
+                                   require_limited_time(double(end_us) * kMicrosecond, "frame_end_us"),
+                                   outlines_[render_request.scene].sequence.world_offset_m};
+    render_request.sensor = find_or_make_sensor(message, render_request.scene);
     // The reference time is the middle of the interval, because firing times are relative
     // to the middle of a sweep.
-    wanted.request.time_s = 0.5 * (frame.start_s + frame.end_s);
-    wanted.request.dataset_from_sensor = read_track(message.sensor_pose(), frame, "sensor_pose");
-    wanted.points_at_s = frame.end_s;
-    std::vector<ActorRequest> actors;
+    render_request.request.time_s = 0.5 * (frame.start_s + frame.end_s);
+    render_request.request.dataset_from_sensor = read_track(message.sensor_pose(), frame, "sensor_pose");
+    render_request.points_at_s = frame.end_s;
+    std::vector<RequestedActor> actors;
     for (int i = 0; i < message.dynamic_objects_size(); ++i) {
         const sensorsim::DynamicObject& object = message.dynamic_objects(i);
         const std::string field = fmt::format("dynamic_objects[{}]", i);
         actors.push_back(
             {field + ".track_id", object.track_id(), read_track(object.pose(), frame, field + ".pose")});
     }
-    reader_.place_actors(actors, wanted);
-    return wanted;
+    reader_.add_actors_to_request(actors, render_request);
+    return render_request;
 }
 
-void write_points(const Points& points, sensorsim::LidarRenderReturn& message) {
+void write_points(const LidarPoints& points, sensorsim::LidarRenderReturn& message) {
     message.set_count(std::uint32_t(points.size()));
     const auto write = [&](const auto& values, std::string& bytes,
                            google::protobuf::RepeatedField<float>& numbers) {
@@ -162,7 +167,8 @@ void write_points(const Points& points, sensorsim::LidarRenderReturn& message) {
     write(points.intensity, *message.mutable_intensity_buffer(), *message.mutable_intensities());
 }
 
-void write_objects(const Run& run, PoseOrder order, sensorsim::DynamicObjectTracks& message) {
+void write_actor_tracks(const TrainedRun& run, PoseTransformOrder pose_order,
+                        sensorsim::DynamicObjectTracks& message) {
     for (const std::string& name : list_actor_names_of_run(run)) {
         const auto box = std::ranges::find(run.sequence.boxes, name, &BoxTrack::id);
         if (box == run.sequence.boxes.end()) continue;
@@ -178,14 +184,16 @@ void write_objects(const Run& run, PoseOrder order, sensorsim::DynamicObjectTrac
             if (box->world_from_box.time_s[i] >= 0.0)
                 track.time_s.push_back(box->world_from_box.time_s[i]),
                     track.pose.push_back(box->world_from_box.pose[i]);
-        write_track(track, order, *object.mutable_trajectory());
+        write_track(track, pose_order, *object.mutable_trajectory());
     }
 }
 
-void write_trajectories(const Run& run, PoseOrder order, sensorsim::AvailableTrajectories& message) {
-    write_track(run.sequence.world_from_vehicle, order, *message.add_trajectories()->mutable_trajectory());
+void write_recorded_trajectories(const TrainedRun& run, PoseTransformOrder pose_order,
+                                 sensorsim::AvailableTrajectories& message) {
+    write_track(run.sequence.world_from_vehicle, pose_order,
+                *message.add_trajectories()->mutable_trajectory());
     for (std::size_t i = 0; i < run.sequence.lidars.size(); ++i)
-        write_track(run.sequence.world_from_sensor(int(i)), order,
+        write_track(run.sequence.get_world_from_sensor(int(i)), pose_order,
                     *message.add_trajectories()->mutable_trajectory());
 }
 

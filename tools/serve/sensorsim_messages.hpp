@@ -26,47 +26,51 @@ public:
     /// Creates a reader for requests of sensorsim.proto.
     /// @param outlines runs without surfels, one per scene of `reader`; `outlines` and
     /// `reader` must outlive this object
-    /// @param order says whether a pose applies its rotation or its translation first
-    SensorsimReader(const std::vector<Run>& outlines, const RequestReader& reader, PoseOrder order)
+    /// @param pose_order says whether a pose applies its rotation or its translation
+    /// first
+    SensorsimReader(const std::vector<TrainedRun>& outlines, const RequestReader& reader,
+                    PoseTransformOrder order)
         : outlines_(outlines), reader_(reader), order_(order) {}
 
     /// Returns the index of the scene with this name.
     /// @throws Refusal if the scene is unknown
-    std::size_t find_scene(const std::string& scene_id) const {
-        return reader_.find_scene(scene_id, "scene_id");
+    std::size_t find_scene_index(const std::string& scene_id) const {
+        return reader_.find_scene_index(scene_id, "scene_id");
     }
     /// Reads a request for a scan. The sensor fires its first ray at the start of the
     /// requested time interval and its last ray at the end.
     /// @throws Refusal that names the first invalid field
-    RenderRequest read(const sensorsim::LidarRenderRequest& message);
+    RenderRequest read_lidar_request(const sensorsim::LidarRenderRequest& message);
 
 private:
-    const std::vector<Run>& outlines_;
+    const std::vector<TrainedRun>& outlines_;
     const RequestReader& reader_;
-    const PoseOrder order_;
+    const PoseTransformOrder order_;
     SensorCache sensors_;
 
-    struct Frame {
+    struct SensorsimTimeFrame {
         double start_s = 0.0, end_s = 0.0;
         glm::dvec3 world_offset_m{0.0};
     };
-    std::shared_ptr<const SensorChoice> sensor(const sensorsim::LidarRenderRequest& message,
-                                               std::size_t scene);
-    Pose read_pose(const sensorsim::Pose& message, const std::string& field) const;
-    PoseTrack read_track(const sensorsim::PosePair& message, const Frame& frame,
-                         const std::string& field) const;
+    std::shared_ptr<const SimulatedSensor> find_or_make_sensor(const sensorsim::LidarRenderRequest& message,
+                                                               std::size_t scene_index);
+    Pose read_pose(const sensorsim::Pose& message, const std::string& field_name) const;
+    PoseTrack read_track(const sensorsim::PosePair& message, const SensorsimTimeFrame& frame,
+                         const std::string& field_name) const;
 };
 
 /// Writes the points of a rendered scan into the response.
-void write_points(const Points& points, sensorsim::LidarRenderReturn& message);
+void write_points(const LidarPoints& points, sensorsim::LidarRenderReturn& message);
 
 /// Writes the actors of the run, with their classes, sizes and poses, into the response.
 /// @throws Refusal if a track starts before time 0
-void write_objects(const Run& run, PoseOrder order, sensorsim::DynamicObjectTracks& message);
+void write_actor_tracks(const TrainedRun& run, PoseTransformOrder pose_order,
+                        sensorsim::DynamicObjectTracks& message);
 
 /// Writes the trajectories of the log's vehicle and LiDARs into the response.
 /// @throws Refusal if the log starts before time 0, because the messages cannot store
 /// negative times
-void write_trajectories(const Run& run, PoseOrder order, sensorsim::AvailableTrajectories& message);
+void write_recorded_trajectories(const TrainedRun& run, PoseTransformOrder pose_order,
+                                 sensorsim::AvailableTrajectories& message);
 
 }  // namespace relidar::serve

@@ -20,7 +20,7 @@ namespace {
 constexpr int kMostScans = 64;
 
 [[noreturn]] void throw_unsupported_images(const std::string& call, const std::string& found_value) {
-    throw Refusal(
+    throw RejectedRequest(
         grpc::StatusCode::UNIMPLEMENTED,
         fmt::format("cannot answer {}: found {}, expected only LiDAR scans (render_lidar), because relidar "
                     "renders no camera images",
@@ -39,35 +39,36 @@ class SensorsimService::NamedService final : public grpc::Service {
 public:
     NamedService(SensorsimService& calls, const std::string& full_name) : path_("/" + full_name + "/") {
         using Context = const grpc::ServerContext&;
-        add<sensorsim::Empty, sensorsim::VersionId>(
+        register_method<sensorsim::Empty, sensorsim::VersionId>(
             "get_version", [&](Context, const auto&, auto& answer) { calls.get_version(answer); });
-        add<sensorsim::Empty, sensorsim::AvailableScenes>(
+        register_method<sensorsim::Empty, sensorsim::AvailableScenes>(
             "get_available_scenes",
             [&](Context, const auto&, auto& answer) { calls.get_available_scenes(answer); });
-        add<sensorsim::Empty, sensorsim::LoadedScenes>(
+        register_method<sensorsim::Empty, sensorsim::LoadedScenes>(
             "get_loaded_scenes",
             [&](Context, const auto&, auto& answer) { calls.get_loaded_scenes(answer); });
-        add<sensorsim::SceneRequest, sensorsim::DynamicObjectTracks>(
+        register_method<sensorsim::SceneRequest, sensorsim::DynamicObjectTracks>(
             "get_dynamic_objects",
             [&](Context, const auto& request, auto& answer) { calls.get_dynamic_objects(request, answer); });
-        add<sensorsim::SceneRequest, sensorsim::AvailableTrajectories>(
+        register_method<sensorsim::SceneRequest, sensorsim::AvailableTrajectories>(
             "get_available_trajectories", [&](Context, const auto& request, auto& answer) {
                 calls.get_available_trajectories(request, answer);
             });
-        add<sensorsim::SceneRequest, sensorsim::AvailableCameras>(
-            "get_available_cameras",
-            [&](Context, const auto& request, auto&) { calls.reader_->find_scene(request.scene_id()); });
-        add<sensorsim::Empty, sensorsim::AvailableEgoMasks>("get_available_ego_masks",
-                                                            [](Context, const auto&, auto&) {});
-        add<sensorsim::LidarRenderRequest, sensorsim::LidarRenderReturn>(
+        register_method<sensorsim::SceneRequest, sensorsim::AvailableCameras>(
+            "get_available_cameras", [&](Context, const auto& request, auto&) {
+                calls.reader_->find_scene_index(request.scene_id());
+            });
+        register_method<sensorsim::Empty, sensorsim::AvailableEgoMasks>("get_available_ego_masks",
+                                                                        [](Context, const auto&, auto&) {});
+        register_method<sensorsim::LidarRenderRequest, sensorsim::LidarRenderReturn>(
             "render_lidar", [&](Context context, const auto& request, auto& answer) {
                 calls.render_lidar(context, request, answer);
             });
-        add<sensorsim::RgbRenderRequest, sensorsim::RgbRenderReturn>(
+        register_method<sensorsim::RgbRenderRequest, sensorsim::RgbRenderReturn>(
             "render_rgb", [](Context, const auto&, auto&) {
                 throw_unsupported_images("render_rgb", "a request for an image");
             });
-        add<sensorsim::AggregatedRenderRequest, sensorsim::AggregatedRenderReturn>(
+        register_method<sensorsim::AggregatedRenderRequest, sensorsim::AggregatedRenderReturn>(
             "render_aggregated", [&](Context context, const auto& request, auto& answer) {
                 calls.render_aggregated(context, request, answer);
             });
@@ -81,37 +82,37 @@ private:
 
     /// Registers a method. The function answers a call and throws Refusal to reject it.
     template <class RequestMessage, class Answer, class Function>
-    void add(const std::string& method, Function function) {
+    void register_method(const std::string& method_name, Function handle_call) {
         using grpc::internal::RpcMethodHandler, grpc::internal::RpcServiceMethod;
-        const auto call = [function](NamedService*, grpc::ServerContext* context,
-                                     const RequestMessage* request, Answer* answer) {
-            return run_with_grpc_status([&] { function(*context, *request, *answer); });
+        const auto call = [handle_call](NamedService*, grpc::ServerContext* context,
+                                        const RequestMessage* request, Answer* answer) {
+            return call_and_get_grpc_status([&] { handle_call(*context, *request, *answer); });
         };
         AddMethod(new RpcServiceMethod(
-            methods_.emplace_back(path_ + method).c_str(), grpc::internal::RpcMethod::NORMAL_RPC,
+            methods_.emplace_back(path_ + method_name).c_str(), grpc::internal::RpcMethod::NORMAL_RPC,
             new RpcMethodHandler<NamedService, RequestMessage, Answer>(call, this)));
     }
 };
 
-SensorsimService::SensorsimService(RenderQueue& queue, SceneSet& scenes, PoseOrder order)
+SensorsimService::SensorsimService(RenderQueue& queue, SceneSet& scenes, PoseTransformOrder order)
     : queue_(queue),
       scenes_(scenes),
       order_(order),
       scene_reader_(std::make_unique<RequestReader>(scenes)),
-      reader_(std::make_unique<SensorsimReader>(scenes.outlines(), *scene_reader_, order)) {
-    for (const std::string& name : list_full_names())
+      reader_(std::make_unique<SensorsimReader>(scenes.get_runs_without_surfels(), *scene_reader_, order)) {
+    for (const std::string& name : list_full_service_names())
         named_.push_back(std::make_unique<NamedService>(*this, name));
 }
 
 SensorsimService::~SensorsimService() = default;
 
-std::vector<std::string> SensorsimService::list_full_names() {
+std::vector<std::string> SensorsimService::list_full_service_names() {
     std::vector<std::string> names;
     for (const std::string package : kPackages) names.push_back(package + ".sensorsim.SensorsimService");
     return names;
 }
 
-void SensorsimService::register_at(grpc::ServerBuilder& builder) {
+void SensorsimService::register_services(grpc::ServerBuilder& builder) {
     for (const std::unique_ptr<NamedService>& service : named_) builder.RegisterService(service.get());
 }
 
@@ -123,44 +124,48 @@ void SensorsimService::get_version(sensorsim::VersionId& answer) const {
 }
 
 void SensorsimService::get_available_scenes(sensorsim::AvailableScenes& answer) const {
-    for (const SceneSource& source : scenes_.sources()) answer.add_scene_ids(source.name);
+    for (const SceneSource& source : scenes_.get_scene_sources()) answer.add_scene_ids(source.name);
 }
 
 void SensorsimService::get_loaded_scenes(sensorsim::LoadedScenes& answer) {
-    reserve(queue_).run([&] {
-        for (std::size_t i = 0; i < scenes_.sources().size(); ++i) {
-            if (!scenes_.is_loaded(i)) continue;
+    reserve_slot_or_throw(queue_).run_on_render_thread([&] {
+        for (std::size_t i = 0; i < scenes_.get_scene_sources().size(); ++i) {
+            if (!scenes_.is_scene_loaded(i)) continue;
             sensorsim::LoadedScene& scene = *answer.add_scenes();
-            scene.set_scene_id(scenes_.sources()[i].name);
+            scene.set_scene_id(scenes_.get_scene_sources()[i].name);
             scene.set_loaded_instance_count(1);
             scene.set_reusable_instance_count(1);
         }
     });
-    answer.set_loaded_instance_capacity(scenes_.sources().size());
+    answer.set_loaded_instance_capacity(scenes_.get_scene_sources().size());
 }
 
 void SensorsimService::get_dynamic_objects(const sensorsim::SceneRequest& request,
                                            sensorsim::DynamicObjectTracks& answer) {
-    write_objects(scenes_.outlines()[reader_->find_scene(request.scene_id())], order_, answer);
+    write_actor_tracks(scenes_.get_runs_without_surfels()[reader_->find_scene_index(request.scene_id())],
+                       order_, answer);
 }
 
 void SensorsimService::get_available_trajectories(const sensorsim::SceneRequest& request,
                                                   sensorsim::AvailableTrajectories& answer) {
-    write_trajectories(scenes_.outlines()[reader_->find_scene(request.scene_id())], order_, answer);
+    write_recorded_trajectories(
+        scenes_.get_runs_without_surfels()[reader_->find_scene_index(request.scene_id())], order_, answer);
 }
 
-void SensorsimService::render(RenderQueue::Slot& slot, const RenderRequest& render_request,
-                              const grpc::ServerContext& context, sensorsim::LidarRenderReturn& answer) {
+void SensorsimService::render_points_into_message(RenderQueue::QueueSlot& slot,
+                                                  const RenderRequest& render_request,
+                                                  const grpc::ServerContext& context,
+                                                  sensorsim::LidarRenderReturn& answer) {
     PointsRequest request(scenes_, context, {&render_request, 1});
-    request.run(slot);
+    request.run_or_throw_cancellation(slot);
     write_points(request.points.front().points, answer);
 }
 
 void SensorsimService::render_lidar(const grpc::ServerContext& context,
                                     const sensorsim::LidarRenderRequest& request,
                                     sensorsim::LidarRenderReturn& answer) {
-    RenderQueue::Slot slot = reserve(queue_);
-    render(slot, reader_->read(request), context, answer);
+    RenderQueue::QueueSlot slot = reserve_slot_or_throw(queue_);
+    render_points_into_message(slot, reader_->read_lidar_request(request), context, answer);
 }
 
 void SensorsimService::render_aggregated(const grpc::ServerContext& context,
@@ -170,13 +175,15 @@ void SensorsimService::render_aggregated(const grpc::ServerContext& context,
         throw_unsupported_images("render_aggregated",
                                  fmt::format("a request for {} images", request.rgb_size()));
     if (request.lidar_size() > kMostScans)
-        throw_refusal("lidar", fmt::format("{} scans", request.lidar_size()),
-                      fmt::format("at most {} per call", kMostScans));
+        throw_invalid_field("lidar", fmt::format("{} scans", request.lidar_size()),
+                            fmt::format("at most {} per call", kMostScans));
     // One slot for all scans of the call, so that the call is not rejected in the middle.
-    RenderQueue::Slot slot = reserve(queue_);
-    std::vector<RenderRequest> wanted;
-    for (const sensorsim::LidarRenderRequest& lidar : request.lidar()) wanted.push_back(reader_->read(lidar));
-    for (const RenderRequest& scan : wanted) render(slot, scan, context, *answer.add_lidar());
+    RenderQueue::QueueSlot slot = reserve_slot_or_throw(queue_);
+    std::vector<RenderRequest> render_requests;
+    for (const sensorsim::LidarRenderRequest& lidar : request.lidar())
+        render_requests.push_back(reader_->read_lidar_request(lidar));
+    for (const RenderRequest& scan : render_requests)
+        render_points_into_message(slot, scan, context, *answer.add_lidar());
 }
 
 }  // namespace relidar::serve

@@ -26,21 +26,21 @@ class SensorsimService {
 public:
     /// Creates the service. The queue and the scenes must outlive this object.
     /// @param scenes used only on the render thread
-    SensorsimService(RenderQueue& queue, SceneSet& scenes, PoseOrder order);
+    SensorsimService(RenderQueue& queue, SceneSet& scenes, PoseTransformOrder order);
     ~SensorsimService();
 
     /// Adds the service to a server under all names.
-    void register_at(grpc::ServerBuilder& builder);
+    void register_services(grpc::ServerBuilder& builder);
     /// Returns the full names of the service, such as
     /// "nre.grpc.protos.sensorsim.SensorsimService".
-    static std::vector<std::string> list_full_names();
+    static std::vector<std::string> list_full_service_names();
 
 private:
     class NamedService;
 
     RenderQueue& queue_;
     SceneSet& scenes_;
-    const PoseOrder order_;
+    const PoseTransformOrder order_;
     const std::unique_ptr<RequestReader> scene_reader_;
     const std::unique_ptr<SensorsimReader> reader_;
     std::vector<std::unique_ptr<NamedService>> named_;
@@ -56,8 +56,8 @@ private:
     void render_aggregated(const grpc::ServerContext& context,
                            const sensorsim::AggregatedRenderRequest& request,
                            sensorsim::AggregatedRenderReturn& answer);
-    void render(RenderQueue::Slot& slot, const RenderRequest& request, const grpc::ServerContext& context,
-                sensorsim::LidarRenderReturn& answer);
+    void render_points_into_message(RenderQueue::QueueSlot& slot, const RenderRequest& request,
+                                    const grpc::ServerContext& context, sensorsim::LidarRenderReturn& answer);
 };
 
 }  // namespace relidar::serve

@@ -40,26 +40,26 @@ constexpr int kHandshake_ms = 10'000;
 // must connect again.
 constexpr int kLongestIdle_ms = 600'000;
 
-std::string read_pem(const std::string& file) {
-    std::ifstream in(file, std::ios::binary);
+std::string read_pem_file(const std::string& file_path) {
+    std::ifstream in(file_path, std::ios::binary);
     std::string text((std::istreambuf_iterator<char>(in)), std::istreambuf_iterator<char>());
     if (text.find("-----BEGIN") == std::string::npos)
-        throw DataError(
-            fmt::format("cannot read {}: it contains no PEM data, expected a certificate or a key", file));
+        throw DataError(fmt::format(
+            "cannot read {}: it contains no PEM data, expected a certificate or a key", file_path));
     return text;
 }
 
-std::shared_ptr<grpc::ServerCredentials> make_credentials(const ServerOptions& options) {
+std::shared_ptr<grpc::ServerCredentials> make_server_credentials(const ServerOptions& options) {
     if (options.tls_cert.empty()) return grpc::InsecureServerCredentials();
     grpc::SslServerCredentialsOptions tls;
-    tls.pem_key_cert_pairs.push_back({read_pem(options.tls_key), read_pem(options.tls_cert)});
+    tls.pem_key_cert_pairs.push_back({read_pem_file(options.tls_key), read_pem_file(options.tls_cert)});
     return grpc::SslServerCredentials(tls);
 }
 
 /// Turns off the log of gRPC and Protobuf on stderr. gRPC only repeats errors that
 /// relidar reports. Protobuf prints a line for each invalid UTF-8 text, so any client
 /// could fill the disk.
-void silence_log() {
+void disable_grpc_log() {
     if (std::getenv("GRPC_VERBOSITY")) return;
     gpr_set_log_function([](gpr_log_func_args*) {});
 // Protobuf 22 and later log through absl, which prints nothing by default.
@@ -68,7 +68,7 @@ void silence_log() {
 #endif
 }
 
-std::uint64_t memory_bytes(const ServerOptions& options, const Device& device) {
+std::uint64_t compute_scene_memory_limit_bytes(const ServerOptions& options, const Device& device) {
     return options.memory_mib > 0 ? options.memory_mib << 20 : device.info().memory_bytes / 2;
 }
 
@@ -89,24 +89,26 @@ struct ScanServer::Impl {
 
     explicit Impl(std::size_t waiting) : queue(waiting) {}
     ~Impl() {
-        if (acceptor) acceptor->stop();
+        if (acceptor) acceptor->stop_accepting();
         if (server) server->Shutdown(std::chrono::system_clock::now());
         server.reset();
         run_on_render_thread([&] { scenes.reset(), device.reset(); });
     }
 
-    void run_on_render_thread(const std::function<void()>& work) { queue.reserve()->run(work); }
-    void listen(const ServerOptions& options);
-    void set_health_status(bool serving);
+    void run_on_render_thread(const std::function<void()>& function) {
+        queue.reserve_slot()->run_on_render_thread(function);
+    }
+    void start_listening(const ServerOptions& options);
+    void set_health_status(bool is_serving);
 };
 
-void ScanServer::Impl::listen(const ServerOptions& options) {
-    silence_log();
+void ScanServer::Impl::start_listening(const ServerOptions& options) {
+    disable_grpc_log();
     acceptor.emplace(options.listen);
     grpc::EnableDefaultHealthCheckService(true);
     grpc::reflection::InitProtoReflectionServerBuilderPlugin();
     grpc::ResourceQuota quota("relidar");
-    quota.SetMaxThreads(int(queue.slots() + kOtherThreads));
+    quota.SetMaxThreads(int(queue.get_slot_count() + kOtherThreads));
     grpc::ServerBuilder builder;
     builder.SetResourceQuota(quota);
     builder.SetMaxReceiveMessageSize(kLargestRequest);
@@ -115,16 +117,16 @@ void ScanServer::Impl::listen(const ServerOptions& options) {
     builder.AddChannelArgument(GRPC_ARG_MAX_CONNECTION_IDLE_MS, kLongestIdle_ms);
     using FromDescriptor = grpc::ServerBuilder::experimental_type::ExternalConnectionType;
     connections = builder.experimental().AddExternalConnectionAcceptor(FromDescriptor::FROM_FD,
-                                                                       make_credentials(options));
+                                                                       make_server_credentials(options));
     builder.RegisterService(&*service);
-    if (sensorsim) sensorsim->register_at(builder);
+    if (sensorsim) sensorsim->register_services(builder);
     server = builder.BuildAndStart();
     if (!server)
         throw UsageError(
             fmt::format("cannot listen at {}: gRPC does not start{}", options.listen,
                         options.tls_cert.empty() ? "" : ", expected a certificate that matches its key"));
     set_health_status(true);
-    acceptor->start([this](int listener, int connection) {
+    acceptor->start_accepting([this](int listener, int connection) {
         grpc::experimental::ExternalConnectionAcceptor::NewConnectionParameters accepted;
         accepted.listener_fd = listener;
         accepted.fd = connection;
@@ -132,14 +134,14 @@ void ScanServer::Impl::listen(const ServerOptions& options) {
     });
 }
 
-void ScanServer::Impl::set_health_status(bool serving) {
+void ScanServer::Impl::set_health_status(bool is_serving) {
     grpc::HealthCheckServiceInterface& health = *server->GetHealthCheckService();
-    health.SetServingStatus(v1::RenderService::service_full_name(), serving);
+    health.SetServingStatus(v1::RenderService::service_full_name(), is_serving);
     if (sensorsim)
-        for (const std::string& name : SensorsimService::list_full_names())
-            health.SetServingStatus(name, serving);
+        for (const std::string& name : SensorsimService::list_full_service_names())
+            health.SetServingStatus(name, is_serving);
     // The empty name means the complete server in the gRPC health protocol.
-    if (!serving) health.SetServingStatus("", false);
+    if (!is_serving) health.SetServingStatus("", false);
 }
 
 ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Impl>(options.waiting)) {
@@ -147,23 +149,23 @@ ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Im
     impl_->assets.emplace(options.assets);
     impl_->run_on_render_thread([&] {
         impl_->device.emplace(options.device);
-        impl_->scenes.emplace(*impl_->device, std::move(sources), memory_bytes(options, *impl_->device),
-                              *impl_->assets);
+        impl_->scenes.emplace(*impl_->device, std::move(sources),
+                              compute_scene_memory_limit_bytes(options, *impl_->device), *impl_->assets);
     });
-    if (ScanRenderer::choose_max_lanes(*impl_->device) > 1) impl_->queue.set_batch_size(kBatchSize);
+    if (ScanRenderer::choose_max_parallel_scans(*impl_->device) > 1) impl_->queue.set_batch_size(kBatchSize);
     impl_->service.emplace(impl_->queue, *impl_->scenes, options.on_scan);
     if (options.sensorsim) impl_->sensorsim.emplace(impl_->queue, *impl_->scenes, *options.sensorsim);
-    impl_->listen(options);
+    impl_->start_listening(options);
 }
 
 ScanServer::~ScanServer() = default;
 
 int ScanServer::port() const { return impl_->acceptor->port(); }
-const std::string& ScanServer::device_name() const { return impl_->device->info().name; }
+const std::string& ScanServer::get_device_name() const { return impl_->device->info().name; }
 
-std::vector<std::string> ScanServer::scenes() const {
+std::vector<std::string> ScanServer::list_scene_names() const {
     std::vector<std::string> names;
-    for (const SceneSource& source : impl_->scenes->sources()) names.push_back(source.name);
+    for (const SceneSource& source : impl_->scenes->get_scene_sources()) names.push_back(source.name);
     return names;
 }
 
@@ -173,10 +175,10 @@ std::optional<std::string> ScanServer::get_device_loss_message() {
     return loss;
 }
 
-void ScanServer::stop(std::chrono::milliseconds patience) {
-    impl_->acceptor->stop();
+void ScanServer::stop_and_wait(std::chrono::milliseconds max_wait) {
+    impl_->acceptor->stop_accepting();
     impl_->server->GetHealthCheckService()->SetServingStatus(false);
-    impl_->server->Shutdown(std::chrono::system_clock::now() + patience);
+    impl_->server->Shutdown(std::chrono::system_clock::now() + max_wait);
 }
 
 }  // namespace relidar::serve

@@ -17,15 +17,15 @@
 
 namespace relidar {
 struct RenderedScan;
-struct Run;
-struct SensorChoice;
+struct TrainedRun;
+struct SimulatedSensor;
 }  // namespace relidar
 
 namespace relidar::serve {
 
 /// Says how a pose (R, t) of SensorsimService transforms a point p from the child frame
 /// to the parent frame.
-enum class PoseOrder {
+enum class PoseTransformOrder {
     rotation_first,     ///< R p + t: the rotation is applied first, as everywhere else in relidar.
     translation_first,  ///< R (p + t): the translation is applied first.
 };
@@ -34,8 +34,8 @@ enum class PoseOrder {
 /// it simultaneously. If it throws a UsageError, the call fails with INVALID_ARGUMENT.
 /// @param sensor_name  name of a built-in sensor; empty for the log's sensor and for a
 /// sensor that the client has described
-using ScanSink = std::function<void(const Run& run, const SensorChoice& sensor,
-                                    const std::string& sensor_name, const RenderedScan& scan)>;
+using RenderedScanCallback = std::function<void(const TrainedRun& run, const SimulatedSensor& sensor,
+                                                const std::string& sensor_name, const RenderedScan& scan)>;
 
 struct ServerOptions {
     /// Trained runs that the server offers, each written as "RUN" or "NAME=RUN".
@@ -45,12 +45,12 @@ struct ServerOptions {
     std::optional<std::string> channels;
     Weather weather = {};  ///< Weather that is simulated if the request does not contain a weather.
     /// Pose order of SensorsimService. Without a value, this service is disabled.
-    std::optional<PoseOrder> sensorsim;
+    std::optional<PoseTransformOrder> sensorsim;
     std::string listen = "127.0.0.1:50051";  ///< Address to listen on. Port 0 selects a free port.
     /// Device memory for all scenes together in MiB. The value 0 means half of the device
     /// memory.
     std::uint64_t memory_mib = 0;
-    ScanSink on_scan = {};     ///< May be empty.
+    RenderedScanCallback on_scan = {};  ///< May be empty.
     std::size_t waiting = 64;  ///< Maximum number of waiting requests, not counting the current request.
     /// PEM files with the TLS certificate and key. If both names are empty, the server
     /// does not use TLS.
@@ -65,21 +65,22 @@ public:
     /// @throws DataError if a run or key cannot be read
     /// @throws DeviceError if the device fails
     explicit ScanServer(const ServerOptions& options);
-    /// Cancels all calls immediately. Call stop() first to wait for pending calls.
+    /// Cancels all calls immediately. Call stop_and_wait() first to wait for pending
+    /// calls.
     ~ScanServer();
     ScanServer(const ScanServer&) = delete;
     ScanServer& operator=(const ScanServer&) = delete;
 
     int port() const;
-    const std::string& device_name() const;
-    std::vector<std::string> scenes() const;
+    const std::string& get_device_name() const;
+    std::vector<std::string> list_scene_names() const;
     /// Returns the driver's error message if the device was lost. Returns no value as
     /// long as the device works. After the loss, the health service reports NOT_SERVING,
     /// and render calls fail with UNAVAILABLE.
     std::optional<std::string> get_device_loss_message();
     /// Rejects new calls and waits for pending calls.
-    /// @param patience longest time to wait; after it, the remaining calls are cancelled
-    void stop(std::chrono::milliseconds patience);
+    /// @param max_wait longest time to wait; after it, the remaining calls are cancelled
+    void stop_and_wait(std::chrono::milliseconds max_wait);
 
 private:
     struct Impl;

@@ -20,7 +20,7 @@ class RenderService final : public v1::RenderService::Service {
 public:
     /// Creates the service. The queue and the scenes must outlive this object.
     /// @param scenes used only on the render thread
-    RenderService(RenderQueue& queue, SceneSet& scenes, ScanSink on_scan)
+    RenderService(RenderQueue& queue, SceneSet& scenes, RenderedScanCallback on_scan)
         : queue_(queue), scenes_(scenes), reader_(scenes), on_scan_(std::move(on_scan)) {}
 
     grpc::Status ListScenes(grpc::ServerContext* context, const v1::ListScenesRequest* request,
@@ -42,11 +42,11 @@ private:
     RenderQueue& queue_;
     SceneSet& scenes_;
     RequestReader reader_;
-    ScanSink on_scan_;
+    RenderedScanCallback on_scan_;
 
-    RenderedScan render_image(RenderQueue::Slot& slot, const RenderRequest& request,
+    RenderedScan render_image(RenderQueue::QueueSlot& slot, const RenderRequest& request,
                               const grpc::ServerContext& context, v1::LidarScan& answer);
-    void render_points(RenderQueue::Slot& slot, std::span<const RenderRequest> requests,
+    void render_points(RenderQueue::QueueSlot& slot, std::span<const RenderRequest> requests,
                        const grpc::ServerContext& context, std::span<v1::LidarScan* const> answers);
 };
 

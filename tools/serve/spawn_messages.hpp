@@ -11,14 +11,15 @@
 
 namespace relidar::serve {
 
-void write_asset(const AssetFacts& facts, v1::Asset& message);
+void write_asset(const AssetDescription& facts, v1::Asset& message);
 
 /// Writes the description of an added actor into a Protobuf message.
 /// @param run run of the scene, without surfels
-void write_spawned(const SpawnedActors::Place& place, const Run& run, v1::SpawnedActor& message);
+void write_spawned_actor(const SpawnedActorRegistry::SpawnSlot& slot, const TrainedRun& run,
+                         v1::SpawnedActor& message);
 
 /// Writes the names of the actors that have too few surfels for their distance from the
 /// sensor.
-void write_sparse_actors(const RenderRequest& request, v1::LidarScan& message);
+void write_names_of_sparse_actors(const RenderRequest& request, v1::LidarScan& message);
 
 }  // namespace relidar::serve

@@ -16,129 +16,139 @@ namespace {
 
 // Maximum number of slots that are added at the same time. With
 // image.sh_direction=surfel, even an unused slot needs memory for a copy of the surfels.
-constexpr std::size_t kMostSpare = 8;
+constexpr std::size_t kMaxAddedSlots = 8;
 
-using SpawnedPlaces = std::vector<ActorToSpawn>;
+using SpawnedActorSlots = std::vector<ActorToSpawn>;
 
-auto find_spawned(SpawnedPlaces& places, const std::string& name) {
-    return std::ranges::find(places, name, &ActorToSpawn::name);
+auto find_spawned_actor(SpawnedActorSlots& slots, const std::string& actor_name) {
+    return std::ranges::find(slots, actor_name, &ActorToSpawn::name);
 }
 
 /// Returns the index of a free slot for the same model. If there is none, adds slots and
 /// returns the first new one.
-std::size_t free_place(SpawnedPlaces& places, const ActorToSpawn& actor) {
+std::size_t find_or_add_free_slot(SpawnedActorSlots& slots, const ActorToSpawn& actor) {
     const auto is_free = [&](const ActorToSpawn& p) { return p.name.empty() && p.source == actor.source; };
-    const auto free = std::ranges::find_if(places, is_free);
-    if (free != places.end()) return std::size_t(free - places.begin());
-    const auto of_source = std::size_t(std::ranges::count(places, actor.source, &ActorToSpawn::source));
-    if (places.size() >= SpawnedActors::kMostPlaces)
-        throw Refusal(
+    const auto free = std::ranges::find_if(slots, is_free);
+    if (free != slots.end()) return std::size_t(free - slots.begin());
+    const auto of_source = std::size_t(std::ranges::count(slots, actor.source, &ActorToSpawn::source));
+    if (slots.size() >= SpawnedActorRegistry::kMaxSlots)
+        throw RejectedRequest(
             grpc::StatusCode::RESOURCE_EXHAUSTED,
             fmt::format("cannot spawn {}: this scene already has {} spawned actors, which is the maximum",
-                        quoted(actor.name), places.size()));
-    const std::size_t first = places.size();
+                        quote_for_error_message(actor.name), slots.size()));
+    const std::size_t first = slots.size();
     ActorToSpawn empty = actor;
     empty.name.clear();
-    places.resize(
-        std::min(first + std::clamp<std::size_t>(of_source, 1, kMostSpare), SpawnedActors::kMostPlaces),
-        empty);
+    slots.resize(std::min(first + std::clamp<std::size_t>(of_source, 1, kMaxAddedSlots),
+                          SpawnedActorRegistry::kMaxSlots),
+                 empty);
     return first;
 }
 
-std::uint32_t find_model_of_actor(const Scene& scene, const std::string& track) {
-    const auto instance = std::ranges::find(scene.instances, track, &Instance::track);
+std::uint32_t find_model_index_of_actor(const Scene& scene, const std::string& track_name) {
+    const auto instance = std::ranges::find(scene.instances, track_name, &ModelInstance::track);
     if (instance == scene.instances.end())
-        throw DataError(fmt::format("cannot spawn {}: the run no longer has this actor", track));
+        throw DataError(fmt::format("cannot spawn {}: the run no longer has this actor", track_name));
     return instance->model;
 }
 
 /// Loads an asset and adds its surfel model to the scene.
-std::uint32_t add_asset(Scene& scene, const std::filesystem::path& folder) {
-    const Run asset = load_run(folder);
-    return append_model(scene, asset.scene, find_model_of_actor(asset.scene, find_only_track(asset)));
+std::uint32_t add_asset_model(Scene& scene, const std::filesystem::path& asset_folder) {
+    const TrainedRun asset = load_run(asset_folder);
+    return append_model(scene, asset.scene,
+                        find_model_index_of_actor(asset.scene, get_only_actor_track(asset)));
 }
 
 }  // namespace
 
-std::vector<SpawnedActors::Place> SpawnedActors::places(std::size_t scene) const {
+std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::list_all_slots(
+    std::size_t scene_index) const {
     const std::lock_guard lock(mutex_);
-    std::vector<Place> all;
-    for (const ActorToSpawn& actor : scenes_[scene]) all.push_back({all.size(), actor});
+    std::vector<SpawnSlot> all;
+    for (const ActorToSpawn& actor : scenes_[scene_index]) all.push_back({all.size(), actor});
     return all;
 }
 
-std::vector<SpawnedActors::Place> SpawnedActors::list_occupied_slots(std::size_t scene) const {
-    std::vector<Place> all = places(scene);
-    std::erase_if(all, [](const Place& place) { return place.actor.name.empty(); });
+std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::list_occupied_slots(
+    std::size_t scene_index) const {
+    std::vector<SpawnSlot> all = list_all_slots(scene_index);
+    std::erase_if(all, [](const SpawnSlot& place) { return place.actor.name.empty(); });
     return all;
 }
 
-std::size_t SpawnedActors::count_places(std::size_t scene) const {
+std::size_t SpawnedActorRegistry::count_slots(std::size_t scene_index) const {
     const std::lock_guard lock(mutex_);
-    return scenes_[scene].size();
+    return scenes_[scene_index].size();
 }
 
-std::vector<SpawnedActors::Place> SpawnedActors::take(std::size_t scene,
-                                                      const std::vector<ActorToSpawn>& actors) {
+std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::occupy_slots(
+    std::size_t scene_index, const std::vector<ActorToSpawn>& actors) {
     const std::lock_guard lock(mutex_);
     // Changes only this copy, so that a rejected request has no effect.
-    SpawnedPlaces places = scenes_[scene];
-    std::vector<Place> new_places;
+    SpawnedActorSlots slots = scenes_[scene_index];
+    std::vector<SpawnSlot> occupied_slots;
     for (const ActorToSpawn& wish : actors) {
-        if (find_spawned(places, wish.name) != places.end())
-            throw Refusal(grpc::StatusCode::ALREADY_EXISTS,
-                          fmt::format("cannot spawn {}: an actor with this name exists; use another name",
-                                      quoted(wish.name)));
-        const std::size_t position = free_place(places, wish);
-        places[position] = wish;
-        new_places.push_back({position, wish});
+        if (find_spawned_actor(slots, wish.name) != slots.end())
+            throw RejectedRequest(
+                grpc::StatusCode::ALREADY_EXISTS,
+                fmt::format("cannot spawn {}: an actor with this name exists; use another name",
+                            quote_for_error_message(wish.name)));
+        const std::size_t position = find_or_add_free_slot(slots, wish);
+        slots[position] = wish;
+        occupied_slots.push_back({position, wish});
     }
-    scenes_[scene] = std::move(places);
-    return new_places;
+    scenes_[scene_index] = std::move(slots);
+    return occupied_slots;
 }
 
-void SpawnedActors::release(std::size_t scene, const std::vector<std::string>& names) {
+void SpawnedActorRegistry::release_slots(std::size_t scene_index,
+                                         const std::vector<std::string>& actor_names) {
     const std::lock_guard lock(mutex_);
-    SpawnedPlaces places = scenes_[scene];
-    for (const std::string& name : names) {
-        const auto place = find_spawned(places, name);
-        if (name.empty() || place == places.end())
-            throw Refusal(
+    SpawnedActorSlots slots = scenes_[scene_index];
+    for (const std::string& name : actor_names) {
+        const auto slot = find_spawned_actor(slots, name);
+        if (name.empty() || slot == slots.end())
+            throw RejectedRequest(
                 grpc::StatusCode::NOT_FOUND,
                 fmt::format(
                     "cannot despawn {}: no spawned actor has this name, or the request names it twice",
-                    quoted(name)));
-        place->name.clear();
+                    quote_for_error_message(name)));
+        slot->name.clear();
     }
-    scenes_[scene] = std::move(places);
+    scenes_[scene_index] = std::move(slots);
 }
 
-void SpawnedActors::undo(std::size_t scene, const std::vector<Place>& places, std::size_t n_before) {
+void SpawnedActorRegistry::revert_occupied_slots(std::size_t scene_index,
+                                                 const std::vector<SpawnSlot>& occupied_slots,
+                                                 std::size_t n_slots_before) {
     const std::lock_guard lock(mutex_);
-    for (const Place& place : places) scenes_[scene][place.position].name.clear();
-    scenes_[scene].resize(n_before);
+    for (const SpawnSlot& slot : occupied_slots) scenes_[scene_index][slot.position].name.clear();
+    scenes_[scene_index].resize(n_slots_before);
 }
 
-std::string make_track_of_slot(std::size_t position) { return fmt::format("\x01spawned {}", position); }
+std::string make_track_name_of_slot(std::size_t slot_index) {
+    return fmt::format("\x01spawned {}", slot_index);
+}
 
-void add_places(Run& run, const std::vector<SpawnedActors::Place>& places, const AssetCatalogue& assets) {
+void add_spawned_actors_to_run(TrainedRun& run, const std::vector<SpawnedActorRegistry::SpawnSlot>& slots,
+                               const AssetCatalogue& assets) {
     std::map<std::string, std::uint32_t> models;  // Index of the surfel model of each asset.
-    for (const SpawnedActors::Place& place : places) {
-        const SpawnSource& source = place.actor.source;
+    for (const SpawnedActorRegistry::SpawnSlot& slot : slots) {
+        const SpawnedModelSource& source = slot.actor.source;
         std::uint32_t model = 0;
-        if (!source.is_asset) model = find_model_of_actor(run.scene, source.name);
+        if (!source.is_asset) model = find_model_index_of_actor(run.scene, source.name);
         else if (const auto model_entry = models.find(source.name); model_entry != models.end())
             model = model_entry->second;
         else {
-            const AssetCatalogue::Entry& asset = *assets.find(source.name);
-            model = models[source.name] = add_asset(run.scene, asset.folder);
+            const AssetCatalogue::CatalogueEntry& asset = *assets.find_asset(source.name);
+            model = models[source.name] = add_asset_model(run.scene, asset.folder);
             // The channel "class" reads the kind of the asset from this box.
             run.sequence.boxes.push_back({.id = run.scene.models[model].name,
                                           .category = get_name(asset.facts.kind),
                                           .size_m = asset.facts.size_m,
                                           .world_from_box = {}});
         }
-        run.scene.instances.push_back({model, make_track_of_slot(place.position)});
+        run.scene.instances.push_back({model, make_track_name_of_slot(slot.position)});
     }
 }
 

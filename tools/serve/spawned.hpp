@@ -10,7 +10,7 @@
 #include <glm/glm.hpp>
 
 namespace relidar {
-struct Run;
+struct TrainedRun;
 }
 
 namespace relidar::serve {
@@ -18,17 +18,17 @@ namespace relidar::serve {
 class AssetCatalogue;
 
 /// Origin of the surfels of an added actor: an actor of the scene, or an asset.
-struct SpawnSource {
+struct SpawnedModelSource {
     bool is_asset = false;
     std::string name;
 
-    bool operator==(const SpawnSource&) const = default;
+    bool operator==(const SpawnedModelSource&) const = default;
 };
 
 /// Describes an actor that a client wants to add to a scene.
 struct ActorToSpawn {
     std::string name;  ///< Name chosen by the client.
-    SpawnSource source;
+    SpawnedModelSource source;
     glm::dvec3 size_m{0.0};
     std::size_t surfels = 0;
 };
@@ -37,33 +37,36 @@ struct ActorToSpawn {
 /// model in the scene. It keeps its model as long as the server runs. If a client removes
 /// the actor, the next actor with the same model reuses the slot. A scene is therefore
 /// not loaded again for each actor. All members may be called by several threads.
-class SpawnedActors {
+class SpawnedActorRegistry {
 public:
-    static constexpr std::size_t kMostPlaces = 4096;  ///< Maximum number of slots per scene.
+    static constexpr std::size_t kMaxSlots = 4096;  ///< Maximum number of slots per scene.
 
-    explicit SpawnedActors(std::size_t n_scenes) : scenes_(n_scenes) {}
+    explicit SpawnedActorRegistry(std::size_t n_scenes) : scenes_(n_scenes) {}
 
-    /// A slot that is free or contains one actor. `position` is its number in the scene.
-    struct Place {
+    /// A slot that is free or contains one actor. `slot_index` is its number in the
+    /// scene.
+    struct SpawnSlot {
         std::size_t position = 0;
         ActorToSpawn actor;  ///< Actor in this slot. The name is empty if the slot is free.
     };
-    std::vector<Place> places(std::size_t scene) const;
+    std::vector<SpawnSlot> list_all_slots(std::size_t scene_index) const;
     /// Returns the slots that contain an actor.
-    std::vector<Place> list_occupied_slots(std::size_t scene) const;
+    std::vector<SpawnSlot> list_occupied_slots(std::size_t scene_index) const;
 
     /// Assigns a slot to each actor. If a model has no free slot, its number of slots is
     /// doubled, but at most 8 slots are added.
     /// @return the slots in the order of the requests
     /// @throws Refusal if a name is in use or the maximum number of slots is reached;
     /// then nothing changes
-    std::vector<Place> take(std::size_t scene, const std::vector<ActorToSpawn>& actors);
+    std::vector<SpawnSlot> occupy_slots(std::size_t scene_index, const std::vector<ActorToSpawn>& actors);
     /// Removes the named actors and makes their slots free again.
     /// @throws Refusal if a name is unknown; then nothing changes
-    void release(std::size_t scene, const std::vector<std::string>& names);
-    /// Reverts take(). Removes the actors and the slots that take() has added.
-    void undo(std::size_t scene, const std::vector<Place>& places, std::size_t n_before);
-    std::size_t count_places(std::size_t scene) const;
+    void release_slots(std::size_t scene_index, const std::vector<std::string>& actor_names);
+    /// Reverts occupy_slots(). Removes the actors and the slots that occupy_slots() has
+    /// added.
+    void revert_occupied_slots(std::size_t scene_index, const std::vector<SpawnSlot>& occupied_slots,
+                               std::size_t n_slots_before);
+    std::size_t count_slots(std::size_t scene_index) const;
 
 private:
     mutable std::mutex mutex_;
@@ -73,12 +76,13 @@ private:
 
 /// Returns the track name of a slot in the rendered scene. No track of a run has this
 /// name.
-std::string make_track_of_slot(std::size_t position);
+std::string make_track_name_of_slot(std::size_t slot_index);
 
 /// Adds an instance for each slot to the run. Adds the model of each asset only once.
 /// Must be called before the run is rendered.
 /// @throws DataError if an asset cannot be read, or if the shape of its surfels differs
 /// from the shape in the run
-void add_places(Run& run, const std::vector<SpawnedActors::Place>& places, const AssetCatalogue& assets);
+void add_spawned_actors_to_run(TrainedRun& run, const std::vector<SpawnedActorRegistry::SpawnSlot>& slots,
+                               const AssetCatalogue& assets);
 
 }  // namespace relidar::serve

@@ -15,7 +15,7 @@ bool are_equal_ignoring_case(std::string_view first, std::string_view second) {
     });
 }
 
-bool is_port(std::string_view text) {
+bool is_port_number(std::string_view text) {
     return !text.empty() && text.size() <= 5 && std::all_of(text.begin(), text.end(), [](char character) {
         return character >= '0' && character <= '9';
     });
@@ -23,65 +23,66 @@ bool is_port(std::string_view text) {
 
 /// Returns the host name in a text of the form "host", "host:port" or "[address]:port".
 /// Returns an empty text for any other form.
-std::string_view remove_port(std::string_view host) {
-    std::size_t end = host.find(':');
-    if (host.starts_with('[')) {
-        const std::size_t bracket = host.find(']');
+std::string_view extract_host_name(std::string_view host_and_port) {
+    std::size_t end = host_and_port.find(':');
+    if (host_and_port.starts_with('[')) {
+        const std::size_t bracket = host_and_port.find(']');
         if (bracket == std::string_view::npos) return {};
         end = bracket + 1;
-        if (end == host.size()) return host.substr(1, bracket - 1);
-        if (host[end] != ':' || !is_port(host.substr(end + 1))) return {};
-        return host.substr(1, bracket - 1);
+        if (end == host_and_port.size()) return host_and_port.substr(1, bracket - 1);
+        if (host_and_port[end] != ':' || !is_port_number(host_and_port.substr(end + 1))) return {};
+        return host_and_port.substr(1, bracket - 1);
     }
-    if (end == std::string_view::npos) return host;
-    return is_port(host.substr(end + 1)) ? host.substr(0, end) : std::string_view{};
+    if (end == std::string_view::npos) return host_and_port;
+    return is_port_number(host_and_port.substr(end + 1)) ? host_and_port.substr(0, end) : std::string_view{};
 }
 
 }  // namespace
 
-bool is_local_host(std::string_view host, std::string_view host_name) {
-    const std::string_view name = remove_port(host);
+bool is_local_host_header(std::string_view host_header, std::string_view machine_name) {
+    const std::string_view name = extract_host_name(host_header);
     if (name.empty()) return false;
     if (are_equal_ignoring_case(name, "localhost") ||
-        (!host_name.empty() && are_equal_ignoring_case(name, host_name)))
+        (!machine_name.empty() && are_equal_ignoring_case(name, machine_name)))
         return true;
     boost::system::error_code failed;
     boost::asio::ip::make_address(std::string(name), failed);
     return !failed;
 }
 
-bool is_same_origin(std::string_view origin, std::string_view host) {
+bool is_same_origin(std::string_view origin_header, std::string_view host_header) {
     constexpr std::string_view kScheme = "http://";
-    return origin.empty() ||
-           (origin.starts_with(kScheme) && are_equal_ignoring_case(origin.substr(kScheme.size()), host));
+    return origin_header.empty() ||
+           (origin_header.starts_with(kScheme) &&
+            are_equal_ignoring_case(origin_header.substr(kScheme.size()), host_header));
 }
 
-bool is_foxglove_origin(std::string_view origin) {
-    if (origin == "https://app.foxglove.dev" || origin == "https://lichtblick-suite.github.io" ||
-        origin == "file://")
+bool is_foxglove_origin(std::string_view origin_header) {
+    if (origin_header == "https://app.foxglove.dev" ||
+        origin_header == "https://lichtblick-suite.github.io" || origin_header == "file://")
         return true;
-    const std::size_t scheme = origin.find("://");
+    const std::size_t scheme = origin_header.find("://");
     if (scheme == std::string_view::npos) return false;
-    const std::string_view name = remove_port(origin.substr(scheme + 3));
+    const std::string_view name = extract_host_name(origin_header.substr(scheme + 3));
     return are_equal_ignoring_case(name, "localhost") || name == "127.0.0.1" || name == "::1";
 }
 
-bool is_same_secret(std::string_view first, std::string_view second) {
-    unsigned differs = first.size() == second.size() ? 0u : 1u;
-    // Always compares all characters of the secret `second`, so that the duration does
-    // not show how many characters of `first` are right.
-    for (std::size_t i = 0; i < second.size(); ++i) {
-        const char shown = i < first.size() ? first[i] : '\0';
-        differs |= static_cast<unsigned char>(shown) ^ static_cast<unsigned char>(second[i]);
+bool are_secrets_equal(std::string_view given_secret, std::string_view true_secret) {
+    unsigned differs = given_secret.size() == true_secret.size() ? 0u : 1u;
+    // Always compares all characters of the secret `true_secret`, so that the duration
+    // does not show how many characters of `given_secret` are right.
+    for (std::size_t i = 0; i < true_secret.size(); ++i) {
+        const char shown = i < given_secret.size() ? given_secret[i] : '\0';
+        differs |= static_cast<unsigned char>(shown) ^ static_cast<unsigned char>(true_secret[i]);
     }
     return differs == 0u;
 }
 
-std::string_view find_list_value(std::string_view list, std::string_view name, char separator) {
-    while (!list.empty()) {
-        const std::size_t end = std::min(list.find(separator), list.size());
-        std::string_view entry = list.substr(0, end);
-        list.remove_prefix(std::min(end + 1, list.size()));
+std::string_view find_value_by_name(std::string_view name_value_list, std::string_view name, char separator) {
+    while (!name_value_list.empty()) {
+        const std::size_t end = std::min(name_value_list.find(separator), name_value_list.size());
+        std::string_view entry = name_value_list.substr(0, end);
+        name_value_list.remove_prefix(std::min(end + 1, name_value_list.size()));
         while (entry.starts_with(' ')) entry.remove_prefix(1);
         if (entry.size() > name.size() && entry.starts_with(name) && entry[name.size()] == '=')
             return entry.substr(name.size() + 1);
@@ -89,12 +90,13 @@ std::string_view find_list_value(std::string_view list, std::string_view name, c
     return {};
 }
 
-bool has_token_in_url(const Credentials& request, std::string_view token) {
-    return is_same_secret(find_list_value(request.query, "token", '&'), token);
+bool has_token_in_url(const Credentials& credentials, std::string_view token) {
+    return are_secrets_equal(find_value_by_name(credentials.query, "token", '&'), token);
 }
 
-bool has_token_in_cookie(const Credentials& request, std::string_view token, std::string_view cookie_name) {
-    return is_same_secret(find_list_value(request.cookie, cookie_name, ';'), token);
+bool has_token_in_cookie(const Credentials& credentials, std::string_view token,
+                         std::string_view cookie_name) {
+    return are_secrets_equal(find_value_by_name(credentials.cookie, cookie_name, ';'), token);
 }
 
 }  // namespace relidar::view

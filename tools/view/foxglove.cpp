@@ -20,29 +20,29 @@ constexpr int kErrorLevel = 2;
 constexpr std::size_t kMaxTexts = 16;
 
 template <class T>
-void append_number(std::string& bytes, T value) {
+void append_number_bytes(std::string& bytes, T value) {
     bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
 }
 
-std::string encode_time(std::uint64_t time_ns) {
+std::string encode_time_message(std::uint64_t time_ns) {
     std::string bytes(1, kTime);
-    append_number(bytes, time_ns);
+    append_number_bytes(bytes, time_ns);
     return bytes;
 }
 
-std::string encode_message(std::uint32_t subscription, const ScanMessage& message) {
+std::string encode_message(std::uint32_t subscription_id, const ScanMessage& message) {
     std::string bytes(1, kMessageData);
-    append_number(bytes, subscription);
-    append_number(bytes, message.time_ns);
+    append_number_bytes(bytes, subscription_id);
+    append_number_bytes(bytes, message.time_ns);
     return bytes + message.bytes;
 }
 
-std::string make_error(const std::string& text) {
-    const Json status{{"op", "status"}, {"level", kErrorLevel}, {"message", text}};
+std::string make_error_status_json(const std::string& error_text) {
+    const Json status{{"op", "status"}, {"level", kErrorLevel}, {"message", error_text}};
     return status.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
-std::string make_advertisement(const std::vector<ScanTopic>& topics) {
+std::string make_topic_advertisement_json(const std::vector<ScanTopic>& topics) {
     Json channels = Json::array();
     for (const ScanTopic& topic : topics)
         channels.push_back({{"id", channels.size()},
@@ -54,75 +54,76 @@ std::string make_advertisement(const std::vector<ScanTopic>& topics) {
     return Json{{"op", "advertise"}, {"channels", channels}}.dump();
 }
 
-const Json& read_list(const Json& message, const char* name) {
-    const auto list = message.find(name);
+const Json& get_required_list(const Json& message, const char* member_name) {
+    const auto list = message.find(member_name);
     if (list == message.end() || !list->is_array())
-        throw UsageError(fmt::format("{}: expected a list in the message", name));
+        throw UsageError(fmt::format("{}: expected a list in the message", member_name));
     return *list;
 }
 
-std::uint32_t read_id(const Json& value, const char* name) {
+std::uint32_t require_uint32(const Json& value, const char* name_for_errors) {
     if (!value.is_number_unsigned() || value.get<std::uint64_t>() > std::numeric_limits<std::uint32_t>::max())
-        throw UsageError(fmt::format("{}: expected an integer from 0 to 2^32 - 1", name));
+        throw UsageError(fmt::format("{}: expected an integer from 0 to 2^32 - 1", name_for_errors));
     return value.get<std::uint32_t>();
 }
 
-std::uint32_t read_member_id(const Json& object, const char* name) {
-    const auto member = object.find(name);
+std::uint32_t get_required_uint32_member(const Json& object, const char* member_name) {
+    const auto member = object.find(member_name);
     if (member == object.end())
-        throw UsageError(fmt::format("{}: expected this member in the message", name));
-    return read_id(*member, name);
+        throw UsageError(fmt::format("{}: expected this member in the message", member_name));
+    return require_uint32(*member, member_name);
 }
 
-std::vector<double> list_sweep_times(const Sequence& log, int lidar) {
+std::vector<double> list_sweep_times(const LidarSequence& log, int lidar_index) {
     std::vector<double> times_s;
-    for (const Frame& frame : log.frames)
-        if (frame.lidar == lidar) times_s.push_back(frame.time_s);
+    for (const LidarFrame& frame : log.frames)
+        if (frame.lidar == lidar_index) times_s.push_back(frame.time_s);
     return times_s;
 }
 
 }  // namespace
 
-FoxglovePlayer::FoxglovePlayer(const Run& run, Device& device, FoxgloveAnswers answers)
+FoxglovePlayer::FoxglovePlayer(const TrainedRun& run, Device& device, FoxgloveSendCallbacks answers)
     : run_(run),
       device_(device),
       answers_(std::move(answers)),
       sensor_(make_configured_sensor(run.config, run.sequence)),
       format_(make_scan_format(run, sensor_)),
-      topics_(ScanMessages({format_}).topics()),
+      topics_(ScanMessageEncoder({format_}).list_topics()),
       times_s_(list_sweep_times(run.sequence, sensor_.lidar)) {}
 
-void FoxglovePlayer::open(ClientId id) {
+void FoxglovePlayer::add_client(ClientId id) {
     const Json info{{"op", "serverInfo"}, {"name", "relidar"}, {"capabilities", Json::array({"time"})}};
     const std::lock_guard lock(mutex_);
-    clients_[id].texts = {info.dump(), make_advertisement(topics_)};
+    clients_[id].texts = {info.dump(), make_topic_advertisement_json(topics_)};
 }
 
-void FoxglovePlayer::close(ClientId id) {
+void FoxglovePlayer::remove_client(ClientId id) {
     const std::lock_guard lock(mutex_);
     clients_.erase(id);
 }
 
-bool FoxglovePlayer::receive(ClientId id, const std::string& message) {
+bool FoxglovePlayer::handle_client_message(ClientId id, const std::string& message) {
     const std::lock_guard lock(mutex_);
     const auto client = clients_.find(id);
     if (client == clients_.end()) return false;
     try {
-        change_subscriptions(client->second, message);
+        update_subscriptions(client->second, message);
     } catch (const UsageError& error) {
-        if (client->second.texts.size() < kMaxTexts) client->second.texts.push_back(make_error(error.what()));
+        if (client->second.texts.size() < kMaxTexts)
+            client->second.texts.push_back(make_error_status_json(error.what()));
     }
     return true;
 }
 
-void FoxglovePlayer::change_subscriptions(Client& client, const std::string& text) const {
-    const Json message = Json::parse(text, nullptr, false);
+void FoxglovePlayer::update_subscriptions(Client& client, const std::string& message_text) const {
+    const Json message = Json::parse(message_text, nullptr, false);
     if (!message.is_object()) throw UsageError("cannot read a message: expected a JSON object");
     const auto operation = message.find("op");
     if (operation != message.end() && *operation == "subscribe") {
-        for (const Json& request : read_list(message, "subscriptions")) {
-            const std::uint32_t id = read_member_id(request, "id"),
-                                topic = read_member_id(request, "channelId");
+        for (const Json& request : get_required_list(message, "subscriptions")) {
+            const std::uint32_t id = get_required_uint32_member(request, "id"),
+                                topic = get_required_uint32_member(request, "channelId");
             const auto is_of_topic = [&](const auto& known) { return known.second == topic; };
             if (topic >= topics_.size())
                 throw UsageError(
@@ -134,8 +135,8 @@ void FoxglovePlayer::change_subscriptions(Client& client, const std::string& tex
             client.subscriptions.emplace(id, topic);
         }
     } else if (operation != message.end() && *operation == "unsubscribe") {
-        for (const Json& id : read_list(message, "subscriptionIds"))
-            client.subscriptions.erase(read_id(id, "subscriptionIds"));
+        for (const Json& id : get_required_list(message, "subscriptionIds"))
+            client.subscriptions.erase(require_uint32(id, "subscriptionIds"));
     } else {
         throw UsageError("op: expected \"subscribe\" or \"unsubscribe\"");
     }
@@ -143,7 +144,7 @@ void FoxglovePlayer::change_subscriptions(Client& client, const std::string& tex
 
 /// Sends the queued texts of all clients.
 /// @return true if a client subscribes to a topic
-bool FoxglovePlayer::send_texts() {
+bool FoxglovePlayer::send_queued_texts() {
     const std::lock_guard lock(mutex_);
     bool has_subscriptions = false;
     for (auto& [id, client] : clients_) {
@@ -153,49 +154,49 @@ bool FoxglovePlayer::send_texts() {
     return has_subscriptions;
 }
 
-std::chrono::milliseconds FoxglovePlayer::play(std::chrono::milliseconds patience) {
-    if (!send_texts() || times_s_.empty()) {
+std::chrono::milliseconds FoxglovePlayer::send_next_scan_if_due(std::chrono::milliseconds max_wait) {
+    if (!send_queued_texts() || times_s_.empty()) {
         playback_.reset();
-        return patience;
+        return max_wait;
     }
     try {
         if (!playback_) playback_.emplace(device_, run_, format_);
-        if (Clock::now() >= playback_->due) play_next_scan();
+        if (Clock::now() >= playback_->due) render_and_send_next_scan();
         // A lost device ends the viewer. After other errors, for example exhausted device
         // memory, the page still works.
     } catch (const DeviceLost&) {
         throw;
     } catch (const Error& error) {
         playback_.reset();
-        stop(error.what());
-        return patience;
+        end_all_subscriptions(error.what());
+        return max_wait;
     }
     const auto pause = std::chrono::ceil<std::chrono::milliseconds>(playback_->due - Clock::now());
-    return std::clamp(pause, std::chrono::milliseconds(0), patience);
+    return std::clamp(pause, std::chrono::milliseconds(0), max_wait);
 }
 
-void FoxglovePlayer::play_next_scan() {
+void FoxglovePlayer::render_and_send_next_scan() {
     std::size_t& frame = playback_->frame;
     const double time_s = times_s_[frame];
     const RenderedScan scan = playback_->renderer.render(sensor_, time_s);
-    send(playback_->messages.convert({&scan, 1}));
+    send_to_subscribers(playback_->messages.convert_to_messages({&scan, 1}));
     frame = (frame + 1) % times_s_.size();
     // The last scan lasts one period of the sensor. The next loop needs new messages,
-    // because the times of a ScanMessages must not decrease.
-    if (frame == 0) playback_->messages = ScanMessages({format_});
+    // because the times of a ScanMessageEncoder must not decrease.
+    if (frame == 0) playback_->messages = ScanMessageEncoder({format_});
     const std::chrono::duration<double> interval(
         frame > 0 ? times_s_[frame] - time_s : run_.sequence.lidars[std::size_t(sensor_.lidar)].period_s());
     playback_->due =
         std::max(Clock::now(), playback_->due + std::chrono::duration_cast<Clock::duration>(interval));
 }
 
-void FoxglovePlayer::send(const std::vector<ScanMessage>& messages) {
+void FoxglovePlayer::send_to_subscribers(const std::vector<ScanMessage>& messages) {
     const std::lock_guard lock(mutex_);
     for (const auto& [id, client] : clients_) {
         if (client.subscriptions.empty()) continue;
         // The time is sent first, because a client removes the messages of the previous
         // loop when the time decreases.
-        std::vector<std::string> packets{encode_time(messages.back().time_ns)};
+        std::vector<std::string> packets{encode_time_message(messages.back().time_ns)};
         for (const ScanMessage& message : messages)
             for (const auto& [subscription, topic] : client.subscriptions)
                 if (topic == message.topic) packets.push_back(encode_message(subscription, message));
@@ -204,11 +205,11 @@ void FoxglovePlayer::send(const std::vector<ScanMessage>& messages) {
 }
 
 /// Ends all subscriptions because no scan can be rendered.
-void FoxglovePlayer::stop(const std::string& why) {
+void FoxglovePlayer::end_all_subscriptions(const std::string& reason) {
     const std::lock_guard lock(mutex_);
     for (auto& [id, client] : clients_) {
         client.subscriptions.clear();
-        client.texts.push_back(make_error(why));
+        client.texts.push_back(make_error_status_json(reason));
     }
 }
 

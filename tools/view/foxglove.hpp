@@ -26,33 +26,33 @@
 namespace relidar::view {
 
 /// Callbacks that send messages to clients. Only play() calls them.
-struct FoxgloveAnswers {
+struct FoxgloveSendCallbacks {
     std::function<void(ClientId, std::string)> text;
     /// Sends the binary messages of one scan.
     std::function<void(ClientId, std::vector<std::string>)> scan;
 };
 
 /// Renders the recorded sweeps of the log's first LiDAR in a loop while a client
-/// subscribes to a topic. Only the thread that calls play() uses the device. The server's
-/// thread calls the other functions.
+/// subscribes to a topic. Only the thread that calls send_next_scan_if_due() uses the
+/// device. The server's thread calls the other functions.
 class FoxglovePlayer {
 public:
     /// Creates a player that renders nothing yet.
     /// @param run must outlive the player
-    FoxglovePlayer(const Run& run, Device& device, FoxgloveAnswers answers);
+    FoxglovePlayer(const TrainedRun& run, Device& device, FoxgloveSendCallbacks answers);
 
     /// Describes the topics to a new client.
-    void open(ClientId client);
+    void add_client(ClientId client_id);
     /// Handles a message of a client.
     /// @return false if the client was not opened here
-    bool receive(ClientId client, const std::string& message);
-    void close(ClientId client);
+    bool handle_client_message(ClientId client_id, const std::string& message);
+    void remove_client(ClientId client_id);
 
     /// Renders and sends the next scan if its time has come. Scans follow each other in
     /// the intervals of the log, or more slowly if the device is slow.
-    /// @return the time until the next scan, but at most `patience`
+    /// @return the time until the next scan, but at most `max_wait`
     /// @throws DeviceError if the device has failed
-    std::chrono::milliseconds play(std::chrono::milliseconds patience);
+    std::chrono::milliseconds send_next_scan_if_due(std::chrono::milliseconds max_wait);
 
 private:
     using Clock = std::chrono::steady_clock;
@@ -63,25 +63,25 @@ private:
     /// State that exists only while a client subscribes to a topic.
     struct Playback {
         ScanRenderer renderer;
-        ScanMessages messages;
+        ScanMessageEncoder messages;
         std::size_t frame = 0;  ///< index of the next scan in `times_s_`
         Clock::time_point due = Clock::now();
 
-        Playback(Device& device, const Run& run, const ScanFormat& format)
+        Playback(Device& device, const TrainedRun& run, const ScanOutputOptions& format)
             : renderer(device, run), messages({format}) {}
     };
 
-    void change_subscriptions(Client& client, const std::string& text) const;
-    bool send_texts();
-    void play_next_scan();
-    void send(const std::vector<ScanMessage>& messages);
-    void stop(const std::string& why);
+    void update_subscriptions(Client& client, const std::string& message_text) const;
+    bool send_queued_texts();
+    void render_and_send_next_scan();
+    void send_to_subscribers(const std::vector<ScanMessage>& messages);
+    void end_all_subscriptions(const std::string& reason);
 
-    const Run& run_;
+    const TrainedRun& run_;
     Device& device_;
-    const FoxgloveAnswers answers_;
-    const SensorChoice sensor_;
-    const ScanFormat format_;
+    const FoxgloveSendCallbacks answers_;
+    const SimulatedSensor sensor_;
+    const ScanOutputOptions format_;
     const std::vector<ScanTopic> topics_;
     std::vector<double> times_s_;  ///< times of the sweeps in the log
     std::optional<Playback> playback_;

@@ -21,44 +21,45 @@ static_assert(std::endian::native == std::endian::little,
 
 using Json = nlohmann::json;
 
-std::uint8_t to_byte(float share) {
-    return static_cast<std::uint8_t>(std::lround(255.0f * std::clamp(share, 0.0f, 1.0f)));
+std::uint8_t convert_fraction_to_byte(float fraction) {
+    return static_cast<std::uint8_t>(std::lround(255.0f * std::clamp(fraction, 0.0f, 1.0f)));
 }
 
 /// Concatenates arrays into one buffer. Lists the type, size and offset of each array for
 /// the JSON header.
-class Arrays {
+class BinaryArrayPacker {
 public:
     template <class T>
-    void add(const std::string& name, const char* type, int components, const std::vector<T>& values) {
+    void add_array(const std::string& name, const char* type, int n_components,
+                   const std::vector<T>& values) {
         if (values.empty()) return;
         const std::size_t n_bytes = values.size() * sizeof(T);
         table_.push_back({{"name", name},
                           {"type", type},
-                          {"components", components},
+                          {"components", n_components},
                           {"count", values.size()},
                           {"offset", bytes_.size()}});
         bytes_.append(reinterpret_cast<const char*>(values.data()), n_bytes);
         bytes_.append((4 - bytes_.size() % 4) % 4, '\0');
     }
-    void add(const std::string& prefix, const ScanColumns& scan) {
-        add(prefix + "position", "f32", 3, scan.position_m);
-        add(prefix + "range", "f32", 1, scan.range_m);
-        add(prefix + "intensity", "u8", 1, scan.intensity);
-        add(prefix + "drop", "u8", 1, scan.drop);
-        add(prefix + "instance", "u16", 1, scan.instance);
-        add(prefix + "ring", "u16", 1, scan.ring);
+    void add_scan_arrays(const std::string& name_prefix, const ScanColumns& scan) {
+        add_array(name_prefix + "position", "f32", 3, scan.position_m);
+        add_array(name_prefix + "range", "f32", 1, scan.range_m);
+        add_array(name_prefix + "intensity", "u8", 1, scan.intensity);
+        add_array(name_prefix + "drop", "u8", 1, scan.drop);
+        add_array(name_prefix + "instance", "u16", 1, scan.instance);
+        add_array(name_prefix + "ring", "u16", 1, scan.ring);
         for (const auto& [info, values, second] : scan.channels) {
             const auto add_one = [&, &name = info.name]<class T>(const std::vector<T>& of_rays) {
                 constexpr bool is_vector = std::is_same_v<T, glm::vec3>;
-                add(prefix + "channel_" + name, std::is_same_v<T, std::int32_t> ? "i32" : "f32",
-                    is_vector ? 3 : 1, of_rays);
+                add_array(name_prefix + "channel_" + name, std::is_same_v<T, std::int32_t> ? "i32" : "f32",
+                          is_vector ? 3 : 1, of_rays);
             };
             std::visit(add_one, values);
         }
     }
-    const Json& table() const { return table_; }
-    const std::string& bytes() const { return bytes_; }
+    const Json& get_array_table() const { return table_; }
+    const std::string& get_array_bytes() const { return bytes_; }
 
 private:
     Json table_ = Json::array();
@@ -67,9 +68,10 @@ private:
 
 }  // namespace
 
-ScanColumns make_simulated_columns(const RenderedScan& scan, const Config& config,
+ScanColumns convert_simulated_scan(const RenderedScan& scan, const Config& config,
                                    const glm::dvec3& world_offset_m) {
-    Points points = place_points(scan, config, Pose{{1.0, 0.0, 0.0, 0.0}, world_offset_m}, PointsOf::rays);
+    LidarPoints points = convert_scan_to_points(scan, config, Pose{{1.0, 0.0, 0.0, 0.0}, world_offset_m},
+                                                PointSelection::rays);
     ScanColumns result{.rows = scan.image.rows,
                        .columns = scan.image.columns,
                        .position_m = std::move(points.position_m),
@@ -77,17 +79,17 @@ ScanColumns make_simulated_columns(const RenderedScan& scan, const Config& confi
                        .ring = std::move(points.ring),
                        .channels = std::move(points.channels)};
     for (std::size_t i = 0; i < result.range_m.size(); ++i) {
-        result.intensity.push_back(to_byte(scan.image.intensity[i]));
-        result.drop.push_back(to_byte(scan.image.drop_prob[i]));
+        result.intensity.push_back(convert_fraction_to_byte(scan.image.intensity[i]));
+        result.drop.push_back(convert_fraction_to_byte(scan.image.drop_prob[i]));
         const int instance = scan.instance[i];
         result.instance.push_back(static_cast<std::uint16_t>(instance < 0 ? 65535 : instance));
     }
     return result;
 }
 
-ScanColumns make_measured_columns(const Sequence& sequence, const Frame& frame) {
+ScanColumns convert_measured_scan(const LidarSequence& sequence, const LidarFrame& frame) {
     const Scan& scan = frame.scan;
-    const PoseTrack world_from_sensor = sequence.world_from_sensor(frame.lidar);
+    const PoseTrack world_from_sensor = sequence.get_world_from_sensor(frame.lidar);
     ScanColumns result{.rows = scan.rays.rows,
                        .columns = scan.rays.columns,
                        .range_m = to_vector(scan.range_m),
@@ -96,13 +98,13 @@ ScanColumns make_measured_columns(const Sequence& sequence, const Frame& frame) 
         const WorldRay ray =
             make_world_ray(world_from_sensor, frame.time_s, scan.rays, i, sequence.rolling_shutter);
         result.position_m.push_back(glm::vec3(ray.origin_m + double(scan.range_m[i]) * ray.direction));
-        result.intensity.push_back(to_byte(scan.intensity[i]));
+        result.intensity.push_back(convert_fraction_to_byte(scan.intensity[i]));
         result.drop.push_back(scan.range_m[i] > 0.0f ? 0 : 255);
     }
     return result;
 }
 
-Json make_matrix_json(const Pose& pose) {
+Json convert_pose_to_matrix_json(const Pose& pose) {
     const glm::dmat4 m = to_matrix(pose);
     Json result = Json::array();
     for (int column = 0; column < 4; ++column)
@@ -110,23 +112,24 @@ Json make_matrix_json(const Pose& pose) {
     return result;
 }
 
-std::string encode_frame(Json header, const ScanColumns* simulated, const ScanColumns* measured) {
-    Arrays arrays;
-    if (simulated) {
-        header["image"] = {simulated->rows, simulated->columns};
-        arrays.add("", *simulated);
+std::string encode_scan_message(Json header, const ScanColumns* simulated_scan,
+                                const ScanColumns* measured_scan) {
+    BinaryArrayPacker arrays;
+    if (simulated_scan) {
+        header["image"] = {simulated_scan->rows, simulated_scan->columns};
+        arrays.add_scan_arrays("", *simulated_scan);
     }
-    if (measured) {
-        header["real_image"] = {measured->rows, measured->columns};
-        arrays.add("real_", *measured);
+    if (measured_scan) {
+        header["real_image"] = {measured_scan->rows, measured_scan->columns};
+        arrays.add_scan_arrays("real_", *measured_scan);
     }
-    header["arrays"] = arrays.table();
+    header["arrays"] = arrays.get_array_table();
     std::string text = header.dump(-1, ' ', false, Json::error_handler_t::replace);
     text.append((4 - text.size() % 4) % 4, ' ');
     const auto length = static_cast<std::uint32_t>(text.size());
     std::string frame = "RLV1";
     frame.append(reinterpret_cast<const char*>(&length), sizeof length);
-    return frame + text + arrays.bytes();
+    return frame + text + arrays.get_array_bytes();
 }
 
 }  // namespace relidar::view

@@ -23,8 +23,8 @@ namespace relidar {
 struct RayTable;
 struct RenderedScan;
 struct Config;
-struct Sequence;
-struct Frame;
+struct LidarSequence;
+struct LidarFrame;
 }  // namespace relidar
 
 namespace relidar::view {
@@ -53,20 +53,21 @@ struct ScanColumns {
 
 /// Converts a simulated scan to the arrays of a message.
 /// @param world_offset_m offset from relidar's world frame to the dataset's world frame
-ScanColumns make_simulated_columns(const RenderedScan& scan, const Config& config,
+ScanColumns convert_simulated_scan(const RenderedScan& scan, const Config& config,
                                    const glm::dvec3& world_offset_m);
 /// Converts a measured scan to the arrays of a message.
 /// @param frame frame of the sequence that contains the scan
-ScanColumns make_measured_columns(const Sequence& sequence, const Frame& frame);
+ScanColumns convert_measured_scan(const LidarSequence& sequence, const LidarFrame& frame);
 
 /// Returns a pose as a 4x4 matrix. The 16 numbers are in column-major order, as WebGL
 /// expects.
-nlohmann::json make_matrix_json(const Pose& pose);
+nlohmann::json convert_pose_to_matrix_json(const Pose& pose);
 
 /// Encodes a simulated scan, a measured scan, or both as one binary message.
 /// @param header JSON header of the message, without the key "arrays"
-/// @param simulated, measured arrays of each scan, or null. The names of measured arrays
-/// begin with "real_".
-std::string encode_frame(nlohmann::json header, const ScanColumns* simulated, const ScanColumns* measured);
+/// @param simulated_scan, measured arrays of each scan, or null. The names of measured
+/// arrays begin with "real_".
+std::string encode_scan_message(nlohmann::json header, const ScanColumns* simulated_scan,
+                                const ScanColumns* measured_scan);
 
 }  // namespace relidar::view

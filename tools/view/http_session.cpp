@@ -23,36 +23,39 @@ constexpr std::size_t kDrainedAtOnce = 65536;
 constexpr int kMaxDrains = 16;
 constexpr std::chrono::milliseconds kDrainTime{500};
 
-std::string_view view(boost::beast::string_view text) { return {text.data(), text.size()}; }
+std::string_view to_std_string_view(boost::beast::string_view text) { return {text.data(), text.size()}; }
 
-std::string_view path_of(std::string_view target) { return target.substr(0, target.find('?')); }
-std::string_view get_url_query(std::string_view target) {
-    const std::size_t mark = target.find('?');
-    return mark == std::string_view::npos ? std::string_view{} : target.substr(mark + 1);
+std::string_view get_url_path(std::string_view request_target) {
+    return request_target.substr(0, request_target.find('?'));
+}
+std::string_view get_url_query(std::string_view request_target) {
+    const std::size_t mark = request_target.find('?');
+    return mark == std::string_view::npos ? std::string_view{} : request_target.substr(mark + 1);
 }
 
 /// Returns the HTTP status for a request that the parser rejected. Returns no value if
 /// the client has disconnected.
-std::optional<http::status> status_of(const boost::system::error_code& failed) {
-    if (failed == http::error::body_limit || failed == http::error::unexpected_body)
+std::optional<http::status> find_status_of_parse_error(const boost::system::error_code& parse_error) {
+    if (parse_error == http::error::body_limit || parse_error == http::error::unexpected_body)
         return http::status::payload_too_large;
-    if (failed == http::error::header_limit || failed == http::error::buffer_overflow)
+    if (parse_error == http::error::header_limit || parse_error == http::error::buffer_overflow)
         return http::status::request_header_fields_too_large;
-    if (failed == http::error::end_of_stream) return {};
-    if (failed.category() == make_error_code(http::error::bad_method).category())
+    if (parse_error == http::error::end_of_stream) return {};
+    if (parse_error.category() == make_error_code(http::error::bad_method).category())
         return http::status::bad_request;
     return {};
 }
 
 }  // namespace
 
-HttpSession::HttpSession(boost::asio::ip::tcp::socket socket, Hub& hub)
+HttpSession::HttpSession(boost::asio::ip::tcp::socket socket, WebServerState& hub)
     : hub_(hub), counted_(hub), stream_(std::move(socket)), timer_(hub.io) {}
 
-/// Starts a timer that cancels the current read or write if it takes longer than `time`.
-void HttpSession::limit(std::chrono::milliseconds time) {
+/// Starts a timer that cancels the current read or write if it takes longer than
+/// `max_duration`.
+void HttpSession::start_timeout(std::chrono::milliseconds max_duration) {
     late_ = false;
-    timer_.expires_after(time);
+    timer_.expires_after(max_duration);
     timer_.async_wait([weak = weak_from_this()](Error cancelled) {
         const auto self = weak.lock();
         if (cancelled || !self) return;
@@ -61,20 +64,21 @@ void HttpSession::limit(std::chrono::milliseconds time) {
     });
 }
 
-void HttpSession::read() {
+void HttpSession::start_reading_request() {
     parser_.emplace();
     parser_->header_limit(static_cast<std::uint32_t>(hub_.options.max_header_bytes));
     parser_->body_limit(0);  // Rejects requests with a body, because no request to this server needs one.
-    limit(hub_.options.request_time);
-    http::async_read(stream_, buffer_, *parser_,
-                     [self = shared_from_this()](Error failed, std::size_t) { self->on_read(failed); });
+    start_timeout(hub_.options.request_time);
+    http::async_read(stream_, buffer_, *parser_, [self = shared_from_this()](Error failed, std::size_t) {
+        self->handle_read_result(failed);
+    });
 }
 
-void HttpSession::on_read(Error failed) {
+void HttpSession::handle_read_result(Error error) {
     timer_.cancel();
-    if (late_) return parser_->got_some() ? refuse(Status::request_timeout) : void();
-    if (!failed) return answer(parser_->get());
-    if (const std::optional<Status> status = status_of(failed)) refuse(*status);
+    if (late_) return parser_->got_some() ? send_error_response(Status::request_timeout) : void();
+    if (!error) return answer_request(parser_->get());
+    if (const std::optional<Status> status = find_status_of_parse_error(error)) send_error_response(*status);
 }
 
 /// Returns the first of Foxglove's subprotocols that a WebSocket handshake requests.
@@ -82,8 +86,8 @@ void HttpSession::on_read(Error failed) {
 std::string_view HttpSession::find_foxglove_protocol(const Request& request) const {
     if (!hub_.events.foxglove_opened || !boost::beast::websocket::is_upgrade(request)) return {};
     for (const auto& requested : http::token_list{request[http::field::sec_websocket_protocol]})
-        for (const std::string_view known : kFoxgloveProtocols)
-            if (view(requested) == known) return known;
+        for (const std::string_view supported_protocol : kFoxgloveProtocols)
+            if (to_std_string_view(requested) == supported_protocol) return supported_protocol;
     return {};
 }
 
@@ -93,9 +97,11 @@ std::string_view HttpSession::find_foxglove_protocol(const Request& request) con
 std::optional<HttpSession::Status> HttpSession::find_rejection_status(const Request& request,
                                                                       bool is_foxglove) const {
     if (request.count(http::field::host) != 1) return Status::bad_request;
-    const Credentials credentials{view(request[http::field::host]), view(request[http::field::origin]),
-                                  view(request[http::field::cookie]), get_url_query(view(request.target()))};
-    if (!is_local_host(credentials.host, hub_.host_name)) return Status::forbidden;
+    const Credentials credentials{to_std_string_view(request[http::field::host]),
+                                  to_std_string_view(request[http::field::origin]),
+                                  to_std_string_view(request[http::field::cookie]),
+                                  get_url_query(to_std_string_view(request.target()))};
+    if (!is_local_host_header(credentials.host, hub_.host_name)) return Status::forbidden;
     const std::string& token = hub_.options.token;
     const bool knows_token = !token.empty() && has_token_in_url(credentials, token);
     const bool is_foreign = !is_same_origin(credentials.origin, credentials.host);
@@ -111,26 +117,27 @@ std::optional<HttpSession::Status> HttpSession::find_rejection_status(const Requ
     return {};
 }
 
-void HttpSession::answer(const Request& request) {
+void HttpSession::answer_request(const Request& request) {
     const std::string_view foxglove = find_foxglove_protocol(request);
     if (const std::optional<Status> status = find_rejection_status(request, !foxglove.empty()))
-        return refuse(*status);
-    const std::string_view target = view(request.target()), path = path_of(target);
+        return send_error_response(*status);
+    const std::string_view target = to_std_string_view(request.target()), path = get_url_path(target);
     if (path == kSocketPath || (path == "/" && !foxglove.empty())) {
-        if (!boost::beast::websocket::is_upgrade(request)) return refuse(Status::upgrade_required);
+        if (!boost::beast::websocket::is_upgrade(request))
+            return send_error_response(Status::upgrade_required);
         // A client must not send data before the WebSocket handshake is complete.
-        if (buffer_.size() > 0) return refuse(Status::bad_request);
+        if (buffer_.size() > 0) return send_error_response(Status::bad_request);
         std::make_shared<SocketSession>(std::move(stream_), std::move(counted_), hub_)
-            ->start(request, foxglove);
+            ->accept_handshake(request, foxglove);
         return;
     }
     const auto asset = std::find_if(hub_.options.assets.begin(), hub_.options.assets.end(),
-                                    [&](const Asset& a) { return a.path == path; });
-    if (asset == hub_.options.assets.end()) return refuse(Status::not_found);
-    response_ = make_response(Status::ok, std::string(view(request[http::field::host])));
+                                    [&](const WebPageFile& a) { return a.path == path; });
+    if (asset == hub_.options.assets.end()) return send_error_response(Status::not_found);
+    response_ = make_response(Status::ok, std::string(to_std_string_view(request[http::field::host])));
     response_->set(http::field::content_type,
                    boost::beast::string_view(asset->type.data(), asset->type.size()));
-    if (!find_list_value(get_url_query(target), "token", '&').empty() && !hub_.options.token.empty())
+    if (!find_value_by_name(get_url_query(target), "token", '&').empty() && !hub_.options.token.empty())
         response_->set(http::field::set_cookie,
                        hub_.cookie_name + "=" + hub_.options.token + "; Path=/; HttpOnly; SameSite=Strict");
     response_->body() = std::string(asset->body);
@@ -139,7 +146,7 @@ void HttpSession::answer(const Request& request) {
     // the body.
     if (request.method() == http::verb::head) response_->body().clear();
     response_->keep_alive(request.keep_alive());
-    write();
+    start_writing_response();
 }
 
 /// Creates an HTTP response with the security headers.
@@ -163,9 +170,9 @@ HttpSession::Response HttpSession::make_response(Status status, const std::strin
     return response;
 }
 
-void HttpSession::refuse(Status status) {
+void HttpSession::send_error_response(Status status) {
     response_ = make_response(status, "");
-    response_->body() = std::string(view(http::obsolete_reason(status))) + "\n";
+    response_->body() = std::string(to_std_string_view(http::obsolete_reason(status))) + "\n";
     if (status == Status::unauthorized)
         response_->body() =
             "The access token is wrong or missing. Open the full address that `relidar view` has "
@@ -174,31 +181,32 @@ void HttpSession::refuse(Status status) {
     if (status == Status::upgrade_required) response_->set(http::field::upgrade, "websocket");
     response_->prepare_payload();
     response_->keep_alive(false);
-    write();
+    start_writing_response();
 }
 
-void HttpSession::refuse_connection() { refuse(Status::service_unavailable); }
+void HttpSession::refuse_connection() { send_error_response(Status::service_unavailable); }
 
-void HttpSession::write() {
-    limit(hub_.options.idle_time);
+void HttpSession::start_writing_response() {
+    start_timeout(hub_.options.idle_time);
     http::async_write(stream_, *response_, [self = shared_from_this()](Error failed, std::size_t) {
         self->timer_.cancel();
         if (failed) return;
-        if (self->response_->keep_alive()) return self->read();
+        if (self->response_->keep_alive()) return self->start_reading_request();
         Error ignored;
         self->stream_.socket().shutdown(boost::asio::ip::tcp::socket::shutdown_send, ignored);
-        self->limit(kDrainTime);
-        self->close_after_reading();
+        self->start_timeout(kDrainTime);
+        self->discard_input_and_close();
     });
 }
 
 /// Reads the remaining data of a rejected client for a short time and discards it. If a
 /// connection is closed with unread data, the client does not receive the response.
-void HttpSession::close_after_reading() {
+void HttpSession::discard_input_and_close() {
     buffer_.consume(buffer_.size());
     stream_.async_read_some(buffer_.prepare(kDrainedAtOnce),
                             [self = shared_from_this()](Error failed, std::size_t) {
-                                if (!failed && ++self->n_drains_ < kMaxDrains) self->close_after_reading();
+                                if (!failed && ++self->n_drains_ < kMaxDrains)
+                                    self->discard_input_and_close();
                             });
 }
 

@@ -23,8 +23,8 @@ namespace relidar::view {
 
 class HttpSession : public std::enable_shared_from_this<HttpSession> {
 public:
-    HttpSession(boost::asio::ip::tcp::socket socket, Hub& hub);
-    void read();
+    HttpSession(boost::asio::ip::tcp::socket socket, WebServerState& hub);
+    void start_reading_request();
     /// Sends an error message, because the server has too many connections, and closes
     /// this connection.
     void refuse_connection();
@@ -35,18 +35,18 @@ private:
     using Status = boost::beast::http::status;
     using Error = boost::system::error_code;
 
-    void limit(std::chrono::milliseconds time);
-    void on_read(Error failed);
-    void answer(const Request& request);
+    void start_timeout(std::chrono::milliseconds max_duration);
+    void handle_read_result(Error error);
+    void answer_request(const Request& request);
     std::string_view find_foxglove_protocol(const Request& request) const;
     std::optional<Status> find_rejection_status(const Request& request, bool is_foxglove) const;
     Response make_response(Status status, const std::string& host) const;
-    void refuse(Status status);
-    void write();
-    void close_after_reading();
+    void send_error_response(Status status);
+    void start_writing_response();
+    void discard_input_and_close();
 
-    Hub& hub_;
-    Counted counted_;
+    WebServerState& hub_;
+    CountedConnection counted_;
     boost::beast::tcp_stream stream_;
     boost::asio::steady_timer timer_;
     /// True if the timer has cancelled the current read or write because it took too

@@ -17,9 +17,9 @@ namespace relidar::view {
 
 class SocketSession;
 
-struct Hub {
-    ServerOptions options;
-    Events events;
+struct WebServerState {
+    WebServerOptions options;
+    WebSocketEvents events;
     /// Name of the cookie that holds the access token. Each server uses a different name,
     /// because a browser sends all cookies of a host to every port of this host.
     std::string cookie_name;
@@ -32,19 +32,19 @@ struct Hub {
 
 /// Counts the open connections: the constructor increments the counter of the hub, and
 /// the destructor decrements it.
-class Counted {
+class CountedConnection {
 public:
-    explicit Counted(Hub& hub) : hub_(&hub) { ++hub.n_connections; }
-    Counted(Counted&& other) noexcept : hub_(std::exchange(other.hub_, nullptr)) {}
-    ~Counted() {
+    explicit CountedConnection(WebServerState& hub) : hub_(&hub) { ++hub.n_connections; }
+    CountedConnection(CountedConnection&& other) noexcept : hub_(std::exchange(other.hub_, nullptr)) {}
+    ~CountedConnection() {
         if (hub_) --hub_->n_connections;
     }
-    Counted(const Counted&) = delete;
-    Counted& operator=(const Counted&) = delete;
-    Counted& operator=(Counted&&) = delete;
+    CountedConnection(const CountedConnection&) = delete;
+    CountedConnection& operator=(const CountedConnection&) = delete;
+    CountedConnection& operator=(CountedConnection&&) = delete;
 
 private:
-    Hub* hub_;
+    WebServerState* hub_;
 };
 
 }  // namespace relidar::view

@@ -14,18 +14,18 @@ std::span<const std::pair<std::string_view, std::string_view>> view_page_texts()
 namespace view {
 namespace {
 
-std::string_view get_content_type(std::string_view name) {
-    if (name.ends_with(".js")) return "text/javascript; charset=utf-8";
-    if (name.ends_with(".css")) return "text/css; charset=utf-8";
+std::string_view get_content_type(std::string_view file_name) {
+    if (file_name.ends_with(".js")) return "text/javascript; charset=utf-8";
+    if (file_name.ends_with(".css")) return "text/css; charset=utf-8";
     return "text/html; charset=utf-8";
 }
 
 }  // namespace
 
-const std::vector<Asset>& list_page_assets() {
+const std::vector<WebPageFile>& list_page_assets() {
     static std::deque<std::string> paths;
-    static const std::vector<Asset> assets = [] {
-        std::vector<Asset> all;
+    static const std::vector<WebPageFile> assets = [] {
+        std::vector<WebPageFile> all;
         for (const auto& [name, text] : view_page_texts()) {
             paths.push_back(name == "index.html" ? "/" : "/" + std::string(name));
             all.push_back({paths.back(), get_content_type(name), text});

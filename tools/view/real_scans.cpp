@@ -12,8 +12,8 @@ namespace relidar::view {
 namespace {
 
 /// Returns a copy of a run without its surfels.
-std::unique_ptr<Run> copy_without_scene(const Run& run) {
-    auto result = std::make_unique<Run>();
+std::unique_ptr<TrainedRun> copy_run_without_scene(const TrainedRun& run) {
+    auto result = std::make_unique<TrainedRun>();
     result->folder = run.folder;
     result->config = run.config;
     result->sequence = run.sequence;
@@ -22,32 +22,37 @@ std::unique_ptr<Run> copy_without_scene(const Run& run) {
 
 }  // namespace
 
-RealScans::RealScans(const Run& run) : frames_(copy_without_scene(run)), reader_([this] { load(); }) {}
+RecordedScans::RecordedScans(const TrainedRun& run)
+    : frames_(copy_run_without_scene(run)), reader_([this] { load_measured_scans(); }) {}
 
-RealScans::~RealScans() {
+RecordedScans::~RecordedScans() {
     stop_ = true;
     reader_.join();
 }
 
-const Sequence* RealScans::sequence() const { return state_ == State::ready ? &frames_->sequence : nullptr; }
+const LidarSequence* RecordedScans::get_sequence_if_loaded() const {
+    return state_ == RecordedScansState::ready ? &frames_->sequence : nullptr;
+}
 
-std::string RealScans::why() const { return state_ == State::missing ? why_ : ""; }
+std::string RecordedScans::get_missing_reason() const {
+    return state_ == RecordedScansState::missing ? why_ : "";
+}
 
-void RealScans::load() {
+void RecordedScans::load_measured_scans() {
     try {
-        const Progress until_stopped = [this](std::string_view, double) {
+        const ProgressReporter until_stopped = [this](std::string_view, double) {
             if (stop_) throw Error(ExitCode::interrupted, "interrupted while the log was read");
         };
-        const Sequence log = load_log(frames_->config, until_stopped);
+        const LidarSequence log = load_log(frames_->config, until_stopped);
         std::vector<int> all(frames_->sequence.frames.size());
         std::iota(all.begin(), all.end(), 0);
-        attach_scans(*frames_, all, log);
-        state_ = State::ready;
+        copy_scans_into_run(*frames_, all, log);
+        state_ = RecordedScansState::ready;
         // If the log cannot be read, the viewer shows the reason and works without
         // measured scans.
     } catch (const std::exception& error) {
         why_ = error.what();
-        state_ = State::missing;
+        state_ = RecordedScansState::missing;
     }
 }
 

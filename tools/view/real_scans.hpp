@@ -9,36 +9,36 @@
 #include <thread>
 
 namespace relidar {
-struct Run;
-struct Sequence;
+struct TrainedRun;
+struct LidarSequence;
 }  // namespace relidar
 
 namespace relidar::view {
 
-class RealScans {
+class RecordedScans {
 public:
-    enum class State { loading, ready, missing };
+    enum class RecordedScansState { loading, ready, missing };
 
     /// Starts to load the log on which the run was trained.
-    explicit RealScans(const Run& run);
+    explicit RecordedScans(const TrainedRun& run);
     /// Stops the background thread and waits until it has ended.
-    ~RealScans();
-    RealScans(const RealScans&) = delete;
-    RealScans& operator=(const RealScans&) = delete;
+    ~RecordedScans();
+    RecordedScans(const RecordedScans&) = delete;
+    RecordedScans& operator=(const RecordedScans&) = delete;
 
-    State state() const { return state_; }
+    RecordedScansState get_loading_state() const { return state_; }
     /// Returns a one-line text that says why the scans are missing.
-    std::string why() const;
+    std::string get_missing_reason() const;
     /// Returns the frames of the run with their measured scans. Returns null until all
     /// scans are loaded.
-    const Sequence* sequence() const;
+    const LidarSequence* get_sequence_if_loaded() const;
 
 private:
-    void load();
+    void load_measured_scans();
 
-    const std::unique_ptr<Run> frames_;  ///< Settings and frames of the run, without its surfels.
+    const std::unique_ptr<TrainedRun> frames_;  ///< Settings and frames of the run, without its surfels.
     std::string why_;
-    std::atomic<State> state_ = State::loading;
+    std::atomic<RecordedScansState> state_ = RecordedScansState::loading;
     std::atomic<bool> stop_ = false;
     std::thread reader_;
 };

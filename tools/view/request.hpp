@@ -29,7 +29,7 @@ namespace relidar::view {
 /// Changes of the actors in a run. They are applied in this order: copies, moves,
 /// removals.
 struct ActorEdits {
-    struct Copy {
+    struct ActorCopy {
         std::string of;
         /// Name of the run that contains the original actor. An empty name means the run
         /// that the viewer shows.
@@ -37,9 +37,9 @@ struct ActorEdits {
         /// Position x, y, z in relidar's world frame (metres); yaw, pitch and roll
         /// (degrees); forward speed (m/s).
         std::array<double, 7> at{};
-        bool operator==(const Copy&) const = default;
+        bool operator==(const ActorCopy&) const = default;
     };
-    std::vector<Copy> copies;
+    std::vector<ActorCopy> copies;
     /// Move of each actor, by the name of its track. A move is forward, left and up in
     /// the actor's frame (metres), and yaw (degrees).
     std::map<std::string, std::array<double, 4>> moves;
@@ -70,7 +70,7 @@ struct SensorFile {
 };
 
 /// Requests the pose of an actor that stands on the ground where the user has clicked.
-struct GroundRequest {
+struct GroundPoseRequest {
     std::string of;
     std::string from;            ///< See ActorEdits::Copy.
     std::array<double, 2> at{};  ///< Clicked position x and y in relidar's world frame.
@@ -81,11 +81,11 @@ struct SaveRequest {
     ActorEdits edits;
 };
 
-using Request = std::variant<LiveScanRequest, SensorFile, SaveRequest, GroundRequest>;
+using BrowserRequest = std::variant<LiveScanRequest, SensorFile, SaveRequest, GroundPoseRequest>;
 
 /// Parses a request that the web page has sent as JSON.
 /// @throws UsageError that names the first value that is missing, has a wrong type, or is
 /// out of range
-Request parse_request(const std::string& text);
+BrowserRequest parse_page_request(const std::string& json_text);
 
 }  // namespace relidar::view

@@ -25,49 +25,51 @@ namespace relidar::view {
 /// State that the server keeps for a browser tab between two scans.
 struct TabCache {
     /// Sensor in the file that the browser tab has uploaded.
-    std::optional<SensorChoice> file_sensor = {};
-    std::optional<Traffic> traffic = {};
+    std::optional<SimulatedSensor> file_sensor = {};
+    std::optional<EditedTraffic> traffic = {};
     /// Sensor of the previous scan, and its key "lidar/name".
-    std::optional<std::pair<std::string, SensorChoice>> sensor = {};
+    std::optional<std::pair<std::string, SimulatedSensor>> sensor = {};
 };
 
 /// Renders scans of a run for the web page. Only one thread may use this object.
-class Scanner {
+class BrowserScanRenderer {
 public:
     /// Creates the scanner of a run.
-    /// @param others other runs, whose actors the user can insert into this run
-    Scanner(Run run, OtherRuns others, Device& device);
+    /// @param get_other_runs other runs, whose actors the user can insert into this run
+    BrowserScanRenderer(TrainedRun run, OtherRunsByName others, Device& device);
 
-    const Run& run() const { return run_; }
-    const OtherRuns& others() const { return others_; }
-    const RealScans& real() const { return real_; }
+    const TrainedRun& get_run() const { return run_; }
+    const OtherRunsByName& get_other_runs() const { return others_; }
+    const RecordedScans& get_measured_scans() const { return real_; }
     /// Returns the data that the web page needs only once: the run, its frames and path,
     /// built-in sensors, actors of other runs, and the device.
-    nlohmann::json describe() const;
+    nlohmann::json describe_run_as_json() const;
     /// Renders a scan and encodes it in the binary format of frame.hpp.
     /// @throws UsageError or DataError if the scan cannot be rendered
-    std::string scan(TabCache& tab, const LiveScanRequest& request);
+    std::string render_encoded_scan(TabCache& tab_cache, const LiveScanRequest& request);
     /// Reads a sensor file that a browser tab has uploaded.
     /// @return a description of the sensor
     /// @throws UsageError or DataError if the file is invalid
-    nlohmann::json read_sensor(TabCache& tab, const SensorFile& file) const;
+    nlohmann::json load_uploaded_sensor(TabCache& tab_cache, const SensorFile& file) const;
 
 private:
-    SensorChoice make_sensor_for_tab(TabCache& tab, const LiveScanRequest& request) const;
-    RenderedScan render(const Traffic& traffic, const LiveScanRequest& request, const SensorChoice& sensor);
-    ScanRenderer& find_renderer(const Traffic& traffic);
-    const Frame* find_nearest_real_frame(const LiveScanRequest& request) const;
-    nlohmann::json kernel_times();
+    SimulatedSensor make_sensor_for_tab(TabCache& tab_cache, const LiveScanRequest& request) const;
+    RenderedScan render_simulated_scan(const EditedTraffic& traffic, const LiveScanRequest& request,
+                                       const SimulatedSensor& sensor);
+    ScanRenderer& find_or_make_renderer(const EditedTraffic& traffic);
+    const LidarFrame* find_nearest_measured_frame(const LiveScanRequest& request) const;
+    nlohmann::json make_kernel_times_json();
 
-    const Run run_;
-    const OtherRuns others_;
+    const TrainedRun run_;
+    const OtherRunsByName others_;
     Device& device_;
-    RealScans real_;
+    RecordedScans real_;
     std::optional<ScanRenderer> renderer_;
     /// Copied and moved actors in the scene of the current renderer, as listed by
-    /// list_models().
+    /// list_models_as_dicts().
     std::vector<std::pair<std::string, std::string>> rendered_;
-    /// Number of recorded times of each kernel at the previous call of kernel_times().
+    /// Number of recorded times of each kernel at the previous call of
+    /// make_kernel_times_json().
     std::map<std::string, std::size_t> launches_;
 };
 

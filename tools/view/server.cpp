@@ -25,24 +25,24 @@ using ErrorCode = boost::system::error_code;
 
 // Pause before the next attempt if the system has no free file descriptor.
 constexpr std::chrono::milliseconds kAcceptPause{50};
-// Interval at which close() checks whether all connections are closed.
+// Interval at which close_gracefully() checks whether all connections are closed.
 constexpr std::chrono::milliseconds kCloseLook{5};
 
-boost::asio::ip::address parse_address(const std::string& text) {
+boost::asio::ip::address parse_ip_address(const std::string& address_text) {
     ErrorCode failed;
-    const auto address = boost::asio::ip::make_address(text, failed);
+    const auto address = boost::asio::ip::make_address(address_text, failed);
     if (failed)
         throw UsageError(fmt::format(
             "cannot listen on the address \"{}\", expected an IP address such as 127.0.0.1, 0.0.0.0 "
             "or ::1",
-            text));
+            address_text));
     return address;
 }
 
-tcp::acceptor listen(boost::asio::io_context& io, const ServerOptions& options) {
-    const tcp::endpoint endpoint(parse_address(options.address), static_cast<std::uint16_t>(options.port));
+tcp::acceptor open_listening_acceptor(boost::asio::io_context& io_context, const WebServerOptions& options) {
+    const tcp::endpoint endpoint(parse_ip_address(options.address), static_cast<std::uint16_t>(options.port));
     ErrorCode failed;
-    tcp::acceptor acceptor(io);
+    tcp::acceptor acceptor(io_context);
     acceptor.open(endpoint.protocol(), failed);
     if (!failed) acceptor.set_option(tcp::acceptor::reuse_address(true), failed);
     if (!failed) acceptor.bind(endpoint, failed);
@@ -62,8 +62,8 @@ std::string get_machine_name() {
 
 }  // namespace
 
-struct Server::Impl {
-    Hub hub;
+struct WebServer::Impl {
+    WebServerState hub;
     /// Keeps the thread of the server running even if no connection is open.
     boost::asio::executor_work_guard<boost::asio::io_context::executor_type> busy =
         boost::asio::make_work_guard(hub.io);
@@ -71,56 +71,57 @@ struct Server::Impl {
     boost::asio::steady_timer pause;
     std::thread thread = {};
 
-    Impl(const ServerOptions& options, Events events)
+    Impl(const WebServerOptions& options, WebSocketEvents events)
         : hub{options, std::move(events), "", get_machine_name()},
-          acceptor(listen(hub.io, options)),
+          acceptor(open_listening_acceptor(hub.io, options)),
           pause(hub.io) {
         hub.cookie_name = fmt::format("relidar_{}", acceptor.local_endpoint().port());
     }
 
-    void accept() {
+    void start_accepting() {
         acceptor.async_accept([this](ErrorCode failed, tcp::socket socket) {
-            if (!acceptor.is_open()) return;  // The acceptor is closed because close() was called.
+            if (!acceptor.is_open()) return;  // The acceptor is closed because close_gracefully() was called.
             if (failed) {
                 pause.expires_after(kAcceptPause);
                 pause.async_wait([this](ErrorCode) {
-                    if (acceptor.is_open()) accept();
+                    if (acceptor.is_open()) start_accepting();
                 });
                 return;
             }
-            const bool has_room = hub.n_connections < hub.options.max_connections;
+            const bool is_below_connection_limit = hub.n_connections < hub.options.max_connections;
             const auto session = std::make_shared<HttpSession>(std::move(socket), hub);
-            if (has_room) session->read();
+            if (is_below_connection_limit) session->start_reading_request();
             else if (hub.n_connections < 2 * hub.options.max_connections) session->refuse_connection();
-            accept();
+            start_accepting();
         });
     }
 
     /// Calls a function with the session of a client in the thread of the server. Does
     /// nothing if the client has disconnected.
     template <class Work>
-    void post_to(ClientId client, Work work) {
-        boost::asio::post(hub.io, [this, client, work = std::move(work)]() mutable {
-            const auto match = hub.clients.find(client);
+    void post_to_session(ClientId client_id, Work call_session) {
+        boost::asio::post(hub.io, [this, client_id, work = std::move(call_session)]() mutable {
+            const auto match = hub.clients.find(client_id);
             if (match == hub.clients.end()) return;
             if (const auto session = match->second.lock()) work(*session);
         });
     }
 
-    void send(ClientId client, std::string bytes, bool is_text) {
-        post_to(client, [is_text, bytes = std::move(bytes)](SocketSession& session) mutable {
-            session.send(std::move(bytes), is_text, !is_text);
+    void post_message_to_client(ClientId client_id, std::string bytes, bool is_text) {
+        post_to_session(client_id, [is_text, bytes = std::move(bytes)](SocketSession& session) mutable {
+            session.send_or_queue_message(std::move(bytes), is_text, !is_text);
         });
     }
 };
 
-Server::Server(const ServerOptions& options, Events events) : impl_(new Impl(options, std::move(events))) {
-    impl_->accept();
+WebServer::WebServer(const WebServerOptions& options, WebSocketEvents events)
+    : impl_(new Impl(options, std::move(events))) {
+    impl_->start_accepting();
     impl_->thread = std::thread([&impl = *impl_] { impl.hub.io.run(); });
 }
 
-void Server::close(std::chrono::milliseconds patience) {
-    const auto end = std::chrono::steady_clock::now() + patience;
+void WebServer::close_gracefully(std::chrono::milliseconds max_wait) {
+    const auto end = std::chrono::steady_clock::now() + max_wait;
     boost::asio::post(impl_->hub.io, [&impl = *impl_] {
         ErrorCode ignored;
         impl.acceptor.close(ignored);
@@ -128,7 +129,7 @@ void Server::close(std::chrono::milliseconds patience) {
         // from the original list.
         const auto clients = impl.hub.clients;
         for (const auto& [id, client] : clients)
-            if (const auto session = client.lock()) session->leave();
+            if (const auto session = client.lock()) session->close_after_sending();
     });
     for (bool all_gone = false; !all_gone && std::chrono::steady_clock::now() < end;
          std::this_thread::sleep_for(kCloseLook)) {
@@ -138,14 +139,14 @@ void Server::close(std::chrono::milliseconds patience) {
     }
 }
 
-Server::~Server() {
+WebServer::~WebServer() {
     impl_->hub.io.stop();
     impl_->thread.join();
 }
 
-int Server::port() const { return impl_->acceptor.local_endpoint().port(); }
+int WebServer::port() const { return impl_->acceptor.local_endpoint().port(); }
 
-std::string Server::url() const {
+std::string WebServer::get_page_url() const {
     const auto address = impl_->acceptor.local_endpoint().address();
     std::string host = address.is_unspecified() ? "127.0.0.1" : address.to_string();
     if (address.is_v6() && !address.is_unspecified()) host = "[" + host + "]";
@@ -153,15 +154,19 @@ std::string Server::url() const {
     return fmt::format("http://{}:{}/{}", host, port(), token.empty() ? "" : "?token=" + token);
 }
 
-void Server::send_text(ClientId client, std::string text) { impl_->send(client, std::move(text), true); }
-void Server::send_newest(ClientId client, std::string bytes) { impl_->send(client, std::move(bytes), false); }
-void Server::send_if_idle(ClientId client, std::vector<std::string> messages) {
-    impl_->post_to(client, [messages = std::move(messages)](SocketSession& session) mutable {
+void WebServer::send_text(ClientId client_id, std::string text) {
+    impl_->post_message_to_client(client_id, std::move(text), true);
+}
+void WebServer::send_newest_scan(ClientId client_id, std::string bytes) {
+    impl_->post_message_to_client(client_id, std::move(bytes), false);
+}
+void WebServer::send_if_idle(ClientId client_id, std::vector<std::string> messages) {
+    impl_->post_to_session(client_id, [messages = std::move(messages)](SocketSession& session) mutable {
         session.send_if_idle(std::move(messages));
     });
 }
 
-void check_address(const std::string& address) { (void)parse_address(address); }
+void check_ip_address(const std::string& address) { (void)parse_ip_address(address); }
 
 std::string make_random_token() {
     std::random_device source;  // Random source of the operating system.

@@ -26,19 +26,19 @@
 namespace relidar::view {
 
 /// A file of the web page. The server sends it if a client requests exactly this path.
-struct Asset {
+struct WebPageFile {
     std::string_view path;  ///< Path in the URL, such as "/main.js". The path "/" is the start page.
     std::string_view type;  ///< Value of the header Content-Type.
     std::string_view body;
 };
 
-struct ServerOptions {
+struct WebServerOptions {
     std::string address = "127.0.0.1";  ///< Literal IPv4 or IPv6 address to listen on.
     int port = 8080;                    ///< TCP port to listen on. The value 0 selects a free port.
     /// Access token that every request must contain. If the text is empty, no token is
     /// needed.
     std::string token = {};
-    std::span<const Asset> assets = {};
+    std::span<const WebPageFile> assets = {};
     std::size_t max_connections = 64;
     std::size_t max_header_bytes = 8192;
     /// Maximum size of a WebSocket message from a client, in bytes.
@@ -61,7 +61,7 @@ using ClientId = std::uint64_t;
 
 /// Callbacks for events of WebSocket clients. The server's thread calls them one at a
 /// time. They must not throw exceptions.
-struct Events {
+struct WebSocketEvents {
     std::function<void(ClientId)> opened;
     /// Called for each text message of a client. The message has at most
     /// max_message_bytes bytes. Binary messages are rejected.
@@ -72,34 +72,34 @@ struct Events {
     std::function<void(ClientId)> foxglove_opened = {};
 };
 
-class Server {
+class WebServer {
 public:
     /// Starts to listen and to answer requests.
     /// @throws UsageError if the address or the port is not available
-    Server(const ServerOptions& options, Events events);
-    /// Closes all connections immediately. Call close() first, if queued messages should
-    /// still be sent.
-    ~Server();
-    Server(const Server&) = delete;
-    Server& operator=(const Server&) = delete;
+    WebServer(const WebServerOptions& options, WebSocketEvents events);
+    /// Closes all connections immediately. Call close_gracefully() first, if queued
+    /// messages should still be sent.
+    ~WebServer();
+    WebServer(const WebServer&) = delete;
+    WebServer& operator=(const WebServer&) = delete;
 
     int port() const;
     /// Returns the URL of the web page for a browser on this machine. The URL contains
     /// the access token.
-    std::string url() const;
+    std::string get_page_url() const;
 
     /// Sends a text to a client. Does nothing if the client has disconnected. May be
     /// called by any thread.
-    void send_text(ClientId client, std::string text);
+    void send_text(ClientId client_id, std::string text);
     /// Sends a binary message to a client. The message replaces an older binary message
     /// that is still queued, because only the newest scan matters.
-    void send_newest(ClientId client, std::string bytes);
+    void send_newest_scan(ClientId client_id, std::string bytes);
     /// Sends several binary messages to a client. Skips all of them if earlier messages
     /// are still queued, because the client is slow.
-    void send_if_idle(ClientId client, std::vector<std::string> messages);
+    void send_if_idle(ClientId client_id, std::vector<std::string> messages);
     /// Rejects new connections. Closes each WebSocket after its queued messages are sent.
-    /// @param patience longest time to wait until the messages are sent
-    void close(std::chrono::milliseconds patience);
+    /// @param max_wait longest time to wait until the messages are sent
+    void close_gracefully(std::chrono::milliseconds max_wait);
 
 private:
     struct Impl;
@@ -108,7 +108,7 @@ private:
 
 /// Checks the network address on which the server will listen.
 /// @throws UsageError if the text is not an IP address
-void check_address(const std::string& address);
+void check_ip_address(const std::string& address);
 
 /// Returns a random secret of 32 hexadecimal digits.
 std::string make_random_token();

@@ -24,68 +24,70 @@ namespace relidar::view {
 using TabId = std::uint64_t;
 
 /// Callbacks that send responses to browser tabs. Only work() calls them. Texts are JSON
-/// objects with a "kind": hello (Scanner::describe), log {state, why}, sensor {name,
-/// rows, columns, rays}, ground {of, from, at}, saved {folder}, error {about, text}
-struct Answers {
+/// objects with a "kind": hello (BrowserScanRenderer::describe), log {state, why}, sensor
+/// {name, rows, columns, rays}, ground {of, from, at}, saved {folder}, error {about,
+/// text}
+struct TabSendCallbacks {
     std::function<void(TabId, std::string)> text;
     /// Sends a binary message in the format of frame.hpp to a browser tab.
     std::function<void(TabId, std::string)> frame;
 };
 
-class Session {
+class ViewerSession {
 public:
     /// Creates the session of a run.
     /// @param others other runs, whose actors the user can insert into this run
     /// @param save_folder folder in which edited runs are saved
-    Session(Run run, OtherRuns others, Device& device, std::filesystem::path save_folder, Answers answers);
+    ViewerSession(TrainedRun run, OtherRunsByName others, Device& device, std::filesystem::path save_folder,
+                  TabSendCallbacks answers);
 
-    const Run& run() const { return scanner_.run(); }
+    const TrainedRun& get_run() const { return scanner_.get_run(); }
 
-    void open(TabId tab);
-    void close(TabId tab);
-    void receive(TabId tab, const std::string& message);
+    void open_tab(TabId tab_id);
+    void close_tab(TabId tab_id);
+    void handle_tab_message(TabId tab_id, const std::string& message);
 
-    /// Executes one request of a browser tab. Waits at most `patience` for a request.
+    /// Executes one request of a browser tab. Waits at most `max_wait` for a request.
     /// @return true if a request was executed
     /// @throws DeviceError if the device has failed
-    bool work(std::chrono::milliseconds patience);
+    bool run_next_job(std::chrono::milliseconds max_wait);
     /// Executes all pending requests and ignores new messages.
     /// @throws DeviceError if the device has failed
-    void finish();
+    void finish_pending_jobs();
 
 private:
-    struct Tab {
+    struct BrowserTabState {
         bool greeted = false;
         /// Last state of the log reader that was sent to the browser tab.
-        RealScans::State told = RealScans::State::loading;
+        RecordedScans::RecordedScansState last_sent_state = RecordedScans::RecordedScansState::loading;
         /// newest scan that the tab has requested, if it is not rendered yet
         std::optional<LiveScanRequest> scan = {};
         /// Queued requests that are not scans: sensor files, positions on the ground, and
         /// runs to save.
-        std::deque<Request> others = {};
+        std::deque<BrowserRequest> others = {};
         std::optional<std::string> refused = {};  ///< Reason why the last message of the tab was invalid.
         TabCache cache = {};  ///< State of the tab that only the render thread uses, without the mutex.
     };
-    struct Job {
+    struct ViewerJob {
         TabId id;
         const char* about;  ///< Name of the request in error messages.
         std::function<void()> run;
     };
 
-    std::optional<Job> wait_for_next_job(std::chrono::milliseconds patience);
-    std::optional<Job> take_job(TabId id, const std::shared_ptr<Tab>& tab);
-    nlohmann::json answer(TabCache& cache, const Request& request) const;
-    void refuse(TabId id, const char* request_name, const std::string& why) const;
-    nlohmann::json save(const SaveRequest& request) const;
+    std::optional<ViewerJob> wait_for_next_job(std::chrono::milliseconds max_wait);
+    std::optional<ViewerJob> take_next_job_of_tab(TabId tab_id, const std::shared_ptr<BrowserTabState>& tab);
+    nlohmann::json answer_request(TabCache& cache, const BrowserRequest& request) const;
+    void send_error_message(TabId tab_id, const char* request_name, const std::string& reason) const;
+    nlohmann::json save_edited_run(const SaveRequest& request) const;
 
-    Scanner scanner_;
+    BrowserScanRenderer scanner_;
     const std::filesystem::path save_folder_;
-    const Answers answers_;
+    const TabSendCallbacks answers_;
     std::mutex mutex_;  ///< Protects the members below. The caches of the tabs need no protection.
     std::condition_variable arrived_;
-    std::map<TabId, std::shared_ptr<Tab>> tabs_;
+    std::map<TabId, std::shared_ptr<BrowserTabState>> tabs_;
     TabId last_served_ = 0;
-    bool deaf_ = false;  ///< True after finish() was called, so that new messages are ignored.
+    bool deaf_ = false;  ///< True after finish_pending_jobs() was called, so that new messages are ignored.
 };
 
 }  // namespace relidar::view

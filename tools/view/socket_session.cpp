@@ -15,7 +15,7 @@ namespace websocket = boost::beast::websocket;
 // them is disconnected.
 constexpr std::size_t kMaxWaiting = 64;
 
-SocketSession::SocketSession(boost::beast::tcp_stream stream, Counted counted, Hub& hub)
+SocketSession::SocketSession(boost::beast::tcp_stream stream, CountedConnection counted, WebServerState& hub)
     : hub_(hub), counted_(std::move(counted)), stream_(std::move(stream)) {
     // turns off the timer of the TCP stream, because the WebSocket has its own timer
     stream_.next_layer().expires_never();
@@ -27,8 +27,9 @@ SocketSession::SocketSession(boost::beast::tcp_stream stream, Counted counted, H
     stream_.auto_fragment(false);
 }
 
-void SocketSession::start(const boost::beast::http::request<boost::beast::http::empty_body>& upgrade,
-                          std::string_view foxglove_protocol) {
+void SocketSession::accept_handshake(
+    const boost::beast::http::request<boost::beast::http::empty_body>& upgrade_request,
+    std::string_view foxglove_protocol) {
     const bool is_foxglove = !foxglove_protocol.empty();
     if (is_foxglove)
         stream_.set_option(
@@ -36,85 +37,87 @@ void SocketSession::start(const boost::beast::http::request<boost::beast::http::
                 response.set(boost::beast::http::field::sec_websocket_protocol,
                              boost::beast::string_view(foxglove_protocol.data(), foxglove_protocol.size()));
             }));
-    stream_.async_accept(upgrade, [self = shared_from_this(), is_foxglove](Error failed) {
+    stream_.async_accept(upgrade_request, [self = shared_from_this(), is_foxglove](Error failed) {
         if (failed) return;
         self->id_ = ++self->hub_.last_client;
         self->hub_.clients[self->id_] = self;
-        const Events& events = self->hub_.events;
+        const WebSocketEvents& events = self->hub_.events;
         (is_foxglove ? events.foxglove_opened : events.opened)(self->id_);
-        self->read();
+        self->start_reading_message();
     });
 }
 
-void SocketSession::read() {
-    stream_.async_read(incoming_,
-                       [self = shared_from_this()](Error failed, std::size_t) { self->on_read(failed); });
+void SocketSession::start_reading_message() {
+    stream_.async_read(incoming_, [self = shared_from_this()](Error failed, std::size_t) {
+        self->handle_read_result(failed);
+    });
 }
 
-void SocketSession::on_read(Error failed) {
+void SocketSession::handle_read_result(Error error) {
     // The client has disconnected, or its message is invalid or too large. For an invalid
     // message, the stream has already sent the error code.
-    if (failed) return finish();
-    if (!stream_.got_text()) return refuse();
+    if (error) return remove_client_from_hub();
+    if (!stream_.got_text()) return reject_client();
     std::string text = boost::beast::buffers_to_string(incoming_.data());
     incoming_.consume(incoming_.size());
     hub_.events.message(id_, std::move(text));
-    read();
+    start_reading_message();
 }
 
-void SocketSession::send(std::string bytes, bool is_text, bool newest_only) {
+void SocketSession::send_or_queue_message(std::string bytes, bool is_text, bool replace_older) {
     if (id_ == 0 || refused_) return;
     // Removes older scans from the queue, except the first message, which is already
     // being written.
-    if (newest_only) {
-        const auto stale = [](const Message& m) { return m.newest_only; };
+    if (replace_older) {
+        const auto stale = [](const OutgoingMessage& m) { return m.newest_only; };
         if (outgoing_.size() > 1)
             outgoing_.erase(std::remove_if(outgoing_.begin() + 1, outgoing_.end(), stale), outgoing_.end());
     }
     if (outgoing_.size() >= kMaxWaiting) {
-        finish();
+        remove_client_from_hub();
         boost::beast::get_lowest_layer(stream_).close();
         return;
     }
-    outgoing_.push_back({std::move(bytes), is_text, newest_only});
-    if (outgoing_.size() == 1) write();
+    outgoing_.push_back({std::move(bytes), is_text, replace_older});
+    if (outgoing_.size() == 1) start_writing_message();
 }
 
 void SocketSession::send_if_idle(std::vector<std::string> messages) {
     if (id_ == 0 || refused_ || messages.empty() || !outgoing_.empty()) return;
     for (std::string& bytes : messages) outgoing_.push_back({std::move(bytes), false, false});
-    write();
+    start_writing_message();
 }
 
-void SocketSession::write() {
+void SocketSession::start_writing_message() {
     stream_.text(outgoing_.front().is_text);
-    stream_.async_write(boost::asio::buffer(outgoing_.front().bytes),
-                        [self = shared_from_this()](Error failed, std::size_t) { self->on_written(failed); });
+    stream_.async_write(
+        boost::asio::buffer(outgoing_.front().bytes),
+        [self = shared_from_this()](Error failed, std::size_t) { self->handle_write_result(failed); });
 }
 
-void SocketSession::on_written(Error failed) {
-    if (failed) return finish();
+void SocketSession::handle_write_result(Error error) {
+    if (error) return remove_client_from_hub();
     outgoing_.pop_front();
-    if (refused_) return refuse();
-    if (!outgoing_.empty()) write();
+    if (refused_) return reject_client();
+    if (!outgoing_.empty()) start_writing_message();
     else if (leaving_) close_with_reason(websocket::close_code::going_away, "the program is shutting down");
 }
 
-void SocketSession::leave() {
+void SocketSession::close_after_sending() {
     leaving_ = true;
     if (id_ != 0 && outgoing_.empty())
         close_with_reason(websocket::close_code::going_away, "the program is shutting down");
 }
 
-void SocketSession::close_with_reason(std::uint16_t code, const char* why) {
+void SocketSession::close_with_reason(std::uint16_t code, const char* reason) {
     if (std::exchange(said_goodbye_, true)) return;
-    stream_.async_close({websocket::close_code(code), why},
-                        [self = shared_from_this()](Error) { self->finish(); });
+    stream_.async_close({websocket::close_code(code), reason},
+                        [self = shared_from_this()](Error) { self->remove_client_from_hub(); });
 }
 
 /// Closes the connection to a client that has sent an invalid message. Waits until the
 /// current write is finished.
-void SocketSession::refuse() {
+void SocketSession::reject_client() {
     refused_ = true;
     if (!outgoing_.empty()) {
         outgoing_.erase(outgoing_.begin() + 1, outgoing_.end());
@@ -123,7 +126,7 @@ void SocketSession::refuse() {
     close_with_reason(websocket::close_code::unknown_data, "expected a text message");
 }
 
-void SocketSession::finish() {
+void SocketSession::remove_client_from_hub() {
     if (id_ == 0) return;
     const ClientId id = std::exchange(id_, 0);
     hub_.clients.erase(id);

@@ -22,38 +22,38 @@ namespace relidar::view {
 
 class SocketSession : public std::enable_shared_from_this<SocketSession> {
 public:
-    SocketSession(boost::beast::tcp_stream stream, Counted counted, Hub& hub);
+    SocketSession(boost::beast::tcp_stream stream, CountedConnection counted, WebServerState& hub);
     /// Accepts the WebSocket handshake. Then reads messages until the client disconnects.
     /// @param foxglove_protocol selected subprotocol of Foxglove; empty for the web page
-    void start(const boost::beast::http::request<boost::beast::http::empty_body>& upgrade,
-               std::string_view foxglove_protocol);
-    void send(std::string bytes, bool is_text, bool newest_only);
+    void accept_handshake(const boost::beast::http::request<boost::beast::http::empty_body>& upgrade_request,
+                          std::string_view foxglove_protocol);
+    void send_or_queue_message(std::string bytes, bool is_text, bool replace_older);
     /// Sends binary messages. Skips all of them if earlier messages are still queued.
     void send_if_idle(std::vector<std::string> messages);
     /// Closes the connection after all queued messages are sent.
-    void leave();
+    void close_after_sending();
 
 private:
-    struct Message {
+    struct OutgoingMessage {
         std::string bytes;
         bool is_text;
         bool newest_only;
     };
     using Error = boost::system::error_code;
 
-    void read();
-    void on_read(Error failed);
-    void write();
-    void on_written(Error failed);
-    void refuse();
-    void close_with_reason(std::uint16_t code, const char* why);
-    void finish();
+    void start_reading_message();
+    void handle_read_result(Error error);
+    void start_writing_message();
+    void handle_write_result(Error error);
+    void reject_client();
+    void close_with_reason(std::uint16_t code, const char* reason);
+    void remove_client_from_hub();
 
-    Hub& hub_;
-    Counted counted_;
+    WebServerState& hub_;
+    CountedConnection counted_;
     boost::beast::websocket::stream<boost::beast::tcp_stream> stream_;
     boost::beast::flat_buffer incoming_;
-    std::deque<Message> outgoing_;  ///< Queued messages. The first message is already being written.
+    std::deque<OutgoingMessage> outgoing_;  ///< Queued messages. The first message is already being written.
     /// id of the client; 0 before the handshake and after the connection is closed
     ClientId id_ = 0;
     bool refused_ = false;

@@ -27,73 +27,76 @@ glm::dvec3 to_yaw_pitch_roll(const glm::dquat& rotation) {
             std::atan2(m[1][2], m[2][2])};
 }
 
-Pose make_upright_pose(const double* xyz, double yaw_deg) {
-    return {make_rotation(yaw_deg * kRadians, 0.0, 0.0), {xyz[0], xyz[1], xyz[2]}};
+Pose make_upright_pose(const double* position_xyz_m, double yaw_deg) {
+    return {make_rotation(yaw_deg * kRadians, 0.0, 0.0),
+            {position_xyz_m[0], position_xyz_m[1], position_xyz_m[2]}};
 }
 
-Start make_copy_start(const ActorEdits::Copy& copy, const glm::dvec3& world_offset_m) {
+NewActorMotion make_start_of_copy(const ActorEdits::ActorCopy& copy, const glm::dvec3& world_offset_m) {
     const auto& at = copy.at;
-    Start start{{make_rotation(at[3] * kRadians, at[4] * kRadians, at[5] * kRadians), {at[0], at[1], at[2]}},
-                at[6]};
+    NewActorMotion start{
+        {make_rotation(at[3] * kRadians, at[4] * kRadians, at[5] * kRadians), {at[0], at[1], at[2]}}, at[6]};
     start.dataset_from_box.translation += world_offset_m;
     return start;
 }
 
-DrivingScene apply_moves(DrivingScene driving, const ActorEdits& edits) {
+SceneWithLog apply_actor_moves(SceneWithLog driving, const ActorEdits& edits) {
     for (const auto& [track, by] : edits.moves)
         driving = move_track(std::move(driving), track, make_upright_pose(by.data(), by[3]));
     return driving;
 }
 
 /// Returns only the tracks and object instances of a run, without scans and surfels.
-DrivingScene copy_tracks_and_instances(const Run& run) {
-    DrivingScene driving{copy_layout(run.scene), run.sequence};
-    for (Model& model : driving.scene.models) model.first = model.count = 0;
+SceneWithLog copy_tracks_and_instances(const TrainedRun& run) {
+    SceneWithLog driving{copy_scene_without_surfels(run.scene), run.sequence};
+    for (SurfelModel& model : driving.scene.models) model.first = model.count = 0;
     return driving;
 }
 
-const Run& find_run_by_name(const std::string& name, const OtherRuns& other_runs) {
-    const auto match = other_runs.find(name);
+const TrainedRun& find_run_by_name(const std::string& run_name, const OtherRunsByName& other_runs) {
+    const auto match = other_runs.find(run_name);
     if (match == other_runs.end())
         throw UsageError(fmt::format(
             "cannot insert an actor from the run \"{}\": expected a run that was given with `relidar "
             "view --insert`",
-            name));
+            run_name));
     return match->second;
 }
 
 /// Adds the copied actors to a scene.
-/// @param scene_of returns the tracks and instances of another run, with or without
-/// surfels
-DrivingScene add_copied_actors(DrivingScene driving, const OtherRuns& other_runs,
-                               const std::vector<ActorEdits::Copy>& copies,
-                               DrivingScene (*scene_of)(const Run&)) {
-    for (const ActorEdits::Copy& copy : copies) {
-        const Start start = make_copy_start(copy, driving.sequence.world_offset_m);
+/// @param get_driving_scene returns the tracks and instances of another run, with or
+/// without surfels
+SceneWithLog add_copied_actors(SceneWithLog driving, const OtherRunsByName& other_runs,
+                               const std::vector<ActorEdits::ActorCopy>& copies,
+                               SceneWithLog (*get_driving_scene)(const TrainedRun&)) {
+    for (const ActorEdits::ActorCopy& copy : copies) {
+        const NewActorMotion start = make_start_of_copy(copy, driving.sequence.world_offset_m);
         if (copy.from.empty()) driving = copy_track(std::move(driving), copy.of, start);
         else
-            driving = insert_track(std::move(driving), scene_of(find_run_by_name(copy.from, other_runs)),
-                                   copy.of, start);
+            driving =
+                insert_track(std::move(driving), get_driving_scene(find_run_by_name(copy.from, other_runs)),
+                             copy.of, start);
     }
     return driving;
 }
 
-void check_known(const DrivingScene& driving, const std::set<std::string>& tracks) {
-    const std::vector<std::string> names(tracks.begin(), tracks.end());
+void check_tracks_exist(const SceneWithLog& driving, const std::set<std::string>& track_names) {
+    const std::vector<std::string> names(track_names.begin(), track_names.end());
     // throws an error that suggests a similar name if a name is unknown
     (void)select_instances(driving.scene, names);
 }
 
 /// Converts the edits to the history of a saved run, in the form that `relidar edit`
 /// writes.
-std::vector<RunEdit> make_history(const Run& run, const OtherRuns& other_runs, const ActorEdits& edits) {
-    const auto folder_of = [](const Run& r) {
+std::vector<EditHistoryEntry> make_edit_history(const TrainedRun& run, const OtherRunsByName& other_runs,
+                                                const ActorEdits& edits) {
+    const auto folder_of = [](const TrainedRun& r) {
         return std::filesystem::absolute(r.folder).lexically_normal().string();
     };
     const std::string origin = folder_of(run);
-    std::vector<RunEdit> result;
-    for (const ActorEdits::Copy& copy : edits.copies) {
-        const Start start = make_copy_start(copy, run.sequence.world_offset_m);
+    std::vector<EditHistoryEntry> result;
+    for (const ActorEdits::ActorCopy& copy : edits.copies) {
+        const NewActorMotion start = make_start_of_copy(copy, run.sequence.world_offset_m);
         const glm::dvec3& p = start.dataset_from_box.translation;
         const std::string what =
             copy.from.empty()
@@ -110,67 +113,73 @@ std::vector<RunEdit> make_history(const Run& run, const OtherRuns& other_runs, c
 
 }  // namespace
 
-DrivingScene apply_copies(DrivingScene driving, const OtherRuns& other_runs,
-                          const std::vector<ActorEdits::Copy>& copies) {
+SceneWithLog add_actor_copies(SceneWithLog driving, const OtherRunsByName& other_runs,
+                              const std::vector<ActorEdits::ActorCopy>& copies) {
     return add_copied_actors(std::move(driving), other_runs, copies,
-                             [](const Run& run) { return run.driving(); });
+                             [](const TrainedRun& run) { return run.copy_driving_scene(); });
 }
 
-ActorEdits::Copy copy_on_ground(const Run& run, const OtherRuns& other_runs, const GroundRequest& request) {
-    const Run& owner = request.from.empty() ? run : find_run_by_name(request.from, other_runs);
+ActorEdits::ActorCopy place_copy_on_ground(const TrainedRun& run, const OtherRunsByName& other_runs,
+                                           const GroundPoseRequest& request) {
+    const TrainedRun& owner = request.from.empty() ? run : find_run_by_name(request.from, other_runs);
     const glm::dvec3& offset_m = run.sequence.world_offset_m;
-    GroundPlace place{{request.at[0] + offset_m.x, request.at[1] + offset_m.y}};
-    place.clearance_m = measure_asset_clearance(owner);
-    const Pose pose =
-        compute_start_on_ground({run.scene, run.sequence}, place, {owner.scene, owner.sequence}, request.of)
-            .dataset_from_box;
+    GroundPlacement placement{{request.at[0] + offset_m.x, request.at[1] + offset_m.y}};
+    placement.clearance_m = read_asset_ground_clearance(owner);
+    const Pose pose = compute_actor_start_on_ground({run.scene, run.sequence}, placement,
+                                                    {owner.scene, owner.sequence}, request.of)
+                          .dataset_from_box;
     const glm::dvec3 p = pose.translation - offset_m,
                      angles_deg = to_yaw_pitch_roll(pose.rotation) / kRadians;
     return {request.of, request.from, {p.x, p.y, p.z, angles_deg.x, angles_deg.y, angles_deg.z, 0.0}};
 }
 
-Traffic::Traffic(const Run& run, const OtherRuns& other_runs, const ActorEdits& edits)
-    : driving_(apply_moves(add_copied_actors(copy_tracks_and_instances(run), other_runs, edits.copies,
-                                             copy_tracks_and_instances),
-                           edits)),
+EditedTraffic::EditedTraffic(const TrainedRun& run, const OtherRunsByName& other_runs,
+                             const ActorEdits& edits)
+    : driving_(apply_actor_moves(add_copied_actors(copy_tracks_and_instances(run), other_runs, edits.copies,
+                                                   copy_tracks_and_instances),
+                                 edits)),
       edits_(edits) {
-    check_known(driving_, edits.removed);
-    check_known(driving_, edits.hidden);
+    check_tracks_exist(driving_, edits.removed);
+    check_tracks_exist(driving_, edits.hidden);
 }
 
-ActorPoses Traffic::placed(double time_s) const {
-    ActorPoses poses;
+ActorTracksByName EditedTraffic::get_visible_actor_poses(double time_s) const {
+    ActorTracksByName poses;
     for (const BoxTrack& box : driving_.sequence.boxes) {
-        const auto has_surfels = [&](const Instance& i) { return !i.track.empty() && i.track == box.id; };
-        if (!is_shown(box) || !box.is_present(time_s) ||
-            std::none_of(instances().begin(), instances().end(), has_surfels))
+        const auto has_surfels = [&](const ModelInstance& i) {
+            return !i.track.empty() && i.track == box.id;
+        };
+        if (!is_box_visible(box) || !box.is_present(time_s) ||
+            std::none_of(get_instances().begin(), get_instances().end(), has_surfels))
             continue;
         poses[box.id] = shift_track(box.world_from_box, driving_.sequence.world_offset_m);
     }
     return poses;
 }
 
-nlohmann::json Traffic::describe(double time_s) const {
+nlohmann::json EditedTraffic::describe_actors_as_json(double time_s) const {
     nlohmann::json actors = nlohmann::json::array();
-    for (const Instance& instance : instances()) {
+    for (const ModelInstance& instance : get_instances()) {
         const BoxTrack* box = find_box(driving_.sequence, instance.track);
         if (!box) continue;
-        actors.push_back({{"track", box->id},
-                          {"category", box->category},
-                          {"size", {box->size_m.x, box->size_m.y, box->size_m.z}},
-                          {"present", box->is_present(time_s)},
-                          {"pose", make_matrix_json(box->world_from_box.at(time_s))}});
+        actors.push_back(
+            {{"track", box->id},
+             {"category", box->category},
+             {"size", {box->size_m.x, box->size_m.y, box->size_m.z}},
+             {"present", box->is_present(time_s)},
+             {"pose", convert_pose_to_matrix_json(box->world_from_box.interpolate_pose(time_s))}});
     }
     return actors;
 }
 
-Run make_edited_run(const Run& run, const OtherRuns& other_runs, const ActorEdits& edits) {
-    Run result = run;
-    DrivingScene driving =
-        apply_moves(apply_copies({result.scene, result.sequence}, other_runs, edits.copies), edits);
+TrainedRun make_edited_run(const TrainedRun& run, const OtherRunsByName& other_runs,
+                           const ActorEdits& edits) {
+    TrainedRun result = run;
+    SceneWithLog driving =
+        apply_actor_moves(add_actor_copies({result.scene, result.sequence}, other_runs, edits.copies), edits);
     for (const std::string& track : edits.removed) driving = remove_track(std::move(driving), track);
-    result.replace(std::move(driving));
-    const std::vector<RunEdit> done = make_history(run, other_runs, edits);
+    result.replace_driving_scene(std::move(driving));
+    const std::vector<EditHistoryEntry> done = make_edit_history(run, other_runs, edits);
     result.edits.insert(result.edits.end(), done.begin(), done.end());
     return result;
 }

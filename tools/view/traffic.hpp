@@ -13,53 +13,54 @@
 #include "request.hpp"
 
 namespace relidar {
-struct Run;
+struct TrainedRun;
 }
 
 namespace relidar::view {
 
 /// Other runs whose actors the user can insert. The key is the name of the run on the web
 /// page.
-using OtherRuns = std::map<std::string, Run>;
+using OtherRunsByName = std::map<std::string, TrainedRun>;
 
 /// Adds copies of actors to a scene. The original actors belong to this run or to other
 /// runs. Does not apply moves and removals.
 /// @throws UsageError if a run or track is unknown
-DrivingScene apply_copies(DrivingScene driving, const OtherRuns& other_runs,
-                          const std::vector<ActorEdits::Copy>& copies);
+SceneWithLog add_actor_copies(SceneWithLog driving, const OtherRunsByName& other_runs,
+                              const std::vector<ActorEdits::ActorCopy>& copies);
 
 /// Returns a copy of an actor that stands on the ground at the position where the user
 /// has clicked.
 /// @throws UsageError if there is no ground at this position
-ActorEdits::Copy copy_on_ground(const Run& run, const OtherRuns& other_runs, const GroundRequest& request);
+ActorEdits::ActorCopy place_copy_on_ground(const TrainedRun& run, const OtherRunsByName& other_runs,
+                                           const GroundPoseRequest& request);
 
 /// Tracks and instances of a run's actors after all edits, without surfels.
-class Traffic {
+class EditedTraffic {
 public:
     /// Applies the edits to the tracks of a run.
     /// @throws UsageError if a track is unknown
-    Traffic(const Run& run, const OtherRuns& others, const ActorEdits& edits);
+    EditedTraffic(const TrainedRun& run, const OtherRunsByName& others, const ActorEdits& edits);
 
-    const ActorEdits& edits() const { return edits_; }
-    const std::vector<Instance>& instances() const { return driving_.scene.instances; }
+    const ActorEdits& get_edits() const { return edits_; }
+    const std::vector<ModelInstance>& get_instances() const { return driving_.scene.instances; }
     /// Returns the poses of all visible actors at time `time_s`, in the world frame of
     /// the dataset. The result can be assigned to ScanRequest::dataset_from_actor.
-    ActorPoses placed(double time_s) const;
+    ActorTracksByName get_visible_actor_poses(double time_s) const;
     /// Returns a JSON list of all actors, including hidden actors: [{track, category,
     /// size, present, pose}].
-    nlohmann::json describe(double time_s) const;
+    nlohmann::json describe_actors_as_json(double time_s) const;
 
 private:
-    bool is_shown(const BoxTrack& box) const {
+    bool is_box_visible(const BoxTrack& box) const {
         return !edits_.removed.contains(box.id) && !edits_.hidden.contains(box.id);
     }
 
-    DrivingScene driving_;  ///< Scene and tracks after the edits. The scene has no surfels.
+    SceneWithLog driving_;  ///< Scene and tracks after the edits. The scene has no surfels.
     ActorEdits edits_;
 };
 
 /// Returns the run after all edits. Hidden actors stay in the run. The history of the new
 /// run contains the edits.
-Run make_edited_run(const Run& run, const OtherRuns& other_runs, const ActorEdits& edits);
+TrainedRun make_edited_run(const TrainedRun& run, const OtherRunsByName& other_runs, const ActorEdits& edits);
 
 }  // namespace relidar::view

@@ -22,21 +22,21 @@ struct NamedArray {
     std::vector<std::size_t> shape;
     std::vector<std::byte> bytes;
 
-    std::size_t count() const;
+    std::size_t count_elements() const;
     /// Returns the values converted to float. Booleans (b1) become 0 or 1.
     /// @throws DataError if the array holds text, or if the number of bytes does not
     /// match the shape
-    std::vector<float> as_float() const;
+    std::vector<float> convert_to_floats() const;
     /// Returns the values converted to double. Use this function for times and large
     /// coordinates, because float is not precise enough for them.
-    std::vector<double> as_double() const;
+    std::vector<double> convert_to_doubles() const;
 };
 
 /// Returns a pointer to the array with this name, or nullptr if the name does not exist.
 const NamedArray* find_array(const std::vector<NamedArray>& arrays, std::string_view name);
 
 /// Creates a named array from float, double, int32 or uint16 values.
-/// @throws DataError if `count` is not the product of the shape
+/// @throws DataError if `count_elements` is not the product of the shape
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const float* values,
                       std::size_t count);
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const double* values,
@@ -51,7 +51,7 @@ NamedArray make_array(std::string name, std::vector<std::size_t> shape, const st
 /// @return array of shape [texts]
 NamedArray make_text_array(std::string name, const std::vector<std::string>& texts);
 /// Creates a zero-dimensional array (shape []) that holds one text.
-NamedArray make_text(std::string name, const std::string& text);
+NamedArray make_single_text_array(std::string name, const std::string& text);
 
 /// Writes an npz file in the format of numpy.savez_compressed. Writing equal arrays twice
 /// gives identical files.

@@ -51,15 +51,15 @@ struct DeviceLost : DeviceError {
 /// The most similar name has the smallest edit distance. Upper and lower case are treated
 /// as equal.
 /// @return empty string if there are no known names
-std::string find_nearest_name(std::string_view query, const std::vector<std::string>& known_names);
+std::string find_most_similar_name(std::string_view query, const std::vector<std::string>& valid_names);
 /// Returns the text ", did you mean 'NAME'?", where NAME is the most similar known name.
-/// @param quote quotation mark around the name: "'", "\"" or empty
-/// @return `otherwise` if no known name is similar
-std::string suggest_name(std::string_view query, const std::vector<std::string>& known_names,
-                         std::string_view quote = "", std::string_view otherwise = "");
+/// @param quote_mark quotation mark around the name: "'", "\"" or empty
+/// @return `text_if_none` if no known name is similar
+std::string format_name_suggestion(std::string_view query, const std::vector<std::string>& valid_names,
+                                   std::string_view quote_mark = "", std::string_view text_if_none = "");
 /// Returns the known name that equals the query, ignoring upper and lower case. Returns
 /// nullopt if no known name is equal.
-std::optional<std::string> find_known_name(std::string_view query,
-                                           const std::vector<std::string>& known_names);
+std::optional<std::string> find_name_ignoring_case(std::string_view query,
+                                                   const std::vector<std::string>& valid_names);
 
 }  // namespace relidar

@@ -11,31 +11,33 @@
 
 namespace relidar {
 
-/// Writes a file atomically. Calls `write` with a temporary path in the same folder,
-/// flushes the temporary file to disk and renames it. The folder must exist. If `path` is
-/// a symbolic link, the target of the link is written. A target that is not a regular
-/// file (a folder, /dev/null) is rejected.
+/// Writes a file atomically. Calls `write_content` with a temporary path in the same
+/// folder, flushes the temporary file to disk and renames it. The folder must exist. If
+/// `final_path` is a symbolic link, the target of the link is written. A target that is
+/// not a regular file (a folder, /dev/null) is rejected.
 /// @throws DataError if the folder cannot be written or the disk is full. The temporary
-/// file is then removed. A DataError or standard exception from `write` is rethrown as a
-/// DataError that names the path. Other relidar errors are passed on unchanged.
-void write_atomically(const std::filesystem::path& path,
-                      const std::function<void(const std::filesystem::path&)>& write);
-/// Returns a unique temporary path in the same folder as `path`. The caller writes the
-/// file there and then renames it to `path`. remove_temporaries() removes temporary files
-/// that were never renamed.
-std::filesystem::path make_temporary_path(const std::filesystem::path& path);
+/// file is then removed. A DataError or standard exception from `write_content` is
+/// rethrown as a DataError that names the path. Other relidar errors are passed on
+/// unchanged.
+void write_file_atomically(const std::filesystem::path& path,
+                           const std::function<void(const std::filesystem::path&)>& write_content);
+/// Returns a unique temporary path in the same folder as `final_path`. The caller writes
+/// the file there and then renames it to `final_path`. remove_temporary_files() removes
+/// temporary files that were never renamed.
+std::filesystem::path make_temporary_path(const std::filesystem::path& final_path);
 /// Removes temporary files and folders that a killed process has left in a folder. These
 /// files have names of the form .NAME.tmp-PID-COUNT. Call this function only for a folder
 /// to which no other process writes.
-void remove_temporaries(const std::filesystem::path& folder);
+void remove_temporary_files(const std::filesystem::path& folder);
 /// Writes a text file atomically. The final name exists only when the content is
 /// complete.
-void write_text(const std::filesystem::path& path, const std::string& text);
+void write_text_file(const std::filesystem::path& path, const std::string& text);
 
-/// Temporary folder that gets its final name when it is complete. finish() renames the
-/// temporary folder and replaces an existing folder with the final name. If finish() is
-/// not called, the destructor removes the temporary folder. The constructor also removes
-/// temporary folders that a killed process has left for the same final name.
+/// Temporary folder that gets its final name when it is complete.
+/// move_folder_to_final_path() renames the temporary folder and replaces an existing
+/// folder with the final name. If move_folder_to_final_path() is not called, the
+/// destructor removes the temporary folder. The constructor also removes temporary
+/// folders that a killed process has left for the same final name.
 class StagedFolder {
 public:
     /// Creates the temporary folder.
@@ -45,24 +47,25 @@ public:
     StagedFolder(const StagedFolder&) = delete;
     StagedFolder& operator=(const StagedFolder&) = delete;
 
-    /// Path of the temporary folder. Write files to this path before finish().
+    /// Path of the temporary folder. Write files to this path before
+    /// move_folder_to_final_path().
     const std::filesystem::path& path() const { return path_; }
     /// Absolute path that the folder gets when it is complete.
-    const std::filesystem::path& wanted() const { return wanted_; }
+    const std::filesystem::path& get_final_path() const { return final_path_; }
     /// Renames the temporary folder to its final name and replaces an existing folder.
     /// @throws DataError if the folder cannot be renamed. An existing folder is then
     /// kept.
-    void finish() const;
+    void move_folder_to_final_path() const;
     /// Renames the temporary folder to its final name. If a folder with this name exists,
     /// it is replaced only if it is empty.
     /// @throws DataError if the name is in use, or the folder cannot be renamed
-    void finish_without_replacing() const;
+    void move_folder_without_replacing() const;
 
 private:
-    std::filesystem::path wanted_, path_;
+    std::filesystem::path final_path_, path_;
 };
 
 /// Metadata of a file, as pairs of name and value.
-using FileNotes = std::vector<std::pair<std::string, std::string>>;
+using FileMetadata = std::vector<std::pair<std::string, std::string>>;
 
 }  // namespace relidar

@@ -16,7 +16,7 @@ namespace relidar {
 /// @param channels map from channel name to values [rows*columns]
 /// @param notes string attributes of the file
 void write_exr(const std::filesystem::path& path, int rows, int columns,
-               const std::map<std::string, std::vector<float>>& channels, const FileNotes& notes = {});
+               const std::map<std::string, std::vector<float>>& channels, const FileMetadata& notes = {});
 /// Channels and attributes of an OpenEXR image.
 struct ExrImage {
     int rows = 0;
@@ -47,16 +47,16 @@ struct Image {
 Image apply_colour_map(const std::vector<float>& values, int rows, int columns, float low, float high,
                        const std::string& map, const std::vector<float>& mask = {});
 /// Stacks images of equal width vertically, separated by a thin line.
-/// @param stretch vertical magnification of each image, because a LiDAR row covers a
-/// larger angle than a column
+/// @param vertical_scale vertical magnification of each image, because a LiDAR row covers
+/// a larger angle than a column
 /// @throws UsageError if stretch is below 1
 /// @throws DataError if the widths differ
-Image stack_images(const std::vector<Image>& images, int stretch = 1);
+Image stack_images_vertically(const std::vector<Image>& images, int vertical_scale = 1);
 /// Writes an image as a PNG file. encode_png() does not write a file, but returns the
 /// bytes.
 /// @param notes stored as international text (iTXt). A name has 1 to 79 Latin letters.
 /// @throws DataError if rgb is empty or is not rows*columns*3 bytes
-void write_png(const std::filesystem::path& path, const Image& image, const FileNotes& notes = {});
-std::vector<std::uint8_t> encode_png(const Image& image, const FileNotes& notes = {});
+void write_png(const std::filesystem::path& path, const Image& image, const FileMetadata& notes = {});
+std::vector<std::uint8_t> encode_png(const Image& image, const FileMetadata& notes = {});
 
 }  // namespace relidar

@@ -44,7 +44,7 @@ public:
     /// Returns this device address with another Meaning, the name of the array's content.
     /// No other function converts between meanings.
     template <class Other>
-    Of<Other> as() const {
+    Of<Other> cast_meaning() const {
         return Of<Other>(value_);
     }
 

@@ -81,21 +81,22 @@ struct PoseMotion {
     glm::dvec3 velocity_mps{0.0};  ///< Velocity in the world frame, metres per second.
     /// Rotation vector per second, rad/s, in world axes. The object rotates about its
     /// origin.
-    glm::dvec3 turn_radps{0.0};
+    glm::dvec3 angular_velocity_radps{0.0};
     /// Middle of the time span, in seconds after the reference time of the sweep.
     double middle_s = 0.0;
     double half_span_s = 0.0;
 
-    bool is_none() const {
-        return !(half_span_s > 0.0) || (velocity_mps == glm::dvec3(0.0) && turn_radps == glm::dvec3(0.0));
+    bool is_stationary() const {
+        return !(half_span_s > 0.0) ||
+               (velocity_mps == glm::dvec3(0.0) && angular_velocity_radps == glm::dvec3(0.0));
     }
-    /// Returns the pose of the object at the time `after_s`, in seconds after the
+    /// Returns the pose of the object at the time `time_offset_s`, in seconds after the
     /// reference time of the sweep.
-    /// @param pose pose of the object in the middle of the time span
-    Pose at(const Pose& pose, double after_s) const {
-        const double since_s = glm::clamp(after_s - middle_s, -half_span_s, half_span_s);
-        const glm::dvec3 v = since_s * velocity_mps, w = since_s * turn_radps;
-        return apply_twist(pose, {v.x, v.y, v.z, w.x, w.y, w.z});
+    /// @param middle_pose pose of the object in the middle of the time span
+    Pose compute_pose_at(const Pose& middle_pose, double time_offset_s) const {
+        const double since_s = glm::clamp(time_offset_s - middle_s, -half_span_s, half_span_s);
+        const glm::dvec3 v = since_s * velocity_mps, w = since_s * angular_velocity_radps;
+        return apply_twist(middle_pose, {v.x, v.y, v.z, w.x, w.y, w.z});
     }
 };
 

@@ -21,17 +21,17 @@ struct ProcessGroup {
     /// If size is 1, this function is not called.
     std::function<std::string(const std::string& bytes)> all_gather = {};
 
-    bool is_first() const { return rank == 0; }
+    bool is_first_process() const { return rank == 0; }
 
-    struct Share {
+    struct PartRange {
         std::size_t begin, end;
     };
-    /// Returns the contiguous range of parts, out of `count`, that this process computes.
-    /// The numbers of parts of any two processes differ by at most one. The first process
-    /// has at least one part if count > 0.
-    Share share(std::size_t count) const {
+    /// Returns the contiguous range of parts, out of `n_parts`, that this process
+    /// computes. The numbers of parts of any two processes differ by at most one. The
+    /// first process has at least one part if count > 0.
+    PartRange compute_assigned_range(std::size_t n_parts) const {
         const auto first_of = [&](int of) {
-            return (count * std::size_t(of) + std::size_t(size - 1)) / std::size_t(size);
+            return (n_parts * std::size_t(of) + std::size_t(size - 1)) / std::size_t(size);
         };
         return {first_of(rank), first_of(rank + 1)};
     }
@@ -39,21 +39,22 @@ struct ProcessGroup {
     /// Collects the values of all processes. Returns all values in the order of the
     /// ranks, in every process.
     template <class T>
-    std::vector<T> gather_all(std::vector<T> values) const {
+    std::vector<T> gather_from_all_processes(std::vector<T> local_values) const {
         static_assert(std::is_trivially_copyable_v<T>);
-        if (size == 1) return values;
+        if (size == 1) return local_values;
         const std::string all =
-            all_gather({reinterpret_cast<const char*>(values.data()), values.size() * sizeof(T)});
-        values.resize(all.size() / sizeof(T));
-        if (!values.empty()) std::memcpy(values.data(), all.data(), values.size() * sizeof(T));
-        return values;
+            all_gather({reinterpret_cast<const char*>(local_values.data()), local_values.size() * sizeof(T)});
+        local_values.resize(all.size() / sizeof(T));
+        if (!local_values.empty())
+            std::memcpy(local_values.data(), all.data(), local_values.size() * sizeof(T));
+        return local_values;
     }
     /// Returns the values of the first process in every process. The values of all other
     /// processes are ignored.
     template <class T>
-    std::vector<T> broadcast(std::vector<T> values) const {
-        if (!is_first()) values.clear();
-        return gather_all(std::move(values));
+    std::vector<T> broadcast_from_first_process(std::vector<T> values) const {
+        if (!is_first_process()) values.clear();
+        return gather_from_all_processes(std::move(values));
     }
 };
 

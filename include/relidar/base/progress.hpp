@@ -15,7 +15,7 @@ namespace relidar {
 /// If the callback is empty, no progress is reported.
 /// @param what short description of the current work
 /// @param done completed fraction of the work, 0..1
-using Progress = std::function<void(std::string_view what, double done)>;
+using ProgressReporter = std::function<void(std::string_view what, double done)>;
 
 /// Measures the time spent in each stage of slow work. Only one stage runs at a time.
 /// Stages are listed in the order in which they were first started.
@@ -27,14 +27,14 @@ public:
     };
     /// Ends the running stage and starts the named stage. If a stage runs several times,
     /// its times are added.
-    void begin(std::string_view name) {
-        end();
-        const auto known = std::ranges::find(stages_, name, &Stage::name);
-        running_ = std::size_t(known - stages_.begin());
-        if (known == stages_.end()) stages_.push_back({std::string(name)});
+    void start_stage(std::string_view name) {
+        end_running_stage();
+        const auto existing_stage = std::ranges::find(stages_, name, &Stage::name);
+        running_ = std::size_t(existing_stage - stages_.begin());
+        if (existing_stage == stages_.end()) stages_.push_back({std::string(name)});
         since_ = std::chrono::steady_clock::now();
     }
-    void end() {
+    void end_running_stage() {
         if (running_ < stages_.size())
             stages_[running_].seconds +=
                 std::chrono::duration<double>(std::chrono::steady_clock::now() - since_).count();
@@ -53,7 +53,7 @@ private:
 
 /// Starts the named stage if `times` is not null.
 inline void begin_stage(StageTimes* times, std::string_view name) {
-    if (times) times->begin(name);
+    if (times) times->start_stage(name);
 }
 
 }  // namespace relidar

@@ -26,10 +26,10 @@ struct ModelRadii;
 /// the same hits. Boxes are faster on lavapipe (a CPU driver). Triangles are faster on
 /// ray-tracing hardware: two per surfel, or an icosahedron per 3D Gaussian. relidar's
 /// software tree always uses boxes.
-enum class Proxy { automatic, triangles, boxes };
+enum class ProxyShape { automatic, triangles, boxes };
 
 struct AccelOptions {
-    Proxy proxy = Proxy::automatic;
+    ProxyShape proxy = ProxyShape::automatic;
     /// Factor and length by which the shape around a surfel is enlarged. Without this
     /// margin, rounding errors of the driver's intersection test could lose hits.
     float margin_scale = 1.002f;
@@ -59,40 +59,40 @@ struct AccelAddresses {
 
 /// Returns the shape that encloses surfels on a device. Replaces `automatic` by the shape
 /// that is faster on this device.
-Proxy choose_proxy(Proxy proxy, const Device& device);
+ProxyShape choose_bounding_shape(ProxyShape requested_shape, const Device& device);
 
-class Accel {
+class AccelerationStructure {
 public:
-    Accel(Device& device, const DeviceScene& scene, const AccelOptions& options);
-    ~Accel();
+    AccelerationStructure(Device& device, const DeviceScene& scene, const AccelOptions& options);
+    ~AccelerationStructure();
 
     /// Records GPU commands that update all trees to the current surfels. Trees are built
-    /// at the first call, if `rebuild` is true, or if the options require a rebuild.
-    /// Otherwise only their boxes are refitted. The top-level tree over the instances is
-    /// always updated.
-    void update(Stream& stream, const DeviceScene& scene, bool rebuild = false);
+    /// at the first call, if `force_rebuild` is true, or if the options require a
+    /// rebuild. Otherwise only their boxes are refitted. The top-level tree over the
+    /// instances is always updated.
+    void update_bvh(Stream& stream, const DeviceScene& scene, bool force_rebuild = false);
     /// Records GPU commands that refit the trees of actors with changing shape, for
     /// example walking persons, and update the top-level tree. Use this function if the
     /// surfels of all other models are unchanged.
-    void refit_animated_actors(Stream& stream, const DeviceScene& scene);
+    void refit_animated_actor_bvhs(Stream& stream, const DeviceScene& scene);
     /// Records GPU commands that update only the top-level tree. Use this function if
     /// instances have moved but no surfel has changed.
-    void move(Stream& stream, const DeviceScene& scene);
+    void update_top_level_bvh(Stream& stream, const DeviceScene& scene);
 
     /// Starts a measurement of the traversal cost of the software tree and evaluates the
     /// previous measurement. If the cost has grown too much since the last build, the
-    /// next update() rebuilds the tree. The function waits until the GPU has finished the
-    /// previous measurement. Therefore call it only every few iterations. The commands of
-    /// the previous measurement must have been submitted.
-    void measure_tree_cost(Stream& stream);
+    /// next update_bvh() rebuilds the tree. The function waits until the GPU has finished
+    /// the previous measurement. Therefore call it only every few iterations. The
+    /// commands of the previous measurement must have been submitted.
+    void measure_bvh_traversal_cost(Stream& stream);
 
-    AccelAddresses addresses() const;
-    Proxy proxy() const;
+    AccelAddresses get_device_addresses() const;
+    ProxyShape get_bounding_shape() const;
     /// Device memory of the trees, of the shapes around surfels and of scratch buffers,
     /// bytes.
-    std::uint64_t memory_bytes() const;
-    std::uint64_t updates() const;   ///< Number of builds and refits recorded so far.
-    int refits_since_build() const;  ///< Number of refits recorded since the last build.
+    std::uint64_t get_device_memory_bytes() const;
+    std::uint64_t get_update_count() const;  ///< Number of builds and refits recorded so far.
+    int count_refits_since_build() const;    ///< Number of refits recorded since the last build.
 
     struct Impl;
     /// Returns the internal implementation. Only the library uses this function.

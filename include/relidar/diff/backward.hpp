@@ -30,10 +30,11 @@ struct GradientSelection {
 
 /// Gradients of the loss with respect to surfel parameters, rays, poses of instances and
 /// pose of the sensor.
-struct Gradients {
+struct DeviceGradients {
     SurfelArrays surfels;  ///< dL/d(parameter) of every surfel, in the layout of Surfels.
-    /// Gradients with respect to the surfel records, [DeviceScene::gradient_rows(),16]. A
-    /// surfel record is the 16 floats of a surfel that tracing kernels read.
+    /// Gradients with respect to the surfel records,
+    /// [DeviceScene::count_gradient_rows(),16]. A surfel record is the 16 floats of a
+    /// surfel that tracing kernels read.
     Array<float, shared::RecordGradients> records;
     /// Flags, [n]: 1 for each surfel that gets a gradient from this batch, otherwise 0.
     Array<std::uint32_t, shared::TouchedSurfels> touched;
@@ -76,14 +77,14 @@ struct Gradients {
 
     /// Allocates the gradient arrays on the device.
     /// @param n_rays number of rays of the largest batch
-    Gradients(Device& device, const DeviceScene& scene, const GradientSelection& selection = {},
-              std::uint32_t n_rays = 0);
-    ~Gradients();
-    Gradients(Gradients&&) noexcept;
-    Gradients& operator=(Gradients&&) noexcept;
+    DeviceGradients(Device& device, const DeviceScene& scene, const GradientSelection& selection = {},
+                    std::uint32_t n_rays = 0);
+    ~DeviceGradients();
+    DeviceGradients(DeviceGradients&&) noexcept;
+    DeviceGradients& operator=(DeviceGradients&&) noexcept;
 
-    struct PoseSums;
-    std::unique_ptr<PoseSums> pose_sums;  ///< Scratch buffers for the pose gradients.
+    struct PoseGradientSums;
+    std::unique_ptr<PoseGradientSums> pose_sums;  ///< Scratch buffers for the pose gradients.
 };
 
 /// Method for summing the gradients of all hits of a surfel.
@@ -94,16 +95,17 @@ struct Gradients {
 ///              in ray order. Runs on one device are bit-equal if all records fit and
 ///              no model has more than two instances.
 ///   automatic  Uses the faster method for the device.
-enum class Reduction { automatic, atomics, gather };
+enum class GradientReduction { automatic, atomics, gather };
 
 struct BackwardOptions {
-    Reduction reduction = Reduction::automatic;
-    /// Used only with Reduction::atomics. If true, threads exchange their gradients, so
-    /// that neighbouring threads add to neighbouring floats in memory. Default: true on a
-    /// GPU.
+    GradientReduction reduction = GradientReduction::automatic;
+    /// Used only with GradientReduction::atomics. If true, threads exchange their
+    /// gradients, so that neighbouring threads add to neighbouring floats in memory.
+    /// Default: true on a GPU.
     std::optional<bool> coalesced_atomics = std::nullopt;
-    /// Used only with Reduction::gather. Memory is allocated for this number of hits per
-    /// ray of the largest batch. A hit needs 38 bytes (50 with ShDirection::ray).
+    /// Used only with GradientReduction::gather. Memory is allocated for this number of
+    /// hits per ray of the largest batch. A hit needs 38 bytes (50 with
+    /// ShDirection::ray).
     std::uint32_t hits_per_ray = 64;
 };
 
@@ -111,25 +113,26 @@ class BackwardPass {
 public:
     /// Creates the GPU pipelines of the backward pass.
     /// @throws UsageError if hits_per_ray is out of range
-    BackwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options,
-                 const BackwardOptions& backward = {});
+    BackwardPass(Device& device, const ImageFormationModel& model, ProxyShape proxy,
+                 const TraceOptions& options, const BackwardOptions& backward = {});
     ~BackwardPass();
     /// Records GPU commands that compute the gradients of all parameters for the rays of
     /// a batch. The commands overwrite all arrays in `gradients`.
     /// @param view_origin_m position of the sensor that was passed to the last
     /// DeviceScene::activate(), [3] world frame
-    void run(Stream& stream, DeviceScene& scene, const Accel& accel, const RenderedBatch& batch,
-             const glm::vec3& view_origin_m, Gradients& gradients);
+    void record_backward_pass(Stream& stream, DeviceScene& scene, const AccelerationStructure& accel,
+                              const RenderedBatch& batch, const glm::vec3& view_origin_m,
+                              DeviceGradients& gradients);
     void set_sh_degree(int degree);
     /// Returns the largest number of hits of any batch so far, [1] on the device. The
-    /// caller may reset it to 0. Null with Reduction::atomics. If a batch has more than
-    /// hit_capacity() hits, the additional hits are summed with atomics, so that runs are
-    /// not bit-equal.
-    const Array<std::uint32_t>* most_hits() const;
-    std::uint64_t hit_capacity() const;
+    /// caller may reset it to 0. Null with GradientReduction::atomics. If a batch has
+    /// more than get_hit_capacity() hits, the additional hits are summed with atomics, so
+    /// that runs are not bit-equal.
+    const Array<std::uint32_t>* get_device_max_hit_count() const;
+    std::uint64_t get_hit_capacity() const;
     /// Allocates memory for at least n_hits hits of a batch. Waits until the stream is
     /// idle.
-    void reserve_hits(Stream& stream, std::uint64_t n_hits);
+    void reserve_hit_memory(Stream& stream, std::uint64_t n_hits);
 
 private:
     struct Impl;

@@ -35,7 +35,7 @@ struct SurfelStatistics {
     /// batches, [n].
     Array<float, shared::GradientSums> gradient_sum;
     /// Number of batches whose frame shows the surfel, [n].
-    Array<std::uint32_t, shared::SeenBatches> n_seen;
+    Array<std::uint32_t, shared::SeenBatches> n_observing_batches;
     /// Bit mask of training frames, [n, n_words]. Bit f is set if the surfel has had a
     /// gradient in frame f. A copy of a surfel inherits the bits.
     Array<std::uint32_t, shared::SeenFrames> frames;
@@ -43,7 +43,7 @@ struct SurfelStatistics {
 };
 
 /// Training batch whose gradients have been computed.
-struct ObservedBatch {
+struct BackpropagatedBatch {
     const SurfelArrays* gradients = nullptr;
     /// Flags, [n]: 1 for each surfel that gets a gradient from the batch. The gradients
     /// of other surfels may be undefined.
@@ -67,11 +67,12 @@ public:
 
     /// Returns true unless the strategy is DensifyStrategy::none. An inactive densifier
     /// does nothing and has no statistics.
-    bool is_active() const;
+    bool is_densification_enabled() const;
     /// Records GPU commands that add the gradients of a batch to the statistics of the
     /// surfels.
-    void observe(Stream& stream, const DeviceScene& scene, const ObservedBatch& batch);
-    /// Returns true if run() should add and remove surfels after this step.
+    void accumulate_gradient_statistics(Stream& stream, const DeviceScene& scene,
+                                        const BackpropagatedBatch& batch);
+    /// Returns true if densify_surfels() should add and remove surfels after this step.
     bool should_densify(int step) const;
     /// Adds and removes surfels. Each model stays a contiguous range in which surfels
     /// keep their order. A copied surfel is stored next to its original. Surviving
@@ -83,16 +84,16 @@ public:
     ///
     /// Insufficient memory is not an error. In that case, no more surfels are added, and
     /// the report contains one note about it.
-    /// @param other_allocation_bytes bytes per surfel that other objects will allocate
+    /// @param reserved_bytes_per_surfel bytes per surfel that other objects will allocate
     /// again for the new number of surfels. Densification leaves this memory free.
-    DensifyReport run(Stream& stream, DeviceScene& scene, Adam& adam, int step,
-                      double other_allocation_bytes = 0.0);
+    DensifyReport densify_surfels(Stream& stream, DeviceScene& scene, Adam& adam, int step,
+                                  double reserved_bytes_per_surfel = 0.0);
     /// Records GPU commands that reset the opacities of all surfels, if a reset is
     /// scheduled after this step.
-    void after_step(Stream& stream, DeviceScene& scene, Adam& adam, int step);
+    void reset_opacities_if_scheduled(Stream& stream, DeviceScene& scene, Adam& adam, int step);
     SurfelStatistics& statistics();
-    std::vector<double>& extents_m();              ///< Extent of each model, metres.
-    const std::vector<double>& extents_m() const;  ///< Extent of each model, metres.
+    std::vector<double>& get_model_extents_m();              ///< Extent of each model, metres.
+    const std::vector<double>& get_model_extents_m() const;  ///< Extent of each model, metres.
 
 private:
     struct Impl;

@@ -36,8 +36,8 @@ struct DensifyOptions {
     /// larger.
     double clone_extent_share = 2e-4;
     /// Minimum opacity. Surfels with a lower opacity are removed. If
-    /// ImageModel::alpha_min, the opacity limit of ray tracing, is larger, it is used
-    /// instead.
+    /// ImageFormationModel::alpha_min, the opacity limit of ray tracing, is larger, it is
+    /// used instead.
     double min_opacity = 0.003;
     /// Maximum scale of a surfel, relative to the extent of the model. Larger surfels are
     /// removed after step `large_from`.
@@ -45,8 +45,8 @@ struct DensifyOptions {
     int large_from = 3000;  ///< Step after which surfels that are too large are removed.
     /// Number of steps between opacity resets, up to step `until`. 0 = never.
     int opacity_reset_every = 3000;
-    /// Opacity after a reset. Values below 2.5 times ImageModel::alpha_min are raised to
-    /// that limit.
+    /// Opacity after a reset. Values below 2.5 times ImageFormationModel::alpha_min are
+    /// raised to that limit.
     double reset_opacity = 0.01;
     /// Maximum number of surfels that densification may reach. Densification does not
     /// reduce a scene that has more surfels at the start.
@@ -68,10 +68,10 @@ struct DensifyReport {
     /// about this problem contains it. Empty otherwise.
     std::string note;
 
-    std::uint32_t removed() const { return invalid + faint + large + outside; }
+    std::uint32_t count_removed_surfels() const { return invalid + faint + large + outside; }
     /// Adds the counts of a later report to this report. `after` and a non-empty `note`
     /// are copied from the later report.
-    void add(const DensifyReport& report);
+    void add_counts(const DensifyReport& later_report);
 };
 
 /// Names of all counts of a report.

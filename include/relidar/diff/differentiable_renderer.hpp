@@ -4,9 +4,10 @@
 // steps use it in one of two ways:
 //
 //   on the device  renderer().place(), renderer().record_forward(), losses write
-//                  batch().upstream, record_backward(), Adam::step with gradients(). No
+//                  get_last_rendered_batch().upstream, record_backward_pass(), Adam::step
+//                  with gradients(). No
 //                  call blocks.
-//   on the host    renderer().place(), renderer().forward(rays), backward(d_rendered).
+//   on the host    renderer().place(), renderer().forward(rays), backward(rendered_gradients).
 //                  Inputs and outputs are host arrays, for custom losses in any language.
 #pragma once
 
@@ -22,7 +23,7 @@ namespace relidar {
 /// Selects the gradients to compute and the method for summing them.
 struct GradientOptions {
     BackwardOptions sums{};
-    GradientSelection wanted{};
+    GradientSelection requested_gradients{};
     /// If true, surfels that get no gradient from a batch have gradients of zero. If
     /// false, their gradients are undefined.
     bool zero_untouched = true;
@@ -39,8 +40,8 @@ struct RenderedGradients {
 #undef RELIDAR_VALUES
 };
 
-/// Gradients as host arrays, with the same meaning as the device arrays in `Gradients`.
-/// Gradients that were not selected have empty arrays.
+/// Gradients as host arrays, with the same meaning as the device arrays in
+/// `DeviceGradients`. Gradients that were not selected have empty arrays.
 struct HostGradients {
     /// dL/d(parameter), [n], in the field of each parameter. It is 0 for a surfel that no
     /// ray has hit.
@@ -63,7 +64,7 @@ public:
     /// Creates the renderer and its gradient arrays.
     /// @throws UsageError if an option in gradients.sums is out of range
     /// @throws errors of the Renderer constructor
-    DifferentiableRenderer(Device& device, const Scene& scene, const ImageModel& model,
+    DifferentiableRenderer(Device& device, const Scene& scene, const ImageFormationModel& model,
                            const RendererOptions& options = {}, const GradientOptions& gradients = {});
     ~DifferentiableRenderer();
 
@@ -74,27 +75,28 @@ public:
     /// Computes the gradients of a loss over the rays that Renderer::forward() rendered
     /// last. Waits for the GPU. Poses, view and parameters must not have changed since
     /// then.
-    /// @param d_rendered dL/d(rendered), arrays with one entry per ray, or empty arrays
+    /// @param rendered_gradients dL/d(rendered), arrays with one entry per ray, or empty
+    /// arrays
     /// @throws UsageError if nothing was rendered before
     /// @throws DataError if an array has the wrong number of entries
-    HostGradients backward(const RenderedGradients& d_rendered);
+    HostGradients compute_gradients(const RenderedGradients& rendered_gradients);
 
     /// Returns the last rendered batch together with the arrays for its gradients.
-    /// Between record_forward() and record_backward(), losses write dL/d(rendered) to the
-    /// array `upstream`.
-    RenderedBatch batch();
+    /// Between record_forward_pass() and record_backward_pass(), losses write
+    /// dL/d(rendered) to the array `upstream`.
+    RenderedBatch get_last_rendered_batch();
     /// Records the GPU commands of the backward pass for the last batch. gradients()
     /// contains the results when the stream has finished.
-    void record_backward();
-    Gradients& gradients();
+    void record_backward_pass();
+    DeviceGradients& gradients();
     BackwardPass& backward_pass();
 
-    /// Calls `change`, which adds or removes surfels. Frees all memory that depends on
-    /// the number of surfels before the call, and allocates it again after the call.
-    /// Waits until the stream is idle. The caller must call Renderer::place() next.
-    /// @param change its argument is the number of bytes per surfel that will be
-    /// allocated again
-    void change_surfels(const std::function<void(double other_allocation_bytes)>& change);
+    /// Calls `apply_surfel_change`, which adds or removes surfels. Frees all memory that
+    /// depends on the number of surfels before the call, and allocates it again after the
+    /// call. Waits until the stream is idle. The caller must call Renderer::place() next.
+    /// @param apply_surfel_change its argument is the number of bytes per surfel that
+    /// will be allocated again
+    void apply_surfel_change(const std::function<void(double reserved_bytes_per_surfel)>& change_surfels);
 
 private:
     struct Impl;

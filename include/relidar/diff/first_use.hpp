@@ -8,19 +8,19 @@
 namespace relidar {
 
 /// Checks float atomics, compare-and-swap sums and subgroups. Also checks ray queries if
-/// the options select them. Pass this function to set_first_use(). The check takes about
-/// a second.
+/// the options select them. Pass this function to set_first_use_check(). The check takes
+/// about a second.
 /// @return results of the check
 /// @throws DeviceError if no subgroup size gives right results
-DeviceTrust check_device_at_first_use(const DeviceOptions& options);
+DeviceTestResults check_device_at_first_use(const DeviceOptions& options);
 
 /// State of the trees of an acceleration structure.
-enum class TreeState { built, refitted };
+enum class AccelTreeState { built, refitted };
 
 /// Renders a small scene twice: with the traversal of the device, and with a search of
 /// all surfels.
 /// @return the number of rays, out of 256, for which the two renderings have different
 /// hits
-int count_wrong_rays(Device& device, TreeState state = TreeState::built);
+int count_wrongly_traced_rays(Device& device, AccelTreeState tree_state = AccelTreeState::built);
 
 }  // namespace relidar

@@ -17,7 +17,7 @@
 namespace relidar {
 
 /// Rendered values, one entry per ray.
-struct Rendering {
+struct RenderedRayValues {
     /// Depth, weight, intensity, hit logit and drop logit of each ray, [n].
     /// <relidar/diff/blended_values.h> explains each value.
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) std::vector<float> name;
@@ -45,28 +45,31 @@ struct Rendering {
 /// Runs the forward kernel with fixed settings. The rendered rays stay on the device.
 class ForwardPass {
 public:
-    ForwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options);
+    ForwardPass(Device& device, const ImageFormationModel& model, ProxyShape proxy,
+                const TraceOptions& options);
     ~ForwardPass();
     /// Records GPU commands that trace and render a batch. Before this call, the same
     /// stream must contain two steps: DeviceScene::activate(), which computes the surfel
     /// records, and an update of the acceleration structure.
-    /// @param rendered  output, [>= n_rays]
-    /// @param kept      output: hits for the backward pass of the same batch. Null = the
-    /// backward pass traces the rays again
-    /// @param surfaces  output, [>= n_rays], required if TraceOptions::has_surfaces()
-    void run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch,
-             Array<shared::RenderedRay>& rendered, KeptHits* kept = nullptr,
-             const Array<shared::RenderedSurface>* surfaces = nullptr);
+    /// @param rendered_rays  output, [>= n_rays]
+    /// @param stored_hits      output: hits for the backward pass of the same batch. Null
+    /// = the backward pass traces the rays again
+    /// @param surfaces  output, [>= n_rays], required if
+    /// TraceOptions::has_surface_outputs()
+    void record_forward_pass(Stream& stream, const DeviceScene& scene, const AccelerationStructure& accel,
+                             const RayBatch& batch, Array<shared::RenderedRay>& rendered_rays,
+                             StoredRayHits* stored_hits = nullptr,
+                             const Array<shared::RenderedSurface>* surfaces = nullptr);
     /// Returns the number of rays since the last call that had too many hits to be traced
     /// completely. Such rays end too early, so the image is wrong. Waits for the GPU.
-    std::uint32_t reset_pass_cap_count();
+    std::uint32_t reset_truncated_ray_count();
     /// Number of rays that had too many hits to be traced completely, [1] on the device.
     /// The count grows until the caller sets it to 0. The host can copy it without
     /// waiting.
-    const Array<std::uint32_t>& pass_cap_count() const;
+    const Array<std::uint32_t>& get_truncated_ray_count() const;
     /// Number of rays with more hits than are stored for the backward pass, [1] on the
     /// device. The count grows until the caller sets it to 0.
-    const Array<std::uint32_t>& overfull_count() const;
+    const Array<std::uint32_t>& get_hit_overflow_ray_count() const;
     void set_sh_degree(int degree);
 
 private:
@@ -76,8 +79,8 @@ private:
 
 /// Converts rendered rays to host arrays, one per value.
 /// @param surfaces one entry per ray, or empty
-Rendering to_rendering(const std::vector<shared::RenderedRay>& rays,
-                       const std::vector<shared::RenderedSurface>& surfaces = {});
+RenderedRayValues to_rendering(const std::vector<shared::RenderedRay>& rays,
+                               const std::vector<shared::RenderedSurface>& surfaces = {});
 
 /// Options of a renderer for its acceleration structure, ray tracing, memory and stream.
 struct RendererOptions {
@@ -96,75 +99,80 @@ struct RendererOptions {
 };
 
 /// Renders one scene on one device. Contains the parameters, the acceleration structure
-/// and the rendered rays. Call place() first, then forward() or record_forward() any
-/// number of times. The device must outlive the renderer. Only one thread at a time may
-/// use a renderer. Several renderers on one device are independent.
+/// and the rendered rays. Call prepare_view() first, then render_rays() or
+/// record_forward_pass() any number of times. The device must outlive the renderer. Only
+/// one thread at a time may use a renderer. Several renderers on one device are
+/// independent.
 class Renderer {
 public:
     /// Creates a renderer.
     /// @param scene is copied to the device. Later changes of parameters affect only the
     /// copy.
     /// @throws DataError if models or instances of the scene are out of range
-    Renderer(Device& device, const Scene& scene, const ImageModel& model,
+    Renderer(Device& device, const Scene& scene, const ImageFormationModel& model,
              const RendererOptions& options = {});
     ~Renderer();
 
     /// Records GPU commands that set the poses of all instances, compute view-dependent
     /// values, and update the acceleration structure. Must be called again after poses,
     /// view or parameters have changed. It affects only commands that are recorded later.
-    /// @param placed [instances] world_from_model of each instance, in the order of
-    /// Scene::instances. Instance 0 is the background.
+    /// @param instance_poses [instances] world_from_model of each instance, in the order
+    /// of Scene::instances. Instance 0 is the background.
     /// @param view_origin_m [3] sensor position in the world frame, the origin of SH
     /// directions with ShDirection::surfel
     /// @throws DataError if the number of poses is wrong
     /// @throws UsageError if the image model and the scene have different primitives
-    void place(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m);
+    void prepare_view(const std::vector<InstancePose>& instance_poses, const glm::vec3& view_origin_m);
     /// Records GPU commands that prepare rendering with the current parameters from a new
     /// sensor position. All instances keep their poses. If no poses were set before, all
     /// instances are at the origin.
-    void place(const glm::vec3& view_origin_m) { place(scene().poses(), view_origin_m); }
+    void prepare_view(const glm::vec3& view_origin_m) {
+        prepare_view(scene().get_instance_poses(), view_origin_m);
+    }
     /// Records GPU commands that set the poses of all instances. The trees of rigid
     /// models are not refitted. Use this function if no parameter has changed since the
-    /// last place() or move(). The first call does the same as place().
-    void move(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m);
+    /// last prepare_view() or move_instances(). The first call does the same as
+    /// prepare_view().
+    void move_instances(const std::vector<InstancePose>& instance_poses, const glm::vec3& view_origin_m);
 
     /// Renders rays and waits for the result.
     /// @param rays [n] world frame, directions of length 1
-    /// @throws UsageError if place() was not called before
+    /// @throws UsageError if prepare_view() was not called before
     /// @throws DeviceError if a ray has too many hits to be traced completely
-    Rendering forward(const WorldRays& rays);
+    RenderedRayValues render_rays(const WorldRays& rays);
     /// Records GPU commands that render rays on the device. The ray array must stay valid
-    /// until the stream has finished. rendered() then contains the results.
-    void record_forward(const RayBatch& rays);
+    /// until the stream has finished. get_last_rendered_batch() then contains the
+    /// results.
+    void record_forward_pass(const RayBatch& rays);
     /// Returns the last rendered batch. Its pointer to the rays is null before the first
     /// batch is rendered. Its pointer to gradients (`upstream`) is always null.
-    const RenderedBatch& rendered() const;
+    const RenderedBatch& get_last_rendered_batch() const;
     /// Waits for the GPU and returns the rendered values of the last batch as host
     /// arrays.
     /// @throws DeviceError if a ray had too many hits to be traced completely
-    Rendering download_rendering();
+    RenderedRayValues download_rendering();
     /// Waits for the GPU and checks that all rays since the last call were traced
     /// completely.
     /// @throws DeviceError if a ray had too many hits and therefore ended too early
-    void check_pass_cap();
+    void check_rays_fully_traced();
 
     /// Returns the number of hits per ray that are kept for the backward pass.
-    std::uint32_t kept_hits() const;
+    std::uint32_t get_stored_hits_per_ray() const;
     /// Sets the number of hits per ray that are kept for the backward pass. The number
-    /// applies from the next record_forward(). Waits until the stream is idle.
+    /// applies from the next record_forward_pass(). Waits until the stream is idle.
     /// @throws OutOfDeviceMemory if the device does not have enough memory. The number is
     /// then unchanged.
-    void keep_hits(std::uint32_t per_ray);
+    void set_stored_hits_per_ray(std::uint32_t hits_per_ray);
 
     /// Sets the degree of the spherical harmonics (SH). The degree cannot exceed the
-    /// degree of the image model. The caller must call place() next.
+    /// degree of the image model. The caller must call prepare_view() next.
     void set_sh_degree(int degree);
-    const ImageModel& model() const;  ///< Image model with the active SH degree.
+    const ImageFormationModel& model() const;  ///< Image model with the active SH degree.
     /// Replaces all surfel parameters on the device. Waits until the copy is complete.
     /// @throws DataError if the number of surfels or the primitive differs
-    void upload(const Surfels& surfels);
+    void upload_surfels(const Surfels& surfels);
     /// Waits for the GPU and returns the scene with its current parameters.
-    Scene download();
+    Scene download_scene();
 
     /// Waits until the device no longer uses the arrays of the renderer. Ignores errors,
     /// so that destructors can call this function.
@@ -174,14 +182,15 @@ public:
     Stream& stream();
     DeviceScene& scene();
     const DeviceScene& scene() const;
-    Accel& accel();
+    AccelerationStructure& accel();
     const ForwardPass& forward_pass() const;
-    const glm::vec3& view_origin_m() const;  ///< View origin of the last place() or move().
+    const glm::vec3& view_origin_m() const;  ///< View origin of the last prepare_view() or move().
 
     /// Releases the acceleration structure. Must be called before surfels are added or
-    /// removed. make_accel() creates a new acceleration structure afterwards.
-    void release_accel();
-    void make_accel();
+    /// removed. create_acceleration_structure() creates a new acceleration structure
+    /// afterwards.
+    void release_acceleration_structure();
+    void create_acceleration_structure();
 
 private:
     struct Impl;

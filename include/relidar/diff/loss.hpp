@@ -30,7 +30,7 @@ struct ImageShape {
     std::uint32_t columns = 0;
     bool circular = false;  ///< True for a full sweep. The first column is then next to the last one.
 
-    bool is_image() const { return rows > 0; }
+    bool has_image_layout() const { return rows > 0; }
 };
 
 /// Measured targets of a batch of rays. The target of ray k is targets[first + k *
@@ -45,7 +45,7 @@ struct TargetBatch {
     double n_returned = 0.0;
     /// Number of rays with a known measurement, returned or dropped. The ray-drop term is
     /// averaged over these rays.
-    double n_known = 0.0;
+    double n_known_rays = 0.0;
     ImageShape image{};  ///< Image layout of the rays, if the batch is an image.
 };
 
@@ -57,12 +57,12 @@ struct TouchedSurfels;
 }  // namespace shared
 
 /// Row of a device array to which kernels add the loss terms of a batch.
-struct TermRow {
+struct LossTermRow {
     const Array<float>& terms;  ///< Weighted loss terms, [rows, kLossTerms].
     std::uint32_t row = 0;
 
-    TermRow(const Array<float>& array, std::uint32_t at = 0) : terms(array), row(at) {}
-    Address<float, shared::LossTerms> address() const {
+    LossTermRow(const Array<float>& array, std::uint32_t at = 0) : terms(array), row(at) {}
+    Address<float, shared::LossTerms> get_row_address() const {
         return terms.address_as<float, shared::LossTerms>(std::size_t(row) * kLossTerms);
     }
 };
@@ -75,7 +75,8 @@ struct SurfelGradients {
 };
 
 /// Base class of a loss. A loss computes one or several terms. A custom loss overrides
-/// compare() or regularise() and is added to the list of losses.
+/// record_ray_losses() or record_regularisation_losses() and is added to the list of
+/// losses.
 class Loss {
 public:
     virtual ~Loss() = default;
@@ -84,20 +85,20 @@ public:
     /// @param rendered rays to compare. The loss adds its gradients to `upstream`. Only
     /// ImageLoss, the first loss, overwrites `upstream`.
     /// @param terms row to which the loss adds its terms
-    virtual void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
-                         const TermRow& terms);
+    virtual void record_ray_losses(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
+                                   const LossTermRow& terms);
     /// Records GPU commands for the terms that depend directly on the parameters, not on
     /// rendered rays. Called after the backward pass.
     /// @param terms row to which the loss adds its terms
-    virtual void regularise(Stream& stream, const DeviceScene& scene, const SurfelGradients& gradients,
-                            const TermRow& terms);
+    virtual void record_regularisation_losses(Stream& stream, const DeviceScene& scene,
+                                              const SurfelGradients& gradients, const LossTermRow& terms);
 };
 
 /// Creates the losses whose weights are above 0, in the order in which their commands
 /// must be recorded. The first loss is always an ImageLoss.
-/// @param n_rays number of rays of the largest batch
+/// @param max_rays_per_batch number of rays of the largest batch
 std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights& weights,
-                                               std::uint32_t n_rays);
+                                               std::uint32_t max_rays_per_batch);
 
 /// Computes depth, intensity and ray-drop losses per pixel. If intensity_ssim > 0, also
 /// computes the structural similarity (SSIM) of the intensities, without dropped and
@@ -105,11 +106,11 @@ std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights
 class ImageLoss final : public Loss {
 public:
     /// Creates the image loss.
-    /// @param n_rays number of rays of the largest batch, used only for SSIM
+    /// @param max_rays_per_batch number of rays of the largest batch, used only for SSIM
     ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays = 0);
     ~ImageLoss() override;
-    void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
-                 const TermRow& terms) override;
+    void record_ray_losses(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
+                           const LossTermRow& terms) override;
 
 private:
     struct Impl;
@@ -132,16 +133,16 @@ private:
 class ChamferLoss final : public Loss {
 public:
     /// Creates the Chamfer loss.
-    /// @param n_rays number of rays of the largest batch
+    /// @param max_rays_per_batch number of rays of the largest batch
     ChamferLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays);
     ~ChamferLoss() override;
-    void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
-                 const TermRow& terms) override;
+    void record_ray_losses(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
+                           const LossTermRow& terms) override;
     /// Returns two arrays. The first contains, for each simulated point of the last
     /// batch, the nearest measured point. The second contains the nearest simulated point
     /// of each measured point. Points are given by their ray's index; ~0 means no point.
     /// Waits for the GPU.
-    std::array<std::vector<std::uint32_t>, 2> nearest() const;
+    std::array<std::vector<std::uint32_t>, 2> download_nearest_point_indices() const;
 
 private:
     struct Impl;
@@ -157,8 +158,8 @@ class LikelihoodLoss final : public Loss {
 public:
     LikelihoodLoss(Device& device, const LossWeights& weights);
     ~LikelihoodLoss() override;
-    void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
-                 const TermRow& terms) override;
+    void record_ray_losses(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
+                           const LossTermRow& terms) override;
 
 private:
     struct Impl;
@@ -171,12 +172,12 @@ private:
 ///
 ///   box  mean over actors' surfels of
 ///        sum_xyz max(0, |mu| / h - 1) + sum_uv max(0, s / (box_scale_share |h|) - 1)
-class SurfelLoss final : public Loss {
+class ActorBoxLoss final : public Loss {
 public:
-    SurfelLoss(Device& device, const LossWeights& weights);
-    ~SurfelLoss() override;
-    void regularise(Stream& stream, const DeviceScene& scene, const SurfelGradients& gradients,
-                    const TermRow& terms) override;
+    ActorBoxLoss(Device& device, const LossWeights& weights);
+    ~ActorBoxLoss() override;
+    void record_regularisation_losses(Stream& stream, const DeviceScene& scene,
+                                      const SurfelGradients& gradients, const LossTermRow& terms) override;
 
 private:
     struct Impl;

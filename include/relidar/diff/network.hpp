@@ -17,7 +17,7 @@
 namespace relidar {
 
 /// Options of the ray-drop network and its training (config.refine).
-struct RefineOptions {
+struct RayDropNetworkOptions {
     /// If true, the network is trained after the surfels. Rendering uses the network if
     /// the run has one.
     bool enabled = false;
@@ -41,15 +41,15 @@ struct RefineOptions {
     /// Initial learning rate of Adam. During training, the rate decreases to a hundredth
     /// of this value.
     double rate = 2e-3;
-    bool operator==(const RefineOptions&) const = default;
+    bool operator==(const RayDropNetworkOptions&) const = default;
 };
 
 /// Network input for one scan. For training, it also has the measured drops as the
 /// target.
-struct DropImage {
+struct RayDropImage {
     int rows = 0, columns = 0;
-    /// Input channels, [channels of the network, rows, columns]. list_drop_channels()
-    /// returns the name of each channel.
+    /// Input channels, [channels of the network, rows, columns].
+    /// list_network_input_channels() returns the name of each channel.
     std::vector<float> channels;
     /// Measured drops, [rows, columns]. 1 = dropped, 0 = returned, negative = unknown.
     /// Empty if nothing was measured.
@@ -60,10 +60,10 @@ struct DropImage {
 /// "log_range", "intensity", "drop_logit", "weight", "spread" and "cosine" (of the
 /// incidence angle). The options can add "elevation" (the sine of the elevation in the
 /// sensor frame) and "origin_x" ... "origin_z".
-std::vector<std::string> list_drop_channels(const RefineOptions& options);
+std::vector<std::string> list_network_input_channels(const RayDropNetworkOptions& options);
 
 /// Trained ray-drop network.
-struct DropNetwork {
+struct RayDropNetwork {
     std::string image = "native";     ///< Type of the training images: "native", or the name of a grid.
     std::vector<std::string> inputs;  ///< Names of the input channels.
     /// Number of feature channels at each resolution: full size, half size, and so on.
@@ -82,14 +82,14 @@ struct DropNetwork {
 
     bool empty() const { return parameters.empty(); }
     /// Returns the minimum number of rows and of columns that an image must have.
-    int smallest_side() const { return 1 << (widths.empty() ? 0 : widths.size() - 1); }
+    int compute_min_image_side() const { return 1 << (widths.empty() ? 0 : widths.size() - 1); }
 };
 
 /// Returns the number of trainable parameters of the network that the options describe.
-std::size_t count_parameters(const RefineOptions& options);
+std::size_t count_network_parameters(const RayDropNetworkOptions& options);
 
 /// Progress of the training of a ray-drop network.
-struct RefineProgress {
+struct RayDropTrainProgress {
     int epoch = 0, n_epochs = 0;
     int step = 0, n_steps = 0;
     double entropy = 0.0;  ///< Mean cross-entropy of all pixels so far in this epoch.
@@ -101,11 +101,11 @@ struct RefineProgress {
 
 /// State of a network training after a step. Training can resume exactly from this state
 /// if images, options and seed are unchanged.
-struct RefineState {
+struct RayDropTrainState {
     int step = 0;                         ///< Number of the last completed step.
-    std::vector<float> parameters;        ///< Network parameters, [parameters], as in DropNetwork.
+    std::vector<float> parameters;        ///< Network parameters, [parameters], as in RayDropNetwork.
     std::vector<float> moment1, moment2;  ///< First and second moments of Adam, [parameters].
-    /// Running means and variances of the normalisation layers, as in DropNetwork.
+    /// Running means and variances of the normalisation layers, as in RayDropNetwork.
     std::vector<float> running;
     /// Sums of the entropy and of the accuracy over the steps of the current epoch so
     /// far.
@@ -129,47 +129,48 @@ struct RefineState {
 /// Function that is called after each training step.
 /// @param state function that copies the training state from the device
 /// @return false to stop training and return the current network
-using RefineCallback =
-    std::function<bool(const RefineProgress& progress, const std::function<RefineState()>& state)>;
+using RayDropTrainCallback = std::function<bool(const RayDropTrainProgress& progress,
+                                                const std::function<RayDropTrainState()>& state)>;
 
 /// Trains a ray-drop network on images of equal shape. The same seed gives a
 /// bit-identical network on the same device.
-/// @param start state from which training resumes. It must come from a training with the
-/// same images, options and seed. Null = start from the beginning
+/// @param resume_state state from which training resumes. It must come from a training
+/// with the same images, options and seed. Null = start from the beginning
 /// @throws DataError if the images have different shapes, are too small, have values that
 /// are not finite, or have no dropped pixels
-/// @throws DataError if `start` belongs to another network or has more steps than the
-/// training
+/// @throws DataError if `resume_state` belongs to another network or has more steps than
+/// the training
 /// @throws DeviceError if the device cannot run the layers of the network
-DropNetwork train_drop_network(Device& device, const std::vector<DropImage>& images,
-                               const RefineOptions& options, std::uint64_t seed,
-                               const RefineCallback& progress, const RefineState* start = nullptr);
+RayDropNetwork train_ray_drop_network(Device& device, const std::vector<RayDropImage>& images,
+                                      const RayDropNetworkOptions& options, std::uint64_t seed,
+                                      const RayDropTrainCallback& progress,
+                                      const RayDropTrainState* resume_state = nullptr);
 
-class DropPass;
+class RayDropInference;
 
 /// Applies a trained ray-drop network to images. The same image always gives the same
 /// result.
-class DropRefiner {
+class RayDropRefiner {
 public:
     /// Uploads the network to the device.
     /// @throws DataError if the arrays do not match the shape of the network
     /// @throws DeviceError if the device cannot run the layers of the network
-    DropRefiner(Device& device, const DropNetwork& network);
-    ~DropRefiner();
-    DropRefiner(DropRefiner&&) noexcept;
-    DropRefiner& operator=(DropRefiner&&) noexcept;
+    RayDropRefiner(Device& device, const RayDropNetwork& network);
+    ~RayDropRefiner();
+    RayDropRefiner(RayDropRefiner&&) noexcept;
+    RayDropRefiner& operator=(RayDropRefiner&&) noexcept;
 
-    const DropNetwork& network() const;
+    const RayDropNetwork& network() const;
     /// Returns the drop probability of each pixel, [rows, columns].
     /// @throws DataError if the image is too small, or has the wrong number of values or
     /// values that are not finite
-    std::vector<float> refine(const DropImage& image);
+    std::vector<float> predict_drop_probabilities(const RayDropImage& image);
     /// Returns the total time of each kernel so far, in milliseconds, by kernel name.
     /// Empty if the device has no timestamps.
     const KernelTimes& times() const;
     /// Returns an object that applies the network to images on the device, without copies
     /// to the host.
-    DropPass& pass();
+    RayDropInference& get_drop_pass();
 
 private:
     struct Impl;

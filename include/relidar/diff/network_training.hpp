@@ -16,25 +16,26 @@ struct DropProbabilities;
 }  // namespace shared
 
 /// Compiles all pipelines for training and evaluation of the network. Does not run them.
-void compile_drop_network(Device& device, const RefineOptions& options);
+void compile_network_pipelines(Device& device, const RayDropNetworkOptions& options);
 
 /// Ray-drop network in evaluation mode. Its GPU commands are recorded in a stream that
 /// the caller provides.
-class DropPass {
+class RayDropInference {
 public:
     /// Uploads the network to the device.
-    /// @throws errors of the DropRefiner constructor
-    DropPass(Device& device, const DropNetwork& network);
-    ~DropPass();
+    /// @throws errors of the RayDropRefiner constructor
+    RayDropInference(Device& device, const RayDropNetwork& network);
+    ~RayDropInference();
 
-    const DropNetwork& network() const;
+    const RayDropNetwork& network() const;
     /// Records GPU commands that evaluate the network for one image.
-    /// @param channels [network().inputs, rows, columns] as DropImage::channels
+    /// @param input_channels [network().inputs, rows, columns] as
+    /// RayDropImage::input_channels
     /// @return drop probabilities, [rows, columns]. The result becomes invalid when
     /// images of two other shapes have been evaluated.
     /// @throws DataError if the image is smaller than network().smallest_side()
-    const Array<float, shared::DropProbabilities>& run(Stream& stream, int rows, int columns,
-                                                       const Array<float, shared::DropSamples>& channels);
+    const Array<float, shared::DropProbabilities>& record_network_evaluation(
+        Stream& stream, int rows, int columns, const Array<float, shared::DropSamples>& input_channels);
 
 private:
     struct Impl;

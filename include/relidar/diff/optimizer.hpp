@@ -31,26 +31,26 @@ double interpolate_exponentially(double start, double end, int step, int n_steps
 class Adam {
 public:
     Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options,
-         ParameterSet parameter_set = {});
+         SurfelParameterSet parameter_set = {});
     ~Adam();
     /// Records GPU commands for one optimiser step.
-    /// @param touched [n] 1 for each surfel with a gradient. The gradients of other
+    /// @param touched_flags [n] 1 for each surfel with a gradient. The gradients of other
     /// surfels are treated as zero. Null = all surfels have a gradient
-    /// @param step number of the step, counted from 1
+    /// @param record_adam_step number of the step, counted from 1
     /// @param sh_degree active degree of the spherical harmonics. Coefficients of higher
     /// degrees are not changed
-    void step(Stream& stream, SurfelArrays& parameters, const SurfelArrays& gradients,
-              const Array<std::uint32_t, shared::TouchedSurfels>* touched, const LearningRates& rates,
-              int step, int sh_degree);
-    SurfelArrays& moment1();
-    SurfelArrays& moment2();
+    void record_adam_step(Stream& stream, SurfelArrays& parameters, const SurfelArrays& gradients,
+                          const Array<std::uint32_t, shared::TouchedSurfels>* touched_flags,
+                          const LearningRates& learning_rates, int step_number, int sh_degree);
+    SurfelArrays& get_first_moments();
+    SurfelArrays& get_second_moments();
     /// Sets an upper bound on the standard deviations of each surfel for all later steps.
     /// After this call, the number of surfels must not change.
-    /// @param max_log_scale [n] natural logarithm of the bound in metres
-    void bound_scales(Device& device, const std::vector<float>& max_log_scale);
+    /// @param max_log_scales [n] natural logarithm of the bound in metres
+    void set_max_log_scales(Device& device, const std::vector<float>& max_log_scales);
     /// Upper bounds on the standard deviations, [n], natural logarithm of metres. Empty
     /// without bounds.
-    Array<float>& max_log_scale();
+    Array<float>& get_max_log_scales();
 
 private:
     struct Impl;
@@ -68,11 +68,11 @@ public:
     /// Records GPU commands for one optimiser step.
     /// @param values [n] changed in place
     /// @param gradients [n] gradients of the values
-    /// @param step number of the step, counted from 1
-    void step(Stream& stream, const Array<float>& values, const Array<float>& gradients, double rate,
-              int step);
-    Array<float>& moment1();
-    Array<float>& moment2();
+    /// @param record_adam_step number of the step, counted from 1
+    void record_adam_step(Stream& stream, const Array<float>& values, const Array<float>& gradients,
+                          double learning_rate, int step_number);
+    Array<float>& get_first_moments();
+    Array<float>& get_second_moments();
 
 private:
     struct Impl;

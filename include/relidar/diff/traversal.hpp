@@ -45,16 +45,16 @@ struct RayBatch {
 /// Method for traversing the software tree. `lane`: each thread traverses the tree for
 /// its ray alone. `subgroup`: the threads of a GPU subgroup visit the same nodes
 /// together.
-enum class Walk { automatic, lane, subgroup };
+enum class BvhTraversalMode { automatic, lane, subgroup };
 
 /// Method for sorting the hits of a ray. `chunks`: the kernel inserts each hit into a
 /// small sorted buffer. `lists`: the kernel appends all hits to a list in memory, which
 /// is sorted afterwards.
-enum class HitOrder { automatic, chunks, lists };
+enum class HitSortMethod { automatic, chunks, lists };
 
 /// Function k(t) for the likelihood of a measured range z (docs/method.md M12): k(t) = 1
 /// / (1 + ((t - z) / scale_m)^2).
-struct RangeKernel {
+struct RangeLikelihoodKernel {
     float scale_m = 0.05f;
 };
 
@@ -64,18 +64,18 @@ struct TraceOptions {
     int chunk = 16;  ///< Number of hits that are sorted at a time, 1..64.
     /// Traversal method of the software tree. automatic = the faster method for this type
     /// of device.
-    Walk walk = Walk::automatic;
+    BvhTraversalMode traversal_mode = BvhTraversalMode::automatic;
     /// Method for sorting hits in the forward pass. automatic = lists on a GPU, chunks on
     /// a CPU.
-    HitOrder order = HitOrder::automatic;
+    HitSortMethod order = HitSortMethod::automatic;
     /// Initial number of hits that the list of a ray can store, 1..512. The number is
     /// doubled as long as a ray has more hits. Until then, such a ray is traced in
     /// chunks.
-    int list_room = 64;
+    int initial_list_capacity = 64;
     /// If true, computes a blended surface normal for each ray. Normals have no gradient.
     bool normals = false;
     /// If set, computes the likelihood of the measured range of each ray.
-    std::optional<RangeKernel> likelihood{};
+    std::optional<RangeLikelihoodKernel> likelihood{};
     /// If set, finds the surface with the largest total weight along each ray
     /// (docs/method.md M13). Consecutive hits belong to one surface if their distance is
     /// at most this value, metres.
@@ -83,7 +83,7 @@ struct TraceOptions {
 
     /// Returns true if the forward pass writes a normal and a surface distance for each
     /// ray.
-    bool has_surfaces() const { return normals || mode_gap_m; }
+    bool has_surface_outputs() const { return normals || mode_gap_m; }
 };
 
 /// Returns the number of threads that trace a batch. An image is traced in tiles of 16 x
@@ -93,9 +93,9 @@ std::size_t count_trace_threads(const RayBatch& batch);
 
 /// First hits of each ray, stored by the forward pass. The backward pass reads these
 /// hits, so that it need not search for them again.
-struct KeptHits {
+struct StoredRayHits {
     /// Stored hits. The hits of two neighbouring threads alternate in memory,
-    /// [ceil(n_threads / 2), per_ray, 2].
+    /// [ceil(n_threads / 2), hits_per_ray, 2].
     Array<shared::Hit> hits;
     /// Number of hits stored per ray. If a ray has more hits, the backward pass searches
     /// for the remaining hits again.
@@ -103,24 +103,24 @@ struct KeptHits {
 
     /// Allocates memory for the hits.
     /// @param n_threads number of threads that trace the largest batch
-    KeptHits(Device& device, std::size_t n_threads, std::uint32_t hits_per_ray)
-        : hits(device, side_by_side(n_threads) * hits_per_ray, "kept hits"), per_ray(hits_per_ray) {}
+    StoredRayHits(Device& device, std::size_t n_threads, std::uint32_t hits_per_ray)
+        : hits(device, round_up_thread_count(n_threads) * hits_per_ray, "kept hits"), per_ray(hits_per_ray) {}
     /// Rounds a number of threads up to a multiple of RELIDAR_SIDE_BY_SIDE, the number of
     /// threads whose hits alternate in memory.
-    static std::size_t side_by_side(std::size_t n_threads) {
+    static std::size_t round_up_thread_count(std::size_t n_threads) {
         return (n_threads + RELIDAR_SIDE_BY_SIDE - 1) / RELIDAR_SIDE_BY_SIDE * RELIDAR_SIDE_BY_SIDE;
     }
     /// Returns true if the buffer is large enough for the hits of a batch.
-    bool hold(const RayBatch& batch) const {
-        return side_by_side(count_trace_threads(batch)) * per_ray <= hits.size();
+    bool can_store_hits(const RayBatch& batch) const {
+        return round_up_thread_count(count_trace_threads(batch)) * per_ray <= hits.size();
     }
 };
 
-/// Returns the number of hits to keep per ray, after `n_overfull` rays had more than
-/// `per_ray` hits. The number is doubled while such rays exist. Even a few of these rays
-/// are expensive: on a GPU, their search takes as long as the search for all rays. The
-/// result is at most 256 (4 kB per ray), or `per_ray` if that is larger.
-std::uint32_t recommend_kept_hits(std::uint32_t per_ray, std::uint64_t n_overfull);
+/// Returns the number of hits to keep per ray, after `n_overflowed_rays` rays had more
+/// than `hits_per_ray` hits. The number is doubled while such rays exist. Even a few of
+/// these rays are expensive: on a GPU, their search takes as long as the search for all
+/// rays. The result is at most 256 (4 kB per ray), or `hits_per_ray` if that is larger.
+std::uint32_t recommend_stored_hits_per_ray(std::uint32_t hits_per_ray, std::uint64_t n_overflowed_rays);
 
 /// Rendered batch with the arrays that the losses and the backward pass read and write.
 struct RenderedBatch {
@@ -130,9 +130,10 @@ struct RenderedBatch {
     /// Gradients dL/d(rendered) of all rays, [n_rays]. Losses write these gradients. The
     /// backward pass reads them.
     Array<shared::RayGradient>* upstream = nullptr;
-    const KeptHits* kept = nullptr;  ///< Hits that the forward pass has stored for this batch, or null.
+    const StoredRayHits* stored_hits =
+        nullptr;  ///< Hits that the forward pass has stored for this batch, or null.
     /// Surface normals and distances of this batch, [n_rays]. Null without
-    /// TraceOptions::has_surfaces().
+    /// TraceOptions::has_surface_outputs().
     const Array<shared::RenderedSurface>* surfaces = nullptr;
 };
 

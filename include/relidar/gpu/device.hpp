@@ -17,11 +17,11 @@ namespace relidar {
 /// structures. `software` uses relidar's own tree, which kernels traverse. `automatic`
 /// selects ray_query on a GPU with ray queries, otherwise software. On a CPU it always
 /// selects software, because software traversal is faster there.
-enum class Traversal { automatic, ray_query, software };
+enum class RayTracingBackend { automatic, ray_query, software };
 
 /// Returns the traversal method named "auto", "ray_query" or "software", in any case.
 /// @throws UsageError for any other name
-Traversal find_traversal(const std::string& name);
+RayTracingBackend parse_traversal_method(const std::string& name);
 
 /// Properties of a Vulkan device, and the relidar features that the device supports.
 struct DeviceInfo {
@@ -39,7 +39,7 @@ struct DeviceInfo {
     bool float_atomics = false;
     int subgroup_size = 1;  ///< Number of invocations in a subgroup.
     /// True if kernels can require full subgroups with exactly subgroup_size invocations.
-    bool has_known_subgroups = false;
+    bool can_require_subgroup_size = false;
     bool timestamps = false;  ///< True if compute queues support timestamps.
     /// Names of the missing features and extensions that ray queries require. Empty if
     /// ray_query is true.
@@ -53,9 +53,9 @@ struct DeviceInfo {
     std::string why_not_usable;
 };
 
-/// Returns the method that Traversal::automatic selects on a device. Returns `automatic`
-/// if no method works.
-Traversal choose_best_traversal(const DeviceInfo& info);
+/// Returns the method that RayTracingBackend::automatic selects on a device. Returns
+/// `automatic` if no method works.
+RayTracingBackend choose_best_traversal(const DeviceInfo& info);
 
 /// Lists every Vulkan device, in the order of the Vulkan loader.
 /// @throws DeviceError if no Vulkan loader or driver is installed
@@ -82,13 +82,13 @@ struct DeviceOptions {
     /// Index in list_devices(). -1 selects a suitable device: GPUs before CPU devices,
     /// and devices with ray queries before devices without them.
     int index = -1;
-    Traversal traversal = Traversal::automatic;
+    RayTracingBackend traversal = RayTracingBackend::automatic;
     bool validation = false;  ///< Enables the Khronos validation layer.
     /// Maximum device-local memory that relidar may allocate, bytes. 0 = no limit.
     std::uint64_t memory_limit_bytes = 0;
     /// If true, pipelines are compiled but no kernel runs. Use this option to read the
-    /// driver's statistics of each pipeline (Device::pipelines). It also works with a
-    /// driver that has no hardware.
+    /// driver's statistics of each pipeline (Device::get_pipeline_statistics). It also
+    /// works with a driver that has no hardware.
     bool compile_only = false;
     /// Folder in which compiled pipelines are cached between processes. If empty, each
     /// process compiles all pipelines.
@@ -120,14 +120,14 @@ public:
     const DeviceInfo& info() const;
     /// Returns the traversal method of this device: ray_query or software, never
     /// automatic.
-    Traversal traversal() const;
-    /// Returns the device memory that arrays currently use, bytes. peak_bytes() returns
-    /// the maximum since the device was opened.
+    RayTracingBackend traversal() const;
+    /// Returns the device memory that arrays currently use, bytes. peak_allocated_bytes()
+    /// returns the maximum since the device was opened.
     std::uint64_t allocated_bytes() const;
-    std::uint64_t peak_bytes() const;
+    std::uint64_t peak_allocated_bytes() const;
     /// Returns statistics of all pipelines compiled so far, in the order of compilation.
     /// Empty unless the device was opened with compile_only.
-    const std::vector<PipelineStatistics>& pipelines() const;
+    const std::vector<PipelineStatistics>& get_pipeline_statistics() const;
 
     struct Impl;
     /// Returns the internal implementation. Only the library uses this function.
@@ -140,16 +140,17 @@ private:
 /// Run times of kernels, milliseconds. Only submissions with enabled timing are measured.
 struct KernelTimes {
     static constexpr std::ptrdiff_t kLast = 4096;
-    struct Total {
+    struct LaunchTotals {
         double launches = 0.0, ms = 0.0;
     };
     /// Run time of each launch by kernel name. Only the last kLast launches are kept.
     std::map<std::string, std::vector<double>> milliseconds;
     /// Number of launches and their total run time, by kernel name.
-    std::map<std::string, Total> totals;
+    std::map<std::string, LaunchTotals> totals;
 
-    void add(const std::string& kernel, double ms);  ///< Adds the run time of one launch.
-    void add(const KernelTimes& later);              ///< Adds the run times of later launches.
+    void add_launch_time(const std::string& kernel_name,
+                         double duration_ms);        ///< Adds the run time of one launch.
+    void add_times(const KernelTimes& later_times);  ///< Adds the run times of later launches.
 };
 
 }  // namespace relidar

@@ -48,7 +48,7 @@ private:
     friend class Array;
     std::unique_ptr<Impl> impl_;
 
-    std::uint64_t address() const;
+    std::uint64_t get_device_address() const;
 };
 
 /// Array in device memory. T must be trivially copyable.
@@ -64,20 +64,21 @@ public:
     }
 
     std::size_t size() const { return n_; }
-    /// Returns the device address of entry `first`, to be passed to a kernel. Kernels may
-    /// load 16 bytes at a time, so the address should be a multiple of 16. For any other
-    /// address, a kernel may use only atomics or indices computed at run time.
-    Address<T> address(std::size_t first = 0) const { return address_as<T>(first); }
-    /// Returns the device address of entry `first` as an address of type U, for a kernel
-    /// that reads the memory as U. `first` counts entries of T.
+    /// Returns the device address of entry `first_index`, to be passed to a kernel.
+    /// Kernels may load 16 bytes at a time, so the address should be a multiple of 16.
+    /// For any other address, a kernel may use only atomics or indices computed at run
+    /// time.
+    Address<T> address(std::size_t first_index = 0) const { return address_as<T>(first_index); }
+    /// Returns the device address of entry `first_index` as an address of type U, for a
+    /// kernel that reads the memory as U. `first_index` counts entries of T.
     template <class U, class Meaning = void>
-    Address<U, Meaning> address_as(std::size_t first = 0) const {
+    Address<U, Meaning> address_as(std::size_t first_index = 0) const {
         static_assert(sizeof(T) % sizeof(U) == 0 || sizeof(U) % sizeof(T) == 0);
-        return Address<U, Meaning>(buffer_.address() + first * sizeof(T));
+        return Address<U, Meaning>(buffer_.get_device_address() + first_index * sizeof(T));
     }
     const Buffer& buffer() const { return buffer_; }
-    void upload(std::span<const T> values, std::size_t first = 0) {
-        if (!values.empty()) buffer_.upload(values.data(), values.size_bytes(), first * sizeof(T));
+    void upload(std::span<const T> values, std::size_t first_index = 0) {
+        if (!values.empty()) buffer_.upload(values.data(), values.size_bytes(), first_index * sizeof(T));
     }
     std::vector<T> download() const { return download(n_); }
     /// Waits for the GPU and copies the first `count` values to the host.
@@ -112,8 +113,8 @@ public:
     using Array<T>::Array;
     /// Returns the device address of an element. The address type has the same Meaning as
     /// the array.
-    Address<T, Meaning> address(std::size_t first = 0) const {
-        return this->template address_as<T, Meaning>(first);
+    Address<T, Meaning> address(std::size_t first_index = 0) const {
+        return this->template address_as<T, Meaning>(first_index);
     }
 };
 
@@ -125,7 +126,7 @@ Address<T, Meaning> get_address(const Array<T, Meaning>* array) {
 
 /// Records GPU commands and submits them to the device. A kernel launch sees the results
 /// of all earlier launches. Exceptions are launches in the same Concurrent scope and in
-/// other lanes of a StreamLanes scope.
+/// other lanes of a ConcurrentSequenceScope scope.
 class Stream {
 public:
     explicit Stream(Device& device, bool timing = false);
@@ -143,18 +144,18 @@ public:
     /// device.
     void copy(const Buffer& source, const Buffer& target, std::size_t n_bytes);
     /// Submits the recorded commands to the GPU.
-    /// @return ticket with which wait() waits for this submission
-    std::uint64_t submit();
+    /// @return ticket with which wait_for_submission() waits for this submission
+    std::uint64_t submit_commands();
     /// Waits until the submission with this ticket is done.
     /// @throws DeviceError if the device is lost or a check in a kernel failed. The
     /// message names the kernel.
-    void wait(std::uint64_t ticket);
+    void wait_for_submission(std::uint64_t ticket);
     /// Submits the recorded commands and waits until they are done.
-    void finish() { wait(submit()); }
+    void submit_and_wait() { wait_for_submission(submit_commands()); }
     /// Returns the kernel times measured so far. Times are measured only if timing = true
     /// and the device has timestamps.
     const KernelTimes& times() const;
-    void reset_times();
+    void reset_kernel_times();
     Device& device() const;
 
     struct Impl;
@@ -168,12 +169,12 @@ private:
 /// Scope in which all recorded kernel launches may run concurrently. A launch must not
 /// access memory that another launch of the scope writes. Commands recorded after the
 /// scope see the results of all launches in the scope.
-class Concurrent {
+class ConcurrentLaunchScope {
 public:
-    explicit Concurrent(Stream& stream);
-    ~Concurrent();
-    Concurrent(const Concurrent&) = delete;
-    Concurrent& operator=(const Concurrent&) = delete;
+    explicit ConcurrentLaunchScope(Stream& stream);
+    ~ConcurrentLaunchScope();
+    ConcurrentLaunchScope(const ConcurrentLaunchScope&) = delete;
+    ConcurrentLaunchScope& operator=(const ConcurrentLaunchScope&) = delete;
 
 private:
     Stream& stream_;
@@ -184,15 +185,15 @@ private:
 /// n-th launches of all lanes may run concurrently, so that several small launches use
 /// the full device. A launch must not access memory that another lane writes. Commands
 /// recorded or submitted after the scope see the results of all lanes.
-class StreamLanes {
+class ConcurrentSequenceScope {
 public:
-    StreamLanes(Stream& stream, std::size_t n);
-    ~StreamLanes();
-    StreamLanes(const StreamLanes&) = delete;
-    StreamLanes& operator=(const StreamLanes&) = delete;
+    ConcurrentSequenceScope(Stream& stream, std::size_t n);
+    ~ConcurrentSequenceScope();
+    ConcurrentSequenceScope(const ConcurrentSequenceScope&) = delete;
+    ConcurrentSequenceScope& operator=(const ConcurrentSequenceScope&) = delete;
     /// Selects the lane (sequence of launches) in which the next launches are recorded.
     /// The scope starts with lane 0.
-    void select_lane(std::size_t lane);
+    void select_command_lane(std::size_t lane_index);
 
 private:
     Stream& stream_;
@@ -200,25 +201,26 @@ private:
 
 /// Copies device values to host memory without blocking. The copy runs with the next
 /// submission of the stream.
-class Readback {
+class ReadbackBuffer {
 public:
     /// Allocates host memory for the copied values.
     /// @param n_bytes maximum size of a copy
     /// @param description name of the copy in messages
     /// @throws DeviceError if memory is exhausted
-    Readback(Device& device, std::size_t n_bytes, const std::string& description);
-    ~Readback();
-    Readback(Readback&&) noexcept;
-    Readback& operator=(Readback&&) noexcept;
+    ReadbackBuffer(Device& device, std::size_t n_bytes, const std::string& description);
+    ~ReadbackBuffer();
+    ReadbackBuffer(ReadbackBuffer&&) noexcept;
+    ReadbackBuffer& operator=(ReadbackBuffer&&) noexcept;
 
     /// Records a copy of n_bytes from the device into cached host memory. The next
-    /// submit() of the stream executes the copy.
-    void record(Stream& stream, const Buffer& source, std::size_t n_bytes, std::size_t offset_bytes = 0);
-    /// Returns true if a copy was recorded but not yet read with wait().
-    bool pending() const;
+    /// submit_commands() of the stream executes the copy.
+    void record_copy_to_host(Stream& stream, const Buffer& source, std::size_t n_bytes,
+                             std::size_t offset_bytes = 0);
+    /// Returns true if a copy was recorded but not yet read with wait_for_copied_bytes().
+    bool has_pending_copy() const;
     /// Waits until the recorded copy is done.
-    /// @return the copied bytes, valid until the next record()
-    const void* wait(Stream& stream);
+    /// @return the copied bytes, valid until the next record_copy_to_host()
+    const void* wait_for_copied_bytes(Stream& stream);
 
 private:
     struct Impl;

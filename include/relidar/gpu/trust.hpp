@@ -11,26 +11,26 @@
 namespace relidar {
 
 /// Result of a check.
-enum class Trust { unknown, right, wrong };
+enum class CheckVerdict { unknown, right, wrong };
 
 /// Results of the test that a device must pass at its first use. relidar does not use the
 /// methods that failed.
-struct DeviceTrust {
+struct DeviceTestResults {
     bool float_atomics = true;  ///< True if float atomics add correctly.
     bool float_swaps = true;    ///< True if compare-and-swap loops add correctly.
     /// Subgroup size that kernels request if the driver's default size failed the test. 0
     /// = use the default size.
     int subgroup_size = 0;
     /// Whether ray queries find the same surfels as a search that tests every surfel.
-    Trust ray_query = Trust::unknown;
+    CheckVerdict ray_query = CheckVerdict::unknown;
 };
 
 /// Functions that Device calls when it opens a device.
-struct FirstUse {
+struct DeviceOpenCallbacks {
     /// Tests a device at its first use, and again after an update of its driver. The
     /// results are stored in the folder of the pipeline cache. Null = no test; all
     /// methods are used.
-    std::function<DeviceTrust(const DeviceOptions&)> check;
+    std::function<DeviceTestResults(const DeviceOptions&)> check;
     /// Receives a one-line message for each method that gave wrong results and was
     /// replaced.
     std::function<void(const std::string&)> note;
@@ -39,20 +39,20 @@ struct FirstUse {
 /// Sets the test for all devices that this process opens later. A program calls this
 /// function once, before it opens a device. The standard test is
 /// check_device_at_first_use() in relidar/diff/first_use.hpp.
-void set_first_use(FirstUse first_use);
+void set_first_use_check(DeviceOpenCallbacks first_use_functions);
 
 /// While this scope object exists, the current thread opens devices with the given test
 /// results instead of running the test.
-class Trusting {
+class ScopedDeviceTestResults {
 public:
-    explicit Trusting(const DeviceTrust& trust);
-    ~Trusting();
-    Trusting(const Trusting&) = delete;
-    Trusting& operator=(const Trusting&) = delete;
+    explicit ScopedDeviceTestResults(const DeviceTestResults& trust);
+    ~ScopedDeviceTestResults();
+    ScopedDeviceTestResults(const ScopedDeviceTestResults&) = delete;
+    ScopedDeviceTestResults& operator=(const ScopedDeviceTestResults&) = delete;
 
 private:
-    const DeviceTrust* before_;
-    DeviceTrust trust_;
+    const DeviceTestResults* before_;
+    DeviceTestResults trust_;
 };
 
 }  // namespace relidar

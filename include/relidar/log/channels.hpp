@@ -17,7 +17,7 @@ namespace relidar {
 /// Rule for combining the values of several rays into one value. Rays are combined in two
 /// cases: sub-rays sample the same laser beam, or points fall into the same cell of a
 /// range image.
-enum class ChannelJoin {
+enum class ChannelMergeRule {
     /// Sub-rays of a beam: value of the sub-ray nearest to the beam axis, among those of
     /// the strongest return. Points in an image cell: value of the selected point's ray.
     nearest,
@@ -39,7 +39,7 @@ struct ChannelInfo {
     std::string meaning = {};  ///< description for users: a sentence without a full stop
     /// Rule for combining the values of several rays. It applies to float values.
     /// Integers and vectors always use `nearest`.
-    ChannelJoin join = ChannelJoin::nearest;
+    ChannelMergeRule join = ChannelMergeRule::nearest;
     /// True if the values are direction vectors, which must be rotated when the points
     /// are converted to another frame.
     bool turns = false;
@@ -77,50 +77,52 @@ struct BasicChannels {
 const BasicChannels& get_basic_channels();
 /// Returns the basic channels that are written to files, in the order of their columns in
 /// the files.
-std::vector<ChannelInfo> list_file_channels();
+std::vector<ChannelInfo> list_channels_written_to_files();
 /// Returns the channels that the setting `render.channels` can enable.
 const std::vector<ChannelInfo>& get_optional_channels();
 /// Returns the names of the channels in `get_optional_channels()`, in the same order.
-std::vector<std::string> list_optional_channels();
+std::vector<std::string> list_optional_channel_names();
 
 /// Parses a comma-separated list of channel names, and removes duplicates.
 /// @throws UsageError for an unknown name; the message suggests the most similar known
 /// name
-std::vector<ChannelInfo> parse_channels(const std::string& names);
+std::vector<ChannelInfo> parse_channel_names(const std::string& comma_separated_names);
 
 /// Returns a pointer to the values of the channel with this name. Returns null if no
 /// channel has this name. Also returns null if the values of the channel have another
 /// type than T.
 template <class T>
-const std::vector<T>* find_values(const std::vector<ScanChannel>& channels, const std::string& name) {
+const std::vector<T>* find_channel_values(const std::vector<ScanChannel>& channels,
+                                          const std::string& channel_name) {
     for (const ScanChannel& channel : channels)
-        if (channel.info.name == name) return std::get_if<std::vector<T>>(&channel.values);
+        if (channel.info.name == channel_name) return std::get_if<std::vector<T>>(&channel.values);
     return nullptr;
 }
 
 /// Returns the number of values of a channel: one for each ray or point.
-std::size_t size(const ChannelValues& values);
+std::size_t count_channel_values(const ChannelValues& values);
 
 /// Returns a copy of the channels with the same names and types, but without values.
-std::vector<ScanChannel> copy_without_values(const std::vector<ScanChannel>& channels);
+std::vector<ScanChannel> copy_channels_without_values(const std::vector<ScanChannel>& channels);
 
 /// A column of numbers in a file, float32 or int32. A channel of scalars is written as
 /// one column, for example "instance". A channel of vectors is written as three columns,
 /// for example "normal_x", "normal_y" and "normal_z".
-struct ChannelNumber {
+struct ChannelColumn {
     std::string name;
     bool is_integer;
 };
 /// Returns the columns that the channels occupy in a file. append_channel_values() writes
 /// the numbers in the same order.
-/// @param joint  text between the name of a vector channel and its axis, for example "_"
-/// in "normal_x"
-std::vector<ChannelNumber> list_channel_numbers(const std::vector<ScanChannel>& channels,
-                                                const std::string& joint = "_");
+/// @param axis_separator  text between the name of a vector channel and its axis, for
+/// example "_" in "normal_x"
+std::vector<ChannelColumn> list_channel_columns(const std::vector<ScanChannel>& channels,
+                                                const std::string& axis_separator = "_");
 /// Appends the values of all channels for one ray or point to `bytes`. Each number takes
 /// 4 bytes in the byte order of the machine.
-/// @param index  index of the ray or point in the arrays of the channels
-void append_channel_values(std::string& bytes, const std::vector<ScanChannel>& channels, std::size_t index);
+/// @param element_index  index of the ray or point in the arrays of the channels
+void append_channel_values(std::string& bytes, const std::vector<ScanChannel>& channels,
+                           std::size_t element_index);
 
 /// Returns the value of a channel for rays that hit nothing, or whose true value is
 /// unknown.
@@ -133,16 +135,17 @@ T get_missing_value(const ChannelInfo& channel) {
 /// the value of its ray. For a second return, it is the value in `ScanChannel::second`.
 /// If that array is empty, it is the value of the first return (with
 /// `ChannelInfo::of_ray`) or the default value `ChannelInfo::none`.
-/// @param number  number of the return, starting at 1
+/// @param return_number  number of the return, starting at 1
 void append_return_value(ScanChannel& point_channel, const ScanChannel& ray_channel, std::size_t ray,
-                         int number);
+                         int return_number);
 
 /// Checks names and sizes of channels before the channels are written to a file.
-/// @param count  expected number of values
-/// @param description  name of the elements in error messages, for example rays or points
+/// @param expected_size  expected number of values
+/// @param element_name  name of the elements in error messages, for example rays or
+/// points
 /// @throws DataError if a name is invalid or used twice, or if a channel does not have
-/// `count` values
-void check_channels(const std::vector<ScanChannel>& channels, std::size_t count,
-                    const std::string& description);
+/// `expected_size` values
+void check_channel_names_and_sizes(const std::vector<ScanChannel>& channels, std::size_t expected_size,
+                                   const std::string& element_name);
 
 }  // namespace relidar

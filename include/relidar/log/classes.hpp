@@ -13,7 +13,7 @@
 namespace relidar {
 
 struct PoseTrack;
-struct Sequence;
+struct LidarSequence;
 
 /// Class of a surface. The numbers are the values of the channel `class`.
 enum class SurfaceClass : std::uint8_t {
@@ -37,41 +37,41 @@ enum class SurfaceClass : std::uint8_t {
 inline constexpr std::size_t kSurfaceClasses = 16;
 
 /// A cubic cell of the world with labelled points, and their most frequent class.
-struct ClassCell {
-    glm::ivec3 place{0};  ///< position of the lowest corner, in units of kClassCell_m
+struct SurfaceClassCell {
+    glm::ivec3 grid_index{0};  ///< position of the lowest corner, in units of kClassCell_m
     SurfaceClass surface = SurfaceClass::unknown;
 
-    bool operator==(const ClassCell&) const = default;
+    bool operator==(const SurfaceClassCell&) const = default;
 };
 /// Edge length of a cell.
 inline constexpr double kClassCell_m = 0.1;
 /// The cells of a log. Each place occurs at most once.
-using ClassMap = std::vector<ClassCell>;
+using SurfaceClassMap = std::vector<SurfaceClassCell>;
 
 /// Computes the class map of some scans, in relidar's world frame. Uses the first returns
 /// of scans with classes. Ignores returns in moving boxes. In a tie between classes, uses
 /// the class with the higher number.
 /// @param world_from_vehicle  poses of the vehicle at the times of the frames
-/// @param positions  indices into Sequence::frames of the frames to use
+/// @param frame_indices  indices into LidarSequence::frames of the frames to use
 /// @return an empty map if no scan has classes
-ClassMap find_classes(const Sequence& sequence, const PoseTrack& world_from_vehicle,
-                      const std::vector<int>& positions);
+SurfaceClassMap compute_class_map(const LidarSequence& sequence, const PoseTrack& world_from_vehicle,
+                                  const std::vector<int>& frame_indices);
 
 /// Adds the cells of another map. If both maps have a cell at a place, keeps the cell of
 /// the first map.
-void add_classes(ClassMap& map, const ClassMap& other);
+void merge_class_map(SurfaceClassMap& target_map, const SurfaceClassMap& source_map);
 
 /// Finds the class of a point. Several threads can use the same object.
-class ClassFinder {
+class SurfaceClassLookup {
 public:
     /// Builds a search tree of the cells.
-    /// @param map  at least one cell
-    explicit ClassFinder(const ClassMap& map);
-    ~ClassFinder();
+    /// @param target_map  at least one cell
+    explicit SurfaceClassLookup(const SurfaceClassMap& map);
+    ~SurfaceClassLookup();
     /// Returns the class of the nearest cell. Returns `unknown` if the centre of this
     /// cell is more than 2 m away, or if a coordinate is not finite.
     /// @param point_m [3] metres, in relidar's world frame
-    SurfaceClass find(const glm::dvec3& point_m) const;
+    SurfaceClass find_nearest_class(const glm::dvec3& point_m) const;
 
 private:
     struct Impl;

@@ -15,29 +15,29 @@ namespace relidar {
 
 /// Azimuths at which a spinning LiDAR can fire: the ticks of its encoder, or equal steps
 /// around the circle.
-struct HeadLattice {
+struct EncoderTickGrid {
     int n_ticks = 0;        ///< number of ticks in a sweep
     double zero_rad = 0.0;  ///< azimuth of tick 0
 
-    double tick_rad() const;
+    double compute_tick_step_rad() const;
     /// Returns the encoder tick nearest to an azimuth of the rotating head, in [0,
     /// n_ticks).
-    int tick(double head_azimuth_rad) const;
+    int find_nearest_tick(double head_azimuth_rad) const;
     /// Returns the azimuth of the rotating head at an encoder tick, in (-pi, pi].
-    double compute_azimuth(int tick) const;
+    double compute_tick_azimuth_rad(int tick) const;
 };
 
 /// One sweep of a spinning LiDAR: the azimuths at which the LiDAR can fire, and the ticks
 /// at which it has fired. The azimuth decreases from +pi during the sweep.
-struct Sweep {
-    HeadLattice lattice;
+struct SweepFirings {
+    EncoderTickGrid lattice;
     std::vector<int> firings;
 };
 
 /// Returns a sweep with `sensor.columns` equal azimuth steps. The azimuth of the first
 /// step is fitted to the azimuths of the head at which the points were measured.
-/// @param points  points with beam numbers (`Points::ring`)
-Sweep make_uniform_sweep(const Points& points, const SpinningSensor& sensor);
+/// @param points  points with beam numbers (`LidarPoints::ring`)
+SweepFirings fit_uniform_sweep(const LidarPoints& points, const SpinningSensor& sensor);
 
 /// Builds the scan of a spinning LiDAR, with one ray for each beam and firing. The rays
 /// are in the order of a range image. Each point is assigned to the ray that measured it.
@@ -47,7 +47,7 @@ Sweep make_uniform_sweep(const Points& points, const SpinningSensor& sensor);
 /// If two first returns belong to one ray, the second return is moved to a free
 /// neighbouring cell. If no such cell is free, only the nearer point is kept. A point
 /// beyond sensor.max_range_m gets a ray only if no other point uses this ray.
-/// drop_outside_limits() removes such points later.
+/// remove_returns_outside_limits() removes such points later.
 ///
 /// The firing time of a ray is the time of its point, or the time of the nearest firing
 /// in that sweep. For points without times, the firing time is computed from a head that
@@ -57,14 +57,14 @@ Sweep make_uniform_sweep(const Points& points, const SpinningSensor& sensor);
 /// @param points  points with rings
 /// @throws UsageError if the points have no rings, if a ring has no beam, or if the
 /// arrays have different lengths
-Scan make_spinning_scan(const Points& points, const SpinningSensor& sensor, const Sweep& sweep);
+Scan make_spinning_scan(const LidarPoints& points, const SpinningSensor& sensor, const SweepFirings& sweep);
 
 /// Builds the scan of a LiDAR whose rays do not form an image (rows = 1). The scan has
 /// one ray from the sensor origin to each point, in the order of the points. Rays without
 /// a return are unknown and are not in the scan. The other returns of a ray must follow
 /// its first return in `points`. Beam numbers are not needed.
 /// @throws UsageError in the same cases as make_spinning_scan()
-Scan make_unordered_scan(const Points& points);
+Scan make_unordered_scan(const LidarPoints& points);
 
 /// Estimates the beams of a spinning LiDAR from points without beam numbers. The
 /// elevations of distant points form clusters, and each cluster is a beam. The highest
@@ -72,11 +72,11 @@ Scan make_unordered_scan(const Points& points);
 /// @return nothing if the elevations do not form at least 4 narrow, separate bands. This
 /// is the case for LiDARs that do not spin. It is also the case if the beams start so far
 /// from the centre that the bands overlap (HDL-64E).
-std::vector<Beam> find_beams(const std::vector<Points>& scans);
+std::vector<Beam> estimate_beams(const std::vector<LidarPoints>& scans);
 
 /// Sets the ring of each point to the beam that passes nearest to the point.
 /// @param beams  at least one beam
-void recover_rings(Points& points, const std::vector<Beam>& beams);
+void assign_points_to_rings(LidarPoints& points, const std::vector<Beam>& beams);
 
 /// Model of a spinning LiDAR that was fitted to its points.
 struct FittedSensor {
@@ -97,32 +97,34 @@ inline constexpr std::uint16_t kNoBeam = 0xFFFF;
 /// @param period_s  duration of a sweep, for points without times
 /// @throws UsageError if the points have no rings
 /// @throws DataError if the azimuths are not in steps
-FittedSensor fit_sensor(const std::vector<Points>& scans, double period_s);
+FittedSensor fit_sensor(const std::vector<LidarPoints>& scans, double period_s);
 
 /// Reverts the motion compensation of a scan, in which all points are in the sensor frame
 /// at time `time_s`. Converts each point to the sensor frame at the firing time of the
 /// point.
 /// @param points  points with firing times
 /// @param world_from_sensor  poses of the LiDAR that measured the points
-void undo_motion_compensation(Points& points, const PoseTrack& world_from_sensor, double time_s);
+void undo_motion_compensation(LidarPoints& points, const PoseTrack& world_from_sensor, double time_s);
 
 /// Returns the pose with this rotation and translation.
-/// @param location  file and field, for the error message
+/// @param error_location  file and field, for the error message
 /// @throws DataError if the matrix is not a rotation within 1e-3
-Pose make_rigid_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const std::string& location);
+Pose make_rigid_pose(const glm::dmat3& rotation, const glm::dvec3& translation,
+                     const std::string& error_location);
 
 /// Appends a frame with an empty scan to the sequence. Also appends the vehicle's pose at
 /// this time, unless a frame of another LiDAR with the same time has already added it.
-Frame& add_frame(Sequence& sequence, int index, double time_s, const Pose& world_from_vehicle, int lidar = 0);
+LidarFrame& add_frame(LidarSequence& sequence, int frame_number, double time_s,
+                      const Pose& world_from_vehicle, int lidar_index = 0);
 
 /// Moves the world origin to the position of the vehicle at the middle pose of the log.
 /// Adjusts all poses, boxes and world_offset_m of the sequence. Coordinates are then
 /// small enough for single precision.
-void recentre_sequence(Sequence& sequence);
+void recentre_sequence(LidarSequence& sequence);
 /// Moves the world origin to a given point. Adjusts all poses, boxes and world_offset_m
 /// of the sequence.
-/// @param origin_m  new origin, in the world frame before the move
-void recentre_sequence(Sequence& sequence, glm::dvec3 origin_m);
+/// @param new_origin_m  new origin, in the world frame before the move
+void recentre_sequence(LidarSequence& sequence, glm::dvec3 new_origin_m);
 
 /// Box of an object at one time, as the labels of a dataset store it.
 struct BoxLabel {
@@ -144,12 +146,12 @@ std::vector<BoxTrack> build_tracks(const std::vector<BoxLabel>& labels);
 /// - All arrays of a scan have the length of its ray table.
 /// - Boxes are within reach of the vehicle.
 /// @throws DataError naming the frame or box, the field and the value
-void check_sequence(const Sequence& sequence);
+void check_sequence(const LidarSequence& sequence);
 
 /// Adds a note to the log for each gap in time between frames. A gap is a time step
 /// longer than 1 s and longer than ten times the median step.
 /// @throws DataError if the clock jumps: a time step is longer than 60 s and longer than
 /// ten times the median step
-void check_gaps(Sequence& sequence);
+void check_time_gaps(LidarSequence& sequence);
 
 }  // namespace relidar

@@ -16,37 +16,37 @@
 namespace relidar {
 
 /// A set of cubic cells in relidar's world frame, stored in blocks of 8 x 8 x 8 cells.
-class Coverage {
+class ObservedVoxelSet {
 public:
     static constexpr double kCell_m = 1.0;
     static constexpr int kBlockCells = 8;  ///< cells along an edge of a block
     static constexpr std::size_t kWords = 32;
     /// Bits of the cells of a block, 16 in each word. Cell (x, y, z) of the block is bit
     /// x + 8 y + 64 z.
-    using Cells = std::array<std::uint16_t, kWords>;
-    struct Block {
-        glm::ivec3 place{0};  ///< position of the lowest corner, in units of blocks
-        Cells cells{};
+    using VoxelBits = std::array<std::uint16_t, kWords>;
+    struct VoxelBlock {
+        glm::ivec3 grid_index{0};  ///< position of the lowest corner, in units of blocks
+        VoxelBits cells{};
     };
 
     bool empty() const { return blocks_.empty(); }
     /// Adds every cell that a line segment crosses. If a coordinate is not finite, no
     /// cell is added.
-    /// @param from_m [3] start of the segment; metres, world frame
-    /// @param to_m [3] end of the segment; metres, world frame
-    void add(const glm::dvec3& from_m, const glm::dvec3& to_m);
-    void add(const Block& block);
-    void add(const Coverage& other);
+    /// @param start_m [3] start of the segment; metres, world frame
+    /// @param end_m [3] end of the segment; metres, world frame
+    void add_segment(const glm::dvec3& start_m, const glm::dvec3& end_m);
+    void add_block(const VoxelBlock& block);
+    void add_coverage(const ObservedVoxelSet& other);
     /// Returns the fraction of a line segment's length that is in cells of the set, 0..1.
-    /// @param from_m [3] start of the segment; metres, world frame
-    /// @param to_m [3] end of the segment; metres, world frame
+    /// @param start_m [3] start of the segment; metres, world frame
+    /// @param end_m [3] end of the segment; metres, world frame
     /// @return 0 if a coordinate is not finite
-    double share(const glm::dvec3& from_m, const glm::dvec3& to_m) const;
+    double compute_observed_fraction(const glm::dvec3& start_m, const glm::dvec3& end_m) const;
     /// Returns all blocks, sorted by their positions in ascending order.
-    std::vector<Block> blocks() const;
+    std::vector<VoxelBlock> list_cell_blocks() const;
 
 private:
-    std::unordered_map<std::uint64_t, Block> blocks_;  ///< blocks by position
+    std::unordered_map<std::uint64_t, VoxelBlock> blocks_;  ///< blocks by position
 };
 
 /// Returns the space that the rays of some scans have observed. A ray with a return has
@@ -60,9 +60,9 @@ private:
 /// Two adjacent beams of a firing also observe the space between them, up to the shorter
 /// of their two lengths.
 /// @param world_from_vehicle  poses of the vehicle at the times of the frames
-/// @param positions  indices into Sequence::frames of the frames to use
+/// @param frame_indices  indices into LidarSequence::frames of the frames to use
 /// @param max_range_m  maximum observed length of a ray
-Coverage find_coverage(const Sequence& sequence, const PoseTrack& world_from_vehicle,
-                       const std::vector<int>& positions, double max_range_m);
+ObservedVoxelSet compute_observed_coverage(const LidarSequence& sequence, const PoseTrack& world_from_vehicle,
+                                           const std::vector<int>& frame_indices, double max_range_m);
 
 }  // namespace relidar

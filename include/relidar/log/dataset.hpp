@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Loads LiDAR logs from disk into a `Sequence`. Error messages name the invalid file and
-// field.
+// Loads LiDAR logs from disk into a `LidarSequence`. Error messages name the invalid file
+// and field.
 #pragma once
 
 #include <cstdint>
@@ -69,7 +69,7 @@ struct DatasetOptions {
     /// rays. 0: read all scans. Logs of KITTI, Argoverse 2, Waymo, and nuScenes with its
     /// original HDL-32E are always read completely.
     int max_scans = 0;
-    Progress progress = {};  ///< receives the progress of reading
+    ProgressReporter progress = {};  ///< receives the progress of reading
     BagOptions bag = {};
     WaymoOptions waymo = {};
 };
@@ -79,11 +79,11 @@ struct DatasetOptions {
 /// detect_dataset_kind() returns
 /// @throws DataError naming the file and the error in it
 /// @throws UsageError for an unknown kind or an empty frame range
-Sequence load_sequence(const std::string& dataset, const DatasetOptions& options);
+LidarSequence load_sequence(const std::string& dataset, const DatasetOptions& options);
 
 /// Makes the path in a dataset argument of load_sequence() absolute, so that the argument
 /// does not depend on the working directory. Keeps a prefix "kind:".
-std::string make_dataset_absolute(const std::string& dataset);
+std::string make_dataset_path_absolute(const std::string& dataset);
 
 /// Returns the kind of a dataset, for example "kitti_raw" or "waymo". docs/datasets.md
 /// lists all kinds.
@@ -91,7 +91,7 @@ std::string make_dataset_absolute(const std::string& dataset);
 std::string detect_dataset_kind(const std::filesystem::path& path);
 
 /// Options of save_folder().
-struct FolderOptions {
+struct LogFolderOptions {
     /// True: a plain folder that already exists at this path is replaced. The replacement
     /// happens only after the new folder is complete.
     bool overwrite = false;
@@ -100,7 +100,7 @@ struct FolderOptions {
     bool poses = true;
     /// Receives the progress of writing. If the callback throws an exception, writing
     /// stops and leaves no files.
-    Progress progress = {};
+    ProgressReporter progress = {};
 };
 /// Writes a log as a plain folder (kind "folder", docs/datasets.md) that load_sequence()
 /// can read. All rays are preserved bit by bit, including dropped rays and second
@@ -109,8 +109,8 @@ struct FolderOptions {
 /// written. The folder gets its final name only when it is complete.
 /// @throws UsageError if the path exists and may not be replaced
 /// @throws DataError if the folder cannot be written
-void save_folder(const Sequence& sequence, const std::filesystem::path& folder,
-                 const FolderOptions& options = {});
+void save_folder(const LidarSequence& sequence, const std::filesystem::path& folder,
+                 const LogFolderOptions& options = {});
 
 /// Returns true if a folder or file is a log of a known kind.
 bool is_dataset(const std::filesystem::path& path);
@@ -139,14 +139,14 @@ struct SyntheticOptions {
 
 /// Creates the log of the synthetic street in memory. The scans are ground truth, because
 /// they are computed by exact ray casting with a rolling shutter.
-Sequence make_synthetic_street(const SyntheticOptions& options);
+LidarSequence make_synthetic_street(const SyntheticOptions& options);
 
 /// Casts rays into the synthetic street, each ray at its own firing time. Returns the
 /// exact scan of a novel sensor or pose, without noise. A dropped ray has range 0.
 /// @param world_from_sensor  poses of the sensor over time
 /// @param time_s  reference time of the scan
-Scan cast_synthetic_street(const SyntheticOptions& options, const RayTable& rays,
-                           const PoseTrack& world_from_sensor, double time_s);
+Scan cast_rays_into_synthetic_street(const SyntheticOptions& options, const RayTable& rays,
+                                     const PoseTrack& world_from_sensor, double time_s);
 
 /// Casts beams that have a divergence. Computes up to two returns for each beam, as a
 /// dual-return LiDAR does. The first return is the strongest return. The second return is
@@ -156,12 +156,12 @@ Scan cast_synthetic_street(const SyntheticOptions& options, const RayTable& rays
 /// strongest return.
 /// @param rays  at least one ray must have a divergence above 0
 /// @throws UsageError if no ray has a divergence
-Scan cast_synthetic_beams(const SyntheticOptions& options, const RayTable& rays,
-                          const PoseTrack& world_from_sensor, double time_s);
+Scan cast_beams_into_synthetic_street(const SyntheticOptions& options, const RayTable& rays,
+                                      const PoseTrack& world_from_sensor, double time_s);
 
 /// A car of an edited synthetic street. It has the shape of one of the original cars and
 /// follows a track in relidar's world frame.
-struct StreetCar {
+struct SyntheticCar {
     std::size_t shapes_of = 0;  ///< id of the original car: BoxTrack::id "0", "1", ...
     /// Track of the car. A sweep contains the car if the track covers the reference time
     /// of the sweep.
@@ -171,15 +171,15 @@ struct StreetCar {
 /// Casts rays into a street whose original cars are replaced by the given cars. Returns
 /// the exact scan of the edited street.
 /// @throws DataError if the street has no car with the id `shapes_of`
-Scan cast_synthetic_street(const SyntheticOptions& options, const std::vector<StreetCar>& cars,
-                           const RayTable& rays, const PoseTrack& world_from_sensor, double time_s);
+Scan cast_rays_into_synthetic_street(const SyntheticOptions& options, const std::vector<SyntheticCar>& cars,
+                                     const RayTable& rays, const PoseTrack& world_from_sensor, double time_s);
 
-/// Reads the options of a synthetic log that save_synthetic() wrote.
+/// Reads the options of a synthetic log that save_synthetic_options() wrote.
 /// @throws DataError naming the key that is wrong
-SyntheticOptions read_synthetic(const std::filesystem::path& folder);
+SyntheticOptions read_synthetic_options(const std::filesystem::path& folder);
 
 /// Writes a synthetic log as a folder that load_sequence() can read (kind "synthetic").
 /// The folder holds only the options of the street, in `street.toml`.
-void save_synthetic(const SyntheticOptions& options, const std::filesystem::path& folder);
+void save_synthetic_options(const SyntheticOptions& options, const std::filesystem::path& folder);
 
 }  // namespace relidar

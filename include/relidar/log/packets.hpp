@@ -43,19 +43,19 @@ struct PacketOptions {
 };
 
 /// A file that drivers need in addition to the packets.
-struct PacketCalibration {
+struct PacketCalibrationFile {
     std::string ending;  ///< ".csv" or ".json"; empty if the packets need no such file
     std::string text;
 };
 
 /// Returns the names of the sensors whose packets can be written, for messages.
-std::string list_packet_sensors();
+std::string format_packet_sensor_names();
 /// Returns the packet format in the metadata of an Ouster (udp_profile_lidar). Returns an
 /// empty text if the file is not the metadata of an Ouster or does not contain a format.
-std::string read_ouster_profile(const std::filesystem::path& file);
+std::string read_ouster_packet_format(const std::filesystem::path& metadata_file);
 /// Returns the time since 1970 at which the time of a log is 0. Only ROS bags and
 /// captures contain this time. Returns 0 for all other logs.
-std::int64_t log_start_ns(const Sequence& sequence);
+std::int64_t get_log_start_unix_ns(const LidarSequence& sequence);
 
 /// Converts the scans of a sensor to packets. A packet holds a fixed number of firings,
 /// so it may contain the end of one scan and the start of the next. An extra packet
@@ -75,13 +75,13 @@ public:
     /// the previous scan
     /// @throws UsageError if the rays have no firing times, if they do not belong to the
     /// sensor, or if they were fired before the end of the previous scan
-    std::vector<SensorPacket> encode(const Scan& scan, double time_s);
+    std::vector<SensorPacket> encode_scan_as_packets(const Scan& scan, double time_s);
     /// Returns the remaining packets. Must be called after the last scan.
-    std::vector<SensorPacket> finish();
+    std::vector<SensorPacket> flush_remaining_packets();
     /// Returns the calibration of the sensor as a file. Must be called after the last
     /// scan, because the calibration of an Ouster contains the azimuths of all firings.
-    PacketCalibration calibration() const;
-    int port() const;  ///< UDP port to which the sensor usually sends
+    PacketCalibrationFile get_packet_calibration() const;
+    int get_udp_port() const;  ///< UDP port to which the sensor usually sends
 
 private:
     struct Impl;
@@ -90,15 +90,15 @@ private:
 
 /// Writes packets to a network capture (pcap with nanoseconds). Each packet is a UDP
 /// datagram from 192.168.1.201 to all receivers.
-class PacketCapture {
+class PcapWriter {
 public:
     /// Creates the file.
-    /// @param port  destination port of the datagrams
+    /// @param get_udp_port  destination port of the datagrams
     /// @throws DataError if the file cannot be written
-    PacketCapture(const std::filesystem::path& file, int port);
+    PcapWriter(const std::filesystem::path& file, int port);
     /// @throws DataError if the disk is full
-    void add(const std::vector<SensorPacket>& packets);
-    void close();
+    void write_packets(const std::vector<SensorPacket>& packets);
+    void close_file();
 
 private:
     std::filesystem::path file_;
@@ -110,13 +110,13 @@ private:
 /// Writes the scans of a log as a network capture of LiDAR packets. The log must have a
 /// single LiDAR. The calibration is written to a second file with the same name and the
 /// ending .csv or .json.
-/// @param sink  called with the packets in their order; may be empty
+/// @param packet_callback  called with the packets in their order; may be empty
 /// @return number of packets
 /// @throws UsageError if the log has several LiDARs, or in the same cases as
 /// PacketEncoder
 /// @throws DataError if a file cannot be written
-std::size_t save_packets(const Sequence& sequence, const std::filesystem::path& file,
-                         const Progress& progress = {},
-                         const std::function<void(const std::vector<SensorPacket>&)>& sink = {});
+std::size_t save_packets(const LidarSequence& sequence, const std::filesystem::path& file,
+                         const ProgressReporter& progress = {},
+                         const std::function<void(const std::vector<SensorPacket>&)>& packet_callback = {});
 
 }  // namespace relidar

@@ -18,7 +18,7 @@ namespace relidar {
 /// Points in one frame, with one array per property. The position of each point is always
 /// known. Each other array has one entry per point, or is empty if the property is
 /// unknown.
-struct Points {
+struct LidarPoints {
     std::vector<glm::vec3> position_m;     ///< [n] positions in metres
     std::vector<float> intensity = {};     ///< [n] intensities, 0..1
     std::vector<std::uint16_t> ring = {};  ///< [n] beam numbers, 0 = highest

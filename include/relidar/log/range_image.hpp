@@ -28,7 +28,7 @@ struct RangeImage {
 inline constexpr float kDropThreshold = 0.5f;
 /// Returns true if a ray counts as a return. The ray must have hit something, and its
 /// drop probability must be below kDropThreshold.
-inline bool is_returned(float drop_prob, float range_m) {
+inline bool is_ray_returned(float drop_prob, float range_m) {
     return drop_prob < kDropThreshold && range_m > 0.0f;
 }
 

@@ -13,7 +13,7 @@
 
 namespace relidar {
 
-struct RegisterOptions {
+struct RegistrationOptions {
     /// Largest pose error, metres, that registration can correct. Registration of a scan
     /// has failed if its correction differs by more from the corrections of the
     /// neighbouring scans. Also limits the initial distance between two observations of
@@ -27,14 +27,14 @@ struct RegisterOptions {
     /// Polled before every scan and every round of the adjustment. If the callback
     /// returns true, registration stops and leaves the poses unchanged.
     std::function<bool()> stop;
-    Progress progress = {};   ///< receives the progress of both parts
-    ProcessGroup group = {};  ///< processes that register the same log together
+    ProgressReporter progress = {};  ///< receives the progress of both parts
+    ProcessGroup group = {};         ///< processes that register the same log together
 };
 
 /// Statistics of one round of the adjustment, which optimizes all poses together. A round
 /// fits planes to the points in the cells of a grid. It then moves all poses by a step
 /// that reduces the distances of the points from these planes.
-struct RegisterRound {
+struct RegistrationRound {
     double cell_m = 0.0;
     double scale_m = 0.0;    ///< Distance from the plane at which a point has a quarter of its full weight.
     std::size_t planes = 0;  ///< number of planes that at least two scans observe
@@ -44,10 +44,10 @@ struct RegisterRound {
     double step_m = 0.0;  ///< longest translation of a pose in this step
 };
 
-struct Registration {
+struct RegistrationResult {
     /// Corrected poses. If registration was stopped, these are the poses of the log.
     PoseTrack world_from_vehicle;
-    std::vector<RegisterRound> rounds;
+    std::vector<RegistrationRound> rounds;
     /// Scans that could not be registered, as indices into world_from_vehicle. The poses
     /// of these scans get the same correction as the neighbouring poses.
     std::vector<std::size_t> lost;
@@ -90,32 +90,33 @@ struct Registration {
 /// are used together with it: their measurements at one time form a single scan of the
 /// vehicle. All other LiDARs keep their mounting on the vehicle.
 /// @throws DataError if no two training scans observe a common surface
-Registration register_scans(const Sequence& sequence, const Split& split, const RegisterOptions& options);
+RegistrationResult register_scans(const LidarSequence& sequence, const TrainTestSplit& split,
+                                  const RegistrationOptions& options);
 
 /// The surface of a scene that a ray hits: a point and its normal, both in the world
 /// frame. A normal of 0 means that the ray hits no surface.
-struct VisibleSurface {
+struct SurfaceHit {
     glm::dvec3 point_m{0.0}, normal{0.0};
 };
 
 /// Callback that casts rays of a frame into a scene, and returns the surface that each
 /// ray hits.
-/// @param position  index of the frame in Sequence::frames
+/// @param position  index of the frame in LidarSequence::frames
 /// @param rays  indices of the rays in the frame's scan
 /// @param world_from_vehicle  poses from which the rays are cast
 /// @return [rays] one surface for each ray
-using SceneView = std::function<std::vector<VisibleSurface>(
+using SceneRayCaster = std::function<std::vector<SurfaceHit>(
     int position, const std::vector<std::size_t>& rays, const PoseTrack& world_from_vehicle)>;
 
 /// Pose of a scan that was aligned with a scene.
-struct ScanPlacement {
+struct ScanAlignment {
     /// Aligned pose. If the alignment failed, this is the pose before the alignment.
     Pose world_from_vehicle;
     double moved_m = 0.0;
     /// Fraction of the scan's points that lie on surfaces of the scene. Computed from a
     /// subset of the points.
     double on_surfaces = 0.0;
-    bool found = false;
+    bool is_aligned = false;
 };
 
 /// Aligns one pose of the vehicle with a scene. The scene and all other poses stay fixed:
@@ -123,13 +124,13 @@ struct ScanPlacement {
 /// q and n are the point and the normal of the surface that the scene shows along the ray
 /// of p. The surfaces are rendered again after each Gauss-Newton step. The function uses
 /// the points of all LiDARs that swept at that time, except points of moving objects.
-/// @param pose  index into Sequence::world_from_vehicle
-ScanPlacement place_scan(const Sequence& sequence, std::size_t pose, const SceneView& view,
-                         const RegisterOptions& options);
+/// @param pose_index  index into LidarSequence::world_from_vehicle
+ScanAlignment align_scan_with_scene(const LidarSequence& sequence, std::size_t pose_index,
+                                    const SceneRayCaster& scene_view, const RegistrationOptions& options);
 
 /// Result of register_actors(), which corrects the tracks of moving objects with the
 /// measured points.
-struct ActorRegistration {
+struct ActorRegistrationResult {
     std::size_t n_actors = 0;      ///< number of moving boxes that are long enough
     std::size_t n_registered = 0;  ///< number of tracks with new poses
     /// Number of boxes that stand still although their labels suggest a motion.
@@ -143,8 +144,8 @@ struct ActorRegistration {
 /// corrections small and slow. The mean correction is zero. Poses without points, for
 /// example in held-out frames, are interpolated from the nearest registered poses. If the
 /// points of a box fit one constant pose, the box gets that pose.
-/// @param train_positions  frames whose points are used
-ActorRegistration register_actors(Sequence& sequence, const std::vector<int>& train_positions,
-                                  const Progress& progress = {});
+/// @param train_frame_indices  frames whose points are used
+ActorRegistrationResult register_actors(LidarSequence& sequence, const std::vector<int>& train_frame_indices,
+                                        const ProgressReporter& progress = {});
 
 }  // namespace relidar

@@ -16,7 +16,7 @@ namespace relidar {
 
 /// Rendered values for all rays of a scan, row by row. The first and the last column are
 /// neighbours, because the image covers a full circle. All arrays are [rows*columns].
-struct RenderedIntensities {
+struct RenderedIntensityImage {
     int rows = 0, columns = 0;
     std::vector<float> intensity;
     /// Median range of the ray in metres (RenderedScan::median_range_m). 0 if the ray hit
@@ -32,20 +32,20 @@ struct RenderedIntensities {
 inline constexpr float kNoIntensity = std::numeric_limits<float>::lowest();
 
 /// A rendered scan and the measured intensities of the same rays.
-struct MeasuredIntensities {
-    RenderedIntensities rendered;
+struct PairedIntensities {
+    RenderedIntensityImage rendered;
     std::vector<float> measured;  ///< [rows*columns] kNoIntensity for rays without a return
 };
 
 /// Model of the random scatter of a LiDAR's intensities: a decision tree whose leaves
 /// hold measured intensities.
-struct IntensityScatter {
+struct IntensityScatterModel {
     /// Node of the decision tree. It refers to a range of entries in `values`, which are
     /// measured intensities. The range of an inner node contains the ranges of its
     /// children.
-    struct Node {
+    struct DecisionTreeNode {
         /// Index of the feature that is compared with the threshold `at`. Features are
-        /// numbered from 0 to count_scatter_features() - 1. The value is -1 for a leaf.
+        /// numbered from 0 to count_intensity_features() - 1. The value is -1 for a leaf.
         std::int32_t feature = -1;
         /// Threshold. The search continues with the first child if the feature is at most
         /// this value, otherwise with the second child.
@@ -54,7 +54,7 @@ struct IntensityScatter {
         std::uint32_t first = 0, count = 0;  ///< range of entries in `values`
     };
     /// Nodes of the tree. The first node is the root. Empty if there is no model.
-    std::vector<Node> nodes;
+    std::vector<DecisionTreeNode> nodes;
     std::vector<float> values;  ///< measured intensities, leaf by leaf
     /// Quantisation step of the sensor: all intensities of the log are multiples of this
     /// step. 0 if the intensities are not quantised.
@@ -62,11 +62,11 @@ struct IntensityScatter {
 
     bool empty() const { return nodes.empty(); }
     /// Returns the multiple of `step` that is nearest to an intensity.
-    float round_to_step(float intensity) const;
+    float quantise_intensity(float intensity) const;
 };
 
 /// Returns the number of features that a node of the tree can compare.
-std::size_t count_scatter_features();
+std::size_t count_intensity_features();
 
 /// Returns the quantisation step: the largest number of which all values are multiples.
 /// Rounding errors of up to 1e-6 of the largest value are allowed. Returns 0 if the step
@@ -79,14 +79,15 @@ double find_quantisation_step(std::vector<float> values);
 /// measured intensities decreases. The result does not depend on the number of threads.
 /// @return an empty tree if there are fewer than a thousand returns
 /// @throws DataError if an array has another size than its image
-IntensityScatter fit_scatter(std::span<const MeasuredIntensities> images);
+IntensityScatterModel fit_intensity_scatter(std::span<const PairedIntensities> images);
 
 /// Draws random intensities that a sensor could have measured. Processes the rays beam by
 /// beam from top to bottom, because an intensity depends on intensities that were drawn
 /// before.
-/// @param returns [rows*columns] 0 for rays without a return
+/// @param return_flags [rows*columns] 0 for rays without a return
 /// @return [rows*columns] kNoIntensity for rays without a return
-std::vector<float> draw_intensities(const IntensityScatter& scatter, const RenderedIntensities& rendered,
-                                    std::span<const std::uint8_t> returns, std::uint64_t seed);
+std::vector<float> draw_random_intensities(const IntensityScatterModel& scatter,
+                                           const RenderedIntensityImage& rendered,
+                                           std::span<const std::uint8_t> return_flags, std::uint64_t seed);
 
 }  // namespace relidar

@@ -25,10 +25,11 @@ namespace relidar {
 /// Limits the memory of scan arrays that are allocated after this call, in this process.
 /// Arrays beyond the limit are stored in an unnamed file, which disappears when the
 /// process ends. The memory is unlimited until this function is called.
-/// @param bytes  0: half of the memory of the machine or of the control group, divided by
-/// the number of processes (set_scan_process_count())
-/// @param folder  folder of the file; the file is created when the first array needs it
-void limit_scan_memory(std::uint64_t bytes, const std::filesystem::path& folder);
+/// @param max_bytes  0: half of the memory of the machine or of the control group,
+/// divided by the number of processes (set_scan_process_count())
+/// @param overflow_folder  folder of the file; the file is created when the first array
+/// needs it
+void limit_scan_memory(std::uint64_t max_bytes, const std::filesystem::path& overflow_folder);
 
 /// Sets the number of processes on this machine that load scans. These processes share
 /// the memory limit. The default is one process.
@@ -95,22 +96,22 @@ struct RayTable {
     ScanArray<float> ray_divergence_rad = {};
 
     std::size_t size() const { return direction.size(); }
-    double compute_divergence(std::size_t ray) const {
+    double get_beam_divergence_rad(std::size_t ray) const {
         return ray_divergence_rad.empty() ? divergence_rad : ray_divergence_rad[ray];
     }
     /// Returns the largest divergence in the table, or 0 if all rays are ideal.
-    double find_largest_divergence() const;
+    double find_max_divergence_rad() const;
     /// Appends a ray of another table. If this function is called repeatedly, all rays
-    /// must come from the same table. Does not change `rows` and `columns`.
-    void append(const RayTable& source, std::size_t ray);
+    /// must come from the same table. Does not change `rows` and `n_columns`.
+    void append_ray(const RayTable& source_table, std::size_t ray);
 };
 /// Returns the offsets of the sub-rays that sample the footprint of a beam: [count], in
 /// units of half the beam divergence. The first sub-ray is the beam axis. All sub-rays
 /// have the same weight. The mean of offset^2 is 1/2, which equals the spread of an
 /// evenly lit disc.
-/// @param count  1, 5 or 9; any other number gives a spiral whose first ray is not on the
-/// axis
-std::vector<glm::dvec2> make_footprint_pattern(int count);
+/// @param n_sub_rays  1, 5 or 9; any other number gives a spiral whose first ray is not
+/// on the axis
+std::vector<glm::dvec2> make_footprint_offsets(int n_sub_rays);
 /// Returns a new table with the selected rays of a table, without image order (rows = 1).
 RayTable select_rays(const RayTable& rays, const std::vector<std::size_t>& ray_indices);
 
@@ -135,11 +136,12 @@ struct Beam {
     ///   measured intensity = gain * fall * intensity of the surface + offset, clamped to 0..1
     /// A range of 0 (no return) stays 0. Each conversion can be inverted unless a value
     /// is clamped.
-    /// @param fall  factor of the log's IntensityResponse at the range of the surface
-    double to_measured_range(double surface_m) const;
-    double to_surface_range(double measured_m) const;  ///< at least 1 mm
-    double to_measured_intensity(double surface_intensity, double fall) const;
-    double to_surface_intensity(double measured_intensity, double fall) const;
+    /// @param range_factor  factor of the log's IntensityResponse at the range of the
+    /// surface
+    double to_measured_range(double surface_range_m) const;
+    double to_surface_range(double measured_range_m) const;  ///< at least 1 mm
+    double to_measured_intensity(double surface_intensity, double range_factor) const;
+    double to_surface_intensity(double measured_intensity, double range_factor) const;
 };
 
 /// Returns the calibration of the beam with this number. If no such beam exists, returns
@@ -156,7 +158,7 @@ struct RangeLimits {
     bool contains(double range_m) const { return range_m > 0.0 && range_m >= min_m && range_m <= max_m; }
 };
 /// Returns the intersection of two range limits.
-RangeLimits intersect_limits(const RangeLimits& first, const RangeLimits& second);
+RangeLimits intersect_range_limits(const RangeLimits& first, const RangeLimits& second);
 
 /// A spinning LiDAR: its beams, the number of azimuth steps in a sweep, and the timing of
 /// the sweep.
@@ -196,7 +198,7 @@ double compute_head_azimuth(const Beam& beam, const glm::dvec3& point_m);
 /// the beam's azimuth offset, so that all pixels of a column have the same azimuth. Image
 /// column j holds firing (j + shift) mod columns, where shift is the azimuth offset in
 /// columns, rounded.
-int compute_column_shift(const Beam& beam, int columns);
+int compute_column_shift(const Beam& beam, int n_columns);
 
 /// Returns the rays of a sweep. At time 0 the head faces forward (azimuth 0). A head that
 /// rotates clockwise reaches azimuth a at time -a / (2 pi) * period.
@@ -211,7 +213,7 @@ inline constexpr std::size_t kMaxRays = std::size_t(1) << 24;
 /// section 3.5). It does not depend on the scene. For example, the vehicle that carries
 /// the sensor blocks some rays. The total drop probability is P(drop) = 1 - (1 - P of the
 /// scene) (1 - P of the sensor).
-struct DropTable {
+struct RayDropTable {
     int channels = 0;
     int bins = 0;  ///< Number of azimuth bins. Bin 0 starts at +180 degrees, and the azimuth decreases.
     std::vector<float> probability;  ///< [channels, bins] drop probability
@@ -219,18 +221,18 @@ struct DropTable {
     bool empty() const { return probability.empty(); }
     /// Returns the index of a ray's entry in `probability`.
     /// @param direction [3] sensor frame
-    std::size_t index(std::uint16_t channel, const glm::vec3& direction) const;
+    std::size_t compute_entry_index(std::uint16_t channel, const glm::vec3& direction) const;
     /// Returns the drop probability of a ray.
     /// @param direction [3] sensor frame
     /// @return 0 if the table is empty or does not have the channel
-    float at(std::uint16_t channel, const glm::vec3& direction) const;
+    float get_drop_probability(std::uint16_t channel, const glm::vec3& direction) const;
 };
 
 /// Layout of a range image whose rows have equal elevation steps and whose columns have
 /// equal azimuth steps, like the KITTI-360 grid. The centre of pixel (i, j) has, in
 /// degrees:
 ///   elevation = fov_up - i * fov / rows,  azimuth = 180 - j * 360 / columns
-struct RangeGrid {
+struct RangeImageGrid {
     std::string name;
     int rows = 0;
     int columns = 0;
@@ -241,11 +243,11 @@ struct RangeGrid {
 
 /// Returns the range grid that published results on KITTI-360 use: 66 x 1030 pixels,
 /// elevation +2.0 to -24.9 degrees, 80 m.
-RangeGrid make_kitti360_grid();
+RangeImageGrid make_kitti360_grid();
 
 /// Returns rays through the pixel centres of a grid. All rays start at the sensor origin.
 /// The sweep is clockwise and takes 0.1 s.
-RayTable make_rays(const RangeGrid& grid);
+RayTable make_rays(const RangeImageGrid& grid);
 
 /// Projects a point into a range grid (sensor model, Eq. 6-7) and returns the nearest
 /// pixel.
@@ -254,11 +256,11 @@ RayTable make_rays(const RangeGrid& grid);
 /// view, at range 0 or beyond max_range_m.
 /// @differs Eq. 7 as printed divides only |f_down| by f_v; Eq. 6 writes arctan(y, x) and
 /// arcsin(z, d).
-std::optional<int> project(const RangeGrid& grid, const glm::dvec3& point_m);
+std::optional<int> project_to_pixel_index(const RangeImageGrid& grid, const glm::dvec3& point_m);
 
 /// A range image that was made by projecting points onto a grid. If several points fall
 /// into the same pixel, the pixel holds the nearest one.
-struct GridImage {
+struct ProjectedRangeImage {
     int rows = 0;
     int columns = 0;
     std::vector<float> range_m;    ///< [rows*columns] 0 in pixels without a point
@@ -272,8 +274,8 @@ struct GridImage {
 /// @param points_m [n] metres, sensor frame
 /// @param intensity [n] intensity of each point
 /// @throws UsageError if the two arrays have different lengths
-GridImage project_points(const RangeGrid& grid, const std::vector<glm::vec3>& points_m,
-                         const std::vector<float>& intensity);
+ProjectedRangeImage project_points(const RangeImageGrid& grid, const std::vector<glm::vec3>& points_m,
+                                   const std::vector<float>& intensity);
 
 /// A LiDAR that deflects its beam with two prisms. The prisms rotate in opposite
 /// directions. A scan is a flower-shaped pattern (rosette) about the x axis, and each
@@ -281,7 +283,7 @@ GridImage project_points(const RangeGrid& grid, const std::vector<glm::vec3>& po
 ///   direction = (cos r, sin r cos p, sin r sin p)
 ///   r e^(ip) = deflection (e^(i 2 pi f1 t) + e^(i 2 pi f2 t))
 /// This is the paraxial form of two thin prisms with equal wedge angles.
-struct Rosette {
+struct RosetteSensor {
     std::string name;
     /// Deflection by each of the two prisms. The scanned cone has a half angle of twice
     /// this value.
@@ -298,12 +300,12 @@ struct Rosette {
 /// and all rays have channel 0. Time offsets range from -period/2 to period/2.
 /// @throws UsageError for no rays, for more than kMaxRays rays, or for a value that is
 /// not finite
-RayTable make_rays(const Rosette& rosette, double time_s);
+RayTable make_rays(const RosetteSensor& rosette, double time_s);
 
 /// A LiDAR that scans a rectangular window with mirrors. Its rows have evenly spaced
 /// elevations, and its columns have evenly spaced azimuths. All rows of a column fire at
 /// the same time.
-struct ScanningWindow {
+struct WindowScanSensor {
     std::string name;
     int rows = 0, columns = 0;
     /// azimuths of the first and last column, positive to the left
@@ -316,11 +318,11 @@ struct ScanningWindow {
 /// Returns the rays of a scan. Row 0 is the highest row. Time 0 is the middle of the
 /// scan.
 /// @throws UsageError in the same cases as for a SpinningSensor
-RayTable make_rays(const ScanningWindow& window);
+RayTable make_rays(const WindowScanSensor& window);
 
 /// Scan pattern of a sensor: the parameters from which its rays are generated.
 /// docs/architecture.md lists the kinds of patterns in a table.
-using SensorPattern = std::variant<SpinningSensor, ScanningWindow, Rosette, RayTable>;
+using SensorPattern = std::variant<SpinningSensor, WindowScanSensor, RosetteSensor, RayTable>;
 
 /// Returns the rays of the scan at a time.
 /// @throws UsageError if a value of the pattern is invalid
@@ -334,7 +336,7 @@ struct AzimuthSweep {
 };
 
 /// Properties of a scan pattern that are known without generating its rays.
-struct PatternSummary {
+struct ScanPatternSummary {
     std::size_t n_rays = 0;  ///< number of rays in a scan
     /// Duration of a scan. 0 if the pattern has no fixed duration and only stores the
     /// time offsets of its rays.
@@ -345,10 +347,10 @@ struct PatternSummary {
     std::optional<AzimuthSweep> sweep = {};
 };
 /// Returns the number of rays, duration and sweep of a scan pattern.
-PatternSummary describe_pattern(const SensorPattern& pattern);
+ScanPatternSummary summarise_scan_pattern(const SensorPattern& pattern);
 /// Returns the duration of a scan in seconds. Returns 0 if the pattern has no fixed
 /// duration and only stores the time offsets of its rays.
-double get_period(const SensorPattern& pattern);
+double get_scan_period_s(const SensorPattern& pattern);
 
 /// A sensor to simulate: its scan pattern and its range limits.
 struct SensorModel {
@@ -366,16 +368,16 @@ RayTable make_rays(const SensorModel& sensor, double time_s = 0.0);
 
 /// Returns the scan pattern of a sensor that does not spin. Returns nothing for a
 /// spinning sensor.
-std::optional<SensorPattern> get_fixed_pattern(const SensorModel& sensor);
+std::optional<SensorPattern> get_non_spinning_pattern(const SensorModel& sensor);
 
 /// Returns the names that find_built_in_sensor() accepts.
 std::vector<std::string> list_sensor_names();
 /// Returns the built-in sensor with this name, or nothing if no sensor has this name.
 /// @param name  for example "VLP-16" or "kitti360", in upper or lower case
-/// @param columns  azimuth steps in a sweep of a spinning sensor; 0: the default of the
+/// @param n_columns  azimuth steps in a sweep of a spinning sensor; 0: the default of the
 /// sensor
 /// @param rate_hz  rotation rate of a spinning sensor; 0: the default of the sensor
-/// @throws UsageError if `columns` or `rate_hz` is set for a sensor that does not spin
+/// @throws UsageError if `n_columns` or `rate_hz` is set for a sensor that does not spin
 std::optional<SensorModel> find_built_in_sensor(const std::string& name, int columns = 0,
                                                 double rate_hz = 0.0);
 
@@ -388,15 +390,15 @@ std::optional<SensorModel> find_built_in_sensor(const std::string& name, int col
 ///   head turns during this delay;
 /// - min_range_m, max_range_m: limits of the sensor;
 /// - channel: the manufacturer's channel number, which is ignored.
-/// @param location  name of the table in error messages
-/// @param columns  azimuth steps in a sweep
+/// @param error_location  name of the table in error messages
+/// @param n_columns  azimuth steps in a sweep
 /// @param rate_hz  rotation rate
 /// @throws DataError naming the line and the value that is wrong
-SpinningSensor parse_beam_table(const std::string& text, const std::string& location, int columns,
+SpinningSensor parse_beam_table(const std::string& text, const std::string& error_location, int n_columns,
                                 double rate_hz);
 
 /// Returns a range grid by name, for example "kitti360", in upper or lower case.
 /// @throws UsageError for an unknown name
-RangeGrid find_grid(const std::string& name);
+RangeImageGrid find_range_grid(const std::string& name);
 
 }  // namespace relidar

@@ -23,27 +23,29 @@ inline constexpr double kDefaultMaxRange_m = 80.0;
 ///              firing order. Columns of a ray table: azimuth_deg (positive to the left),
 ///              elevation_deg; optional, 0 by default: origin_x_m, origin_y_m, origin_z_m,
 ///              time_s, channel, divergence_mrad (full angle of the beam); optional, with
-///              the same value in all lines: min_range_m, max_range_m
+///              the same value in all lines: min_range_m, default_max_range_m
 ///   FILE.npz   a ray table with the array names of a rendered scan: directions [n,3] or
 ///              [rows,columns,3], origin, time, ring; divergence (radians, for each ray) or
 ///              divergence_mrad (for all rays)
-///   FILE.json  a ray table as lists with the names of FILE.npz, and min_range_m, max_range_m;
+///   FILE.json  a ray table as lists with the names of FILE.npz, and min_range_m, default_max_range_m;
 ///              or the metadata of an Ouster sensor in its old or new format (beam angles,
 ///              beam origin offset, columns and rate); or {"<kind>": {...}} as
 ///              read_sensor_json() reads it
-/// @param also_known  additional names that the caller accepts, for the error message
-/// @param max_range_m  maximum range if the file does not contain one
+/// @param other_known_names  additional names that the caller accepts, for the error
+/// message
+/// @param default_max_range_m  maximum range if the file does not contain one
 /// @throws UsageError for an unknown name; the message suggests the most similar name
 /// @throws DataError if the file is invalid
-SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::string>& also_known = {},
-                        double max_range_m = kDefaultMaxRange_m);
+SensorModel find_sensor(const std::string& name_or_file,
+                        const std::vector<std::string>& other_known_names = {},
+                        double default_max_range_m = kDefaultMaxRange_m);
 
 /// Returns the sensor that the text of a JSON file describes.
 /// @param name  name of the sensor
-/// @param location  name of the text in error messages
+/// @param error_location  name of the text in error messages
 /// @throws DataError if the text is not a valid sensor
 SensorModel parse_sensor_json_text(const std::string& text, const std::string& name,
-                                   const std::string& location);
+                                   const std::string& error_location);
 
 /// A sensor of a rig, with its mounting.
 struct MountedSensor {
@@ -65,7 +67,7 @@ struct MountedSensor {
 /// must be unique. They may contain letters, digits, -, _ and dots.
 /// @throws DataError naming the sensor and the key that is wrong
 /// @throws errors of find_sensor()
-std::optional<std::vector<MountedSensor>> find_rig(const std::string& path);
+std::optional<std::vector<MountedSensor>> read_sensor_rig(const std::string& path);
 
 /// Returns the help text for users about the formats of sensor files.
 std::string make_sensor_file_help();

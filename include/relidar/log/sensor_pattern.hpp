@@ -12,19 +12,19 @@ namespace relidar {
 
 class JsonField;
 
-/// Reads a sensor from a JSON object {"<kind>": {...}}. describe_pattern_kinds() lists
+/// Reads a sensor from a JSON object {"<kind>": {...}}. format_pattern_kinds_help() lists
 /// the possible kinds. All files that contain sensors use such an object. If the object
 /// has no maximum range, the maximum range is infinite.
-/// @param name  name of the sensor if the object does not contain a name
+/// @param default_name  name of the sensor if the object does not contain a name
 /// @throws DataError naming the member that is wrong
-SensorModel read_sensor_json(const JsonField& field, const std::string& name);
+SensorModel read_sensor_json(const JsonField& field, const std::string& default_name);
 /// Returns the JSON text of a sensor. read_sensor_json() creates a sensor with exactly
 /// the same rays from this text.
-std::string write_sensor_json(const SensorModel& sensor);
+std::string format_sensor_json(const SensorModel& sensor);
 
 /// Returns a text for users that lists the kinds of sensor objects and their members, one
 /// line for each kind.
-std::string describe_pattern_kinds();
+std::string format_pattern_kinds_help();
 
 /// Channel number and firing time of one beam, from a line of a beam table.
 struct BeamFiring {
@@ -34,7 +34,7 @@ struct BeamFiring {
 
 /// Returns the channel number and firing time of each beam of a built-in sensor, highest
 /// beam first. The values are in src/log/sensor/tables.
-/// @param name  a name of list_sensor_names() that has a table
-std::vector<BeamFiring> get_beam_firings(const std::string& name);
+/// @param sensor_name  a name of list_sensor_names() that has a table
+std::vector<BeamFiring> get_beam_firings(const std::string& sensor_name);
 
 }  // namespace relidar

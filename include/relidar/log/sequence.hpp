@@ -17,7 +17,7 @@ namespace relidar {
 /// Position of a time in a track, between the entries `left` and `left + 1`. `s` is the
 /// fraction of the way between both entries: below 0 before the first entry, above 1
 /// after the last entry.
-struct TrackPosition {
+struct TrackInterpolation {
     std::size_t left = 0;
     double s = 0.0;  ///< 0 if the track has only one entry
 };
@@ -31,20 +31,22 @@ struct PoseTrack {
     /// translations). Outside the track, the pose is extrapolated with the velocity of
     /// the nearest segment.
     /// @throws DataError if the track is empty
-    Pose at(double t_s) const;
+    Pose interpolate_pose(double t_s) const;
     /// Returns the pose at `t_s` of an object that is mounted on the object of this
-    /// track. `mounted` is the pose of the mounted object in the frame of its carrier.
-    /// Same as mount_on_track(*this, mounted).at(t_s).
-    Pose at(double t_s, const Pose& mounted) const;
+    /// track. `carrier_from_mounted` is the pose of the mounted object in the frame of
+    /// its carrier. Same as compute_mounted_track(*this, mounted).at(t_s).
+    Pose interpolate_mounted_pose(double t_s, const Pose& carrier_from_mounted) const;
     /// Returns the two entries of the track between which at(t_s) interpolates.
     /// @throws DataError if the track is empty
-    TrackPosition place(double t_s) const;
-    bool covers(double t_s) const { return !time_s.empty() && t_s >= time_s.front() && t_s <= time_s.back(); }
+    TrackInterpolation find_pose_segment(double t_s) const;
+    bool contains_time(double t_s) const {
+        return !time_s.empty() && t_s >= time_s.front() && t_s <= time_s.back();
+    }
 };
 
 /// One further return of every ray of a scan: all second returns, or all third returns,
 /// and so on.
-struct SecondReturn {
+struct AdditionalReturns {
     std::vector<float> range_m;    ///< [n] range along the ray from its origin; 0 = no such return
     std::vector<float> intensity;  ///< [n] 0..1; 0 if there is no such return
 };
@@ -57,17 +59,19 @@ struct Scan {
     ScanArray<float> range_m;
     ScanArray<float> intensity;  ///< [n] intensity of the strongest return, 0..1; 0 if dropped
     /// Second, third, ... returns of all rays. A dropped ray has no further returns.
-    std::vector<SecondReturn> second_returns = {};
+    std::vector<AdditionalReturns> second_returns = {};
     ScanArray<SurfaceClass> classes = {};  ///< [n] class of the strongest return; empty without labels
 
     /// Returns the end point of a ray: [3] metres, sensor frame at its firing time.
-    glm::vec3 point(std::size_t ray) const { return rays.origin[ray] + range_m[ray] * rays.direction[ray]; }
+    glm::vec3 compute_end_point(std::size_t ray) const {
+        return rays.origin[ray] + range_m[ray] * rays.direction[ray];
+    }
     std::size_t count_returns() const;
 };
 
 /// Drops the rays of a scan whose range is outside the limits. Also removes second
 /// returns outside the limits.
-void drop_outside_limits(Scan& scan, const RangeLimits& limits);
+void remove_returns_outside_limits(Scan& scan, const RangeLimits& limits);
 
 /// Azimuth of a LiDAR's head at the start of a sweep, and the time of this start relative
 /// to the reference time of the frame.
@@ -84,13 +88,13 @@ struct SweepStart {
 std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningSensor& sensor);
 
 /// A sweep of one LiDAR of the log.
-struct Frame {
+struct LidarFrame {
     /// Frame number in the dataset. LiDARs that sweep at the same time share this number.
     int index = 0;
     /// Reference time. The head faces forward at this time unless `start` is set.
     double time_s = 0.0;
     Scan scan;
-    int lidar = 0;  ///< index into Sequence::lidars
+    int lidar = 0;  ///< index into LidarSequence::lidars
     /// Azimuth and time at the start of the sweep; empty if both have default values
     std::optional<SweepStart> start = {};
     /// [columns] difference between the measured and the nominal azimuth of the head at
@@ -99,18 +103,20 @@ struct Frame {
 };
 
 /// Returns a copy of a frame without its scan.
-inline Frame copy_without_scan(const Frame& frame) {
+inline LidarFrame copy_frame_without_scan(const LidarFrame& frame) {
     return {frame.index, frame.time_s, {}, frame.lidar, frame.start, frame.azimuth_shift_rad};
 }
 
 /// LiDAR, time and start of a sweep.
-struct SweepMoment {
+struct SweepTiming {
     double time_s = 0.0;  ///< reference time of the sweep
-    int lidar = 0;        ///< index into Sequence::lidars
+    int lidar = 0;        ///< index into LidarSequence::lidars
     std::optional<SweepStart> start = {};
 };
 /// Returns the time, the LiDAR and the start of the sweep that a frame recorded.
-inline SweepMoment get_sweep_moment(const Frame& frame) { return {frame.time_s, frame.lidar, frame.start}; }
+inline SweepTiming get_sweep_moment(const LidarFrame& frame) {
+    return {frame.time_s, frame.lidar, frame.start};
+}
 
 struct Lidar;
 /// Computes azimuth and time of a sweep's start for any LiDAR. Returns nothing for a
@@ -120,7 +126,7 @@ std::optional<SweepStart> find_sweep_start(const RayTable& rays, const Lidar& li
 
 /// Standard deviation of a sensor's measured ranges, as a table over the range and the
 /// angle of incidence.
-struct RangeNoise {
+struct RangeNoiseTable {
     /// Upper limits of the bins, ascending. Empty if unknown.
     std::vector<double> range_m, cosine;
     /// [ranges*cosines] standard deviations along the ray, a row for each range
@@ -129,7 +135,7 @@ struct RangeNoise {
     /// Returns the standard deviation of the range noise for a range and a cosine of
     /// incidence. Uses the bin that contains both values, or the nearest bin. Returns 0
     /// if the noise is unknown.
-    double at(double at_m, double at_cosine) const;
+    double get_noise_sigma_m(double measured_range_m, double incidence_cosine) const;
 };
 
 /// A LiDAR of a log.
@@ -144,16 +150,16 @@ struct Lidar {
     /// Nominal scan pattern of a LiDAR that does not spin. Empty for a spinning LiDAR,
     /// and if the pattern is unknown.
     std::optional<SensorPattern> pattern = {};
-    RangeNoise range_noise = {};  ///< range noise; empty unless it was measured
+    RangeNoiseTable range_noise = {};  ///< range noise; empty unless it was measured
 
     /// Returns the duration of a sweep, or 0 if it is unknown.
-    double period_s() const { return pattern ? get_period(*pattern) : sensor.period_s; }
+    double period_s() const { return pattern ? get_scan_period_s(*pattern) : sensor.period_s; }
 };
 
 /// Sets the nominal sensor of a LiDAR.
-void set_sensor(Lidar& lidar, const SensorModel& sensor);
+void set_nominal_sensor(Lidar& lidar, const SensorModel& sensor);
 /// Returns the nominal sensor of a LiDAR. It has no beams if only the scans are known.
-SensorModel get_sensor(const Lidar& lidar);
+SensorModel get_nominal_sensor(const Lidar& lidar);
 
 /// Returns the rays that a LiDAR nominally fires at a time. Returns no rays if neither
 /// its beams nor its scan pattern are known.
@@ -165,14 +171,14 @@ RayTable make_nominal_rays(const Lidar& lidar, double time_s);
 /// rays were dropped. Firings with less than three returns are interpolated from their
 /// neighbours. With this correction, the rays of KITTI's HDL-64E agree to 0.01 columns
 /// instead of up to three columns.
-/// @param nominal  make_nominal_rays() of the LiDAR
+/// @param nominal_rays  make_nominal_rays() of the LiDAR
 /// @return [columns] radians, by firing (compute_column_shift()). Empty if the scan is
 /// not in the order of the nominal rays, if the beams do not rotate together, or if there
 /// is no deviation.
-std::vector<float> find_azimuth_shift(const Scan& scan, const SpinningSensor& sensor,
-                                      const RayTable& nominal);
+std::vector<float> measure_azimuth_shifts_rad(const Scan& scan, const SpinningSensor& sensor,
+                                              const RayTable& nominal_rays);
 /// Rotates the nominal rays of each firing about the z axis to the measured azimuth.
-/// @param shift_rad  result of find_azimuth_shift(). Empty: no rotation
+/// @param shift_rad  result of measure_azimuth_shifts_rad(). Empty: no rotation
 RayTable shift_azimuths(RayTable rays, const SpinningSensor& sensor, const std::vector<float>& shift_rad);
 
 /// Category of moving objects that the dataset did not label and that discover_tracks()
@@ -211,15 +217,15 @@ struct BoxTrack {
     bool is_present(double t_s) const;
     /// Returns the track without the poses that were added before its first and after its
     /// last label.
-    BoxTrack get_labelled_part() const;
+    BoxTrack copy_labelled_poses() const;
     /// Returns true if a point in the world frame is in the box at a time. The box is
     /// enlarged by margin_m on all sides.
-    bool holds(const glm::dvec3& point_m, double t_s, double margin_m) const;
+    bool contains_point(const glm::dvec3& point_m, double t_s, double margin_m) const;
 };
 
 /// Model of the measured intensity as a function of range and angle of incidence. All
 /// beams of a log share it. The factor is 1 at 10 m and perpendicular incidence.
-///   intensity of the mean beam = albedo * at_range(range) * at_cosine(cos)
+///   intensity of the mean beam = albedo * compute_range_factor(range) * compute_incidence_factor(cos)
 struct IntensityResponse {
     /// Ranges in metres, ascending, for which the table has factors. If the table is
     /// empty, the factor is 1 at all ranges.
@@ -227,18 +233,19 @@ struct IntensityResponse {
     std::vector<double> factor;  ///< [knots] factor, interpolated linearly
     double incidence = 0.0;      ///< dependence on incidence: 0 none, 1 Lambert's cosine law
 
-    double at_range(double at_m) const;  ///< uses the first or last factor outside the knots
+    double compute_range_factor(
+        double distance_m) const;  ///< uses the first or last factor outside the knots
     /// Returns the intensity factor for the cosine of the angle between the ray and the
     /// surface normal.
-    double at_cosine(double cosine) const { return 1.0 - incidence * (1.0 - cosine); }
+    double compute_incidence_factor(double cosine) const { return 1.0 - incidence * (1.0 - cosine); }
 };
 
 /// A LiDAR log. Its world origin is the position of the vehicle in the middle frame.
-struct Sequence {
+struct LidarSequence {
     std::string name;
     std::string source;                                 ///< path of the log
     std::vector<Lidar> lidars = std::vector<Lidar>(1);  ///< LiDARs, at least one
-    std::vector<Frame> frames;                          ///< frames of all LiDARs, ascending in time
+    std::vector<LidarFrame> frames;                     ///< frames of all LiDARs, ascending in time
     PoseTrack world_from_vehicle;                       ///< an entry for each time that has frames
     std::vector<BoxTrack> boxes;
     /// Offset from relidar's world to the dataset's world. Add this vector to coordinates
@@ -258,49 +265,50 @@ struct Sequence {
     /// motion-compensated.
     bool rolling_shutter = true;
 
-    const Lidar& get_lidar(const Frame& frame) const { return lidars[std::size_t(frame.lidar)]; }
+    const Lidar& get_lidar(const LidarFrame& frame) const { return lidars[std::size_t(frame.lidar)]; }
     /// Returns the index of the vehicle pose that has the time of a frame.
     /// @throws DataError if there is no such pose
-    std::size_t get_pose_index(const Frame& frame) const;
+    std::size_t get_pose_index(const LidarFrame& frame) const;
     /// Returns the poses of a LiDAR at the times of the vehicle's poses. Each pose is the
     /// pose of the vehicle combined with the mounting of the LiDAR.
-    PoseTrack world_from_sensor(int lidar) const;
+    PoseTrack get_world_from_sensor(int lidar_index) const;
     /// Returns the total number of beams of all LiDARs.
     std::size_t count_beams() const;
     /// Returns the number of a beam among the beams of all LiDARs. Beams are numbered
     /// consecutively in the order of `lidars`. Returns nothing if the LiDAR does not have
     /// the beam.
-    std::optional<std::uint16_t> find_beam_number(int lidar, std::uint16_t channel) const;
+    std::optional<std::uint16_t> find_global_beam_number(int lidar_index, std::uint16_t channel) const;
 };
 
 /// Returns the box with this id, or null if there is none. An empty id stands for the
 /// background and gives null.
-const BoxTrack* find_box(const Sequence& sequence, const std::string& id);
+const BoxTrack* find_box(const LidarSequence& sequence, const std::string& id);
 
 /// Returns a copy of a log without its frames.
-Sequence copy_without_frames(const Sequence& sequence);
+LidarSequence copy_without_frames(const LidarSequence& sequence);
 
-/// Returns the index of a LiDAR in Sequence::lidars by its name. An empty name gives the
-/// first LiDAR.
+/// Returns the index of a LiDAR in LidarSequence::lidars by its name. An empty name gives
+/// the first LiDAR.
 /// @throws UsageError if no LiDAR has this name
-int find_lidar(const Sequence& sequence, const std::string& name);
+int find_lidar_index_by_name(const LidarSequence& sequence, const std::string& name);
 
 /// Returns the poses of an object that is mounted on another moving object.
-/// @param track  poses of the moving object
-/// @param sensor_from_moved  pose of the mounted object in the frame of the moving object
-PoseTrack mount_on_track(PoseTrack track, const Pose& sensor_from_moved);
+/// @param carrier_track  poses of the moving object
+/// @param carrier_from_mounted  pose of the mounted object in the frame of the moving
+/// object
+PoseTrack compute_mounted_track(PoseTrack carrier_track, const Pose& carrier_from_mounted);
 /// Returns the same motion with additional poses where the object turns. A mounted object
 /// then moves on a curve instead of straight lines between the poses.
-PoseTrack refine_turns(const PoseTrack& track);
+PoseTrack subdivide_turning_segments(const PoseTrack& track);
 /// Returns the same poses in a world frame with another origin.
-/// @param by_m  vector that is added to every position. Sequence::world_offset_m converts
-/// to the dataset's world frame. Its negative converts back.
-PoseTrack shift_track(PoseTrack track, const glm::dvec3& by_m);
+/// @param offset_m  vector that is added to every position. LidarSequence::world_offset_m
+/// converts to the dataset's world frame. Its negative converts back.
+PoseTrack shift_track(PoseTrack track, const glm::dvec3& offset_m);
 
 /// Replaces the poses of the vehicle. The times must stay the same. Each labelled box
 /// keeps its pose relative to the vehicle, because boxes are labelled relative to the
 /// scans.
-void set_vehicle_poses(Sequence& sequence, PoseTrack world_from_vehicle);
+void set_vehicle_poses(LidarSequence& sequence, PoseTrack world_from_vehicle);
 
 /// A ray in the world frame at the time at which it was fired.
 struct WorldRay {
@@ -321,7 +329,8 @@ WorldRay make_world_ray(const PoseTrack& world_from_sensor, double time_s, const
 /// scan, because a rosette covers every direction repeatedly.
 /// @param point_m [3] metres, sensor frame
 /// @return the `time_s` of the sweep if the sequence has no rolling shutter
-double compute_facing_time(const Sequence& sequence, const glm::dvec3& point_m, const SweepMoment& sweep);
+double compute_point_scan_time_s(const LidarSequence& sequence, const glm::dvec3& point_m,
+                                 const SweepTiming& sweep);
 
 /// Range and intensity of the surface that a ray hit. The intensity is not corrected for
 /// the angle of incidence.
@@ -333,9 +342,9 @@ struct SurfaceReturn {
 };
 /// Returns the range and intensity of the surface that a ray hit.
 /// @param ray  index of a ray of the frame
-/// @param number  0 for the strongest return, n for Scan::second_returns[n-1]
-SurfaceReturn compute_surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray,
-                                     std::size_t number = 0);
+/// @param return_index  0 for the strongest return, n for Scan::second_returns[n-1]
+SurfaceReturn compute_surface_return(const LidarSequence& sequence, const LidarFrame& frame, std::size_t ray,
+                                     std::size_t return_index = 0);
 
 /// End point of a returned ray in the world frame, and the firing time of the ray. The
 /// beam's range offset and intensity response are removed.
@@ -347,9 +356,9 @@ struct WorldReturn {
 };
 /// Returns the end point of a ray in the world frame.
 /// @param ray  index of a returned ray of the frame
-/// @param number  number of an existing return of this ray
-WorldReturn compute_world_return(const Sequence& sequence, const Frame& frame, std::size_t ray,
-                                 std::size_t number = 0);
+/// @param return_index  number of an existing return of this ray
+WorldReturn compute_world_return(const LidarSequence& sequence, const LidarFrame& frame, std::size_t ray,
+                                 std::size_t return_index = 0);
 
 /// Returns true if a point in the world frame is in any moving box at time t_s. Boxes are
 /// interpolated in time and enlarged by margin_m. A box exists from its first to its last
@@ -357,16 +366,16 @@ WorldReturn compute_world_return(const Sequence& sequence, const Frame& frame, s
 bool is_in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s,
                       double margin_m);
 
-/// Result of calibrate_ranges(): distances of the points from common planes, before and
-/// after the calibration of the beams.
-struct LaserCalibration {
+/// Result of calibrate_beam_ranges(): distances of the points from common planes, before
+/// and after the calibration of the beams.
+struct RangeCalibrationResult {
     std::size_t returns = 0;  ///< number of returns that were compared
     double rms_before = 0.0;  ///< Root mean square distance of points from their plane, in metres.
     double rms_after = 0.0;   ///< The same distance (RMS) after adding an offset for each beam.
     bool adopted = false;     ///< True if the offsets were stored in the beams.
 };
 /// Result of calibrate_intensity(): errors before and after the calibration.
-struct IntensityCalibration {
+struct IntensityCalibrationResult {
     std::size_t returns = 0;  ///< number of returns that were compared
     /// Root mean square difference between an intensity and the mean of returns at the
     /// same surface point.
@@ -376,44 +385,46 @@ struct IntensityCalibration {
     bool beams = false;      ///< True if the beams now have gains and offsets.
 };
 /// Estimates two models of the intensity by least squares. The first is the dependence on
-/// range and incidence (Sequence::intensity_response). The second is the gain and offset
-/// of each beam (Beam). Both are fitted to returns that hit the same 0.1 m of a surface.
-/// A model, or both together, is adopted only if it reduces the error by a further 5 %.
-/// Beams that agree therefore get no gains, and intensities that the sensor has already
-/// compensated get no response. The mean beam has gain 1 and offset 0. So does a beam
-/// that hits no surface point together with other beams. (Not in the paper.)
-/// @param positions  indices into Sequence::frames of the frames to use
-IntensityCalibration calibrate_intensity(Sequence& sequence, const std::vector<int>& positions);
+/// range and incidence (LidarSequence::intensity_response). The second is the gain and
+/// offset of each beam (Beam). Both are fitted to returns that hit the same 0.1 m of a
+/// surface. A model, or both together, is adopted only if it reduces the error by a
+/// further 5 %. Beams that agree therefore get no gains, and intensities that the sensor
+/// has already compensated get no response. The mean beam has gain 1 and offset 0. So
+/// does a beam that hits no surface point together with other beams. (Not in the paper.)
+/// @param frame_indices  indices into LidarSequence::frames of the frames to use
+IntensityCalibrationResult calibrate_intensity(LidarSequence& sequence,
+                                               const std::vector<int>& frame_indices);
 /// Measures the range noise of each LiDAR (Lidar::range_noise) from second differences
 /// between neighbouring firings of a beam. The scans must be in image order. A bin with
 /// fewer than 200 returns uses the value of the neighbouring bin. If no bin of a LiDAR
 /// has 200 returns, the LiDAR gets no noise. (Not in the paper.)
-/// @param positions  indices into Sequence::frames of the frames to use
+/// @param frame_indices  indices into LidarSequence::frames of the frames to use
 /// @return number of returns that were used; 0: nothing was measured
-std::size_t measure_range_noise(Sequence& sequence, const std::vector<int>& positions);
+std::size_t measure_range_noise(LidarSequence& sequence, const std::vector<int>& frame_indices);
 /// Estimates the range offset of each beam (Beam) from returns on the same planes, in
 /// cells of 0.3 m. Uses alternating least squares, starting from the nominal ranges. The
 /// mean offset of all beams is 0. If the offsets reduce the thickness of the planes by
 /// less than 3 %, they are set to 0. Datasets contain offsets of centimetres between
 /// beams. (Not in the paper.)
-/// @param positions  indices into Sequence::frames of the frames to use
-LaserCalibration calibrate_ranges(Sequence& sequence, const std::vector<int>& positions);
+/// @param frame_indices  indices into LidarSequence::frames of the frames to use
+RangeCalibrationResult calibrate_beam_ranges(LidarSequence& sequence, const std::vector<int>& frame_indices);
 
 /// Split of the frames into training and test frames.
-struct Split {
-    std::vector<int> train;  ///< indices into Sequence::frames
+struct TrainTestSplit {
+    std::vector<int> train;  ///< indices into LidarSequence::frames
     std::vector<int> test;
 };
 /// Splits the frames of a log into training and test frames. A test sweep includes the
 /// frames of all LiDARs that share its index. Test sweeps are every `test_every`-th sweep
 /// except the first (10, 20, ... of 0:50 with 10), or the sweeps in `test_frames`. With
-/// `test_every` = 10 on a published part of a dataset, Sequence::test_frames are the test
-/// frames.
+/// `test_every` = 10 on a published part of a dataset, LidarSequence::test_frames are the
+/// test frames.
 /// @param test_every  0: no test frames
 /// @param test_frames  indices and half-open ranges, "13,26,40:45". If not empty, it is
 /// used instead of `test_every`.
 /// @throws UsageError for a test_every of 1, for an invalid list, for a frame that does
 /// not exist or is named twice, and if no frame is left for training
-Split split_frames(const Sequence& sequence, int test_every, const std::string& test_frames = "");
+TrainTestSplit split_frames(const LidarSequence& sequence, int test_every,
+                            const std::string& test_frames = "");
 
 }  // namespace relidar

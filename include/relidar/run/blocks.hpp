@@ -18,13 +18,13 @@
 namespace relidar {
 
 /// Section of the sensor's trajectory that is trained separately.
-struct Block {
+struct TrajectoryBlock {
     /// Begin and end of the section, measured along the trajectory from the start of the
     /// log, metres.
     double begin_m = 0.0, end_m = 0.0;
-    /// Indices in Sequence::frames of the sweeps recorded in this section, including
+    /// Indices in LidarSequence::frames of the sweeps recorded in this section, including
     /// held-out sweeps.
-    std::vector<int> own;
+    std::vector<int> recorded_frames;
     /// Indices of the training frames that train this section: the sweeps recorded in the
     /// section or within a fixed distance of it (the halo).
     std::vector<int> train;
@@ -33,35 +33,36 @@ struct Block {
 /// Divides the vehicle's trajectory into blocks of equal length, at most
 /// options.length_m. Skips sections without a sweep, which are gaps of the log.
 /// @throws DataError if a block has no training frame within its halo
-std::vector<Block> plan_blocks(const Sequence& sequence, const Split& split, const BlockConfig& options);
+std::vector<TrajectoryBlock> plan_training_blocks(const LidarSequence& sequence, const TrainTestSplit& split,
+                                                  const BlockConfig& options);
 
 /// Part of a log that is used to train one block. It contains the training frames of the
 /// block, the held-out frames recorded in the block, and the boxes near these frames.
-struct BlockLog {
-    Sequence sequence;
-    Split split;
+struct BlockTrainingLog {
+    LidarSequence sequence;
+    TrainTestSplit split;
     /// Settings for the training of one block. They switch the division into blocks off,
     /// and list only the tracks of this block.
     Config config;
 };
 /// Copies the frames and boxes that are needed to train one block from a log.
 /// @param config settings of the complete training
-BlockLog load_block_log(const Sequence& sequence, const Split& split, const Block& block,
-                        const Config& config);
+BlockTrainingLog extract_block_log(const LidarSequence& sequence, const TrainTestSplit& split,
+                                   const TrajectoryBlock& block, const Config& config);
 
 /// Removes all background surfels that belong to other blocks. A surfel belongs to the
 /// block that contains the sweep nearest to the surfel.
-void remove_overlap_surfels(Scene& scene, const Sequence& sequence, const std::vector<Block>& blocks,
-                            std::size_t block);
+void remove_surfels_of_other_blocks(Scene& scene, const LidarSequence& sequence,
+                                    const std::vector<TrajectoryBlock>& blocks, std::size_t block_index);
 
 /// Joins trained blocks to one run. Background surfels stay in the files of the blocks.
 /// Each actor is copied from the block in which the most training frames saw this actor.
 /// The corrected pose of each sweep is copied from the block in which the sweep was
 /// recorded.
 /// @param run run with the prepared log and without a scene
-/// @param folders [blocks] run folders of the blocks
+/// @param run_folders [blocks] run folders of the blocks
 /// @throws DataError if a run folder has a missing, truncated or inconsistent file
-void join_blocks(Run& run, const std::vector<Block>& blocks,
-                 const std::vector<std::filesystem::path>& folders);
+void join_trained_blocks(TrainedRun& run, const std::vector<TrajectoryBlock>& blocks,
+                         const std::vector<std::filesystem::path>& run_folders);
 
 }  // namespace relidar

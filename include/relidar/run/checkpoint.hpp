@@ -33,13 +33,13 @@ struct Checkpoint {
 
     /// Returns the array or the text with this name.
     /// @throws DataError if the name does not exist
-    const NamedArray& array(const std::string& name) const;
-    const std::string& text(const std::string& name) const;
+    const NamedArray& get_array(const std::string& name) const;
+    const std::string& get_text(const std::string& name) const;
 };
 
 /// Returns the name of a number type in numpy, for example "f4" for float.
 template <class T>
-constexpr const char* get_dtype() {
+constexpr const char* get_numpy_dtype() {
     static_assert(std::is_arithmetic_v<T> && (sizeof(T) == 4 || sizeof(T) == 8));
     if constexpr (std::is_floating_point_v<T>) return sizeof(T) == 4 ? "f4" : "f8";
     else if constexpr (std::is_signed_v<T>) return sizeof(T) == 4 ? "i4" : "i8";
@@ -48,32 +48,32 @@ constexpr const char* get_dtype() {
 
 /// Refers to the first n values of a device array. The array may be longer.
 template <class T>
-struct FirstOf {
+struct ArrayPrefix {
     Array<T>& array;
     std::size_t n;
 };
 
 /// Copies the state of a training into a checkpoint, with one call per array or number.
 /// No submitted GPU work may use the device arrays during a call.
-class StateWriter {
+class CheckpointWriter {
 public:
-    explicit StateWriter(Checkpoint& checkpoint) : checkpoint_(checkpoint) {}
+    explicit CheckpointWriter(Checkpoint& checkpoint) : checkpoint_(checkpoint) {}
 
     /// Stores a number, a host array [n] or a device array [n] under a name.
     template <class T>
     void operator()(const std::string& name, const T& value) requires std::is_arithmetic_v<T> {
-        put(name, get_dtype<T>(), {}, &value);
+        store_array(name, get_numpy_dtype<T>(), {}, &value);
     }
     template <class T>
     void operator()(const std::string& name, const std::vector<T>& values) {
-        put(name, get_dtype<T>(), {values.size()}, values.data());
+        store_array(name, get_numpy_dtype<T>(), {values.size()}, values.data());
     }
     template <class T>
     void operator()(const std::string& name, const Array<T>& array) {
         (*this)(name, array.download());
     }
     template <class T>
-    void operator()(const std::string& name, const FirstOf<T>& first) {
+    void operator()(const std::string& name, const ArrayPrefix<T>& first) {
         (*this)(name, first.array.download(first.n));
     }
     /// Stores surfels as one array per group of parameters, for example name/mean, [n,3].
@@ -83,37 +83,38 @@ private:
     Checkpoint& checkpoint_;
 
     /// Copies the values of an array into the checkpoint.
-    void put(const std::string& name, const char* dtype, std::vector<std::size_t> shape, const void* values);
+    void store_array(const std::string& name, const char* dtype, std::vector<std::size_t> shape,
+                     const void* values);
 };
 
 /// Copies the state of a training back from a checkpoint, with the same calls as
-/// StateWriter. Host vectors are resized to the stored length. Device arrays must already
-/// have the right length.
+/// CheckpointWriter. Host vectors are resized to the stored length. Device arrays must
+/// already have the right length.
 /// @throws DataError if an array is missing or has the wrong shape. The message names the
 /// array.
-class StateReader {
+class CheckpointReader {
 public:
-    explicit StateReader(const Checkpoint& checkpoint) : checkpoint_(checkpoint) {}
+    explicit CheckpointReader(const Checkpoint& checkpoint) : checkpoint_(checkpoint) {}
 
     /// Restores a number, a host array [n] or a device array [n] from the checkpoint.
     template <class T>
     void operator()(const std::string& name, T& value) const requires std::is_arithmetic_v<T> {
-        copy(find(name, get_dtype<T>(), {}), &value);
+        copy_array_bytes(get_checked_array(name, get_numpy_dtype<T>(), {}), &value);
     }
     template <class T>
     void operator()(const std::string& name, std::vector<T>& values) const {
-        const NamedArray& found = find_rows(name, get_dtype<T>());
-        values.resize(found.count());
-        copy(found, values.data());
+        const NamedArray& stored_array = get_array_of_any_length(name, get_numpy_dtype<T>());
+        values.resize(stored_array.count_elements());
+        copy_array_bytes(stored_array, values.data());
     }
     template <class T>
     void operator()(const std::string& name, Array<T>& array) const {
-        (*this)(name, FirstOf<T>{array, array.size()});
+        (*this)(name, ArrayPrefix<T>{array, array.size()});
     }
     template <class T>
-    void operator()(const std::string& name, const FirstOf<T>& first) const {
+    void operator()(const std::string& name, const ArrayPrefix<T>& first) const {
         std::vector<T> values(first.n);
-        copy(find(name, get_dtype<T>(), {first.n}), values.data());
+        copy_array_bytes(get_checked_array(name, get_numpy_dtype<T>(), {first.n}), values.data());
         first.array.upload(values);
     }
     void operator()(const std::string& name, SurfelArrays& surfels) const {
@@ -121,19 +122,19 @@ public:
     }
 
     /// Returns the stored surfels as host arrays. Any number of surfels is accepted.
-    Surfels surfels(const std::string& name) const;
+    Surfels read_all_surfels(const std::string& name) const;
 
 private:
     const Checkpoint& checkpoint_;
 
     /// Returns the stored array with this name after checking its type and shape.
-    /// Variants: find_rows() accepts any length, read_surfels() returns the arrays of n
-    /// surfels, copy() copies all bytes.
-    const NamedArray& find(const std::string& name, const char* dtype,
-                           const std::vector<std::size_t>& shape) const;
-    const NamedArray& find_rows(const std::string& name, const char* dtype) const;
-    Surfels read_surfels(const std::string& name, std::size_t count) const;
-    static void copy(const NamedArray& array, void* values);
+    /// Variants: get_array_of_any_length() accepts any length, read_surfels() returns the
+    /// arrays of n surfels, copy_array_bytes() copies all bytes.
+    const NamedArray& get_checked_array(const std::string& name, const char* dtype,
+                                        const std::vector<std::size_t>& shape) const;
+    const NamedArray& get_array_of_any_length(const std::string& name, const char* dtype) const;
+    Surfels read_surfels(const std::string& name, std::size_t n_surfels) const;
+    static void copy_array_bytes(const NamedArray& array, void* destination);
 };
 
 /// Checks that all stored numbers are finite.
@@ -152,17 +153,18 @@ Checkpoint read_checkpoint(const std::filesystem::path& path);
 /// iteration_00000400.safetensors. Returns an empty list if the folder does not exist.
 std::vector<std::filesystem::path> list_checkpoints(const std::filesystem::path& folder);
 /// Writes a checkpoint into a folder and creates the folder if needed. Then removes older
-/// checkpoints, so that at most `keep` remain. Also removes checkpoints of later
-/// iterations, because they belong to an abandoned training. Files are removed only after
-/// the new checkpoint is on disk.
+/// checkpoints, so that at most `max_checkpoints` remain. Also removes checkpoints of
+/// later iterations, because they belong to an abandoned training. Files are removed only
+/// after the new checkpoint is on disk.
 /// @throws DataError if the file cannot be written
-void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& checkpoint, int keep);
+void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& checkpoint, int max_checkpoints);
 /// Loads the newest readable checkpoint of a folder.
-/// @param note function that receives one line of text about each unreadable checkpoint
+/// @param report_unreadable function that receives one line of text about each unreadable
+/// checkpoint
 /// @return nullopt if there is no checkpoint
 /// @throws DataError if there are checkpoints but none is readable
-std::optional<Checkpoint> load_newest_checkpoint(const std::filesystem::path& folder,
-                                                 const std::function<void(const std::string&)>& note);
+std::optional<Checkpoint> load_newest_checkpoint(
+    const std::filesystem::path& folder, const std::function<void(const std::string&)>& report_unreadable);
 /// Removes all checkpoints of a folder. Also removes the folder if it has no other files.
 void remove_checkpoints(const std::filesystem::path& folder);
 

@@ -83,9 +83,9 @@ struct SensorConfig {
     double return_separation_m = 0.5;
 
     /// Returns true if `calibrate` includes the given quantity.
-    /// @param description "range" or "intensity"
-    bool should_calibrate(const char* description) const {
-        return calibrate.find(description) != std::string::npos;
+    /// @param quantity "range" or "intensity"
+    bool should_calibrate(const char* quantity) const {
+        return calibrate.find(quantity) != std::string::npos;
     }
     bool operator==(const SensorConfig&) const = default;
 };
@@ -147,8 +147,10 @@ struct TrainConfig {
     std::uint64_t seed = 1;
 
     /// Returns true if training optimises the given poses (`refine_poses`).
-    /// @param poses "sensor" or "actors"
-    bool refines(const char* poses) const { return refine_poses.find(poses) != std::string::npos; }
+    /// @param pose_kind "sensor" or "actors"
+    bool should_refine_poses(const char* pose_kind) const {
+        return refine_poses.find(pose_kind) != std::string::npos;
+    }
     bool operator==(const TrainConfig&) const = default;
 };
 
@@ -199,20 +201,20 @@ struct Config {
     std::string preset = "paper";
     DatasetConfig dataset;
     SensorConfig sensor;
-    InitialiseOptions init;
-    ImageModel image;
+    SceneInitialisationOptions init;
+    ImageFormationModel image;
     LossWeights loss;
     TrainConfig train;
     BlockConfig blocks;
     DensifyOptions densify;
-    RefineOptions refine;
+    RayDropNetworkOptions refine;
     RenderConfig render;
     TraceConfig trace;
 
     /// Returns true if a loss compares neighbouring pixels. A training step then renders
     /// windows of adjacent columns. Otherwise it renders columns that are spread over all
     /// directions.
-    bool needs_images() const { return loss.intensity * loss.intensity_ssim > 0.0f; }
+    bool has_neighbour_pixel_loss() const { return loss.intensity * loss.intensity_ssim > 0.0f; }
     bool operator==(const Config&) const = default;
 };
 

@@ -2,7 +2,7 @@
 // Functions that edit a dynamic scene. They return an edited copy of the scene and its
 // tracks. A track gives the pose of an instance over time (Eq. 4-5). Edits change only
 // tracks and instances, with one exception: if a vehicle gets another track, its
-// unobserved sides are completed by mirrored surfels (complete_by_symmetry()).
+// unobserved sides are completed by mirrored surfels (add_mirrored_surfels()).
 #pragma once
 
 #include <filesystem>
@@ -20,7 +20,7 @@ namespace relidar {
 
 /// Initial pose and speed of a new actor. The actor moves at constant speed along x of
 /// its initial box frame, or along a path.
-struct Start {
+struct NewActorMotion {
     /// Pose of the box centre at the start of the log. The dataset's world frame is
     /// relidar's world frame, shifted by world_offset_m.
     Pose dataset_from_box;
@@ -34,7 +34,7 @@ struct Start {
 };
 
 /// Position, heading and speed of an actor on the ground.
-struct GroundPlace {
+struct GroundPlacement {
     glm::dvec2 dataset_m{0.0};  ///< x, y of the box centre in the dataset's world frame, [2] metres.
     /// Heading in the dataset's world frame, radians. Default: heading of the log's
     /// vehicle at the nearest point of its trajectory.
@@ -46,9 +46,9 @@ struct GroundPlace {
 };
 
 /// Read-only view of a scene and its log.
-struct DrivingView {
+struct SceneWithLogView {
     const Scene& scene;
-    const Sequence& sequence;
+    const LidarSequence& sequence;
 };
 
 /// Returns the height of the bottom of an actor's box above the ground, metres. The
@@ -56,40 +56,41 @@ struct DrivingView {
 /// copy of the actor must be placed at the same height.
 /// @return nullopt if the actor's scene has no ground below the box
 /// @throws UsageError if no instance has this track
-std::optional<double> measure_ground_clearance(const DrivingView& owner, const std::string& track);
+std::optional<double> measure_ground_clearance(const SceneWithLogView& actor_scene, const std::string& track);
 
 /// Computes the pose of an actor on the ground of the background. A moving actor gets a
 /// path that is straight in x and y and follows the ground. The ground plane is fitted to
 /// the level surfels below the box, and the actor is tilted like this plane. The actor's
-/// height above the plane equals its height above the ground in `owner`. If `owner` has
-/// no ground below the box, the bottom of the box is placed on the plane. Bridges and
-/// trees are not ground. Therefore, surfels higher than the log's sensor plus a quarter
-/// of the distance to it are ignored.
-/// @param owner scene that contains the actor
+/// height above the plane equals its height above the ground in `actor_scene`. If
+/// `actor_scene` has no ground below the box, the bottom of the box is placed on the
+/// plane. Bridges and trees are not ground. Therefore, surfels higher than the log's
+/// sensor plus a quarter of the distance to it are ignored.
+/// @param actor_scene scene that contains the actor
 /// @throws UsageError naming the position if the background has no level surface below
 /// the start
-Start compute_start_on_ground(const DrivingView& driving, const GroundPlace& place, const DrivingView& owner,
-                              const std::string& track);
+NewActorMotion compute_actor_start_on_ground(const SceneWithLogView& driving,
+                                             const GroundPlacement& ground_place,
+                                             const SceneWithLogView& actor_scene, const std::string& track);
 
 /// Removes an actor and its track. Rays then hit the surfaces behind the actor.
 /// @throws UsageError if no instance has this track. The message suggests the most
 /// similar name. All functions below with a parameter `track` throw the same error.
-DrivingScene remove_track(DrivingScene driving, const std::string& track);
+SceneWithLog remove_track(SceneWithLog driving, const std::string& track);
 
 /// Moves an actor by a constant offset relative to its box (x forward, y left, z up,
 /// origin at the box centre):
 ///
 ///   world_from_box'(t) = world_from_box(t) * box_from_moved
-DrivingScene move_track(DrivingScene driving, const std::string& track, const Pose& box_from_moved);
+SceneWithLog move_track(SceneWithLog driving, const std::string& track, const Pose& box_from_moved);
 
 /// Delays an actor's track by a number of seconds. With a negative value, the actor
 /// appears earlier. The actor is absent outside the time interval of the shifted track.
-DrivingScene retime_track(DrivingScene driving, const std::string& track, double seconds);
+SceneWithLog delay_track(SceneWithLog driving, const std::string& track, double delay_s);
 
 /// Returns a message if an edit has made an actor absent in some frames. The message
 /// contains the number of these frames. Returns an empty string if there are no such
 /// frames, or if the edited log has no such track.
-std::string describe_lost_frames(const BoxTrack& box_before, const Sequence& edited);
+std::string describe_frames_without_actor(const BoxTrack& original_box, const LidarSequence& edited_sequence);
 
 /// Replaces the trajectory of an actor. Between the given poses, positions are
 /// interpolated linearly and rotations by slerp. The actor is absent before the first and
@@ -98,28 +99,28 @@ std::string describe_lost_frames(const BoxTrack& box_before, const Sequence& edi
 /// at times of the log (Frame::time_s)
 /// @throws DataError for fewer than two poses, times that do not increase, or values that
 /// are not finite
-DrivingScene replace_trajectory(DrivingScene driving, const std::string& track,
+SceneWithLog replace_trajectory(SceneWithLog driving, const std::string& track,
                                 const PoseTrack& dataset_from_box);
 
 /// Adds a copy of an actor that uses the same model, at the end of the instance list. The
 /// first copy of track "0" gets the name "0-copy-1".
-DrivingScene copy_track(DrivingScene driving, const std::string& track, const Start& start);
+SceneWithLog copy_track(SceneWithLog driving, const std::string& track, const NewActorMotion& start);
 
 /// Adds an actor from another scene at the end of the instance list. It keeps its track
 /// name unless the name is in use; then "0" becomes "0-insert-1". Its spherical harmonics
 /// above the new scene's degree are ignored. Its intensities remain those of the sensor
 /// that recorded it.
-DrivingScene insert_track(DrivingScene driving, const DrivingScene& other, const std::string& track,
-                          const Start& start);
+SceneWithLog insert_track(SceneWithLog driving, const SceneWithLog& source_scene, const std::string& track,
+                          const NewActorMotion& start);
 
-/// Removes all actors. keep_actors() does the opposite: it removes all background surfels
-/// and keeps the background as a model without surfels.
-DrivingScene keep_background(DrivingScene driving);
-DrivingScene keep_actors(DrivingScene driving);
+/// Removes all actors. remove_background() does the opposite: it removes all background
+/// surfels and keeps the background as a model without surfels.
+SceneWithLog remove_all_actors(SceneWithLog driving);
+SceneWithLog remove_background(SceneWithLog driving);
 
 /// Resolution of an actor's model: the number of its surfels, compared with the number of
 /// LiDAR rays that hit the actor at the smallest distance.
-struct ActorDetail {
+struct ActorModelResolution {
     /// Smallest distance between the LiDAR and the box centre, over all frames that have
     /// both, metres.
     double nearest_m = 0.0;
@@ -129,22 +130,25 @@ struct ActorDetail {
 
     /// Returns true if the actor has too few surfels per ray and therefore looks like
     /// separate blobs. Its training data was recorded from a larger distance.
-    bool is_sparse() const { return rays > 8 * surfels; }
+    bool has_too_few_surfels() const { return rays > 8 * surfels; }
 };
 /// Compares the resolution of an actor's model with one LiDAR of the log.
-/// @param lidar index in Sequence::lidars
+/// @param lidar_index index in LidarSequence::lidars
 /// @return result with 0 rays if the LiDAR never sees the actor, or if the rays of the
 /// LiDAR are unknown
-ActorDetail measure_actor_detail(const DrivingScene& driving, const std::string& track, int lidar = 0);
+ActorModelResolution measure_actor_resolution(const SceneWithLog& driving, const std::string& track,
+                                              int lidar_index = 0);
 
 /// Compares the resolution of an actor's model with given rays, at one pose of the
 /// sensor.
-/// @param origin [n,3] origins of the rays, sensor frame
-/// @param direction [n,3] directions of the rays, sensor frame
+/// @param ray_origins [n,3] origins of the rays, sensor frame
+/// @param ray_directions [n,3] directions of the rays, sensor frame
 /// @param box_from_sensor pose of the sensor in the frame of the box
-/// @param size_m [3] size of the box, metres
-ActorDetail measure_actor_detail(std::span<const glm::vec3> origin, std::span<const glm::vec3> direction,
-                                 const Pose& box_from_sensor, const glm::dvec3& size_m, std::size_t surfels);
+/// @param box_size_m [3] size of the box, metres
+ActorModelResolution measure_actor_resolution(std::span<const glm::vec3> ray_origins,
+                                              std::span<const glm::vec3> ray_directions,
+                                              const Pose& box_from_sensor, const glm::dvec3& size_m,
+                                              std::size_t n_surfels);
 
 /// Reads a trajectory from a CSV file. A header line names the columns in any order:
 /// time_s, x, y, z, yaw_deg or yaw_rad, and optionally pitch and roll in either unit.
@@ -152,7 +156,7 @@ ActorDetail measure_actor_detail(std::span<const glm::vec3> origin, std::span<co
 /// rotation is R = Rz(yaw) Ry(pitch) Rx(roll).
 /// @throws DataError naming line and column if a value is invalid, a column is unknown,
 /// or there are fewer than two poses
-PoseTrack read_trajectory(const std::filesystem::path& path);
+PoseTrack read_trajectory_csv(const std::filesystem::path& path);
 
 /// Vehicle or other entity of an OpenSCENARIO file, with the trajectory that it follows.
 struct ScenarioEntity {
@@ -176,12 +180,13 @@ struct ScenarioEntity {
 /// Rx(r).
 /// @throws DataError naming entity and element if a trajectory has any other form, or if
 /// an entity with a trajectory has no BoundingBox
-std::vector<ScenarioEntity> read_scenario(const std::filesystem::path& path);
+std::vector<ScenarioEntity> read_openscenario_entities(const std::filesystem::path& path);
 
 /// Converts the trajectory of a scenario entity to the track of an actor that replaces
 /// it. The boxes of actor and entity have the same centre in x and y and the same bottom.
-/// @param begin_s time of the log at which the scenario begins
-/// @param size_m [3] size of the actor's box, metres
-PoseTrack make_box_track(const ScenarioEntity& entity, double begin_s, const glm::dvec3& size_m);
+/// @param scenario_start_s time of the log at which the scenario begins
+/// @param box_size_m [3] size of the actor's box, metres
+PoseTrack convert_to_box_track(const ScenarioEntity& entity, double scenario_start_s,
+                               const glm::dvec3& box_size_m);
 
 }  // namespace relidar

@@ -33,28 +33,28 @@ namespace relidar {
 inline constexpr const char* kModelFile = "model.safetensors";
 
 /// Entry in the edit history of a run.
-struct RunEdit {
+struct EditHistoryEntry {
     std::string run;   ///< Absolute path of the run that was edited.
     std::string edit;  ///< Edit as it was typed on the command line, for example "--move 0:0,3.5,0".
 };
 
 /// Contents of a run folder. The folder stores the index and the time of each frame, but
 /// not its scan.
-struct Run {
+struct TrainedRun {
     std::filesystem::path folder;
     Config config;
-    Sequence sequence;
-    Split split;
+    LidarSequence sequence;
+    TrainTestSplit split;
     Scene scene;
-    std::vector<RunEdit> edits{};  ///< Edit history, oldest first. Empty for a run without edits.
+    std::vector<EditHistoryEntry> edits{};  ///< Edit history, oldest first. Empty for a run without edits.
     /// Network that corrects drop probabilities. Empty if no network was trained.
-    DropNetwork drop_network{};
-    Coverage coverage{};  ///< Space that the training scans have observed. Empty if unknown.
+    RayDropNetwork drop_network{};
+    ObservedVoxelSet coverage{};  ///< Space that the training scans have observed. Empty if unknown.
     /// Classes of the background in relidar's world frame. Empty if the log has no
     /// labelled points.
-    ClassMap classes{};
+    SurfaceClassMap classes{};
     /// Scatter of measured intensities for each LiDAR, [lidars]. Empty if unknown.
-    std::vector<IntensityScatter> intensity_scatter{};
+    std::vector<IntensityScatterModel> intensity_scatter{};
     /// True if the poses of held-out scans have been corrected with the trained scene.
     /// Resumed training then skips this step.
     bool held_out_placed = false;
@@ -64,10 +64,10 @@ struct Run {
 
     /// Returns the scene and the tracks of its actors as one object for edit functions,
     /// for example run.replace(remove_track(run.driving(), "0")).
-    DrivingScene driving() const { return {scene, sequence}; }
-    void replace(DrivingScene driving) {
-        scene = std::move(driving.scene);
-        sequence = std::move(driving.sequence);
+    SceneWithLog copy_driving_scene() const { return {scene, sequence}; }
+    void replace_driving_scene(SceneWithLog driving_scene) {
+        scene = std::move(driving_scene.scene);
+        sequence = std::move(driving_scene.sequence);
     }
 };
 
@@ -78,18 +78,18 @@ struct Run {
 /// or copied if the file system does not support hard links.
 /// @throws DataError if the folder cannot be created or written, or if an option that is
 /// not a setting differs from its preset value
-void save_run(const Run& run);
+void save_run(const TrainedRun& run);
 /// Writes a run like save_run() into a folder that contains an earlier run.
-/// @param remove_earlier called after all new files are written under temporary names and
-/// before they get their final names
-void replace_run(const Run& run, const std::function<void()>& remove_earlier);
+/// @param remove_earlier_files called after all new files are written under temporary
+/// names and before they get their final names
+void overwrite_run(const TrainedRun& run, const std::function<void()>& remove_earlier_files);
 /// Writes a run and deletes everything else in an existing folder. The replacement is
 /// atomic if the file system can exchange two folders in one operation.
-void replace_folder(const Run& run);
+void replace_run_folder(const TrainedRun& run);
 
 /// Loads a run folder.
 /// @throws DataError naming the file that is missing, truncated or inconsistent
-Run load_run(const std::filesystem::path& folder);
+TrainedRun load_run(const std::filesystem::path& folder);
 
 /// Saves a scene as safetensors: mean [n,3], rotation [n,4], log_scale [n,2],
 /// opacity_logit [n], sh [n,3,16], and for 3D Gaussians log_scale_w [n]. The metadata
@@ -106,32 +106,32 @@ Scene load_model(const std::filesystem::path& path);
 
 /// Loads the background surfels of a block from its file.
 /// @throws DataError if the file is invalid or its number of surfels differs from `block`
-Surfels read_block(const SceneBlock& block);
+Surfels load_block_surfels(const SceneBlock& block);
 /// Returns a copy of the scene whose background also contains the surfels of the selected
 /// blocks. All other blocks are left out. The background is sorted in kd-tree order.
-/// @param blocks indices in Scene::blocks
+/// @param block_indices indices in Scene::block_indices
 /// @throws DataError if a block file is invalid
-Scene read_blocks(const Scene& scene, const std::vector<std::size_t>& blocks);
+Scene load_selected_blocks(const Scene& scene, const std::vector<std::size_t>& block_indices);
 /// Returns a copy of the scene with the surfels of all blocks in memory. Use this copy
 /// for functions that need every surfel.
 Scene load_all_blocks(const Scene& scene);
 
-/// Saves a ray-drop network as a safetensors file. load_drop_network() loads it.
+/// Saves a ray-drop network as a safetensors file. load_ray_drop_network() loads it.
 /// @throws DataError naming file and array, also for numbers that are not finite
-void save_drop_network(const std::filesystem::path& path, const DropNetwork& network);
-DropNetwork load_drop_network(const std::filesystem::path& path);
+void save_ray_drop_network(const std::filesystem::path& path, const RayDropNetwork& network);
+RayDropNetwork load_ray_drop_network(const std::filesystem::path& path);
 
-/// Converts the models and instances of a scene to JSON text. read_layout_json() reads
-/// the text.
-/// @param location name of the text in messages
+/// Converts the models and instances of a scene to JSON text. parse_scene_layout_json()
+/// reads the text.
+/// @param error_location name of the text in messages
 /// @throws DataError naming the field that is missing or does not match the surfels of
 /// the scene
-std::string layout_to_json(const Scene& scene);
-void read_layout_json(const std::string& text, const std::string& location, Scene& scene);
+std::string format_scene_layout_json(const Scene& scene);
+void parse_scene_layout_json(const std::string& text, const std::string& error_location, Scene& scene);
 
 /// Returns true if a path looks like a run folder: it contains a scene.json or a model
 /// file.
-bool is_run(const std::filesystem::path& path);
+bool is_run_folder(const std::filesystem::path& path);
 
 /// Creates a folder and a test file in this folder. Call this function before long work,
 /// so that an unwritable folder is reported at the start.

@@ -21,71 +21,71 @@ const char* get_name(BoxSide side);
 /// Axes of a side of a box. The outward normal is axis `normal` with the sign `sign`. The
 /// side is divided into patches along the axes `first` and `second`. On vertical sides,
 /// `second` is the height.
-struct SideFrame {
+struct BoxSideAxes {
     int normal;
     double sign;
     int first, second;
 };
-inline constexpr SideFrame kSideFrames[kBoxSides] = {
+inline constexpr BoxSideAxes kSideFrames[kBoxSides] = {
     {0, 1.0, 1, 2}, {0, -1.0, 1, 2}, {1, 1.0, 0, 2}, {1, -1.0, 0, 2}, {2, 1.0, 1, 0}};
 
 /// Observed fraction of each side of a box, 0 to 1, in the order of the enumeration
 /// BoxSide.
-using SideShares = std::array<float, kBoxSides>;
+using ObservedSideFractions = std::array<float, kBoxSides>;
 /// Minimum observed fraction of a side of a box. A side below this fraction counts as
 /// unseen.
 inline constexpr float kUnseenSide = 0.1f;
 /// Returns the names of the unseen sides, for example "rear, left". Returns an empty text
 /// if the log observed all sides.
-std::string list_unseen_sides(const SideShares& shares);
+std::string format_unobserved_sides(const ObservedSideFractions& observed_fractions);
 /// Returns the minimum cosine between a ray and the normal of a side. Rays that graze the
 /// side more do not count as observations, because their returns form separate streaks.
 /// The limit of the top is lower, because a LiDAR on a car hits other roofs only at
 /// grazing angles.
-double get_min_side_cosine(BoxSide side);
+double get_min_incidence_cosine(BoxSide side);
 
 /// Surface of a box, divided into patches of about 0.3 m. The class stores which patches
 /// were observed by rays. A point belongs to the patch onto which it projects from the
 /// centre of the box. The lowest fifth of the four sides is ignored, because it is hidden
 /// near the ground. Every patch has a mirror patch on the other side of the x-z plane.
-class BoxSurface {
+class ObservedBoxSurface {
 public:
     /// Divides a box surface into patches, none of which is observed yet.
     /// @param size_m [3] length, width, height, all above 0
-    explicit BoxSurface(const glm::dvec3& size_m);
+    explicit ObservedBoxSurface(const glm::dvec3& size_m);
     /// Marks the patch of a point as observed by a ray. The ray must hit the side from
     /// outside and must not graze it. Rays from inside are ignored, because they have
     /// passed through a window to the far side. The centre of the box and points below
     /// the sides are ignored too.
     /// @param point_m [3] box frame
-    /// @param direction [3] direction of the ray, box frame
-    void add(const glm::dvec3& point_m, const glm::dvec3& direction);
+    /// @param ray_direction [3] direction of the ray, box frame
+    void mark_patch_observed(const glm::dvec3& point_m, const glm::dvec3& ray_direction);
     /// Returns true if a ray has observed the patch that contains a point of the box
     /// surface. Returns false for the lowest part of a side, which is ignored.
-    bool is_seen(const glm::dvec3& point_m) const;
+    bool is_patch_observed(const glm::dvec3& point_m) const;
     /// Returns true if the patch of a point was not observed, but its mirror patch on the
     /// other half of the box was.
-    bool is_mirrored(const glm::dvec3& point_m) const;
+    bool is_observed_only_in_mirror(const glm::dvec3& point_m) const;
     /// Returns the observed fraction of a side, 0 to 1.
-    double seen(BoxSide side) const;
+    double compute_observed_fraction(BoxSide side) const;
     /// Returns the observed fraction of the complete box surface, by area, 0 to 1.
-    /// mirrored() returns the fraction that was observed only on the other half of the
-    /// box.
-    double seen() const;
-    double mirrored() const;
+    /// compute_mirrored_fraction() returns the fraction that was observed only on the
+    /// other half of the box.
+    double compute_observed_fraction() const;
+    double compute_mirrored_fraction() const;
     /// Returns the fraction of a side that was not observed, but whose mirror image on
     /// the other half of the box was observed.
-    double mirrored(BoxSide side) const;
+    double compute_mirrored_fraction(BoxSide side) const;
 
     /// If true, unobserved patches of the model were completed: they got mirrored surfels
     /// if their mirror patches were observed.
     bool is_completed = false;
     /// Returns the fraction of each side that was observed, or completed with the mirror
     /// image.
-    SideShares known() const;
+    ObservedSideFractions compute_covered_fractions() const;
     /// Returns the side of a point whose patch was completed with its mirror image.
     /// Returns nothing for points on other patches.
-    std::optional<BoxSide> find_completed_side(const glm::dvec3& point_m) const;
+    std::optional<BoxSide> find_mirror_completed_side(const glm::dvec3& point_m) const;
     /// Measures how much the left and right half of an object differ, from patches that
     /// were observed on both halves.
     /// @param points_m points of the surface, box frame
@@ -96,33 +96,34 @@ public:
     const glm::dvec3& half_size_m() const { return half_m_; }
     /// Returns the observed patches of a side as text, row by row. 1 means observed, 0
     /// not observed.
-    std::string patches(BoxSide side) const;
-    /// Sets the observed patches of a side from the text that patches() returns.
+    std::string format_observed_patches(BoxSide side) const;
+    /// Sets the observed patches of a side from the text that format_observed_patches()
+    /// returns.
     /// @return false if the text has a wrong length or wrong characters
-    bool parse_patches(BoxSide side, const std::string& text);
+    bool parse_observed_patches(BoxSide side, const std::string& text);
 
 private:
-    struct Patch {
+    struct BoxSurfacePatch {
         BoxSide side;
         int column, row;
     };
     glm::dvec3 half_m_;
     std::array<std::array<int, 2>, kBoxSides> n_{};  ///< number of patches of a side along its two axes
-    std::array<std::vector<char>, kBoxSides> seen_;
+    std::array<std::vector<char>, kBoxSides> observed_patches_;
 
     /// Returns the surface patch that contains a point. Returns nothing if the point
     /// belongs to no patch.
-    std::optional<Patch> find(const glm::dvec3& point_m) const;
-    Patch mirror(Patch patch) const;  ///< returns the mirror patch
+    std::optional<BoxSurfacePatch> find_patch_of_point(const glm::dvec3& point_m) const;
+    BoxSurfacePatch get_mirror_patch(BoxSurfacePatch patch) const;  ///< returns the mirror patch
     /// Returns false if the surface patch is near the ground, where patches are ignored.
-    bool counts(const Patch& patch) const;
-    bool at(const Patch& patch) const;  ///< returns true if the patch was observed
+    bool is_patch_considered(const BoxSurfacePatch& patch) const;
+    bool has_observed_patch(const BoxSurfacePatch& patch) const;  ///< returns true if the patch was observed
     /// Returns two areas of a side in m2: the area of its observed patches (or of its
     /// mirrored ones), and the area of all patches.
     std::array<double, 2> compute_patch_areas(BoxSide side, bool mirrored) const;
     /// Returns the fraction of the complete box surface, by area, that is observed (or
     /// mirrored).
-    double share(bool mirrored) const;
+    double compute_area_fraction(bool mirrored) const;
 };
 
 }  // namespace relidar

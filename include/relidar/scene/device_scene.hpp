@@ -53,13 +53,13 @@ struct SurfelArrays {
     /// Allocated only for scenes with actors whose shape changes.
     Array<float, shared::Gaits> gait;
     std::uint32_t n = 0;  ///< Number of surfels. The arrays may have memory for more surfels.
-    Primitive primitive = Primitive::surfel;
+    PrimitiveType primitive = PrimitiveType::surfel;
     bool bends = false;
 
     SurfelArrays() = default;
     SurfelArrays(Device& device, std::uint32_t n, const std::string& description,
-                 ParameterSet parameter_set = {});
-    ParameterSet parameters() const { return {primitive, bends}; }
+                 SurfelParameterSet parameter_set = {});
+    SurfelParameterSet get_parameter_set() const { return {primitive, bends}; }
     /// Uploads all parameters to the device.
     /// @throws DataError if the number of surfels, the primitive, or the presence of
     /// walking motions (gait) differs
@@ -92,7 +92,8 @@ struct LearningRates {
     /// Learning rate of the intensity coefficients, relative to the rate of the drop
     /// logits.
     double intensity_factor = 1.0;
-    /// Table of models, DeviceScene::models(). Required if `mean_factors` is not empty.
+    /// Table of models, DeviceScene::get_model_table(). Required if `mean_factors` is not
+    /// empty.
     const Array<shared::ModelEntry>* models = nullptr;
     /// Factor for the learning rate of the mean positions of each model, [models]. Empty
     /// = 1.
@@ -102,7 +103,7 @@ struct LearningRates {
 /// Description of a group of surfel parameters, for example the rotations. With this
 /// table, optimiser, densification and file formats process all groups with the same
 /// code.
-struct ParameterGroup {
+struct SurfelParameterGroup {
     const char* name;  ///< Name of the group's array in files.
     /// Shape of the group's floats for one surfel, {rows, columns}. A vector of 3 floats
     /// is {3, 1}, and a single float is {1, 1}.
@@ -112,36 +113,38 @@ struct ParameterGroup {
     bool scales;     ///< True if the group holds standard deviations, which may have upper bounds.
     /// Scenes whose surfels have these parameters. `all`: every scene. `third_scale`:
     /// scenes of 3D Gaussians. `bends`: scenes with actors that change their shape.
-    enum class Of { all, third_scale, bends } of;
-    const Array<float>& (*device)(const SurfelArrays&);  ///< Returns the device array, [n, floats()].
-    /// Returns the device array for writing, [n, floats()].
+    enum class SceneRequirement { all, third_scale, bends } of;
+    const Array<float>& (*device)(const SurfelArrays&);  ///< Returns the device array, [n, count_floats()].
+    /// Returns the device array for writing, [n, count_floats()].
     Array<float>& (*mutable_device)(SurfelArrays&);
-    /// Returns the values on the host, [n * floats()].
+    /// Returns the values on the host, [n * count_floats()].
     std::span<const float> (*values)(const Surfels&);
-    /// Returns the values on the host for writing, [n * floats()].
+    /// Returns the values on the host for writing, [n * count_floats()].
     std::span<float> (*mutable_values)(Surfels&);
     void (*resize)(Surfels&, std::size_t n_floats);  ///< Resizes the array on the host.
 
-    constexpr std::uint32_t floats() const { return row[0] * row[1]; }  ///< Number of floats per surfel.
+    constexpr std::uint32_t count_floats() const {
+        return row[0] * row[1];
+    }  ///< Number of floats per surfel.
     /// Returns the shape of the array in files: [count], [count,3] or [count,3,16].
-    std::vector<std::size_t> shape(std::size_t count) const;
+    std::vector<std::size_t> get_array_shape(std::size_t n_surfels) const;
 };
 
 /// Makes the description of a group of parameters.
 /// @param kHost member of Surfels with the parameters
 /// @param kDevice member of SurfelArrays with the parameters
 template <auto kHost, auto kDevice>
-constexpr ParameterGroup make_parameter_group(const char* name, std::array<std::uint32_t, 2> row,
-                                              double LearningRates::*rate, bool harmonics = false,
-                                              bool scales = false,
-                                              ParameterGroup::Of parameter_set = ParameterGroup::Of::all) {
+constexpr SurfelParameterGroup make_parameter_group(
+    const char* name, std::array<std::uint32_t, 2> shape_per_surfel, double LearningRates::*learning_rate,
+    bool has_harmonics = false, bool has_scales = false,
+    SurfelParameterGroup::SceneRequirement parameter_set = SurfelParameterGroup::SceneRequirement::all) {
     using Element = typename std::remove_reference_t<decltype(std::declval<Surfels&>().*kHost)>::value_type;
     constexpr std::size_t kFloats = sizeof(Element) / sizeof(float);
     return {name,
-            row,
-            rate,
-            harmonics,
-            scales,
+            shape_per_surfel,
+            learning_rate,
+            has_harmonics,
+            has_scales,
             parameter_set,
             [](const SurfelArrays& arrays) -> const Array<float>& { return arrays.*kDevice; },
             [](SurfelArrays& arrays) -> Array<float>& { return arrays.*kDevice; },
@@ -160,9 +163,9 @@ constexpr ParameterGroup make_parameter_group(const char* name, std::array<std::
 /// the last, so that the groups of any scene are a contiguous range. A new parameter
 /// needs an entry here, a member of Surfels and of SurfelArrays, and a pointer for the
 /// kernels.
-inline constexpr std::array<ParameterGroup, 7> kParameterGroups{{
-    make_parameter_group<&Surfels::gait, &SurfelArrays::gait>("gait", {5, 1}, &LearningRates::gait, false,
-                                                              false, ParameterGroup::Of::bends),
+inline constexpr std::array<SurfelParameterGroup, 7> kParameterGroups{{
+    make_parameter_group<&Surfels::gait, &SurfelArrays::gait>(
+        "gait", {5, 1}, &LearningRates::gait, false, false, SurfelParameterGroup::SceneRequirement::bends),
     make_parameter_group<&Surfels::mean, &SurfelArrays::mean>("mean", {3, 1}, &LearningRates::mean),
     make_parameter_group<&Surfels::rotation, &SurfelArrays::rotation>("rotation", {4, 1},
                                                                       &LearningRates::rotation),
@@ -173,11 +176,12 @@ inline constexpr std::array<ParameterGroup, 7> kParameterGroups{{
     make_parameter_group<&Surfels::sh, &SurfelArrays::sh>("sh", {kShChannels, kShCoefficients},
                                                           &LearningRates::sh, true),
     make_parameter_group<&Surfels::log_scale_w, &SurfelArrays::log_scale_w>(
-        "log_scale_w", {1, 1}, &LearningRates::log_scale, false, true, ParameterGroup::Of::third_scale),
+        "log_scale_w", {1, 1}, &LearningRates::log_scale, false, true,
+        SurfelParameterGroup::SceneRequirement::third_scale),
 }};
 
 /// Returns the parameter groups that the surfels of a scene have.
-constexpr std::span<const ParameterGroup> list_parameter_groups(ParameterSet parameter_set) {
+constexpr std::span<const SurfelParameterGroup> list_parameter_groups(SurfelParameterSet parameter_set) {
     const std::size_t first = parameter_set.bends ? 0 : 1,
                       last = kParameterGroups.size() -
                              (get_primitive_kind(parameter_set.primitive).third_scale ? 0 : 1);
@@ -187,16 +191,18 @@ constexpr std::span<const ParameterGroup> list_parameter_groups(ParameterSet par
 /// Metadata key of the primitive in model and checkpoint files.
 inline constexpr const char* kPrimitiveKey = "primitive";
 /// Reads from the metadata of a file which parameters the stored surfels have.
-/// @param texts metadata of the file
-/// @param key metadata key of the primitive
+/// @param metadata metadata of the file
+/// @param primitive_key metadata key of the primitive
 /// @param has_array returns true if the file has an array with the given name
 /// @throws DataError if the key is missing or its value is not a primitive
-ParameterSet read_parameter_set(const std::map<std::string, std::string>& texts, const std::string& key,
-                                const std::function<bool(const char*)>& has_array);
+SurfelParameterSet read_parameter_set(const std::map<std::string, std::string>& metadata,
+                                      const std::string& primitive_key,
+                                      const std::function<bool(const char*)>& has_array);
 /// Returns the number of floats that the parameters of one surfel have in total.
-constexpr std::uint32_t count_floats_per_surfel(ParameterSet parameter_set) {
+constexpr std::uint32_t count_floats_per_surfel(SurfelParameterSet parameter_set) {
     std::uint32_t sum = 0;
-    for (const ParameterGroup& group : list_parameter_groups(parameter_set)) sum += group.floats();
+    for (const SurfelParameterGroup& group : list_parameter_groups(parameter_set))
+        sum += group.count_floats();
     return sum;
 }
 
@@ -209,23 +215,25 @@ shared::SurfelPointers get_surfel_pointers(const SurfelArrays& arrays);
 /// List of the surfels that have a gradient. A kernel makes this list from an array of
 /// flags. Later kernels process only the listed surfels. This saves time on CPU devices,
 /// where idle threads cost as much as active threads.
-class TouchedList {
+class TouchedSurfelList {
 public:
-    explicit TouchedList(Device& device);
-    ~TouchedList();
+    explicit TouchedSurfelList(Device& device);
+    ~TouchedSurfelList();
     /// Records GPU commands that list the rows whose flag is 1. Waits for the stream if
     /// there are more rows than in any earlier call.
-    /// @param touched [n_rows] flags, 0 or 1
-    void find(Stream& stream, Address<std::uint32_t, shared::TouchedSurfels> touched, std::uint32_t n_rows);
+    /// @param touched_flags [n_rows] flags, 0 or 1
+    void collect_touched_rows(Stream& stream, Address<std::uint32_t, shared::TouchedSurfels> touched_flags,
+                              std::uint32_t n_rows);
     /// Indices of the listed rows (those whose flag is 1), [count], in no particular
     /// order.
-    Address<std::uint32_t, shared::TouchedRows> rows() const;
-    Address<std::uint32_t, shared::TouchedCount> count() const;  ///< Number of marked rows, [1].
+    Address<std::uint32_t, shared::TouchedRows> get_touched_rows_address() const;
+    Address<std::uint32_t, shared::TouchedCount> get_touched_count_address()
+        const;  ///< Number of marked rows, [1].
     /// Returns the number of threads for a kernel that processes the list. Only the
     /// device knows the length of the list, so the number is constant, and each thread
     /// processes several rows if necessary.
-    /// @param max_count length of the longest possible list
-    std::size_t threads(std::size_t max_count) const;
+    /// @param max_rows length of the longest possible list
+    std::size_t choose_thread_count(std::size_t max_rows) const;
 
 private:
     struct Impl;
@@ -237,13 +245,13 @@ private:
 /// ray may hit the box. Between these times, the pose is interpolated. A box behind a
 /// spinning sensor is hit at the start and at the end of the sweep.
 /// @param half_size_m [3] half size of the box. 0 = unknown, so any ray may hit the box
-InstancePose compute_pose_in_sweep(const Sequence& sequence, const PoseTrack& world_from_box,
-                                   const glm::dvec3& half_size_m, const SweepMoment& sweep);
+InstancePose compute_box_pose_in_sweep(const LidarSequence& sequence, const PoseTrack& world_from_box,
+                                       const glm::dvec3& half_size_m, const SweepTiming& sweep);
 
-/// Inputs and outputs of activate_vjp(), which computes gradients of the parameters from
-/// gradients of the surfel records.
+/// Inputs and outputs of backpropagate_surfel_records(), which computes gradients of the
+/// parameters from gradients of the surfel records.
 struct ActivationGradients {
-    /// Input: gradients with respect to the surfel records, [gradient_rows,16].
+    /// Input: gradients with respect to the surfel records, [count_gradient_rows,16].
     const Array<float, shared::RecordGradients>* d_records = nullptr;
     SurfelArrays* d_surfels = nullptr;  ///< Output: gradients with respect to the surfel parameters.
     /// Output: flags, [n]. 1 for each surfel whose record has a nonzero gradient.
@@ -251,10 +259,12 @@ struct ActivationGradients {
     /// Output: dL/d(sensor position) from each surfel, [n,3], model frame. Used only with
     /// ShDirection::surfel. Null if not needed.
     Array<float, shared::ViewGradients>* d_view = nullptr;
-    bool zero_untouched = true;  ///< If true, activate_vjp() writes zeros for surfels without a gradient.
-    /// If true, `touched` is also an input: 0 marks surfels that cannot have a gradient.
-    /// They are skipped if can_skip_untouched_surfels() is true and zero_untouched is
-    /// false. The entries of d_view for skipped surfels are not written.
+    bool zero_untouched =
+        true;  ///< If true, backpropagate_surfel_records() writes zeros for surfels without a gradient.
+    /// If true, `touched_flags` is also an input: 0 marks surfels that cannot have a
+    /// gradient. They are skipped if can_skip_untouched_surfels() is true and
+    /// zero_untouched is false. The entries of d_view for skipped surfels are not
+    /// written.
     bool touched_is_marked = false;
 };
 
@@ -273,63 +283,64 @@ public:
 
     /// Sets the pose world_from_model of every instance. All instances are marked as
     /// present. Waits until the upload is finished.
-    void set_poses(const std::vector<Pose>& world_from_instance);
+    void set_instance_poses(const std::vector<Pose>& world_from_instance);
     /// Sets the poses and motions of all instances. An instance may be marked as absent.
     /// Waits until the upload is finished.
-    void set_poses(const std::vector<InstancePose>& placed);
+    void set_instance_poses(const std::vector<InstancePose>& instance_poses);
     /// Records GPU commands that set the poses and motions of all instances. Does not
     /// wait. An instance may be marked as absent. The acceleration structure uses the new
     /// poses after its next update() or move().
-    void place(Stream& stream, const std::vector<InstancePose>& placed);
-    const std::vector<InstancePose>& poses() const;
+    void record_instance_poses(Stream& stream, const std::vector<InstancePose>& instance_poses);
+    const std::vector<InstancePose>& get_instance_poses() const;
     /// Returns true if the new poses change the walking phase of an actor. The surfel
     /// records must then be computed again.
-    bool has_new_gait_phases(const std::vector<InstancePose>& placed) const;
+    bool has_new_gait_phases(const std::vector<InstancePose>& instance_poses) const;
     /// Records the kernel that computes surfel records from the parameters
     /// (docs/method.md M1, M2, M9). With ShDirection::surfel, also evaluates intensity
     /// and logits.
     /// @param view_origin_m [3] sensor position, world frame. A model with several
     /// instances uses it relative to its first instance
     /// @throws UsageError if `model` has another primitive than the scene
-    void activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m);
-    /// Returns true if activate_vjp() can skip surfels without a gradient. This works
-    /// only on CPU devices. On a GPU, all threads copy SH coefficients through shared
-    /// memory together.
+    void compute_surfel_records(Stream& stream, const ImageFormationModel& model,
+                                const glm::vec3& view_origin_m);
+    /// Returns true if backpropagate_surfel_records() can skip surfels without a
+    /// gradient. This works only on CPU devices. On a GPU, all threads copy SH
+    /// coefficients through shared memory together.
     bool can_skip_untouched_surfels() const;
     /// Records the kernel that applies the chain rule: it converts gradients of the
     /// surfel records to gradients of the parameters. Gradients of SH coefficients are
     /// written only with ShDirection::surfel. With ShDirection::ray, the backward pass
     /// has written them.
-    void activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m,
-                      const ActivationGradients& gradients);
+    void backpropagate_surfel_records(Stream& stream, const ImageFormationModel& model,
+                                      const glm::vec3& view_origin_m, const ActivationGradients& gradients);
 
     /// Enlarges the arrays of parameters and records to at least `capacity` surfels.
     /// Existing values are kept.
     void reserve(Device& device, std::uint32_t capacity);
     /// Sets which range of the surfel arrays belongs to each model. Call this function
     /// after the arrays were rearranged, and then compute the surfel records again. The
-    /// next place() or set_poses() updates the instance table.
-    void set_models(const std::vector<Model>& models);
+    /// next record_instance_poses() or set_instance_poses() updates the instance table.
+    void set_models(const std::vector<SurfelModel>& models);
 
-    const Scene& layout() const;  ///< Models and instances of the scene, without surfels.
-    SurfelArrays& parameters();
-    const SurfelArrays& parameters() const;
-    const Array<shared::SurfelRecord>& records() const;  ///< Surfel records, [n].
-    /// Minimum opacity (alpha_min) for which activate() last computed the surfel records.
-    /// Rays hit a surfel only where its opacity exceeds this value.
+    const Scene& get_scene_layout() const;  ///< Models and instances of the scene, without surfels.
+    SurfelArrays& get_surfel_parameters();
+    const SurfelArrays& get_surfel_parameters() const;
+    const Array<shared::SurfelRecord>& get_surfel_records() const;  ///< Surfel records, [n].
+    /// Minimum opacity (alpha_min) for which compute_surfel_records() last computed the
+    /// surfel records. Rays hit a surfel only where its opacity exceeds this value.
     float alpha_min() const;
     /// Table of models, [models], in the order of their surfel ranges.
-    const Array<shared::ModelEntry>& models() const;
+    const Array<shared::ModelEntry>& get_model_table() const;
     /// Table of instances, [instances], with the most recent poses.
-    const Array<shared::InstanceEntry>& instances() const;
+    const Array<shared::InstanceEntry>& get_instance_table() const;
     std::uint32_t size() const;  ///< Number of surfels.
-    Primitive primitive() const;
+    PrimitiveType primitive() const;
     /// Returns the first row of an instance in the array of record gradients, which has a
     /// row for each surfel of each instance.
     std::uint32_t get_first_gradient_row(std::size_t instance) const;
     /// Number of rows in the array of record gradients. Each surfel has a row for each
     /// instance of its model, and at least one row.
-    std::uint32_t gradient_rows() const;
+    std::uint32_t count_gradient_rows() const;
 
 private:
     struct Impl;

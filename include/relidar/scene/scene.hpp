@@ -31,7 +31,7 @@ inline constexpr int kShFloats = kShChannels * kShCoefficients;
 
 /// Type of Gaussian that a scene consists of: surfels or 3D Gaussians (docs/method.md
 /// section 2).
-enum class Primitive {
+enum class PrimitiveType {
 #define RELIDAR_PRIMITIVE(number, name, label, third_scale, normals, proxy) name = number,
     RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)  // Declares one enumerator per primitive.
 #undef RELIDAR_PRIMITIVE
@@ -43,8 +43,8 @@ enum class Primitive {
 enum class ProxyMesh { rectangle, icosahedron };
 
 /// Properties of a primitive. RELIDAR_PRIMITIVES explains each field.
-struct PrimitiveKind {
-    Primitive primitive;
+struct PrimitiveProperties {
+    PrimitiveType primitive;
     const char* name;
     const char* label;
     bool third_scale;
@@ -54,12 +54,12 @@ struct PrimitiveKind {
 
 inline constexpr std::array kPrimitives{
 #define RELIDAR_PRIMITIVE(number, name, label, third_scale, normals, proxy) \
-    PrimitiveKind{Primitive::name, #name, label, third_scale, normals, ProxyMesh::proxy},
+    PrimitiveProperties{PrimitiveType::name, #name, label, third_scale, normals, ProxyMesh::proxy},
     RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)  // Adds one row per primitive.
 #undef RELIDAR_PRIMITIVE
 };
 /// Returns the properties of a primitive.
-constexpr const PrimitiveKind& get_primitive_kind(Primitive primitive) {
+constexpr const PrimitiveProperties& get_primitive_kind(PrimitiveType primitive) {
     return kPrimitives[static_cast<std::size_t>(primitive)];
 }
 
@@ -70,7 +70,7 @@ constexpr const PrimitiveKind& get_primitive_kind(Primitive primitive) {
 ///
 /// For a large sharpness, the window is a Gaussian with a standard deviation of 1 / (2 pi
 /// sharpness). If all fields are zero, the surfel is always visible and does not move.
-struct Gait {
+struct GaitPhaseWindow {
     /// Phase of the actor's motion at which the surfel is most opaque and at its mean
     /// position.
     float phase = 0.0f;
@@ -81,11 +81,12 @@ struct Gait {
 };
 
 /// Selects the parameters that the surfels of a scene have.
-struct ParameterSet {
-    Primitive primitive;
+struct SurfelParameterSet {
+    PrimitiveType primitive;
     bool bends;  ///< True if the surfels also have a gait (phase window).
-    constexpr ParameterSet(Primitive p = Primitive::surfel, bool b = false) : primitive(p), bends(b) {}
-    bool operator==(const ParameterSet&) const = default;
+    constexpr SurfelParameterSet(PrimitiveType p = PrimitiveType::surfel, bool b = false)
+        : primitive(p), bends(b) {}
+    bool operator==(const SurfelParameterSet&) const = default;
 };
 
 /// Surfel parameters in the form in which they are stored and optimised. Each parameter
@@ -103,15 +104,15 @@ struct Surfels {
     /// Standard deviations of 3D Gaussians along the third axis, [n] ln metres. Empty for
     /// surfels, which are flat.
     std::vector<float> log_scale_w;
-    std::vector<Gait> gait;  ///< Phase windows, [n] if `bends` is true, otherwise empty.
-    Primitive primitive = Primitive::surfel;
+    std::vector<GaitPhaseWindow> gait;  ///< Phase windows, [n] if `bends` is true, otherwise empty.
+    PrimitiveType primitive = PrimitiveType::surfel;
     bool bends = false;  ///< True if the surfels have a gait (phase window).
 
     std::size_t size() const { return mean.size(); }
-    ParameterSet parameters() const { return {primitive, bends}; }
-    void resize(std::size_t count) { resize(count, parameters()); }
-    void resize(std::size_t count, ParameterSet parameter_set);
-    void add_gait();  ///< Adds a gait without motion to all surfels if they have no gait.
+    SurfelParameterSet get_parameter_set() const { return {primitive, bends}; }
+    void resize(std::size_t count) { resize(count, get_parameter_set()); }
+    void resize(std::size_t count, SurfelParameterSet parameter_set);
+    void add_gait_without_motion();  ///< Adds a gait without motion to all surfels if they have no gait.
     /// Appends other surfels. If this set is empty, it first adopts their primitive. If
     /// only one set has walking motions (gait), the other set gets motions of zero.
     /// @throws DataError if the primitives differ
@@ -122,15 +123,15 @@ struct Surfels {
     Surfels slice(std::size_t first, std::size_t count) const;
     /// Checks that all arrays have the same number of surfels.
     /// @throws DataError if the lengths of the arrays disagree
-    void check_shapes() const;
+    void check_array_lengths() const;
 };
 
 /// Converts surfels to another primitive. If the new primitive has a third scale, this is
-/// `thickness` times the geometric mean of the other two.
-void make_primitive(Surfels& surfels, Primitive primitive, double thickness);
+/// `relative_thickness` times the geometric mean of the other two.
+void convert_to_primitive(Surfels& surfels, PrimitiveType primitive, double relative_thickness);
 
 /// Contiguous range of the scene's surfels that share one coordinate frame.
-struct Model {
+struct SurfelModel {
     std::string name;  ///< Name of the model: "background" or the track id.
     std::uint32_t first = 0;
     std::uint32_t count = 0;
@@ -140,11 +141,11 @@ struct Model {
     /// Walked distance after which an actor's shape repeats, metres. It is slightly
     /// longer than the recorded distance. 0 = rigid model.
     float stride_m = 0.0f;
-    std::optional<BoxSurface> surface = {};  ///< observed parts of the box; empty: unknown
+    std::optional<ObservedBoxSurface> surface = {};  ///< observed parts of the box; empty: unknown
 };
 
 /// Placement of a model in the world. Instance 0 is the background at the origin.
-struct Instance {
+struct ModelInstance {
     std::uint32_t model = 0;
     std::string track;  ///< Id of the track that moves the instance. Empty for the background.
 };
@@ -162,7 +163,7 @@ struct SceneBlock {
 
     /// Returns the distance from a point in the world frame to the box. Returns 0 inside
     /// the box.
-    double distance_m(const glm::dvec3& point_m) const {
+    double compute_distance_to_box_m(const glm::dvec3& point_m) const {
         return glm::distance(point_m, glm::clamp(point_m, glm::dvec3(low_m), glm::dvec3(high_m)));
     }
 };
@@ -171,11 +172,12 @@ struct SceneBlock {
 /// world, and drop probabilities of the sensor.
 struct Scene {
     Surfels surfels;
-    std::vector<Model> models;
-    std::vector<Instance> instances;
+    std::vector<SurfelModel> models;
+    std::vector<ModelInstance> instances;
     /// Drop probabilities of the log's LiDARs that do not depend on the scene, one row
-    /// per beam (Sequence::find_beam_number). Empty if they were not estimated.
-    DropTable sensor_drop;
+    /// per beam (LidarSequence::find_global_beam_number). Empty if they were not
+    /// estimated.
+    RayDropTable sensor_drop;
     /// Background blocks in files, in addition to the surfels of model 0. Empty if the
     /// complete background is in memory.
     std::vector<SceneBlock> blocks = {};
@@ -187,22 +189,22 @@ std::size_t count_surfels(const Scene& scene);
 
 /// Scene together with its log, which contains the tracks of the actors. An instance has
 /// the name of its track. The scans of the log are not used.
-struct DrivingScene {
+struct SceneWithLog {
     Scene scene;
-    Sequence sequence;
+    LidarSequence sequence;
 };
 
 /// Returns a scene that has only a background model and its instance.
 Scene make_background_scene(Surfels surfels);
 /// Returns a copy of the scene with another background, which replaces the old background
 /// and all blocks. The new surfels are sorted in kd-tree order.
-Scene add_background(const Scene& scene, const Surfels& background);
+Scene replace_background(const Scene& scene, const Surfels& background);
 /// Copies a model and its surfels from another scene to the end of this scene.
 /// @return index of the new model
-std::uint32_t append_model(Scene& scene, const Scene& other, std::uint32_t model);
+std::uint32_t append_model(Scene& scene, const Scene& source_scene, std::uint32_t model_index);
 /// Returns the same scene with a separate model for every instance. If n instances share
 /// a model, its surfels are copied n - 1 times.
-Scene copy_shared_models(Scene scene);
+Scene duplicate_shared_models(Scene scene);
 /// Selects instances by name: "background", "actors" (all except the background), or a
 /// track id.
 /// @return [instances] true for each selected instance
@@ -214,7 +216,7 @@ std::vector<bool> select_instances(const Scene& scene, const std::vector<std::st
 enum class ShDirection { ray, surfel };
 
 /// Constants of the image formation model (docs/method.md sections 2-3).
-struct ImageModel {
+struct ImageFormationModel {
     float near_m = 0.2f;              ///< Minimum range at which a ray can hit a surfel, metres.
     float alpha_min = 1.0f / 255.0f;  ///< Minimum alpha of a hit. Hits with a smaller alpha are skipped.
     float alpha_max = 0.99f;          ///< Upper bound of alpha. The gradient is zero if alpha is clamped.
@@ -226,8 +228,8 @@ struct ImageModel {
     /// If true, hit logits are 0 and are not trained. The drop probability
     /// (docs/method.md M6) is then a sigmoid of the drop logit. For ablation studies.
     bool single_drop_logit = false;
-    Primitive primitive = Primitive::surfel;  ///< Primitive of the scene (ablation).
-    bool operator==(const ImageModel&) const = default;
+    PrimitiveType primitive = PrimitiveType::surfel;  ///< Primitive of the scene (ablation).
+    bool operator==(const ImageFormationModel&) const = default;
 };
 
 /// Kind of a labelled object. Datasets have different class names, but relidar uses the
@@ -239,7 +241,7 @@ enum class ObjectKind {
     other
 };
 /// Maps a class name of KITTI, KITTI-360, Waymo, Argoverse 2 or nuScenes to a kind.
-/// Returns `other` for an unknown name.
+/// Returns `source_scene` for an unknown name.
 ObjectKind parse_object_kind(std::string_view category);
 /// Returns the name of a kind as used in settings: "vehicle", "cyclist", "person" or
 /// "other".
@@ -248,10 +250,10 @@ const char* get_name(ObjectKind kind);
 /// Treatment of moving objects without a label. `background`: their points become
 /// background. `removed`: points that rays of other frames pass through are removed.
 /// `actors`: like `removed`, and objects that are observed long enough become actors.
-enum class UnlabelledMovers { background, removed, actors };
+enum class UnlabelledMoverPolicy { background, removed, actors };
 
 /// Options for creating the initial scene from a log.
-struct InitialiseOptions {
+struct SceneInitialisationOptions {
     /// Edge length of voxels, metres. The points of all training frames in a voxel are
     /// averaged.
     double voxel_m = 0.15;
@@ -273,7 +275,7 @@ struct InitialiseOptions {
     /// initial drop probability of a surface is 1 / (1 + exp(hit_margin)).
     double hit_margin = 1.0;
     /// If true, hit logits start at 0 and drop logits start at -hit_margin. Use it with
-    /// ImageModel::single_drop_logit.
+    /// ImageFormationModel::single_drop_logit.
     bool one_logit = false;
     /// Upper bound of the initial standard deviations, metres. Surfels that are stretched
     /// over gaps between scan lines (max_gap_m) may be larger.
@@ -290,7 +292,7 @@ struct InitialiseOptions {
     double thickness = 1.0;
     bool second_returns = false;  ///< If true, second returns of the log also become surfels.
     /// Treatment of moving objects without a label. The default is the paper's.
-    UnlabelledMovers unlabelled_movers = UnlabelledMovers::background;
+    UnlabelledMoverPolicy unlabelled_movers = UnlabelledMoverPolicy::background;
     /// Moving boxes that become actors: comma-separated class names or kinds (see
     /// parse_object_kind()). all = every class. Empty = none.
     std::string actor_classes = "all";
@@ -313,7 +315,7 @@ struct InitialiseOptions {
     int actor_min_points = 20;
     /// Seed for random orientations and points. Training uses train.seed instead.
     std::uint64_t seed = 1;
-    bool operator==(const InitialiseOptions&) const = default;
+    bool operator==(const SceneInitialisationOptions&) const = default;
 };
 
 /// Pose and motion of an instance during a sweep. An instance may be absent.
@@ -321,7 +323,7 @@ struct InstancePose {
     Pose world_from_model;
     bool present = true;
     /// Time at which the instance's track has the pose world_from_model. Set by
-    /// place_instances().
+    /// compute_instance_poses().
     double time_s = 0.0;
     double phase = 0.0;   ///< Phase of the model's motion, which repeats after 1.
     PoseMotion motion{};  ///< Motion during the sweep, relative to world_from_model.
@@ -339,68 +341,72 @@ struct InstancePose {
 /// All processes of a group get the same result. Each LiDAR is processed separately. If
 /// several LiDARs saw an object, the first track is kept, unless another track is more
 /// than 1.5 times as long.
-std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions,
-                                      const Progress& progress = {}, const ProcessGroup& group = {});
+std::vector<BoxTrack> discover_tracks(const LidarSequence& sequence, const std::vector<int>& train_positions,
+                                      const ProgressReporter& progress = {}, const ProcessGroup& group = {});
 
 /// Returns the boxes whose points and rays are kept out of the background: moving boxes
 /// (BoxTrack::moves) and the tracks listed in actor_tracks.
 /// @throws DataError for a box without a size or with a pose that is not finite
 /// @throws UsageError for an unknown track
-std::vector<BoxTrack> list_foreground_boxes(const Sequence& sequence, const InitialiseOptions& options);
+std::vector<BoxTrack> list_foreground_boxes(const LidarSequence& sequence,
+                                            const SceneInitialisationOptions& options);
 
 /// Creates the background surfels from the training frames of a log, in the recentred
 /// world frame. The surfels are sorted by recursive median splits along the longest axis
 /// (kd-tree order), because software BVH builders without sorting need this order.
 /// @throws DataError if no training frame has a usable point
-Surfels initialise_background(const Sequence& sequence, const std::vector<int>& train_positions,
-                              const InitialiseOptions& options, const Progress& progress = {});
+Surfels initialise_background(const LidarSequence& sequence, const std::vector<int>& train_positions,
+                              const SceneInitialisationOptions& options,
+                              const ProgressReporter& progress = {});
 
 /// Creates the background, and one model and instance per actor, in the frame of the
 /// actor's box (Eq. 4-5). Actors are moving boxes of the selected classes, or the
 /// selected tracks. A point in two boxes belongs to both models. Uses only points of
 /// training frames.
-/// @param notes output: for each actor of InitialiseOptions::deform, whether its shape
-/// changes, or the reason why it is rigid
+/// @param notes output: for each actor of SceneInitialisationOptions::deform, whether its
+/// shape changes, or the reason why it is rigid
 /// @throws DataError if no training frame has a usable point
-Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_positions,
-                       const InitialiseOptions& options, const Progress& progress = {},
+Scene initialise_scene(const LidarSequence& sequence, const std::vector<int>& train_positions,
+                       const SceneInitialisationOptions& options, const ProgressReporter& progress = {},
                        std::vector<std::string>* notes = nullptr);
 
 /// Returns the boxes that were removed from the background and have no model in the
 /// scene. Their class is not selected, or they have too few points. Training ignores rays
 /// through these boxes, and renderings lack their returns.
-std::vector<BoxTrack> find_masked_boxes(const Scene& scene, const Sequence& sequence,
-                                        const InitialiseOptions& options);
+std::vector<BoxTrack> find_boxes_without_model(const Scene& scene, const LidarSequence& sequence,
+                                               const SceneInitialisationOptions& options);
 /// Returns the moving boxes that are removed from the background and not selected as
 /// actors. Does not need a trained scene.
-std::vector<BoxTrack> find_unselected_boxes(const Sequence& sequence, const InitialiseOptions& options);
+std::vector<BoxTrack> find_unselected_moving_boxes(const LidarSequence& sequence,
+                                                   const SceneInitialisationOptions& options);
 /// Returns a list of track ids and classes, at most eight: "3 (Pedestrian), 7 (Tram)".
-std::string list_boxes(const std::vector<BoxTrack>& boxes);
+std::string format_box_list(const std::vector<BoxTrack>& boxes);
 
 /// Computes poses and motions of all instances during a sweep, from the tracks of the
 /// log. A box is absent before its first and after its last label.
-std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence,
-                                          const SweepMoment& sweep);
+std::vector<InstancePose> compute_instance_poses(const Scene& scene, const LidarSequence& sequence,
+                                                 const SweepTiming& sweep);
 
 /// Tracks of actors by name. Poses are box centres in relidar's world frame, interpolated
 /// over time. Actors without an entry are absent.
-using ActorPoses = std::map<std::string, PoseTrack>;
+using ActorTracksByName = std::map<std::string, PoseTrack>;
 /// Computes poses and motions of all instances during a sweep, from actor tracks of the
 /// caller. The pose and motion of the sensor come from the sequence.
 /// @throws UsageError for a name that no instance has. The message suggests the most
 /// similar name.
-std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence,
-                                          const SweepMoment& sweep, const ActorPoses& world_from_actor);
+std::vector<InstancePose> compute_instance_poses(const Scene& scene, const LidarSequence& sequence,
+                                                 const SweepTiming& sweep,
+                                                 const ActorTracksByName& world_from_actor);
 /// Returns the surfels of all instances at one time, in the world frame. Actors have
 /// their poses and walking motions of that time. Absent actors are left out.
-/// @param placed [instances] pose of each instance
+/// @param instance_poses [instances] pose of each instance
 /// @throws DataError if the number of poses is wrong
-Surfels bake_instances(const Scene& scene, const std::vector<InstancePose>& placed);
+Surfels bake_surfels_to_world(const Scene& scene, const std::vector<InstancePose>& instance_poses);
 
 /// Sorts points in kd-tree order, by recursive median splits along the longest axis. The
 /// median of a range is at (first + last) / 2.
 /// @return [n] permutation: position i of the sorted array holds point order[i]
-std::vector<std::uint32_t> compute_kd_order(const std::vector<glm::vec3>& points);
+std::vector<std::uint32_t> compute_kd_tree_order(const std::vector<glm::vec3>& points);
 
 /// Returns the extent of a model in metres, a length for settings that are relative to
 /// the model's size. For an actor: 4 times the diagonal of its box. For any other model:
@@ -415,6 +421,6 @@ double compute_background_extent(const Scene& scene);
 
 /// Returns a copy of a scene without its surfels. The copy has models, instances, blocks
 /// and sensor drop probabilities.
-Scene copy_layout(const Scene& scene);
+Scene copy_scene_without_surfels(const Scene& scene);
 
 }  // namespace relidar

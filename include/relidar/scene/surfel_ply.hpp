@@ -10,7 +10,7 @@ namespace relidar {
 
 struct Scene;
 struct Surfels;
-enum class Primitive;
+enum class PrimitiveType;
 
 /// Writes all surfels of a scene as PLY in the layout of 3D Gaussian splatting. Every
 /// property is a little-endian float:
@@ -27,12 +27,13 @@ enum class Primitive;
 ///   model                 index of the model; not part of the original layout
 ///
 /// Positions are in the frame of the surfel's model, so actors are at the origin.
-/// @throws DataError for the reasons listed at write_atomically()
+/// @throws DataError for the reasons listed at write_file_atomically()
 void write_surfel_ply(const std::filesystem::path& path, const Scene& scene);
 /// Writes surfels that share one frame. The file has no property `model`, so that
 /// read_surfel_ply() does not read it as a complete scene.
-/// @param notes comments in the file header
-void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels, const FileNotes& notes);
+/// @param header_comments comments in the file header
+void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels,
+                      const FileMetadata& header_comments);
 /// Reads a scene that write_surfel_ply() has written. The surfels are restored bit by bit
 /// and grouped by model. Models, instances and sensor drop probabilities are copied from
 /// `layout`. Properties may have any order, and additional properties are allowed.
@@ -40,6 +41,6 @@ void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels,
 /// @param primitive primitive of the file. Default: surfels
 /// @throws DataError for text or big-endian files, missing properties, sizes that do not
 /// match, or values that are not finite
-Scene read_surfel_ply(const std::filesystem::path& path, const Scene& layout, Primitive primitive = {});
+Scene read_surfel_ply(const std::filesystem::path& path, const Scene& layout, PrimitiveType primitive = {});
 
 }  // namespace relidar

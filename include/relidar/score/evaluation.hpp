@@ -43,7 +43,7 @@ struct RangeErrorCounts {
 struct ActorScore {
     std::string track;     ///< Id of the box.
     std::string category;  ///< Class of the box.
-    MetricRow metrics;     ///< A metric is left out if it is not defined.
+    MetricValues metrics;  ///< A metric is left out if it is not defined.
 };
 
 /// A frame that was rendered with the rays of the real scan, and its metrics.
@@ -59,13 +59,13 @@ struct ScoredFrame {
     /// All other frames keep only the rendering time.
     RenderedScan rendered;
     RangeImage real;  ///< Measured image. Only frames that keep the rendered scan also keep this image.
-    MetricRow metrics;
+    MetricValues metrics;
     RangeErrorCounts range_errors;
     std::vector<ActorScore> actors;  ///< Scores of the moving boxes that are present.
 };
 
 /// Measured and simulated points in a moving box.
-struct BoxPoints {
+struct MovingBoxPoints {
     /// [n,3] points in the frame of the box at the time at which each point was measured.
     std::vector<glm::dvec3> real_m, simulated_m;
     /// Range errors, simulated minus real. They are computed for rays that return in both
@@ -80,37 +80,37 @@ struct BoxPoints {
 /// the lowest 0.15 m, which contains ground points. To count rays that hit the box, the
 /// box is enlarged by 0.3 m.
 /// @param rendered  rendered image
-/// @param points_m [n] ranges at which the simulated points are placed
+/// @param point_ranges_m [n] ranges at which the simulated points are placed
 /// @param real  measured image of the same rays
 /// @param sweep  the sweep of both images
 /// @param box  a box that is present at the time of the sweep
-BoxPoints collect_points_in_box(const RangeImage& rendered, const std::vector<float>& points_m,
-                                const RangeImage& real, const Sequence& sequence, const SweepMoment& sweep,
-                                const BoxTrack& box);
+MovingBoxPoints collect_points_in_box(const RangeImage& rendered, const std::vector<float>& point_ranges_m,
+                                      const RangeImage& real, const LidarSequence& sequence,
+                                      const SweepTiming& sweep, const BoxTrack& box);
 
 /// Callback that receives each frame with its images after its metrics were computed. The
 /// callback may add metrics.
-using FrameCallback = std::function<void(ScoredFrame&)>;
+using ScoredFrameCallback = std::function<void(ScoredFrame&)>;
 
 /// Scored frames and their mean metrics.
-struct Evaluation {
+struct EvaluationResult {
     std::string title = "rendered";  ///< What was scored: "rendered" or the name of a baseline.
     std::vector<ScoredFrame> frames;
-    MetricRow mean;
+    MetricValues mean;
     /// Scores of each moving box over all frames. Boxes with the highest fraction of
     /// range errors above 0.3 m come first. Numbers of points are sums over the frames.
     /// Other metrics are means, weighted by the number of real points in each frame.
     std::vector<ActorScore> actors;
-    MetricRow kernel_ms;    ///< Mean time of a kernel launch in milliseconds, by kernel name.
-    double trace_ms = 0.0;  ///< Mean time to render a frame, including transfers to and from the device.
+    MetricValues kernel_ms;  ///< Mean time of a kernel launch in milliseconds, by kernel name.
+    double trace_ms = 0.0;   ///< Mean time to render a frame, including transfers to and from the device.
     double mrays_per_s = 0.0;
 };
 
 /// Copies scans of a log into the frames of a run that was trained on this log. The poses
 /// of the run do not change.
-/// @param positions  indices into Run::sequence of the frames
+/// @param frame_indices  indices into TrainedRun::sequence of the frames
 /// @throws DataError if a frame is missing in the log, or has another time in the log
-void attach_scans(Run& run, const std::vector<int>& positions, const Sequence& log);
+void copy_scans_into_run(TrainedRun& run, const std::vector<int>& frame_indices, const LidarSequence& log);
 
 /// Renders a frame at the pose of the real sensor and computes its metrics. With the
 /// native grid, the rays are those of the real scan. With another grid, the simulated
@@ -119,42 +119,44 @@ void attach_scans(Run& run, const std::vector<int>& positions, const Sequence& l
 /// @param frame  the frame, with its scan
 /// @param sensor_offset  pose of the sensor that made frame.scan, in the frame of the
 /// log's sensor
-ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence,
-                        const Frame& frame, const Pose& sensor_offset = {});
+ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const LidarSequence& sequence,
+                        const LidarFrame& frame, const Pose& sensor_offset = {});
 
 /// Renders many frames and computes their metrics. Memory use does not grow with the
 /// number of frames.
-/// @param positions  indices of the frames in `sequence`
+/// @param frame_indices  indices of the frames in `sequence`
 /// @param progress  called before each frame and after the last one; if it throws, the
 /// evaluation stops
 /// @param on_frame  called for each scored frame
 /// @throws DataError if a file with LPIPS weights is set and cannot be read
-Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Sequence& sequence,
-                           const std::vector<int>& positions, const Progress& progress = {},
-                           const FrameCallback& on_frame = {});
+EvaluationResult evaluate_frames(ScanRenderer& renderer, const Config& config, const LidarSequence& sequence,
+                                 const std::vector<int>& frame_indices, const ProgressReporter& progress = {},
+                                 const ScoredFrameCallback& on_frame = {});
 
 /// Computes the mean metrics of scored frames.
-/// @param times  kernel times of the renderer that rendered the frames
-Evaluation summarise(std::vector<ScoredFrame> frames, const KernelTimes& times);
+/// @param kernel_times  kernel times of the renderer that rendered the frames
+EvaluationResult summarise_evaluation(std::vector<ScoredFrame> scored_frames,
+                                      const KernelTimes& kernel_times);
 
 /// Returns the mean time of a kernel launch in milliseconds, by kernel name.
-MetricRow compute_mean_times(const KernelTimes& times);
+MetricValues compute_mean_kernel_ms(const KernelTimes& kernel_times);
 
 /// Converts the name of a baseline to its motion of points in moving boxes. A baseline
 /// predicts a scan from the points of the neighbouring training scans. "nearest" keeps
 /// the positions at which points were measured. "nearest-actors" moves points in boxes
 /// together with their boxes.
 /// @throws UsageError for another name
-BoxMotion find_baseline(const std::string& name);
+BoxPointMotion parse_baseline_motion(const std::string& name);
 /// Computes the metrics of a baseline on the held-out frames of a log.
-/// @param name  "nearest" or "nearest-actors"
+/// @param baseline_name  "nearest" or "nearest-actors"
 /// @param sequence  the log, with its scans
 /// @param progress  called before each frame and after the last one
 /// @param on_frame  called for each scored frame
 /// @throws UsageError for another name
-Evaluation evaluate_baseline(const std::string& name, const Config& config, const Sequence& sequence,
-                             const Split& split, const Progress& progress = {},
-                             const FrameCallback& on_frame = {});
+EvaluationResult evaluate_baseline(const std::string& baseline_name, const Config& config,
+                                   const LidarSequence& sequence, const TrainTestSplit& split,
+                                   const ProgressReporter& progress = {},
+                                   const ScoredFrameCallback& on_frame = {});
 
 /// Reads the file with LPIPS weights, if the user has set one. Called before a long
 /// evaluation, so that a damaged file is reported at the start.
@@ -162,6 +164,6 @@ Evaluation evaluate_baseline(const std::string& name, const Config& config, cons
 void check_lpips_weights();
 /// Returns the path of the file with LPIPS weights, from the environment variable
 /// RELIDAR_LPIPS_WEIGHTS. If the path is empty, LPIPS is not computed.
-std::string find_lpips_weights();
+std::string find_lpips_weights_path();
 
 }  // namespace relidar

@@ -23,14 +23,14 @@
 
 namespace relidar {
 
-struct Frame;
+struct LidarFrame;
 struct RayTable;
 struct Scan;
-struct Sequence;
+struct LidarSequence;
 
 /// Metric values by name. A name contains the protocol and the unit: "peer/depth_rmse_m",
 /// "strict/cd_mean_m", "strict/drop_accuracy", ...
-using MetricRow = std::map<std::string, double>;
+using MetricValues = std::map<std::string, double>;
 
 class Lpips;
 
@@ -44,7 +44,7 @@ struct MetricOptions {
 };
 
 /// Set of pixels of a real image for which separate metrics are computed.
-struct Region {
+struct PixelRegion {
     /// Prefix of the region's metric names. For example, "moving_boxes" gives
     /// "moving_boxes/depth_medae_m".
     std::string name;
@@ -72,7 +72,7 @@ struct Region {
 /// A metric that is undefined is left out: nothing returned, or an image below 7 x 7
 /// pixels for SSIM or 31 x 31 pixels for LPIPS. The F-score against an empty cloud is 0.
 /// @throws DataError if the images differ in shape or contain a value that is not finite
-MetricRow evaluate(const RangeImage& rendered, const RangeImage& real, const MetricOptions& options = {});
+MetricValues evaluate(const RangeImage& rendered, const RangeImage& real, const MetricOptions& options = {});
 
 /// Computes errors by region, over the pixels with a real return. It uses the rendered
 /// values even if the rendered pixel counts as dropped.
@@ -82,84 +82,86 @@ MetricRow evaluate(const RangeImage& rendered, const RangeImage& real, const Met
 ///                       with the strict threshold
 ///   <region>/pixels     number of these pixels; if 0, the other metrics are left out
 /// @throws DataError like evaluate(), and if a region has another number of pixels
-MetricRow evaluate_regions(const RangeImage& rendered, const RangeImage& real,
-                           const std::vector<Region>& regions, const MetricOptions& options = {});
+MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real,
+                              const std::vector<PixelRegion>& regions, const MetricOptions& options = {});
 
 /// Returns the sets of pixels that reports score separately: all, moving_boxes, static,
 /// and the range bands range_0_20_m, range_20_40_m, range_40_80_m.
-/// @param moving [rows*columns] true for pixels whose return is in a moving box
-std::vector<Region> make_standard_regions(const RangeImage& real, const std::vector<bool>& moving);
+/// @param moving_pixels [rows*columns] true for pixels whose return is in a moving box
+std::vector<PixelRegion> make_standard_regions(const RangeImage& real,
+                                               const std::vector<bool>& moving_pixels);
 
 /// Returns for each ray whether its return is inside a moving box that the dataset
 /// labelled.
 /// @param sensor_offset  pose of the sensor that made the scan, in the frame of the log's
 /// sensor
 /// @return [n] true for rays with such a return
-std::vector<bool> find_moving_returns(const Sequence& sequence, const Frame& frame,
-                                      const Pose& sensor_offset = {});
+std::vector<bool> mask_returns_in_labelled_movers(const LidarSequence& sequence, const LidarFrame& frame,
+                                                  const Pose& sensor_offset = {});
 /// Returns for each ray whether its return is inside a moving box that relidar
 /// discovered, because the dataset has no label.
 /// @param sensor_offset  pose of the sensor that made the scan, in the frame of the log's
 /// sensor
 /// @return [n] true for rays with such a return
-std::vector<bool> find_discovered_returns(const Sequence& sequence, const Frame& frame,
-                                          const Pose& sensor_offset = {});
+std::vector<bool> mask_returns_in_discovered_movers(const LidarSequence& sequence, const LidarFrame& frame,
+                                                    const Pose& sensor_offset = {});
 
 /// Computes the errors of the points that are written to point cloud files, with the
 /// strict protocol: points/{depth_*,cd_*,f_*}. The ranges of these points can differ from
 /// the ranges of the image.
 /// @throws DataError like evaluate()
-MetricRow evaluate_points(const RangeImage& rendered, const RangeImage& real,
-                          const MetricOptions& options = {});
+MetricValues evaluate_points(const RangeImage& rendered, const RangeImage& real,
+                             const MetricOptions& options = {});
 
 /// Compares the classes of rays with labels, over the rays whose label is not `unknown`.
 ///   classes/accuracy   fraction of these rays with equal classes
 ///   classes/mean_iou   mean over the labels that occur: rays that have the class in both
 ///                      scans, divided by the rays that have it in at least one scan
-/// @param rendered [n] values of the channel `class`
-/// @param real [n] labels
+/// @param rendered_classes [n] values of the channel `class`
+/// @param real_classes [n] labels
 /// @return an empty row if no ray has a label
-MetricRow evaluate_classes(const std::vector<std::int32_t>& rendered, std::span<const SurfaceClass> real);
+MetricValues evaluate_classes(const std::vector<std::int32_t>& rendered_classes,
+                              std::span<const SurfaceClass> real_classes);
 
 /// A rendered image, the real image of the same rays, and the regions to score.
-struct Comparison {
+struct RangeImageComparison {
     const RangeImage* rendered = nullptr;
     const RangeImage* real = nullptr;
-    std::vector<Region> regions;
-    /// [rows*columns] ranges at which the points of `rendered` are placed. Empty if
-    /// points are not scored.
+    std::vector<PixelRegion> regions;
+    /// [rows*columns] ranges at which the points of `rendered_classes` are placed. Empty
+    /// if points are not scored.
     std::vector<float> point_range_m = {};
 };
 /// Computes the metrics of many frames in parallel on all cores. Calls evaluate() and
 /// evaluate_regions() for each frame. Also calls evaluate_points() if a comparison has
 /// point ranges.
 /// @return [n] metrics of each comparison
-std::vector<MetricRow> evaluate_all(const std::vector<Comparison>& comparisons,
-                                    const MetricOptions& options = {});
+std::vector<MetricValues> evaluate_all(const std::vector<RangeImageComparison>& comparisons,
+                                       const MetricOptions& options = {});
 
 /// Motion of points in moving boxes, for baselines. `stay`: points stay where they were
 /// measured. `follow`: points move with their boxes, and are left out if the box has left
 /// the scene.
-enum class BoxMotion { stay, follow };
+enum class BoxPointMotion { stay, follow };
 
 /// Computes the baseline: moves the returns of the nearest earlier and later training
 /// frames of the same LiDAR into another sweep. Each point is moved to the time at which
 /// the head of the LiDAR faces it:
-///   p_sensor(t) = sensor_from_world(t) p_world,  t = compute_facing_time(p_sensor)
+///   p_sensor(t) = sensor_from_world(t) p_world,  t = compute_point_scan_time_s(p_sensor)
 /// The result is not an image. It has one ray for each point, and the ray starts at the
 /// sensor origin.
-/// @param position  index of the sweep in sequence.frames; its scan is not read
-/// @param train  indices of the training frames, with their scans
+/// @param frame_index  index of the sweep in sequence.frames; its scan is not read
+/// @param train_frames  indices of the training frames, with their scans
 /// @throws DataError if there is no training frame
-Scan predict_neighbour_points(const Sequence& sequence, int position, const std::vector<int>& train,
-                              BoxMotion boxes);
+Scan predict_scan_from_neighbours(const LidarSequence& sequence, int frame_index,
+                                  const std::vector<int>& train_frames, BoxPointMotion box_motion);
 
 /// Assigns each point to the ray with the smallest angle to the point. If several points
 /// belong to a ray, the nearest point is kept. Skips points that are more than half a
 /// beam spacing above the highest or below the lowest beam.
 /// @return a scan of `rays`, with range_m along the direction of each ray
 /// @throws DataError if the rays are not in image order
-Scan bin_onto_rays(const RayTable& rays, const Scan& points);
+Scan bin_points_onto_rays(const RayTable& rays, const Scan& points);
 
 /// Weights of LPIPS v0.1 with AlexNet. The convolutions have the shapes 64x3x11x11,
 /// 192x64x5x5, 384x192x3x3, 256x384x3x3, 256x256x3x3 (out, in, height, width).
@@ -201,8 +203,8 @@ public:
     /// Published tables for LiDAR use ranges in metres as values.
     /// @param first [rows*columns]
     /// @param second [rows*columns]
-    double distance(const std::vector<double>& first, const std::vector<double>& second, int rows,
-                    int columns) const;
+    double compute_perceptual_distance(const std::vector<double>& first, const std::vector<double>& second,
+                                       int rows, int columns) const;
 
 private:
     struct Impl;
@@ -225,6 +227,6 @@ std::vector<double> compute_nearest_distances(const std::vector<glm::dvec3>& que
                                               const std::vector<glm::dvec3>& target);
 
 /// Returns the mean of each metric. Rows that lack a metric do not affect its mean.
-MetricRow mean(const std::vector<MetricRow>& rows);
+MetricValues compute_mean_metrics(const std::vector<MetricValues>& metric_rows);
 
 }  // namespace relidar

@@ -89,15 +89,16 @@ struct Report {
     bool same_scans = true;
     /// Columns of the table of metrics: the title of the column and its values. Values
     /// are grouped by the part of their name before '/'.
-    std::vector<std::pair<std::string, MetricRow>> metrics;
+    std::vector<std::pair<std::string, MetricValues>> metrics;
     /// Tables of kernel times: the title of the table and the milliseconds of each
     /// kernel. Percentages refer to the entry "total", or to the sum if no such entry
     /// exists.
-    std::vector<std::pair<std::string, MetricRow>> timings_ms;
+    std::vector<std::pair<std::string, MetricValues>> timings_ms;
     std::vector<ReportFigure> figures;
 };
 /// Writes the report as an HTML page.
-/// @throws DataError if x and y of a curve differ in length, and like write_atomically()
+/// @throws DataError if x and y of a curve differ in length, and like
+/// write_file_atomically()
 void write_report(const std::filesystem::path& path, const Report& report);
 
 }  // namespace relidar

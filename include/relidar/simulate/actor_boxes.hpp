@@ -28,11 +28,12 @@ struct ActorBox {
 };
 
 /// Returns the boxes of the actors of `format` that at least one ray of a scan would hit.
-/// @param scan with RenderedScan::actor_views, see ScanRenderer::enable_actor_views()
-std::vector<ActorBox> find_actor_boxes(const RenderedScan& scan, const ScanFormat& format);
+/// @param scan with RenderedScan::actor_views, see
+/// ScanRenderer::enable_actor_visibility()
+std::vector<ActorBox> find_actor_boxes(const RenderedScan& scan, const ScanOutputOptions& format);
 
 /// Replaces the poses of the boxes of a format by the poses of a ScanRequest. Removes the
 /// boxes of actors that the request does not contain.
-void place_boxes(ScanFormat& format, const ActorPoses& dataset_from_actor);
+void replace_actor_box_poses(ScanOutputOptions& format, const ActorTracksByName& dataset_from_actor);
 
 }  // namespace relidar

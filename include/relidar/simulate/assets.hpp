@@ -31,17 +31,18 @@ struct ActorObservations {
 };
 /// Returns the surface of an actor's box. The patches that rays of the log have hit are
 /// marked as observed.
-/// @param size_m [3] size of the box
-BoxSurface compute_visible_surface(const glm::dvec3& size_m, const ActorObservations& sightings);
+/// @param box_size_m [3] size of the box
+ObservedBoxSurface compute_observed_surface(const glm::dvec3& box_size_m,
+                                            const ActorObservations& observations);
 /// Returns the points at which rays of the log hit each actor, by track. Renders the
 /// training frames again with the log's LiDARs at their original poses. An object that
 /// hid an actor in the log therefore also hides it here. A LiDAR without a nominal ray
 /// pattern is replaced by an HDL-64E.
-std::map<std::string, ActorObservations> observe_actors(Device& device, const Run& run,
-                                                        const Progress& progress = {});
+std::map<std::string, ActorObservations> collect_actor_observations(Device& device, const TrainedRun& run,
+                                                                    const ProgressReporter& progress = {});
 
 /// Description of an asset, as stored in asset.json.
-struct AssetFacts {
+struct AssetDescription {
     std::string name;      ///< name of its folder and its track, for example "car-3"
     std::string category;  ///< class name in the dataset, or "Discovered"
     /// Kind of object, for example a vehicle. An object without a label counts as a
@@ -68,40 +69,41 @@ struct AssetFacts {
 
     /// Returns the fraction of the box surface that was observed, or completed with the
     /// mirror image.
-    double score() const { return seen + completed; }
+    double compute_covered_fraction() const { return seen + completed; }
 };
 
 /// An actor that was extracted from a run.
-struct Asset {
-    AssetFacts facts;
+struct ActorAsset {
+    AssetDescription facts;
     /// Run with the frames in which the actor is present. The run has no other actors,
     /// and its background is empty.
-    Run run;
+    TrainedRun run;
 };
 /// Extracts an actor from a run. Removes surfels that are never visible, because they are
 /// too faint to be blended or are outside the box. Parts of a vehicle that no ray has hit
 /// are replaced by the mirror image of the other side. A part is replaced only if rays
 /// have hit its mirror image.
-/// @param sightings  hits of this actor
+/// @param observations  hits of this actor
 /// @throws UsageError if no instance has this track
-Asset make_asset(const Run& run, const std::string& track, const ActorObservations& sightings);
+ActorAsset extract_actor_asset(const TrainedRun& run, const std::string& track,
+                               const ActorObservations& observations);
 
 /// Writes an asset to a folder. This folder then contains the run of the asset and
 /// asset.json.
 /// @throws DataError if the folder cannot be written
-void save_asset(Asset asset, const std::filesystem::path& folder);
+void save_asset(ActorAsset asset, const std::filesystem::path& folder);
 /// Reads asset.json from a folder.
 /// @throws DataError if the file is missing or malformed
-AssetFacts read_asset_facts(const std::filesystem::path& folder);
-/// Returns the height of an asset's box above the road (AssetFacts::clearance_m). Returns
-/// nothing if the run is not an asset.
-std::optional<double> measure_asset_clearance(const Run& run);
+AssetDescription read_asset_facts(const std::filesystem::path& folder);
+/// Returns the height of an asset's box above the road (AssetDescription::clearance_m).
+/// Returns nothing if the run is not an asset.
+std::optional<double> read_asset_ground_clearance(const TrainedRun& run);
 /// Returns the paths of all assets in a folder, sorted by name.
 /// @throws DataError if the folder contains no asset
 std::vector<std::filesystem::path> list_asset_folders(const std::filesystem::path& folder);
 
 /// Returns the track name of the only actor of a run, for example of an asset.
 /// @throws UsageError if the run has no actor or several
-std::string find_only_track(const Run& run);
+std::string get_only_actor_track(const TrainedRun& run);
 
 }  // namespace relidar

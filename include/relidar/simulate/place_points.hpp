@@ -12,7 +12,7 @@
 namespace relidar {
 
 /// Selects which rays and returns of a scan are converted to points.
-enum class PointsOf {
+enum class PointSelection {
     first_returns,  ///< rays that return
     returns,        ///< First and second returns. A second return follows the first return of the same ray.
     rays            ///< All rays. If a ray hit nothing, its point is at the origin of the ray.
@@ -25,8 +25,9 @@ enum class PointsOf {
 /// computation uses single precision: positions are within 0.03 mm at 80 m.
 /// @param dataset_from_points  frame of the points. If not set, each point is in the
 /// sensor's frame at the firing time of its ray.
-/// @throws DataError in the same cases as check_channels()
-Points place_points(const RenderedScan& scan, const Config& config,
-                    const std::optional<Pose>& dataset_from_points, PointsOf selection = PointsOf::returns);
+/// @throws DataError in the same cases as check_channel_names_and_sizes()
+LidarPoints convert_scan_to_points(const RenderedScan& scan, const Config& config,
+                                   const std::optional<Pose>& dataset_from_points,
+                                   PointSelection selection = PointSelection::returns);
 
 }  // namespace relidar

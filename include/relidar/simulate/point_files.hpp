@@ -16,13 +16,13 @@ namespace relidar {
 /// for these points are left out. A file without points still lists ring, time and
 /// instance, so that all files of a scan folder have the same fields.
 /// @param notes comments in the header of the file
-/// @throws DataError if lengths differ, and in the same cases as check_channels() and
-/// write_atomically()
-void write_ply(const std::filesystem::path& path, const Points& points, const FileNotes& notes = {});
+/// @throws DataError if lengths differ, and in the same cases as
+/// check_channel_names_and_sizes() and write_file_atomically()
+void write_ply(const std::filesystem::path& path, const LidarPoints& points, const FileMetadata& notes = {});
 /// Writes points to a binary PCD 0.7 file. The VIEWPOINT in the header is
 /// `world_from_points`.
-void write_pcd(const std::filesystem::path& path, const Points& points, const FileNotes& notes = {});
+void write_pcd(const std::filesystem::path& path, const LidarPoints& points, const FileMetadata& notes = {});
 /// Writes points to a KITTI file: n x float32 x y z intensity, without a header.
-void write_kitti_bin(const std::filesystem::path& path, const Points& points);
+void write_kitti_bin(const std::filesystem::path& path, const LidarPoints& points);
 
 }  // namespace relidar

@@ -24,12 +24,12 @@
 
 namespace relidar {
 
-struct Run;
+struct TrainedRun;
 struct MountedSensor;
 
 /// Side of an actor that the log has not observed although rays of the simulated scan
 /// meet it. n_rays is the number of these rays.
-struct UnseenSide {
+struct UnobservedActorSide {
     std::string track;
     BoxSide side;
     std::size_t n_rays = 0;
@@ -40,7 +40,7 @@ struct UnseenSide {
 
 /// Visibility of an actor: numbers of rays that hit it. A ray counts if surfaces absorb
 /// at least half of its light and the drop logits of the surfels predict a return.
-struct ActorView {
+struct ActorVisibility {
     std::string track;
     std::size_t n_rays = 0;  ///< rays that hit the actor first
     /// rays that would hit the actor if no other object hid it
@@ -71,7 +71,7 @@ struct RenderedScan {
     std::vector<std::uint16_t> ring;  ///< [n] beam number of the ray; 0 is the highest beam
     /// Second returns of the rays, computed with median ranges. Empty unless
     /// `sensor.returns` is 2.
-    std::vector<SecondReturn> second_returns = {};
+    std::vector<AdditionalReturns> second_returns = {};
     /// Optional channels with [n] values each: the channels of the setting
     /// `render.channels`, and `source` if weather is set. A channel that cannot be
     /// computed is missing, for example "seen" without a Coverage. A caller may append
@@ -83,10 +83,10 @@ struct RenderedScan {
     std::optional<double> unseen_share = {};
     /// Sides of actors that rays of the scan meet although the log has not observed them.
     /// Set by the command `relidar render`, not by ScanRenderer.
-    std::vector<UnseenSide> unseen_sides = {};
+    std::vector<UnobservedActorSide> unseen_sides = {};
     /// Visibility of each actor that at least one ray would hit without occlusion. Empty
-    /// unless ScanRenderer::enable_actor_views() was called.
-    std::vector<ActorView> actor_views = {};
+    /// unless ScanRenderer::enable_actor_visibility() was called.
+    std::vector<ActorVisibility> actor_views = {};
     Pose world_from_sensor;  ///< pose of the sensor at the reference time, in the dataset's world frame
     /// Poses of the sensor during the scan, in the dataset's world frame. The track has a
     /// single pose if all rays are fired from the same pose.
@@ -102,24 +102,25 @@ struct RenderedScan {
 /// Finds the unobserved sides of actors that at least five rays of the scan meet. If the
 /// side has no surfels, these rays pass through it. If the side was completed, they hit
 /// mirrored surfels. Uses the poses of the actors in the log.
-std::vector<UnseenSide> find_unseen_sides(const RenderedScan& scan, const Scene& scene,
-                                          const Sequence& sequence);
+std::vector<UnobservedActorSide> find_unobserved_actor_sides(const RenderedScan& scan, const Scene& scene,
+                                                             const LidarSequence& sequence);
 
 /// Computes the pose of the sensor at the firing time of each ray. Many sensors fire all
 /// rays of a column at the same time, so the pose is interpolated once per column. Only
 /// one thread may use an object of this class.
-class FiringPoses {
+class FiringPoseInterpolator {
 public:
     /// Stores a reference to the scan, which contains the poses of the sensor.
     /// @param scan must outlive this object
-    /// @param target_from_dataset transform to the frame in which at() returns poses
-    explicit FiringPoses(const RenderedScan& scan, const Pose& target_from_dataset = {});
+    /// @param target_from_dataset transform to the frame in which compute_firing_pose()
+    /// returns poses
+    explicit FiringPoseInterpolator(const RenderedScan& scan, const Pose& target_from_dataset = {});
     /// Returns the sensor pose at the firing time of a ray: `target_from_dataset *
     /// scan.get_firing_pose(ray)`. The reference is valid until the next call.
-    const Pose& at(std::size_t ray);
+    const Pose& compute_firing_pose(std::size_t ray);
 
 private:
-    struct Made {
+    struct CachedFiringPose {
         float time_offset_s;  ///< NaN if no pose is stored yet
         Pose target_from_firing;
     };
@@ -128,7 +129,7 @@ private:
     const bool moves_;
     /// Last computed pose of each column, because rays of a column often share their
     /// firing time. A single entry if the scan has one row or the sensor does not move.
-    std::vector<Made> made_;
+    std::vector<CachedFiringPose> made_;
 };
 
 /// Limit for the share of rays through space that the log did not observe. The program
@@ -147,19 +148,19 @@ std::vector<float> compute_range_spread(const RenderedScan& scan);
 
 /// Computes the inputs of a ray-drop network for a scan.
 /// @param scan should have the channel `incidence`; without it all cosines are 0
-/// @param channels names of the network's input channels
-/// @param first_origin_m [3] result of get_first_origin(). Sensor positions are relative
-/// to this point
-DropImage make_drop_image(const RenderedScan& scan, const std::vector<std::string>& channels,
-                          const glm::dvec3& first_origin_m);
+/// @param channel_names names of the network's input channels
+/// @param first_origin_m [3] result of get_first_vehicle_position(). Sensor positions are
+/// relative to this point
+RayDropImage make_network_input_image(const RenderedScan& scan, const std::vector<std::string>& channel_names,
+                                      const glm::dvec3& first_origin_m);
 
 /// Returns the first position of the log's vehicle, in the dataset's world frame.
 /// @return [3] metres
-glm::dvec3 get_first_origin(const Sequence& sequence);
+glm::dvec3 get_first_vehicle_position(const LidarSequence& sequence);
 
 /// Returns the values from which random intensities are drawn: rendered intensity, range,
 /// spread, incidence and elevation of each ray.
-RenderedIntensities get_rendered_intensities(const RenderedScan& scan);
+RenderedIntensityImage get_rendered_intensities(const RenderedScan& scan);
 
 /// Replaces the expected values of a scan by one random sample. A ray returns with
 /// probability 1 - drop_prob, independently of other rays. Random noise is added to the
@@ -169,12 +170,12 @@ RenderedIntensities get_rendered_intensities(const RenderedScan& scan);
 /// equals `median_range_m`. Second returns keep their expected intensities. The result
 /// depends only on seed and time, not on the device.
 /// @param scatter if empty, intensities keep their expected values
-void sample_returns(RenderedScan& scan, const RangeNoise& noise, const IntensityScatter& scatter,
-                    std::uint64_t seed);
+void sample_random_returns(RenderedScan& scan, const RangeNoiseTable& noise,
+                           const IntensityScatterModel& scatter, std::uint64_t seed);
 
 /// The points of a scan without its other arrays.
 struct RenderedPoints {
-    Points points;           ///< all returns, see place_points()
+    LidarPoints points;      ///< all returns, see place_points()
     std::size_t n_rays = 0;  ///< number of rays of the scan
     /// Share of the rays through space that the log did not observe. Empty if the run has
     /// no coverage.
@@ -182,14 +183,14 @@ struct RenderedPoints {
 };
 
 /// The sensor to simulate.
-struct SensorChoice {
+struct SimulatedSensor {
     RayTable rays;  ///< Rays of a sweep. Empty for a Rosette, because its rays differ in every scan.
     /// Range grid of the output image. After rendering, the simulated points are
     /// projected into this grid. Empty = the image has one pixel per ray.
-    std::optional<RangeGrid> grid = {};
+    std::optional<RangeImageGrid> grid = {};
     /// True for a LiDAR of the log. The trained drop probabilities of the sensor itself
     /// apply only to the log's LiDARs.
-    bool is_own = false;
+    bool is_log_lidar = false;
     /// True if `rays` are the nominal rays of a LiDAR of the log. A scan at the time of a
     /// recorded sweep then uses the azimuths that were measured in this sweep. If a
     /// ScanRequest sets the poses, the nominal azimuths are used.
@@ -212,18 +213,18 @@ struct SensorChoice {
 };
 
 /// Returns true if the sensor fires its rays at different times. The setting
-/// `sensor.rolling_shutter` = `no` overrides SensorChoice::rolling_shutter. Without a
+/// `sensor.rolling_shutter` = `no` overrides SimulatedSensor::rolling_shutter. Without a
 /// rolling shutter, all rays are fired at the scan's time, and all points are in the
 /// sensor frame at this time.
-bool has_rolling_shutter(const SensorChoice& sensor, const Config& config);
+bool has_rolling_shutter(const SimulatedSensor& sensor, const Config& config);
 
 /// Returns a copy of the sensor with the measured azimuths of the log's sweep at this
 /// time. If the sensor does not follow the sweeps of the log, or if the log has no sweep
 /// at this time, returns the sensor unchanged. ScanRenderer calls this function for scans
 /// without a ScanRequest.
 /// @param frames frames of the log with their azimuth shifts
-SensorChoice align_sensor_with_sweep(const SensorChoice& sensor, std::span<const Frame> frames,
-                                     std::span<const Lidar> lidars, double time_s);
+SimulatedSensor align_sensor_with_sweep(const SimulatedSensor& sensor, std::span<const LidarFrame> frames,
+                                        std::span<const Lidar> lidars, double time_s);
 
 /// Returns the sensor that the setting `sensor.grid` selects: a LiDAR of the log, or a
 /// grid. For a grid, the setting `sensor.grid_method` selects one of two methods. Either
@@ -231,17 +232,17 @@ SensorChoice align_sensor_with_sweep(const SensorChoice& sensor, std::span<const
 /// The range limits of the LiDAR are intersected with those of the dataset settings. If
 /// only the scans of a LiDAR are known, `rays` is empty and the caller must set the rays
 /// of each scan.
-SensorChoice make_configured_sensor(const Config& config, const Sequence& sequence, int lidar = 0);
+SimulatedSensor make_configured_sensor(const Config& config, const LidarSequence& sequence, int lidar = 0);
 /// Returns the sensor with this name or in this file. Possible values: "native" (the
 /// log's LiDAR), a built-in sensor, a sensor file, or a range grid. For the grid
 /// "kitti360", the setting `sensor.grid_method` applies.
-SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence,
-                           int lidar = 0);
+SimulatedSensor choose_sensor(const std::string& name_or_file, const Config& config,
+                              const LidarSequence& sequence, int lidar = 0);
 
-/// Creates a SensorChoice for a sensor that replaces a LiDAR of the log.
-SensorChoice make_sensor_choice(const SensorModel& sensor, int lidar = 0);
-/// Creates a SensorChoice for a sensor of a rig, with its number of returns.
-SensorChoice make_sensor_choice(const MountedSensor& mounted, int lidar = 0);
+/// Creates a SimulatedSensor for a sensor that replaces a LiDAR of the log.
+SimulatedSensor make_sensor_choice(const SensorModel& sensor, int lidar = 0);
+/// Creates a SimulatedSensor for a sensor of a rig, with its number of returns.
+SimulatedSensor make_sensor_choice(const MountedSensor& mounted, int lidar = 0);
 
 /// Merges scans of all sensors of a rig into one scan without image order. Rays are in
 /// the frame of the rig, as if the rig were a single sensor. The beam numbers of each
@@ -254,7 +255,7 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
 
 /// Request for a scan at given poses, for example from a trajectory file or a traffic
 /// simulator. Poses are in the dataset's world frame, times are in the time of the log
-/// (Frame::time_s).
+/// (LidarFrame::time_s).
 struct ScanRequest {
     double time_s = 0.0;  ///< time at which the sensor head faces forward, in seconds
     /// Poses of the sensor during the sweep. With a rolling shutter, each ray is fired
@@ -263,7 +264,7 @@ struct ScanRequest {
     PoseTrack dataset_from_sensor;
     /// Poses of all actors that are present. If not set, the actors have the poses of
     /// their tracks at the time of the scan.
-    std::optional<ActorPoses> dataset_from_actor = {};
+    std::optional<ActorTracksByName> dataset_from_actor = {};
 };
 
 /// Renders scans of a trained scene. Only one thread may use a renderer, and two
@@ -276,44 +277,44 @@ public:
     /// Creates a renderer of a scene.
     /// @throws UsageError for an unknown channel, or for a channel that needs normals in
     /// a scene of 3D Gaussians, which have no normals
-    ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence);
+    ScanRenderer(Device& device, const Scene& scene, const Config& config, const LidarSequence& sequence);
     /// Creates a renderer of a run, with the coverage, the classes and the intensity
     /// model of the run. The renderer also applies the ray-drop network if the run has
     /// one and `refine.enabled` is set.
-    ScanRenderer(Device& device, const Run& run);
+    ScanRenderer(Device& device, const TrainedRun& run);
     ~ScanRenderer();
     /// Hides instances of the scene in all following scans.
-    /// @param shown [instances] false for an instance that is not rendered
-    void set_visible_instances(const std::vector<bool>& shown);
+    /// @param visible_flags [instances] false for an instance that is not rendered
+    void set_visible_instances(const std::vector<bool>& visible_flags);
     /// Sets the network that corrects the drop probabilities of all following scans. An
     /// empty network switches the correction off. A network for the sensor's rays needs
     /// scans in image order with enough rows and columns. It runs before a scan is binned
     /// into a grid. A network for the cells of a grid runs only on images of that grid. A
     /// ray whose drop probability is 1 stays dropped.
     /// @throws DataError if the arrays of the network do not match its shape
-    void refine_drops(const DropNetwork& network);
+    void set_drop_network(const RayDropNetwork& network);
     /// Adds channels to all following scans, in addition to those of the setting
     /// `render.channels`.
     /// @throws UsageError for an unknown channel, or for a channel that needs normals in
     /// a scene of 3D Gaussians
-    void enable_channels(const std::string& names);
+    void enable_optional_channels(const std::string& comma_separated_names);
     /// Switches RenderedScan::actor_views of all following scans on or off. To compute
     /// them, traces the rays near each actor a second time, without all other surfaces.
-    void enable_actor_views(bool enabled = true);
+    void enable_actor_visibility(bool enabled = true);
     /// Sets the space that the log observed. All following scans are compared with this
     /// space to set RenderedScan::unseen_share. An empty coverage switches the
     /// comparison off.
-    void set_observed_space(const Coverage& coverage);
+    void set_observed_space(const ObservedVoxelSet& coverage);
     /// Sets the classes of the background for the channel `class` of all following scans.
     /// With an empty map, the class of the background is `unknown`.
-    void classify_background(const ClassMap& map);
-    bool has_classes() const;  ///< true if the classes of the background are known
+    void set_background_classes(const SurfaceClassMap& class_map);
+    bool has_background_classes() const;  ///< true if the classes of the background are known
     /// Sets the statistical intensity model of each LiDAR of the log, for all following
     /// scans. If a scan is sampled, its intensities are drawn from this model. Otherwise,
     /// they are rounded to the quantisation steps of the log.
     /// @param scatter [lidars] if an entry is missing or empty, intensities are as
     /// rendered
-    void set_intensity_scatter(const std::vector<IntensityScatter>& scatter);
+    void set_intensity_scatter(const std::vector<IntensityScatterModel>& scatter);
     /// Sets the weather of all following scans. For a sampled scan, the seed of the
     /// sample also seeds the weather. Other scans use seed 0. Scans with weather have the
     /// channel `source`.
@@ -322,23 +323,23 @@ public:
     void set_weather(const Weather& weather);
     /// Returns true if a ray-drop network corrects the drop probabilities of this
     /// sensor's scans.
-    bool refines(const SensorChoice& sensor) const;
+    bool has_drop_network_for(const SimulatedSensor& sensor) const;
     /// Renders a scan on the recorded path of the log's vehicle.
     /// @param sensor_offset pose of the simulated sensor in the frame of the log's LiDAR.
     /// Identity = the same pose.
-    /// @param sample random seed for sample_returns(). If not set, the scan has expected
-    /// values without noise
-    RenderedScan render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset = {},
+    /// @param sample random seed for sample_random_returns(). If not set, the scan has
+    /// expected values without noise
+    RenderedScan render(const SimulatedSensor& sensor, double time_s, const Pose& sensor_offset = {},
                         std::optional<std::uint64_t> sample = {});
     /// Renders a scan from the poses of a request.
     /// @throws DataError if poses or times are not finite or exceed 1e10 m or s, or if
     /// times do not increase
     /// @throws UsageError for an actor that is not in the scene
-    RenderedScan render(const SensorChoice& sensor, const ScanRequest& request,
+    RenderedScan render(const SimulatedSensor& sensor, const ScanRequest& request,
                         std::optional<std::uint64_t> sample = {});
     /// When a requested scan is submitted to the GPU: immediately, or together with the
     /// next request.
-    enum class Send { now, with_next };
+    enum class SubmissionTiming { now, with_next };
     /// Requests the points of a scan and returns without waiting for the result. The
     /// points are in the sensor's frame at a time of the sensor's path. While the device
     /// renders this scan, the caller can request more scans and collect earlier points.
@@ -350,8 +351,9 @@ public:
     /// request. Scans whose points the device computes are then rendered in parallel.
     /// @throws UsageError if kScansInFlight requested scans were not collected, and as
     /// render()
-    void submit_points(const SensorChoice& sensor, const ScanRequest& request, double points_at_s,
-                       std::optional<std::uint64_t> sample = {}, Send mode = Send::now);
+    void submit_points(const SimulatedSensor& sensor, const ScanRequest& request, double points_at_s,
+                       std::optional<std::uint64_t> sample = {},
+                       SubmissionTiming mode = SubmissionTiming::now);
     /// Maximum number of scans that were requested and not yet collected with
     /// wait_for_points(). Two such scans are enough to keep the device busy.
     static constexpr std::size_t kScansInFlight = 64;
@@ -360,15 +362,15 @@ public:
     /// default is 1 on a CPU. For a scene in blocks, the number is 1. Each additional
     /// scan needs a copy of the scene on the device. If device memory is exhausted, the
     /// number is reduced.
-    int side_by_side() const;
-    static int choose_max_lanes(const Device& device);
+    int get_max_parallel_scans() const;
+    static int choose_max_parallel_scans(const Device& device);
     /// Sets the maximum number of scans that the device renders in parallel.
     /// @throws UsageError if `count` is less than 1
-    void side_by_side(int count);
+    void set_max_parallel_scans(int count);
     /// Waits for the oldest requested scan and returns its points.
     /// @param memory earlier points, whose memory is reused for the result
     /// @throws UsageError if no scan was requested
-    RenderedPoints wait_for_points(Points memory = {});
+    RenderedPoints wait_for_points(LidarPoints memory = {});
     const KernelTimes& times() const;
 
 private:
@@ -382,11 +384,11 @@ private:
 /// drop probability of a cell is the smallest probability of its rays. A product of
 /// probabilities would assume independent drops, but neighbouring rays are dropped for
 /// the same reason.
-RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid);
+RenderedScan bin_scan_into_grid(const RenderedScan& scan, const RangeImageGrid& grid);
 
 /// Returns the measured range image of a frame, for comparison with a rendered image of
 /// the configured sensor. For the native grid, its pixels are the rays of the scan. For
 /// any other grid, the points of the scan are projected into the grid.
-RangeImage make_real_image(const Config& config, const Scan& scan);
+RangeImage make_measured_image(const Config& config, const Scan& scan);
 
 }  // namespace relidar

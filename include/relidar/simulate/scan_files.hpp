@@ -25,18 +25,18 @@ namespace relidar {
 
 struct RangeImage;
 struct RenderedScan;
-struct Run;
-struct SensorChoice;
+struct TrainedRun;
+struct SimulatedSensor;
 
 /// Returns the names of all formats: the file extensions for single scans, and the
 /// recordings `mcap`, `rosbag` and `pcap`.
 std::vector<std::string> list_scan_formats();
 /// Returns true if a format stores all scans in a single file. Only one process can write
 /// such a file.
-bool is_recording(const std::string& format);
+bool is_recording_format(const std::string& format);
 
 /// Coordinate frame of points, and of the rays in npz and exr files.
-enum class PointFrame { sensor, world };
+enum class PointCoordinateFrame { sensor, world };
 
 /// Sensor properties that only the format pcap needs.
 struct PacketFormatOptions {
@@ -46,9 +46,9 @@ struct PacketFormatOptions {
 };
 
 /// Options for writing scans, and the metadata that the files contain.
-struct ScanFormat {
+struct ScanOutputOptions {
     std::vector<std::string> formats{"npz"};  ///< names of formats, see list_scan_formats()
-    PointFrame frame = PointFrame::sensor;
+    PointCoordinateFrame frame = PointCoordinateFrame::sensor;
     /// Used only for points in the sensor frame. True: all points are in the sensor frame
     /// at the reference time of the scan. False: each point is in the sensor frame at its
     /// firing time.
@@ -88,18 +88,18 @@ struct ScanFormat {
 };
 /// Returns the default format for scans of a run: npz files with rays in the sensor
 /// frame. The simulated sensor has the same poses as the log's sensor.
-ScanFormat make_scan_format(const Run& run, const SensorChoice& sensor);
+ScanOutputOptions make_scan_format(const TrainedRun& run, const SimulatedSensor& sensor);
 /// Returns true if all points of a scan are in one frame: the world frame, or the sensor
 /// frame at one time (in recordings, the time stamp of the message). This is the case if
 /// points are converted to such a frame, or if all rays are fired at the same time.
-bool is_deskewed(const ScanFormat& format);
+bool has_deskewed_points(const ScanOutputOptions& format);
 /// Sets the topic and the frame id of a sensor in recordings to /lidar/NAME/points and
-/// NAME. In the topic, NAME is converted by make_topic_word(). An empty name gives
+/// NAME. In the topic, NAME is converted by make_valid_topic_name(). An empty name gives
 /// /lidar/points and lidar.
-/// @param name  name of the log's LiDAR or of the rig's sensor
-void set_recording_name(ScanFormat& format, const std::string& name);
+/// @param sensor_name  name of the log's LiDAR or of the rig's sensor
+void set_recording_topic(ScanOutputOptions& format, const std::string& sensor_name);
 /// Replaces characters that ROS does not allow in topic names by _.
-std::string make_topic_word(const std::string& name);
+std::string make_valid_topic_name(const std::string& name);
 
 /// Writes recordings: a file for each recording format, with all scans of a sensor or
 /// of the sensors of a rig. A file gets its final name when it is finished.
@@ -123,11 +123,11 @@ std::string make_topic_word(const std::string& name);
 ///
 /// Times: the stamp of a cloud is the time of its first ray, and the times of points are
 /// relative to it. A point in the sensor frame at its own time is converted to the world
-/// by the transforms of that time, or, with ScanFormat::deskew, by the transforms of the
-/// stamp. Each box on /actors has the time at which the sensor faces it. Boxes on
+/// by the transforms of that time, or, with ScanOutputOptions::deskew, by the transforms
+/// of the stamp. Each box on /actors has the time at which the sensor faces it. Boxes on
 /// /actors_autoware have the time of the cloud, and velocities. A scan is logged at the
 /// time of its last ray, after the transforms that it needs.
-class ScanRecordings {
+class ScanRecordingsWriter {
 public:
     /// Creates the recordings in an existing folder. Removes the files that an earlier
     /// rendering has written to this folder.
@@ -136,42 +136,42 @@ public:
     /// @throws UsageError if two topics or frames have the same name, or if ROS does not
     /// allow a name
     /// @throws DataError if a file cannot be written
-    ScanRecordings(std::filesystem::path folder, std::vector<ScanFormat> sensors);
+    ScanRecordingsWriter(std::filesystem::path folder, std::vector<ScanOutputOptions> sensors);
     /// Appends the scans of a sweep to the recordings.
     /// @param scans  a scan for each sensor, all of the same sweep
     /// @throws DataError if times decrease or a file cannot store them
-    void write(std::span<const RenderedScan> scans);
+    void write_scans(std::span<const RenderedScan> scans);
     void finish();
     /// Returns the names of the files.
-    std::vector<std::string> names() const;
+    std::vector<std::string> list_file_names() const;
 
 private:
     struct Impl;
     std::shared_ptr<Impl> impl_;
 };
 
-/// A topic of ScanMessages.
+/// A topic of ScanMessageEncoder.
 struct ScanTopic {
     std::string name, type;     ///< type: name of the Protobuf message
     std::string schema_base64;  ///< FileDescriptorSet of the message
 };
 /// A Protobuf message of a topic.
 struct ScanMessage {
-    std::size_t topic;  ///< index in ScanMessages::topics()
+    std::size_t topic;  ///< index in ScanMessageEncoder::list_topics()
     std::uint64_t time_ns;
     std::string bytes;
 };
 
 /// Converts scans to the messages of the recording mcap, for live connections.
-class ScanMessages {
+class ScanMessageEncoder {
 public:
-    /// @param sensors  formats of the sensors, as in ScanRecordings
-    explicit ScanMessages(std::vector<ScanFormat> sensors);
-    std::vector<ScanTopic> topics() const;
+    /// @param sensors  formats of the sensors, as in ScanRecordingsWriter
+    explicit ScanMessageEncoder(std::vector<ScanOutputOptions> sensors);
+    std::vector<ScanTopic> list_topics() const;
     /// Returns the messages of all topics in the order of their times.
     /// @param scans  a scan for each sensor, all of the same sweep
     /// @throws DataError if times decrease
-    std::vector<ScanMessage> convert(std::span<const RenderedScan> scans);
+    std::vector<ScanMessage> convert_to_messages(std::span<const RenderedScan> scans);
 
 private:
     struct Impl;
@@ -197,57 +197,59 @@ private:
 ///        points of returned rays (drop_prob < 0.5); ply and pcd also have ring, time,
 ///        instance, the scan's channels and, with second returns, return (1 or 2), see
 ///        write_ply(); metadata as comments
-/// Recordings contain all scans and are completed after the last one, see ScanRecordings.
-class ScanFolder {
+/// Recordings contain all scans and are completed after the last one, see
+/// ScanRecordingsWriter.
+class ScanFolderWriter {
 public:
     /// Creates the folder if it does not exist. Removes the files of an earlier rendering
     /// from the folder.
     /// @throws UsageError for an unknown format. The message suggests the most similar
     /// known format.
     /// @throws DataError if the folder cannot be written
-    ScanFolder(std::filesystem::path folder, ScanFormat format);
+    ScanFolderWriter(std::filesystem::path folder, ScanOutputOptions format);
     /// Opens a folder that another process has created for the same rendering, so that
     /// both processes write scans to it. Removes no files.
     /// @throws UsageError for a recording, because only one process can write it
     /// @throws errors of the constructor
-    static ScanFolder open_shared(std::filesystem::path folder, ScanFormat format);
+    static ScanFolderWriter open_shared_folder(std::filesystem::path folder, ScanOutputOptions format);
     /// Writes the files of a scan.
-    /// @param frame  number of the frame
+    /// @param frame_number  number of the frame
     /// @throws DataError if a file cannot be written
-    void write(int frame, const RenderedScan& scan);
+    void write_scan(int frame_number, const RenderedScan& scan);
     /// Writes scans.json and gives the recordings their final names. Must be called after
     /// the last scan.
     void finish();
     const std::filesystem::path& path() const { return folder_; }
     /// Returns the entries of scans.json for the scans that this object has written. Each
-    /// entry is JSON without line breaks. set_entries() replaces the entries, for example
-    /// to add those of other processes.
-    const std::vector<std::string>& entries() const { return entries_; }
-    void set_entries(std::vector<std::string> entries) { entries_ = std::move(entries); }
+    /// entry is JSON without line breaks. set_summary_entries() replaces the entries, for
+    /// example to add those of other processes.
+    const std::vector<std::string>& get_summary_entries() const { return entries_; }
+    void set_summary_entries(std::vector<std::string> entries) { entries_ = std::move(entries); }
 
 private:
-    struct Joining {};
-    ScanFolder(std::filesystem::path folder, ScanFormat format, Joining);
+    struct JoinExistingTag {};
+    ScanFolderWriter(std::filesystem::path folder, ScanOutputOptions format, JoinExistingTag);
 
     std::filesystem::path folder_;
-    ScanFormat format_;
+    ScanOutputOptions format_;
     std::vector<std::string> entries_;
     std::vector<ChannelInfo> channels_;  ///< channels of the scans, in addition to the basic ones
-    /// Recordings of the scans. A shared pointer, so that a ScanFolder can be moved. Null
-    /// in a process that joined an existing folder.
-    std::shared_ptr<ScanRecordings> recordings_;
+    /// Recordings of the scans. A shared pointer, so that a ScanFolderWriter can be
+    /// moved. Null in a process that joined an existing folder.
+    std::shared_ptr<ScanRecordingsWriter> recordings_;
 
-    /// returns true if `format` is one of ScanFormat::formats
+    /// returns true if `format` is one of ScanOutputOptions::formats
     bool has_scan_format(const std::string& format) const;
-    void summarise() const;
+    void write_summary_file() const;
 };
 
 /// Returns the arrays of a scan's npz file, in the order of the file.
-/// @param frame  number of the frame
-std::vector<NamedArray> make_scan_arrays(const RenderedScan& scan, int frame, const ScanFormat& format);
+/// @param frame_number  number of the frame
+std::vector<NamedArray> make_scan_arrays(const RenderedScan& scan, int frame_number,
+                                         const ScanOutputOptions& format);
 
 /// Returns the paths of files that an earlier rendering has written to a folder. The
-/// ScanFolder constructor would remove these files.
+/// ScanFolderWriter constructor would remove these files.
 std::vector<std::filesystem::path> list_scan_files(const std::filesystem::path& folder);
 
 /// Returns a picture of the ranges of an image in false colours. The colour scale uses
@@ -258,11 +260,11 @@ Image draw_intensity_picture(const RangeImage& image);
 Image draw_drop_picture(const RangeImage& image);
 /// Returns a single picture with range, intensity and drop probability below each other.
 Image draw_scan_picture(const RenderedScan& scan);
-/// Returns the factor by which stack_images() stretches an image vertically. LiDAR images
-/// would otherwise look too flat, because the angles between rows are larger than between
-/// columns.
-int compute_picture_stretch(const RangeImage& image);
+/// Returns the factor by which stack_images_vertically() stretches an image vertically.
+/// LiDAR images would otherwise look too flat, because the angles between rows are larger
+/// than between columns.
+int compute_vertical_scale(const RangeImage& image);
 /// Returns [rows*columns] values: 1 for pixels with a return, 0 for all others.
-std::vector<float> select_returned_pixels(const RangeImage& image);
+std::vector<float> make_returned_pixel_mask(const RangeImage& image);
 
 }  // namespace relidar

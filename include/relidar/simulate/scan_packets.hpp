@@ -13,26 +13,26 @@ namespace relidar {
 
 /// Converts a rendered scan to a measured scan, for example for a packet encoder. Rays
 /// without a return get range 0.
-Scan make_measured_scan(const RenderedScan& scan, const Config& config);
+Scan convert_to_measured_scan(const RenderedScan& scan, const Config& config);
 
 /// Converts the scans of a sensor, or of all sensors of a rig, to the network packets
 /// that these sensors send.
-class ScanPackets {
+class ScanPacketEncoder {
 public:
     /// @param sensors  one format per sensor. Its `packets` field describes the sensor
     /// @throws UsageError if packets of a sensor cannot be written
-    explicit ScanPackets(std::vector<ScanFormat> sensors);
-    ~ScanPackets();
+    explicit ScanPacketEncoder(std::vector<ScanOutputOptions> sensors);
+    ~ScanPacketEncoder();
 
     /// Adds the scans of a sweep.
     /// @param scans  a scan for each sensor
     /// @return [sensors] packets that are complete
     /// @throws UsageError if a scan does not fit its sensor or overlaps the previous scan
-    std::vector<std::vector<SensorPacket>> encode(std::span<const RenderedScan> scans);
+    std::vector<std::vector<SensorPacket>> encode_scans_as_packets(std::span<const RenderedScan> scans);
     /// Returns the remaining packets. Must be called after the last scans.
-    std::vector<std::vector<SensorPacket>> finish();
+    std::vector<std::vector<SensorPacket>> flush_remaining_packets();
     /// Returns the encoder of a sensor.
-    const PacketEncoder& encoder(std::size_t sensor) const;
+    const PacketEncoder& get_packet_encoder(std::size_t sensor_index) const;
 
 private:
     struct Impl;

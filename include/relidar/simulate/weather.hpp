@@ -40,7 +40,7 @@ struct Weather {
     /// retro-reflector of one square degree (median over the beams).
     double bloom = 0.0;
 
-    bool clear() const { return *this == Weather{}; }
+    bool is_clear() const { return *this == Weather{}; }
     bool operator==(const Weather&) const = default;
 };
 
@@ -51,7 +51,7 @@ struct Weather {
 /// together with snow
 Weather parse_weather(const std::string& text);
 /// Converts weather to text that parse_weather() can read. Returns "clear" for clear air.
-std::string to_text(const Weather& weather);
+std::string format_weather(const Weather& weather);
 /// Throws an exception if a value of the weather is out of range.
 /// @throws UsageError for the same values as parse_weather()
 void check_weather(const Weather& weather);
@@ -59,7 +59,7 @@ void check_weather(const Weather& weather);
 /// Properties of a sensor that determine how weather affects its scans. The wavelength is
 /// 905 nm. Other near-infrared wavelengths give the same results, because fog, rain and
 /// snow particles are much larger than the wavelength.
-struct WeatherSensor {
+struct WeatherSensorProperties {
     double divergence_rad = 0.003;  ///< full divergence of the beams
     double aperture_m = 0.01;       ///< width of a beam at the sensor
     double pulse_s = 6e-9;          ///< full width of the pulse at half maximum
@@ -75,20 +75,20 @@ struct WeatherSensor {
     double darkest = 0.5 / 255.0;
     /// Surfaces with a lower reflectivity are not detected at any range, because
     /// receivers are less sensitive to near targets (sensitivity-time control). 0 =
-    /// compute_min_power() is the only threshold.
+    /// compute_min_detectable_power() is the only threshold.
     double weakest_reflectivity = 0.0;
 
     /// Returns the minimum power that is detected: the power of the darkest surface at
     /// the maximum range.
-    double compute_min_power() const { return darkest / (max_range_m * max_range_m); }
+    double compute_min_detectable_power() const { return darkest / (max_range_m * max_range_m); }
     /// Returns the minimum power that the sensor detects at a range. Applies to surfaces,
     /// fog, particles and noise. For mirrored and stray light, the minimum power is
-    /// compute_min_power().
-    double threshold(double range_m) const;
+    /// compute_min_detectable_power().
+    double compute_detection_threshold(double range_m) const;
 };
 
 /// Cause of a point. These are the values of the channel `source`.
-enum class PointSource : std::int32_t {
+enum class ReturnCause : std::int32_t {
     nothing = -1,
     surface = 0,
     fog = 1,
@@ -102,17 +102,17 @@ enum class PointSource : std::int32_t {
 };
 
 /// A possible return of a ray.
-struct Echo {
+struct LidarEcho {
     double range_m = 0.0;  ///< Range along the ray. It is 0 if the ray has no return.
     /// Reflectivity of a surface that would return the same power in clear air. 0..1 if
     /// the return really comes from a surface.
     double reflectivity = 0.0;
-    PointSource source = PointSource::nothing;
+    ReturnCause source = ReturnCause::nothing;
 };
 
 /// Returns the extinction coefficient alpha of the air in 1/m. Over R metres, the air
 /// transmits exp(-alpha R) of the light.
-double compute_extinction(const Weather& weather);
+double compute_extinction_coefficient(const Weather& weather);
 
 /// Returns the fraction of light that a smooth water surface reflects (Fresnel,
 /// unpolarised, n = 1.33).
@@ -125,32 +125,32 @@ double compute_water_reflectance(double cosine);
 ///   (1 - F(cosine))^2 / (n^2 (1 - albedo p)),  p = 1 - (1 - mean of F over a diffuse surface's light) / n^2
 /// @param cosine  cosine of the angle of incidence in air, 0..1
 /// @param albedo  albedo of the dry ground, 0..1
-double compute_wet_to_dry_ratio(double cosine, double albedo);
+double compute_wet_reflectance_ratio(double cosine, double albedo);
 /// Returns the fraction of the ground that is covered by a film of water. The fraction is
 /// 1 if the water is at least 1 mm deep, which is the assumed texture depth of asphalt.
-double compute_film_fraction(double wet_mm);
+double compute_water_film_fraction(double water_depth_mm);
 
 /// Returns the noise of a receiver in sunlight: the standard deviation of the power after
 /// a matched filter, caused by shot noise. Three sources contribute radiance:
 /// - light scattered by a dusty window: 5 E (1 deg / angle)^2 1/sr;
 /// - light reflected by the surface: E / pi times its albedo, as if it faces the sun;
 /// - the solar disc, if it is in view: E divided by its solid angle.
-/// @param from_sun_rad  angle between ray and sun
+/// @param angle_to_sun_rad  angle between ray and sun
 /// @param albedo  albedo of the surface that the ray hits; 0: none
 /// @param sees_sky  true if nothing is between the sensor and the sky
-double compute_sun_noise(const Sun& sun, const WeatherSensor& sensor, double from_sun_rad, double albedo,
-                         bool sees_sky);
+double compute_sun_noise(const Sun& sun, const WeatherSensorProperties& sensor, double angle_to_sun_rad,
+                         double albedo, bool sees_sky);
 /// Returns how often noise exceeds a threshold, per metre of range. For Gaussian noise
 /// after a matched filter, the rate is exp(-level^2 / 2) / (2 sqrt(3) tau) per second
 /// (Rice 1945; RCA Electro-Optics Handbook 1974).
-/// @param level  threshold in standard deviations
-double compute_false_return_rate(const WeatherSensor& sensor, double level);
+/// @param threshold_sigmas  threshold in standard deviations
+double compute_false_return_rate(const WeatherSensorProperties& sensor, double threshold_sigmas);
 
 struct WeatherInput;
-class EffectOnRays;
+class RayWeatherEffect;
 
 /// A number in the text of a weather effect, for example the visibility in "fog=50".
-struct WeatherNumber {
+struct WeatherParameter {
     double& (*of)(Weather&);  ///< the field of the number
     double least, most;
     double usual = 0.0;  ///< Default value if the text does not contain the number.
@@ -158,28 +158,28 @@ struct WeatherNumber {
 
 /// A row of the table of weather effects. The parser, the help texts, the viewer and the
 /// Python module read this table.
-struct WeatherEffect {
-    std::string_view name;                   ///< word of the effect, for example "fog"
-    std::string_view form;                   ///< word with its numbers, for example "fog=VISIBILITY_m"
-    std::string_view meaning;                ///< explanation of the word, empty if the word is enough
-    std::string_view expected;               ///< valid numbers, for error messages
-    std::string_view examples;               ///< texts that the viewer offers, separated by spaces
-    std::span<const WeatherNumber> numbers;  ///< in the text, colons separate the numbers
-    std::size_t n_required = 1;              ///< number of numbers that the text must have
+struct WeatherEffectEntry {
+    std::string_view name;                      ///< word of the effect, for example "fog"
+    std::string_view form;                      ///< word with its numbers, for example "fog=VISIBILITY_m"
+    std::string_view meaning;                   ///< explanation of the word, empty if the word is enough
+    std::string_view expected;                  ///< valid numbers, for error messages
+    std::string_view examples;                  ///< texts that the viewer offers, separated by spaces
+    std::span<const WeatherParameter> numbers;  ///< in the text, colons separate the numbers
+    std::size_t n_required = 1;                 ///< number of numbers that the text must have
     /// Returns the effect's contribution to the extinction coefficient of the air. Null
     /// if the effect does not attenuate light.
     double (*extinction)(const Weather&) = nullptr;
     /// Creates the object that applies the effect to the rays of a scan. Returns null if
     /// no ray has the effect.
-    std::unique_ptr<EffectOnRays> (*prepare)(const WeatherInput&) = nullptr;
+    std::unique_ptr<RayWeatherEffect> (*prepare)(const WeatherInput&) = nullptr;
 
-    bool is_in(const Weather& weather) const;  ///< true if the weather has the effect
+    bool is_active_in(const Weather& weather) const;  ///< true if the weather has the effect
 };
 
-extern const WeatherEffect kFog, kRain, kSnow, kWetGround, kBlooming, kSunlight;
+extern const WeatherEffectEntry kFog, kRain, kSnow, kWetGround, kBlooming, kSunlight;
 /// All effects, in the order in which they act on a ray.
-inline constexpr const WeatherEffect* kWeatherEffects[] = {&kFog,       &kRain,     &kSnow,
-                                                           &kWetGround, &kBlooming, &kSunlight};
+inline constexpr const WeatherEffectEntry* kWeatherEffects[] = {&kFog,       &kRain,     &kSnow,
+                                                                &kWetGround, &kBlooming, &kSunlight};
 /// Lists the words of all effects and their meanings, for help texts.
 std::string make_weather_help();
 

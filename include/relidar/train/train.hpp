@@ -28,7 +28,7 @@
 namespace relidar {
 
 struct Checkpoint;
-struct Run;
+struct TrainedRun;
 
 /// Line of the training log. It summarises the iterations since the previous line.
 struct TrainProgress {
@@ -69,8 +69,8 @@ struct TrainResult {
     /// Poses that training has corrected, and with which scans should be rendered.
     /// nullopt if training used the poses of the log unchanged.
     std::optional<RefinedPoses> poses;
-    Coverage coverage;  ///< Space that the training frames have observed.
-    ClassMap classes;   ///< Classes of the background. Empty if the log has no labelled points.
+    ObservedVoxelSet coverage;  ///< Space that the training frames have observed.
+    SurfaceClassMap classes;    ///< Classes of the background. Empty if the log has no labelled points.
     std::vector<TrainProgress> log;
     KernelTimes times;  ///< Kernel times of this session only.
     double initialise_s = 0.0;
@@ -83,7 +83,7 @@ struct TrainResult {
 /// Callback for each line of the training log. A line arrives a few iterations after the
 /// last iteration that it describes. To stop the training, the callback returns false.
 /// Training then returns the current scene.
-using ProgressCallback = std::function<bool(const TrainProgress&)>;
+using TrainProgressCallback = std::function<bool(const TrainProgress&)>;
 
 /// Checkpoints, callbacks and stop condition of a training that may take days.
 struct TrainSession {
@@ -99,22 +99,22 @@ struct TrainSession {
     std::function<void(const std::string&)> note;
     /// Callback that receives the progress of the initialisation, before the first log
     /// entry. An exception from the callback ends training.
-    Progress progress = {};
+    ProgressReporter progress = {};
     /// Output: times of the stages "initialise", "train", "drops" (drop probabilities of
     /// the sensor) and "coverage".
     StageTimes* stages = nullptr;
 };
 
 /// Callbacks and process group for prepare_log().
-struct PrepareSession {
+struct LogPreparationCallbacks {
     /// Callback for one line of text about each estimate, as soon as it is available.
-    std::function<void(const std::string&)> tell;
+    std::function<void(const std::string&)> report_line;
     /// Callback that is polled during the preparation. It returns true to stop the
     /// preparation.
     std::function<bool()> stop;
-    Progress progress = {};        ///< Function that receives the progress of slow steps.
-    StageTimes* stages = nullptr;  ///< Output: times of the stages "register", "calibrate" and "movers".
-    ProcessGroup group = {};       ///< Group of processes that prepare the same log together.
+    ProgressReporter progress = {};  ///< Function that receives the progress of slow steps.
+    StageTimes* stages = nullptr;    ///< Output: times of the stages "register", "calibrate" and "movers".
+    ProcessGroup group = {};         ///< Group of processes that prepare the same log together.
 };
 
 /// Estimates data that training needs from the start but that the log does not contain.
@@ -124,18 +124,19 @@ struct PrepareSession {
 ///
 /// Uses only training frames, except for the poses of held-out frames. The result is
 /// deterministic, so a resumed training prepares the log again. All processes of a group
-/// get the same result, but only the first process calls `tell`.
+/// get the same result, but only the first process calls `report_line`.
 /// @throws Error with exit code 130 if stopped
 /// @throws DataError if more than 5 % of the scans cannot be registered and
 /// train.allow_lost_scans is not set
 /// @throws UsageError if the log has no poses and the settings do not register it
-void prepare_log(Sequence& sequence, const Split& split, const Config& config, PrepareSession session = {});
+void prepare_log(LidarSequence& sequence, const TrainTestSplit& split, const Config& config,
+                 LogPreparationCallbacks session = {});
 
 /// Loads the log that config.dataset describes. Uses a rolling shutter if config.sensor
 /// enables it.
 /// @param max_scans maximum number of scans, as in DatasetOptions::max_scans
 /// @throws errors of load_sequence()
-Sequence load_log(const Config& config, const Progress& progress = {}, int max_scans = 0);
+LidarSequence load_log(const Config& config, const ProgressReporter& progress = {}, int max_scans = 0);
 
 /// Trains a scene on the training frames of a prepared log. Existing checkpoints are kept
 /// if an error occurs.
@@ -145,12 +146,13 @@ Sequence load_log(const Config& config, const Progress& progress = {}, int max_s
 /// term.
 /// @throws DataError if a parameter is not finite. The message names array and row.
 /// @throws DeviceError if the device fails
-TrainResult train(Device& device, const Sequence& sequence, const Split& split, const Config& config,
-                  const ProgressCallback& progress, const TrainSession& session = {});
+TrainResult train(Device& device, const LidarSequence& sequence, const TrainTestSplit& split,
+                  const Config& config, const TrainProgressCallback& progress,
+                  const TrainSession& session = {});
 
 /// Callbacks of place_held_out(), which corrects the poses of held-out scans.
-struct PlaceSession {
-    Progress progress = {};
+struct HeldOutPoseCallbacks {
+    ProgressReporter progress = {};
     /// Callback before each scan. It returns true to stop the correction of poses. No
     /// pose is then changed.
     std::function<bool()> stop = {};
@@ -158,7 +160,7 @@ struct PlaceSession {
 
 /// Result of place_held_out(): the number of held-out scans, how many of their poses were
 /// corrected, and by what distances.
-struct HeldOutPlacement {
+struct HeldOutPoseReport {
     std::size_t scans = 0, placed = 0;
     double median_m = 0.0, largest_m = 0.0;
 };
@@ -170,15 +172,16 @@ struct HeldOutPlacement {
 /// at the same time are registered together.
 ///
 /// Does nothing if the settings do not register the sensor (train.refine_poses), or for
-/// 3D Gaussians, which have no normals. Sets Run::held_out_placed unless it was stopped.
-/// If stopped, no pose changes.
-HeldOutPlacement place_held_out(Device& device, Run& run, const PlaceSession& session = {});
+/// 3D Gaussians, which have no normals. Sets TrainedRun::held_out_placed unless it was
+/// stopped. If stopped, no pose changes.
+HeldOutPoseReport place_held_out(Device& device, TrainedRun& run, const HeldOutPoseCallbacks& session = {});
 
 /// Checkpoints, callbacks and stop condition for the training of a ray-drop network.
-struct RefineSession {
-    Progress progress = {};  ///< Function that receives the progress of rendering the training frames.
+struct RayDropTrainingSession {
+    ProgressReporter progress =
+        {};  ///< Function that receives the progress of rendering the training frames.
     /// Function that is called after each training step.
-    std::function<void(const RefineProgress&)> step = {};
+    std::function<void(const RayDropTrainProgress&)> step = {};
     /// Callback after each frame and each step. It returns true to stop the training.
     std::function<bool()> stop = {};
     /// Folder for checkpoints of the network. Empty = no checkpoints. Checkpoints are
@@ -206,8 +209,10 @@ inline constexpr const char* kRefineCheckpoints = "drop_network";
 /// @return empty network if stopped
 /// @throws DataError if no training frame has an image, or if no training frame has a
 /// dropped ray
-/// @throws errors of check_refine_resumable() if the session resumes from a checkpoint
-DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& session = {});
+/// @throws errors of check_network_training_resumable() if the session resumes from a
+/// checkpoint
+RayDropNetwork refine_drops(Device& device, const TrainedRun& run,
+                            const RayDropTrainingSession& session = {});
 
 /// Checks that the training of a ray-drop network can resume with this run. The run's
 /// sequence must contain the scans of its training frames. Scene, log and the relevant
@@ -215,15 +220,15 @@ DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& se
 /// the checkpoint.
 /// @throws UsageError if a setting differs. The message names the setting.
 /// @throws DataError if the log or scene differs. The message names the differing part.
-void check_refine_resumable(const Checkpoint& checkpoint, const Run& run);
+void check_network_training_resumable(const Checkpoint& checkpoint, const TrainedRun& run);
 /// Reads the settings that affect a ray-drop network from its checkpoint and stores them
 /// in a config.
 /// @throws UsageError for a setting that this version does not know
-void restore_refine_settings(const Checkpoint& checkpoint, Config& config);
+void restore_network_settings(const Checkpoint& checkpoint, Config& config);
 
 /// Callbacks of learn_scatter(), which estimates the scatter of intensities.
-struct ScatterSession {
-    Progress progress = {};
+struct ScatterFitCallbacks {
+    ProgressReporter progress = {};
     /// Callback before each frame. It returns true to stop.
     std::function<bool()> stop = {};
 };
@@ -233,14 +238,14 @@ struct ScatterSession {
 /// the scans.
 /// @return [lidars] models, empty for a LiDAR with too few returns. An empty vector if
 /// stopped
-std::vector<IntensityScatter> learn_scatter(Device& device, const Run& run,
-                                            const ScatterSession& session = {});
+std::vector<IntensityScatterModel> learn_scatter(Device& device, const TrainedRun& run,
+                                                 const ScatterFitCallbacks& session = {});
 
 /// Reason why a training ended: all steps are done, or a callback stopped it.
-enum class TrainingEnd { finished, stopped };
+enum class TrainingEndReason { finished, stopped };
 
 /// Callbacks of train_actors(), which trains the actors of a scene with blocks.
-struct ActorSession {
+struct ActorTrainingCallbacks {
     /// Function that is called after each training step.
     std::function<void(int step, int n_steps)> step = {};
     /// Callback after each training step. It returns true to stop the training.
@@ -257,11 +262,11 @@ struct ActorSession {
 /// background surfels along these rays. The number of surfels stays constant.
 /// The run is unchanged if the training was stopped.
 /// @throws DataError if a block cannot be read or a loss is not finite
-TrainingEnd train_actors(Device& device, Run& run, const ActorSession& session = {});
+TrainingEndReason train_actors(Device& device, TrainedRun& run, const ActorTrainingCallbacks& session = {});
 
 /// Moves the scene, the coverage and the corrected poses (if any) from a training result
 /// into a run.
-void move_result_into_run(Run& run, TrainResult& result);
+void move_result_into_run(TrainedRun& run, TrainResult& result);
 
 /// Checks that a training can resume with this log and these settings. train.iterations
 /// may be increased. The learning rates then follow the longer schedule from the current
@@ -271,13 +276,13 @@ void move_result_into_run(Run& run, TrainResult& result);
 /// trace.chunk.
 /// @throws UsageError if another setting differs. The message names the setting.
 /// @throws DataError if the log differs. The message names the differing part.
-void check_resumable(const Checkpoint& checkpoint, const Sequence& sequence, const Split& split,
-                     const Config& config);
+void check_training_resumable(const Checkpoint& checkpoint, const LidarSequence& sequence,
+                              const TrainTestSplit& split, const Config& config);
 /// Compares two configs. Returns the name of the first setting whose difference prevents
 /// resuming a training. Returns an empty string if there is none.
-std::string find_differing_setting(const Config& config, const Config& other);
+std::string find_differing_setting(const Config& config, const Config& other_config);
 /// Returns the training log that is stored in a checkpoint.
 /// @throws DataError if the checkpoint is not a training checkpoint
-std::vector<TrainProgress> read_resumed_log(const Checkpoint& checkpoint, const Config& config);
+std::vector<TrainProgress> read_training_log(const Checkpoint& checkpoint, const Config& config);
 
 }  // namespace relidar

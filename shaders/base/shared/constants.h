@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Lists the names and ids of the specialisation constants of all kernels. A shader
 // declares a constant with RELIDAR_CONSTANT(type, name, value). The host sets the
-// constant with ConstantId::name (src/gpu/kernel.hpp).
+// constant with SpecialisationConstantId::name (src/gpu/kernel.hpp).
 #ifndef RELIDAR_INCLUDED_BASE_SHARED_CONSTANTS_H
 #define RELIDAR_INCLUDED_BASE_SHARED_CONSTANTS_H
 

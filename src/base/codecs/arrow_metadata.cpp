@@ -27,19 +27,19 @@ constexpr std::int8_t kCodecLz4 = 0, kCodecZstd = 1;
 }
 
 /// Aligned copy of a flatbuffer. The flatbuffer verifier rejects unaligned data.
-struct Bytes {
+struct AlignedFlatbuffer {
     std::vector<std::uint64_t> words;
     flatbuffers::Verifier verifier;
 
-    explicit Bytes(std::string_view bytes)
-        : words(bytes.size() / 8 + 1), verifier(data(), bytes.size(), options()) {
+    explicit AlignedFlatbuffer(std::string_view bytes)
+        : words(bytes.size() / 8 + 1), verifier(data(), bytes.size(), make_verifier_options()) {
         if (bytes.size() >= FLATBUFFERS_MAX_BUFFER_SIZE) throw_malformed_arrow_error("too long");
         std::memcpy(words.data(), bytes.data(), bytes.size());
     }
     const std::uint8_t* data() const { return reinterpret_cast<const std::uint8_t*>(words.data()); }
 
 private:
-    static flatbuffers::Verifier::Options options() {
+    static flatbuffers::Verifier::Options make_verifier_options() {
         flatbuffers::Verifier::Options limits;
         limits.max_tables = kMostTables;
         return limits;
@@ -47,31 +47,31 @@ private:
 };
 
 /// Table in a flatbuffer. Each field is checked when it is read.
-class Table {
+class FlatbufferTable {
 public:
-    static Table root(Bytes& bytes) {
-        const auto offset = bytes.verifier.VerifyOffset(std::size_t(0));
+    static FlatbufferTable read_root_table(AlignedFlatbuffer& flatbuffer) {
+        const auto offset = flatbuffer.verifier.VerifyOffset(std::size_t(0));
         if (offset == 0) throw_malformed_arrow_error("root");
-        return {bytes, bytes.data() + offset};
+        return {flatbuffer, flatbuffer.data() + offset};
     }
 
     template <class T>
-    T scalar(int field, T default_value) const {
-        if (!table_->VerifyField<T>(bytes_->verifier, entry(field), sizeof(T)))
+    T read_scalar_field(int field_number, T default_value) const {
+        if (!table_->VerifyField<T>(bytes_->verifier, compute_vtable_offset(field_number), sizeof(T)))
             throw_malformed_arrow_error("number");
-        return table_->GetField<T>(entry(field), default_value);
+        return table_->GetField<T>(compute_vtable_offset(field_number), default_value);
     }
-    std::optional<Table> table(int field) const {
-        const std::uint8_t* at = pointer(field);
-        return at ? std::optional<Table>(Table(*bytes_, at)) : std::nullopt;
+    std::optional<FlatbufferTable> read_table_field(int field_number) const {
+        const std::uint8_t* at = get_field_pointer(field_number);
+        return at ? std::optional<FlatbufferTable>(FlatbufferTable(*bytes_, at)) : std::nullopt;
     }
-    Table read_required_table(int field, const char* description) const {
-        const std::optional<Table> found = table(field);
-        if (!found) throw_malformed_arrow_error(description);
-        return *found;
+    FlatbufferTable read_required_table_field(int field_number, const char* name_for_errors) const {
+        const std::optional<FlatbufferTable> child_table = read_table_field(field_number);
+        if (!child_table) throw_malformed_arrow_error(name_for_errors);
+        return *child_table;
     }
-    std::string name(int field) const {
-        const auto* text = reinterpret_cast<const flatbuffers::String*>(pointer(field));
+    std::string read_name_field(int field_number) const {
+        const auto* text = reinterpret_cast<const flatbuffers::String*>(get_field_pointer(field_number));
         if (!text || !bytes_->verifier.VerifyString(text) || text->size() > kLongestName)
             throw_malformed_arrow_error("name");
         return text->str();
@@ -79,29 +79,29 @@ public:
     /// Returns the structs of a vector field. A vector consists of its length (4 bytes)
     /// and the structs, which may be unaligned.
     template <class Struct>
-    std::vector<Struct> structs(int field) const {
-        const std::uint8_t* vector = verify_vector(field, sizeof(Struct));
+    std::vector<Struct> read_struct_vector_field(int field_number) const {
+        const std::uint8_t* vector = get_verified_vector_field(field_number, sizeof(Struct));
         std::vector<Struct> values(vector ? flatbuffers::ReadScalar<flatbuffers::uoffset_t>(vector) : 0);
         if (!values.empty())
             std::memcpy(values.data(), vector + sizeof(flatbuffers::uoffset_t),
                         values.size() * sizeof(Struct));
         return values;
     }
-    std::vector<Table> tables(int field) const {
-        const std::uint8_t* vector = verify_vector(field, sizeof(flatbuffers::uoffset_t));
-        std::vector<Table> all;
+    std::vector<FlatbufferTable> read_table_vector_field(int field_number) const {
+        const std::uint8_t* vector = get_verified_vector_field(field_number, sizeof(flatbuffers::uoffset_t));
+        std::vector<FlatbufferTable> all;
         const std::size_t n = vector ? flatbuffers::ReadScalar<flatbuffers::uoffset_t>(vector) : 0;
         for (std::size_t i = 0; i < n; ++i) {
             const std::uint8_t* element = vector + (i + 1) * sizeof(flatbuffers::uoffset_t);
             const auto offset = bytes_->verifier.VerifyOffset(std::size_t(element - bytes_->data()));
             if (offset == 0) throw_malformed_arrow_error("table");
-            all.push_back(Table(*bytes_, element + offset));
+            all.push_back(FlatbufferTable(*bytes_, element + offset));
         }
         return all;
     }
 
 private:
-    Table(Bytes& bytes, const std::uint8_t* at)
+    FlatbufferTable(AlignedFlatbuffer& bytes, const std::uint8_t* at)
         : bytes_(&bytes), table_(reinterpret_cast<const flatbuffers::Table*>(at)) {
         if (!table_->VerifyTableStart(bytes.verifier)) throw_malformed_arrow_error("table");
         // Ends the verifier's count of nested tables here, because this parser limits the
@@ -109,92 +109,100 @@ private:
         bytes.verifier.EndTable();
     }
 
-    static flatbuffers::voffset_t entry(int field) { return flatbuffers::voffset_t(4 + 2 * field); }
-
-    const std::uint8_t* pointer(int field) const {
-        if (!table_->VerifyOffset(bytes_->verifier, entry(field))) throw_malformed_arrow_error("offset");
-        return table_->GetPointer<const std::uint8_t*>(entry(field));
+    static flatbuffers::voffset_t compute_vtable_offset(int field_number) {
+        return flatbuffers::voffset_t(4 + 2 * field_number);
     }
-    const std::uint8_t* verify_vector(int field, std::size_t element_bytes) const {
-        const std::uint8_t* vector = pointer(field);
-        if (vector && !bytes_->verifier.VerifyVectorOrString(vector, element_bytes))
+
+    const std::uint8_t* get_field_pointer(int field_number) const {
+        if (!table_->VerifyOffset(bytes_->verifier, compute_vtable_offset(field_number)))
+            throw_malformed_arrow_error("offset");
+        return table_->GetPointer<const std::uint8_t*>(compute_vtable_offset(field_number));
+    }
+    const std::uint8_t* get_verified_vector_field(int field_number, std::size_t element_size_bytes) const {
+        const std::uint8_t* vector = get_field_pointer(field_number);
+        if (vector && !bytes_->verifier.VerifyVectorOrString(vector, element_size_bytes))
             throw_malformed_arrow_error("vector");
         return vector;
     }
 
-    Bytes* bytes_;
+    AlignedFlatbuffer* bytes_;
     const flatbuffers::Table* table_;
 };
 
-Field::Type parse_integer_type(const Table& table) {
-    const auto bits = table.scalar<std::int32_t>(0, 0);
+ArrowField::Type parse_integer_type(const FlatbufferTable& type_table) {
+    const auto bits = type_table.read_scalar_field<std::int32_t>(0, 0);
     if (bits != 8 && bits != 16 && bits != 32 && bits != 64) throw_malformed_arrow_error("width of integers");
-    return {Kind::integer, bits, table.scalar<std::uint8_t>(1, 0) != 0};
+    return {ArrowValueKind::integer, bits, type_table.read_scalar_field<std::uint8_t>(1, 0) != 0};
 }
 
-Field::Type parse_float_type(const Table& table) {
-    const auto precision = table.scalar<std::int16_t>(0, 0);
+ArrowField::Type parse_float_type(const FlatbufferTable& type_table) {
+    const auto precision = type_table.read_scalar_field<std::int16_t>(0, 0);
     if (precision < 0 || precision > 2) throw_malformed_arrow_error("precision");
-    return {Kind::floating, 16 << precision, true};
+    return {ArrowValueKind::floating, 16 << precision, true};
 }
 
-Field parse_field(const Table& table) {
-    Field field;
-    field.name = table.name(0);
-    const auto type = table.scalar<std::uint8_t>(2, 0);
-    if (type == kTypeInt) field.type = parse_integer_type(table.read_required_table(3, "type"));
-    else if (type == kTypeFloat) field.type = parse_float_type(table.read_required_table(3, "type"));
+ArrowField parse_field(const FlatbufferTable& field_table) {
+    ArrowField field;
+    field.name = field_table.read_name_field(0);
+    const auto type = field_table.read_scalar_field<std::uint8_t>(2, 0);
+    if (type == kTypeInt) field.type = parse_integer_type(field_table.read_required_table_field(3, "type"));
+    else if (type == kTypeFloat)
+        field.type = parse_float_type(field_table.read_required_table_field(3, "type"));
     else if (type != kTypeUtf8)
         throw DataError(fmt::format(
             "column '{}' has the Arrow type {}, expected integers, floating point numbers or utf8 "
             "text",
             field.name, type));
-    if (const std::optional<Table> encoding = table.table(4)) {
-        const std::optional<Table> index = encoding->table(1);
-        field.dictionary = {encoding->scalar<std::int64_t>(0, 0),
-                            index ? parse_integer_type(*index) : Field::Type{Kind::integer, 32, true}};
+    if (const std::optional<FlatbufferTable> encoding = field_table.read_table_field(4)) {
+        const std::optional<FlatbufferTable> index = encoding->read_table_field(1);
+        field.dictionary = {
+            encoding->read_scalar_field<std::int64_t>(0, 0),
+            index ? parse_integer_type(*index) : ArrowField::Type{ArrowValueKind::integer, 32, true}};
     }
     return field;
 }
 
 /// Returns the compression codec of the buffers of a record batch.
-Codec parse_codec(const Table& batch) {
-    const std::optional<Table> compression = batch.table(3);
-    if (!compression) return Codec::none;
-    const auto codec = compression->scalar<std::int8_t>(0, kCodecLz4);
+ArrowCompression parse_compression_codec(const FlatbufferTable& batch_table) {
+    const std::optional<FlatbufferTable> compression = batch_table.read_table_field(3);
+    if (!compression) return ArrowCompression::none;
+    const auto codec = compression->read_scalar_field<std::int8_t>(0, kCodecLz4);
     if (codec != kCodecLz4 && codec != kCodecZstd)
         throw DataError(
             fmt::format("the data are compressed with codec {}, expected lz4 frames or zstd", codec));
-    return codec == kCodecLz4 ? Codec::lz4_frame : Codec::zstd;
+    return codec == kCodecLz4 ? ArrowCompression::lz4_frame : ArrowCompression::zstd;
 }
 
 }  // namespace
 
-Footer parse_footer(std::string_view bytes) {
-    Bytes copy(bytes);
-    const Table footer = Table::root(copy), schema = footer.read_required_table(1, "schema");
-    if (schema.scalar<std::int16_t>(0, 0) != 0)
+Footer parse_arrow_footer(std::string_view footer_bytes) {
+    AlignedFlatbuffer copy(footer_bytes);
+    const FlatbufferTable footer = FlatbufferTable::read_root_table(copy),
+                          schema = footer.read_required_table_field(1, "schema");
+    if (schema.read_scalar_field<std::int16_t>(0, 0) != 0)
         throw DataError("the numbers are big-endian, expected little-endian");
     Footer parsed;
-    for (const Table& field : schema.tables(1)) parsed.fields.push_back(parse_field(field));
-    parsed.dictionaries = footer.structs<Block>(2);
-    parsed.batches = footer.structs<Block>(3);
+    for (const FlatbufferTable& field : schema.read_table_vector_field(1))
+        parsed.fields.push_back(parse_field(field));
+    parsed.dictionaries = footer.read_struct_vector_field<ArrowFileBlock>(2);
+    parsed.batches = footer.read_struct_vector_field<ArrowFileBlock>(3);
     return parsed;
 }
 
-RecordBatch parse_batch(std::string_view bytes) {
-    Bytes copy(bytes);
-    const Table message = Table::root(copy);
-    const auto type = message.scalar<std::uint8_t>(1, 0);
+RecordBatch parse_record_batch(std::string_view message_bytes) {
+    AlignedFlatbuffer copy(message_bytes);
+    const FlatbufferTable message = FlatbufferTable::read_root_table(copy);
+    const auto type = message.read_scalar_field<std::uint8_t>(1, 0);
     if (type != kHeaderDictionary && type != kHeaderRecords) throw_malformed_arrow_error("kind of message");
-    const Table header = message.read_required_table(2, "header");
+    const FlatbufferTable header = message.read_required_table_field(2, "header");
     RecordBatch batch;
-    if (type == kHeaderDictionary) batch.dictionary = header.scalar<std::int64_t>(0, 0);
-    const Table records = type == kHeaderDictionary ? header.read_required_table(1, "dictionary") : header;
-    batch.length = records.scalar<std::int64_t>(0, 0);
-    batch.nodes = records.structs<Node>(1);
-    batch.buffers = records.structs<Buffer>(2);
-    batch.codec = parse_codec(records);
+    if (type == kHeaderDictionary) batch.dictionary = header.read_scalar_field<std::int64_t>(0, 0);
+    const FlatbufferTable records =
+        type == kHeaderDictionary ? header.read_required_table_field(1, "dictionary") : header;
+    batch.length = records.read_scalar_field<std::int64_t>(0, 0);
+    batch.nodes = records.read_struct_vector_field<ArrowFieldNode>(1);
+    batch.buffers = records.read_struct_vector_field<ArrowBufferRange>(2);
+    batch.codec = parse_compression_codec(records);
     return batch;
 }
 

@@ -13,14 +13,14 @@
 
 namespace relidar::arrow {
 
-enum class Kind { integer, floating, text };
-enum class Codec { none, lz4_frame, zstd };
+enum class ArrowValueKind { integer, floating, text };
+enum class ArrowCompression { none, lz4_frame, zstd };
 
 /// Column of an Arrow table. For a dictionary-encoded column, also stores the type of its
 /// indices.
-struct Field {
+struct ArrowField {
     struct Type {
-        Kind kind = Kind::text;
+        ArrowValueKind kind = ArrowValueKind::text;
         int bits = 0;            ///< Size of a number in bits: 8, 16, 32 or 64. 0 for text.
         bool is_signed = false;  ///< True for signed integers.
     };
@@ -35,12 +35,14 @@ struct Field {
     /// Returns the number of buffers that a record batch stores for this column. Numbers
     /// have two buffers: validity and values. Text has three buffers: validity, offsets
     /// and characters.
-    std::size_t count_buffers() const { return type.kind == Kind::text && !dictionary ? 3 : 2; }
+    std::size_t count_buffers_of_column() const {
+        return type.kind == ArrowValueKind::text && !dictionary ? 3 : 2;
+    }
 };
 
 /// Position of a record batch in the file. A record batch consists of a message and a
 /// body.
-struct Block {
+struct ArrowFileBlock {
     std::int64_t offset;
     /// Size of the message in bytes, with its prefix of 8 bytes.
     std::int32_t metadata_bytes;
@@ -49,20 +51,20 @@ struct Block {
 };
 
 /// Number of rows and of missing values of one column in a record batch.
-struct Node {
+struct ArrowFieldNode {
     std::int64_t length;
     std::int64_t null_count;
 };
 
 /// Position of a buffer in the body of a record batch.
-struct Buffer {
+struct ArrowBufferRange {
     std::int64_t offset;
     std::int64_t length;
 };
 
 struct Footer {
-    std::vector<Field> fields;
-    std::vector<Block> dictionaries, batches;
+    std::vector<ArrowField> fields;
+    std::vector<ArrowFileBlock> dictionaries, batches;
 };
 
 struct RecordBatch {
@@ -70,18 +72,18 @@ struct RecordBatch {
     /// contains rows of the table.
     std::optional<std::int64_t> dictionary;
     std::int64_t length = 0;
-    std::vector<Node> nodes;
-    std::vector<Buffer> buffers;
-    Codec codec = Codec::none;
+    std::vector<ArrowFieldNode> nodes;
+    std::vector<ArrowBufferRange> buffers;
+    ArrowCompression codec = ArrowCompression::none;
 };
 
 /// Parses the footer of an Arrow file.
-/// @param bytes flatbuffer of the footer
+/// @param footer_bytes flatbuffer of the footer
 /// @throws DataError with the reason, without the file name
-Footer parse_footer(std::string_view bytes);
+Footer parse_arrow_footer(std::string_view footer_bytes);
 /// Parses the message of a record batch.
-/// @param bytes flatbuffer of the message
+/// @param message_bytes flatbuffer of the message
 /// @throws DataError with the reason, without the file name
-RecordBatch parse_batch(std::string_view bytes);
+RecordBatch parse_record_batch(std::string_view message_bytes);
 
 }  // namespace relidar::arrow

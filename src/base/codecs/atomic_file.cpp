@@ -22,7 +22,7 @@ namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
-using report_detail::get_system_message;
+using report_detail::get_system_error_message;
 
 [[noreturn]] void throw_write_error(const fs::path& path, std::string why) {
     // Replaces line breaks in the messages of libraries, because our error messages have
@@ -44,7 +44,7 @@ struct TemporaryFile {
 
 /// Returns the path of the file to write. Follows a symbolic link, so that writing does
 /// not replace the link. Rejects devices and other targets that are not regular files.
-fs::path resolve_final_path(const fs::path& path) {
+fs::path resolve_output_file_path(const fs::path& path) {
     if (!path.has_filename()) throw_write_error(path, "the path has no file name");
     std::error_code error;
     const fs::file_status status = fs::status(path, error);
@@ -57,68 +57,73 @@ fs::path resolve_final_path(const fs::path& path) {
     const fs::file_status parent = fs::status(folder, error);
     if (!fs::exists(parent))
         throw_write_error(path, fmt::format("folder '{}': {}", folder.string(),
-                                            get_system_message(error ? error.value() : ENOENT)));
+                                            get_system_error_message(error ? error.value() : ENOENT)));
     if (!fs::is_directory(parent))
         throw_write_error(path, fmt::format("'{}' is not a folder", folder.string()));
     return folder / path.filename();
 }
 
-void call_writer(const fs::path& path, const fs::path& temporary,
-                 const std::function<void(const fs::path&)>& write) {
+void write_temporary_file(const fs::path& path_for_errors, const fs::path& temporary_path,
+                          const std::function<void(const fs::path&)>& write_content) {
     try {
-        write(temporary);
+        write_content(temporary_path);
     } catch (const Error& error) {
         // Rethrows all errors except data errors. For example, a GPU failure during a
         // download is not a file error.
         if (error.code() != ExitCode::data) throw;
-        throw_write_error(path, error.what());
+        throw_write_error(path_for_errors, error.what());
     } catch (const std::bad_alloc&) {
         throw;
     } catch (const std::exception& error) {
-        throw_write_error(path, error.what());
+        throw_write_error(path_for_errors, error.what());
     }
 }
 
-void flush_file(const fs::path& path, const fs::path& temporary) {
-    const int file = ::open(temporary.c_str(), O_RDONLY | O_CLOEXEC);
-    if (file < 0) throw_write_error(path, "cannot reopen the written file: " + get_system_message(errno));
+void flush_file_to_disk(const fs::path& path_for_errors, const fs::path& temporary_path) {
+    const int file = ::open(temporary_path.c_str(), O_RDONLY | O_CLOEXEC);
+    if (file < 0)
+        throw_write_error(path_for_errors,
+                          "cannot reopen the written file: " + get_system_error_message(errno));
     const int result = ::fsync(file), error = errno;
     ::close(file);
-    if (result != 0) throw_write_error(path, "cannot flush the file to disk: " + get_system_message(error));
+    if (result != 0)
+        throw_write_error(path_for_errors,
+                          "cannot flush the file to disk: " + get_system_error_message(error));
 }
 
 /// Flushes the folder, so that the new file name survives a power failure. Ignores
 /// failures, because some folders cannot be opened and some file systems cannot flush
 /// folders.
-void flush_folder(const fs::path& path) {
-    const int folder = ::open(path.parent_path().c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+void flush_parent_folder_to_disk(const fs::path& file_path) {
+    const int folder = ::open(file_path.parent_path().c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
     if (folder < 0) return;
     const int result = ::fsync(folder), error = errno;
     ::close(folder);
     if (result != 0 && error != EINVAL && error != ENOTSUP && error != EROFS)
-        throw_write_error(path, "cannot flush its folder to disk: " + get_system_message(error));
+        throw_write_error(file_path, "cannot flush its folder to disk: " + get_system_error_message(error));
 }
 
 }  // namespace
 
-fs::path make_temporary_path(const fs::path& path) {
+fs::path make_temporary_path(const fs::path& final_path) {
     // Makes temporary names unique, because two threads may write the same file.
     static std::atomic<unsigned> count{0};
-    return path.parent_path() / fmt::format(".{}.tmp-{}-{}", path.filename().string(), ::getpid(), count++);
+    return final_path.parent_path() /
+           fmt::format(".{}.tmp-{}-{}", final_path.filename().string(), ::getpid(), count++);
 }
 
-void write_atomically(const fs::path& path, const std::function<void(const fs::path&)>& write) {
-    const fs::path target = resolve_final_path(path);
+void write_file_atomically(const fs::path& path, const std::function<void(const fs::path&)>& write_content) {
+    const fs::path target = resolve_output_file_path(path);
     TemporaryFile temporary{make_temporary_path(target)};
-    call_writer(path, temporary.path, write);
-    flush_file(path, temporary.path);
+    write_temporary_file(path, temporary.path, write_content);
+    flush_file_to_disk(path, temporary.path);
     if (::rename(temporary.path.c_str(), target.c_str()) != 0)
-        throw_write_error(path, "cannot rename the temporary file: " + get_system_message(errno));
+        throw_write_error(path, "cannot rename the temporary file: " + get_system_error_message(errno));
     temporary.renamed = true;
-    flush_folder(target);
+    flush_parent_folder_to_disk(target);
 }
 
-void remove_temporaries(const fs::path& folder) {
+void remove_temporary_files(const fs::path& folder) {
     // Pattern that matches the names from make_temporary_path().
     static const std::regex kTemporary(R"(\..+\.tmp-[0-9]+-[0-9]+)");
     std::error_code failed;
@@ -132,6 +137,6 @@ void remove_temporaries(const fs::path& folder) {
     for (const fs::path& path : temporary_paths) fs::remove_all(path, failed);
 }
 
-void write_text(const fs::path& path, const std::string& text) { report_detail::write_file(path, text); }
+void write_text_file(const fs::path& path, const std::string& text) { report_detail::write_file(path, text); }
 
 }  // namespace relidar

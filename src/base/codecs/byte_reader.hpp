@@ -26,24 +26,24 @@ public:
     explicit ByteReader(std::string_view bytes) : bytes_(bytes) {}
 
     template <class T>
-    T number() {
+    T read_number() {
         T value;
-        std::memcpy(&value, take(sizeof value).data(), sizeof value);
+        std::memcpy(&value, read_bytes(sizeof value).data(), sizeof value);
         return value;
     }
-    std::string_view take(std::uint64_t count) {
-        if (count > bytes_.size() - at_)
+    std::string_view read_bytes(std::uint64_t n_bytes) {
+        if (n_bytes > bytes_.size() - at_)
             throw DataError(fmt::format("the data are truncated: {} bytes are left, expected {}",
-                                        bytes_.size() - at_, count));
-        const std::string_view part = bytes_.substr(at_, std::size_t(count));
-        at_ += std::size_t(count);
+                                        bytes_.size() - at_, n_bytes));
+        const std::string_view part = bytes_.substr(at_, std::size_t(n_bytes));
+        at_ += std::size_t(n_bytes);
         return part;
     }
     /// Returns a byte string that is stored with a 4-byte length before it.
-    std::string_view read_sized_string() { return take(number<std::uint32_t>()); }
-    std::size_t at() const { return at_; }
-    std::size_t left() const { return bytes_.size() - at_; }
-    std::string_view rest() { return take(left()); }
+    std::string_view read_length_prefixed_string() { return read_bytes(read_number<std::uint32_t>()); }
+    std::size_t get_position() const { return at_; }
+    std::size_t count_remaining_bytes() const { return bytes_.size() - at_; }
+    std::string_view read_remaining_bytes() { return read_bytes(count_remaining_bytes()); }
 
 private:
     std::string_view bytes_;

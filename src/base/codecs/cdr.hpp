@@ -12,26 +12,26 @@ namespace relidar::scan_files {
 
 /// Writes values in CDR, the binary encoding of ROS 2 messages, little-endian. Each
 /// number is aligned to its size, counted from the end of the 4-byte header.
-class Cdr {
+class CdrWriter {
 public:
     template <class T>
-    Cdr& add(T value) {
+    CdrWriter& append_aligned_number(T value) {
         while ((bytes_.size() - kHead) % sizeof(T) != 0) bytes_ += '\0';
-        append(bytes_, value);
+        append_binary_value(bytes_, value);
         return *this;
     }
-    Cdr& add_text(std::string_view text) {
-        add(std::uint32_t(text.size() + 1));
+    CdrWriter& append_string(std::string_view text) {
+        append_aligned_number(std::uint32_t(text.size() + 1));
         bytes_ += text;
         bytes_ += '\0';
         return *this;
     }
-    Cdr& add_bytes(std::string_view bytes) {
-        add(std::uint32_t(bytes.size()));
+    CdrWriter& append_byte_sequence(std::string_view bytes) {
+        append_aligned_number(std::uint32_t(bytes.size()));
         bytes_ += bytes;
         return *this;
     }
-    std::string take() { return std::move(bytes_); }
+    std::string take_encoded_message() { return std::move(bytes_); }
 
 private:
     static constexpr std::size_t kHead = 4;

@@ -43,17 +43,18 @@ constexpr Colour kNoValue{44, 44, 48};    // Dark gray for pixels without a valu
 constexpr std::uint8_t kSeparator = 128;  // Gray value of the line between images.
 constexpr int kSeparatorRows = 2;
 
-std::span<const Colour> get_colour_stops(const std::string& map) {
-    if (map == "turbo") return kTurbo;
-    if (map == "gray") return kGray;
-    if (map == "heat") return kHeat;
-    throw UsageError(fmt::format("the colour map '{}' is unknown, expected turbo, gray or heat", map));
+std::span<const Colour> find_colour_stops(const std::string& colour_map_name) {
+    if (colour_map_name == "turbo") return kTurbo;
+    if (colour_map_name == "gray") return kGray;
+    if (colour_map_name == "heat") return kHeat;
+    throw UsageError(
+        fmt::format("the colour map '{}' is unknown, expected turbo, gray or heat", colour_map_name));
 }
 
 /// Returns the interpolated colour at a position of a colour map.
 /// @param stops colours of the map, evenly spaced
 /// @param fraction position in the map, [0, 1]
-Colour interpolate(std::span<const Colour> stops, double fraction) {
+Colour interpolate_colour(std::span<const Colour> stops, double fraction) {
     const double position = fraction * double(stops.size() - 1);
     const std::size_t low = std::min(std::size_t(position), stops.size() - 2);
     const double share = position - double(low);
@@ -63,10 +64,10 @@ Colour interpolate(std::span<const Colour> stops, double fraction) {
     return colour;
 }
 
-void check_count(const char* name, std::size_t count, std::size_t expected) {
-    if (count != expected)
-        throw DataError(
-            fmt::format("cannot colour an image: found {} values of {}, expected {}", count, name, expected));
+void check_pixel_value_count(const char* array_name, std::size_t count, std::size_t expected_count) {
+    if (count != expected_count)
+        throw DataError(fmt::format("cannot colour an image: found {} values of {}, expected {}", count,
+                                    array_name, expected_count));
 }
 
 }  // namespace
@@ -74,12 +75,12 @@ void check_count(const char* name, std::size_t count, std::size_t expected) {
 Image apply_colour_map(const std::vector<float>& values, int rows, int columns, float low, float high,
                        const std::string& map, const std::vector<float>& mask) {
     const std::size_t n = std::size_t(std::max(rows, 0)) * std::size_t(std::max(columns, 0));
-    check_count("the image", values.size(), n);
-    if (!mask.empty()) check_count("the mask", mask.size(), n);
+    check_pixel_value_count("the image", values.size(), n);
+    if (!mask.empty()) check_pixel_value_count("the mask", mask.size(), n);
     if (!std::isfinite(low) || !std::isfinite(high))
         throw DataError(fmt::format(
             "cannot colour an image: found the range {} to {}, expected finite values", low, high));
-    const std::span<const Colour> stops = get_colour_stops(map);
+    const std::span<const Colour> stops = find_colour_stops(map);
     // Avoids a division by zero. A constant image gets the lowest colour.
     const double span = high > low ? double(high) - double(low) : 1.0;
 
@@ -88,17 +89,17 @@ Image apply_colour_map(const std::vector<float>& values, int rows, int columns, 
     for (std::size_t i = 0; i < n; ++i) {
         const bool shown = !std::isnan(values[i]) && (mask.empty() || mask[i] != 0.0f);
         const Colour colour =
-            shown ? interpolate(stops, std::clamp((double(values[i]) - double(low)) / span, 0.0, 1.0))
+            shown ? interpolate_colour(stops, std::clamp((double(values[i]) - double(low)) / span, 0.0, 1.0))
                   : kNoValue;
         image.rgb.insert(image.rgb.end(), colour.begin(), colour.end());
     }
     return image;
 }
 
-Image stack_images(const std::vector<Image>& images, int stretch) {
-    if (stretch < 1)
+Image stack_images_vertically(const std::vector<Image>& images, int vertical_scale) {
+    if (vertical_scale < 1)
         throw UsageError(
-            fmt::format("cannot stack images: found the stretch {}, expected at least 1", stretch));
+            fmt::format("cannot stack images: found the stretch {}, expected at least 1", vertical_scale));
     Image result;
     for (const Image& image : images) {
         if (result.columns == 0) result.columns = image.columns;
@@ -107,17 +108,17 @@ Image stack_images(const std::vector<Image>& images, int stretch) {
                 fmt::format("cannot stack images: found the widths {} and {}, expected the same width",
                             result.columns, image.columns));
         const std::size_t width = std::size_t(image.columns) * 3;
-        check_count("a stacked image", image.rgb.size(), width * std::size_t(image.rows));
+        check_pixel_value_count("a stacked image", image.rgb.size(), width * std::size_t(image.rows));
         if (&image != &images.front()) {
             result.rgb.insert(result.rgb.end(), width * kSeparatorRows, kSeparator);
             result.rows += kSeparatorRows;
         }
         for (std::size_t row = 0; row < std::size_t(image.rows); ++row)
-            for (int copy = 0; copy < stretch; ++copy) {
+            for (int copy = 0; copy < vertical_scale; ++copy) {
                 const auto first = image.rgb.begin() + std::ptrdiff_t(row * width);
                 result.rgb.insert(result.rgb.end(), first, first + std::ptrdiff_t(width));
             }
-        result.rows += image.rows * stretch;
+        result.rows += image.rows * vertical_scale;
     }
     return result;
 }

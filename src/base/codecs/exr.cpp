@@ -23,9 +23,9 @@ namespace relidar {
 namespace {
 
 /// Memory buffer to which OpenEXR writes an image.
-class MemoryStream : public OPENEXR_IMF_NAMESPACE::OStream {
+class ExrMemoryWriter : public OPENEXR_IMF_NAMESPACE::OStream {
 public:
-    MemoryStream() : OStream("memory") {}
+    ExrMemoryWriter() : OStream("memory") {}
 
     void write(const char bytes[], int count) override {
         if (count <= 0) return;
@@ -43,7 +43,7 @@ private:
     std::size_t position_ = 0;
 };
 
-void check_image(int rows, int columns, const std::map<std::string, std::vector<float>>& channels) {
+void check_channel_sizes(int rows, int columns, const std::map<std::string, std::vector<float>>& channels) {
     if (rows <= 0 || columns <= 0 || channels.empty())
         throw DataError(fmt::format(
             "cannot write an EXR image with {} x {} pixels and {} channels, expected at least one of "
@@ -59,10 +59,10 @@ void check_image(int rows, int columns, const std::map<std::string, std::vector<
 }  // namespace
 
 void write_exr(const std::filesystem::path& path, int rows, int columns,
-               const std::map<std::string, std::vector<float>>& channels, const FileNotes& notes) {
+               const std::map<std::string, std::vector<float>>& channels, const FileMetadata& notes) {
     namespace imf = OPENEXR_IMF_NAMESPACE;
-    check_image(rows, columns, channels);
-    MemoryStream stream;
+    check_channel_sizes(rows, columns, channels);
+    ExrMemoryWriter stream;
     try {
         imf::Header header(columns, rows);
         header.compression() = imf::ZIP_COMPRESSION;

@@ -37,22 +37,22 @@ constexpr std::size_t kAlwaysFits = 16 << 20;
 constexpr std::int64_t kRowsAtOnce[] = {1, 1, 1, 16, 32, 16, 32, 32, 32, 256};
 
 /// Reads the header of an OpenEXR file value by value, from start to end.
-class ExrHeader {
+class ExrHeaderReader {
 public:
-    explicit ExrHeader(const std::string& file) : file_(file) {}
+    explicit ExrHeaderReader(const std::string& file) : file_(file) {}
 
-    std::int32_t number() {
+    std::int32_t read_int32() {
         std::int32_t value = 0;
-        std::memcpy(&value, bytes(sizeof value).data(), sizeof value);
+        std::memcpy(&value, read_bytes(sizeof value).data(), sizeof value);
         return value;
     }
-    std::string_view bytes(std::size_t count) {
-        if (count > file_.size() - at_) throw DataError("the header is truncated");
-        at_ += count;
-        return std::string_view(file_).substr(at_ - count, count);
+    std::string_view read_bytes(std::size_t n_bytes) {
+        if (n_bytes > file_.size() - at_) throw DataError("the header is truncated");
+        at_ += n_bytes;
+        return std::string_view(file_).substr(at_ - n_bytes, n_bytes);
     }
     /// Reads a text that ends with a zero byte.
-    std::string name() {
+    std::string read_zero_terminated_name() {
         const std::size_t end = file_.find('\0', at_);
         if (end == std::string::npos || end - at_ > 255)
             throw DataError("the header is truncated, or it contains a name that is longer than 255 bytes");
@@ -61,7 +61,7 @@ public:
         return text;
     }
 
-    bool at_end() const { return at_ == file_.size(); }
+    bool is_at_end() const { return at_ == file_.size(); }
 
 private:
     const std::string& file_;
@@ -78,11 +78,11 @@ struct ImageHeader {
     std::map<std::string, std::string> notes;
 };
 
-void read_window(std::string_view bytes, ImageHeader& image_header) {
-    if (bytes.size() != 16)
-        throw DataError(fmt::format("dataWindow has {} bytes, expected 16", bytes.size()));
+void parse_data_window(std::string_view attribute_bytes, ImageHeader& image_header) {
+    if (attribute_bytes.size() != 16)
+        throw DataError(fmt::format("dataWindow has {} bytes, expected 16", attribute_bytes.size()));
     std::int32_t corner[4];
-    std::memcpy(corner, bytes.data(), sizeof corner);
+    std::memcpy(corner, attribute_bytes.data(), sizeof corner);
     image_header.columns = std::int64_t(corner[2]) - corner[0] + 1;
     image_header.rows = std::int64_t(corner[3]) - corner[1] + 1;
     // Maximum absolute value of a corner coordinate. Larger values could overflow
@@ -94,35 +94,39 @@ void read_window(std::string_view bytes, ImageHeader& image_header) {
                                         c, kFarthest));
 }
 
-void read_compression(std::string_view bytes, ImageHeader& image_header) {
-    const std::size_t kind =
-        bytes.empty() ? std::size(kRowsAtOnce) : std::size_t(static_cast<unsigned char>(bytes[0]));
+void parse_compression(std::string_view attribute_bytes, ImageHeader& image_header) {
+    const std::size_t kind = attribute_bytes.empty()
+                                 ? std::size(kRowsAtOnce)
+                                 : std::size_t(static_cast<unsigned char>(attribute_bytes[0]));
     if (kind >= std::size(kRowsAtOnce)) throw DataError("the compression of the image is unknown");
     image_header.rows_at_once = kRowsAtOnce[kind];
 }
 
-void read_channels(std::string_view bytes, ImageHeader& image_header) {
-    const std::string list(bytes);
-    ExrHeader items(list);
-    for (std::string name = items.name(); !name.empty(); name = items.name()) {
-        items.bytes(8);  // Skips type and linearity, because OpenEXR checks both.
-        const std::int32_t x = items.number(), y = items.number();
+void parse_channel_list(std::string_view attribute_bytes, ImageHeader& image_header) {
+    const std::string list(attribute_bytes);
+    ExrHeaderReader items(list);
+    for (std::string name = items.read_zero_terminated_name(); !name.empty();
+         name = items.read_zero_terminated_name()) {
+        items.read_bytes(8);  // Skips type and linearity, because OpenEXR checks both.
+        const std::int32_t x = items.read_int32(), y = items.read_int32();
         if (x != 1 || y != 1)
             throw DataError(fmt::format("channel '{}' is subsampled by {} x {}, expected all pixels",
-                                        make_excerpt(name), x, y));
+                                        shorten_for_error_message(name), x, y));
         if (std::find(image_header.channels.begin(), image_header.channels.end(), name) !=
             image_header.channels.end())
-            throw DataError(fmt::format("channel '{}' occurs twice, expected it once", make_excerpt(name)));
+            throw DataError(
+                fmt::format("channel '{}' occurs twice, expected it once", shorten_for_error_message(name)));
         image_header.channels.push_back(name);
         if (image_header.channels.size() > kMostChannels)
             throw DataError(fmt::format("the image has more than {} channels", kMostChannels));
     }
-    if (!items.at_end()) throw DataError("the list of channels is shorter than the size in its header");
+    if (!items.is_at_end()) throw DataError("the list of channels is shorter than the size in its header");
 }
 
 /// Checks that the size of an attribute matches its type. OpenEXR ignores the stored
 /// size, so a wrong size would make it read unchecked data.
-void check_layout(const std::string& name, const std::string& type, std::string_view bytes) {
+void check_attribute_size(const std::string& attribute_name, const std::string& attribute_type,
+                          std::string_view attribute_bytes) {
     static const std::map<std::string_view, std::size_t> kSizes = {{"box2i", 16},
                                                                    {"box2f", 16},
                                                                    {"chromaticities", 32},
@@ -147,29 +151,31 @@ void check_layout(const std::string& name, const std::string& type, std::string_
                                                                    {"v3d", 24},
                                                                    {"v3f", 12},
                                                                    {"v3i", 12}};
-    if (const auto known = kSizes.find(type); known != kSizes.end() && known->second != bytes.size())
+    if (const auto size_entry = kSizes.find(attribute_type);
+        size_entry != kSizes.end() && size_entry->second != attribute_bytes.size())
         throw DataError(fmt::format("attribute '{}' of type '{}' has {} bytes, expected {}",
-                                    make_excerpt(name), type, bytes.size(), known->second));
-    if (type == "chlist") {
+                                    shorten_for_error_message(attribute_name), attribute_type,
+                                    attribute_bytes.size(), size_entry->second));
+    if (attribute_type == "chlist") {
         ImageHeader of_others;
-        read_channels(bytes, of_others);
+        parse_channel_list(attribute_bytes, of_others);
     }
-    if (type == "stringvector") {
-        const std::string list(bytes);
-        for (ExrHeader items(list); !items.at_end();) {
-            const std::int32_t size = items.number();
+    if (attribute_type == "stringvector") {
+        const std::string list(attribute_bytes);
+        for (ExrHeaderReader items(list); !items.is_at_end();) {
+            const std::int32_t size = items.read_int32();
             if (size < 0)
                 throw DataError(fmt::format("attribute '{}' has an invalid text length of {} bytes",
-                                            make_excerpt(name), size));
-            items.bytes(std::size_t(size));
+                                            shorten_for_error_message(attribute_name), size));
+            items.read_bytes(std::size_t(size));
         }
     }
 }
 
-void check_kind(ExrHeader& header) {
-    if (header.number() != std::int32_t(kExrMagic))
+void check_magic_and_version(ExrHeaderReader& header_reader) {
+    if (header_reader.read_int32() != std::int32_t(kExrMagic))
         throw DataError("the file does not begin like an OpenEXR file");
-    const auto version = std::uint32_t(header.number());
+    const auto version = std::uint32_t(header_reader.read_int32());
     if ((version & kVersionBits) > 2)
         throw DataError(
             fmt::format("the file has version {} of the format, expected 2", version & kVersionBits));
@@ -178,38 +184,39 @@ void check_kind(ExrHeader& header) {
     if (version & kParts) throw DataError("the file contains several images, expected one");
 }
 
-ImageHeader read_header(const std::string& file) {
-    ExrHeader header(file);
-    check_kind(header);
+ImageHeader parse_exr_header(const std::string& exr_file_bytes) {
+    ExrHeaderReader header(exr_file_bytes);
+    check_magic_and_version(header);
     ImageHeader image_header;
-    std::set<std::string> seen;
-    for (std::string name = header.name(); !name.empty(); name = header.name()) {
-        const std::string type = header.name();
-        const std::int32_t size = header.number();
+    std::set<std::string> attribute_names;
+    for (std::string name = header.read_zero_terminated_name(); !name.empty();
+         name = header.read_zero_terminated_name()) {
+        const std::string type = header.read_zero_terminated_name();
+        const std::int32_t size = header.read_int32();
         if (size < 0)
-            throw DataError(
-                fmt::format("attribute '{}' has an invalid size of {} bytes", make_excerpt(name), size));
-        const std::string_view bytes = header.bytes(std::size_t(size));
-        if (!seen.insert(name).second)
-            throw DataError(fmt::format("attribute '{}' occurs twice", make_excerpt(name)));
+            throw DataError(fmt::format("attribute '{}' has an invalid size of {} bytes",
+                                        shorten_for_error_message(name), size));
+        const std::string_view bytes = header.read_bytes(std::size_t(size));
+        if (!attribute_names.insert(name).second)
+            throw DataError(fmt::format("attribute '{}' occurs twice", shorten_for_error_message(name)));
         // Attributes of these types contain further sizes. They are rejected, because
         // nothing checks these sizes.
         if (type == "idmanifest" || type == "preview" || type == "bytes")
             throw DataError(fmt::format("attribute '{}' has the type '{}', which is not supported",
-                                        make_excerpt(name), type));
-        check_layout(name, type, bytes);
-        if (name == "dataWindow") read_window(bytes, image_header);
-        if (name == "compression") read_compression(bytes, image_header);
-        if (name == "channels") read_channels(bytes, image_header);
+                                        shorten_for_error_message(name), type));
+        check_attribute_size(name, type, bytes);
+        if (name == "dataWindow") parse_data_window(bytes, image_header);
+        if (name == "compression") parse_compression(bytes, image_header);
+        if (name == "channels") parse_channel_list(bytes, image_header);
         if (type == "string" && bytes.size() <= kLongestNote) image_header.notes[name] = bytes;
     }
-    if (!seen.contains("dataWindow") || !seen.contains("channels"))
+    if (!attribute_names.contains("dataWindow") || !attribute_names.contains("channels"))
         throw DataError("the header has no dataWindow, or no channels");
     return image_header;
 }
 
 /// Checks that the file is large enough for the image size that its header states.
-void check_image_size(const ImageHeader& image_header, std::size_t file_bytes) {
+void check_image_size(const ImageHeader& image_header, std::size_t file_size_bytes) {
     const std::int64_t rows = image_header.rows, columns = image_header.columns;
     if (rows <= 0 || columns <= 0 || image_header.channels.empty())
         throw DataError(
@@ -222,17 +229,17 @@ void check_image_size(const ImageHeader& image_header, std::size_t file_bytes) {
         (rows + image_header.rows_at_once - 1) / image_header.rows_at_once * image_header.rows_at_once;
     // Minimum uncompressed size in bytes, assuming half-precision channels.
     const std::size_t least = std::size_t(unpacked * columns) * image_header.channels.size() * 2;
-    if (least > std::max(kAlwaysFits, kMostInflated * file_bytes))
+    if (least > std::max(kAlwaysFits, kMostInflated * file_size_bytes))
         throw DataError(fmt::format(
             "the header announces {} x {} pixels with {} channels, which is impossible in a file of "
             "{} bytes",
-            rows, columns, image_header.channels.size(), file_bytes));
+            rows, columns, image_header.channels.size(), file_size_bytes));
 }
 
 /// Memory buffer from which OpenEXR reads an image.
-class MemoryInput : public imf::IStream {
+class ExrMemoryReader : public imf::IStream {
 public:
-    explicit MemoryInput(const std::string& bytes) : IStream("memory"), bytes_(bytes) {}
+    explicit ExrMemoryReader(const std::string& bytes) : IStream("memory"), bytes_(bytes) {}
 
     bool read(char out[], int count) override {
         const std::size_t n_bytes = std::size_t(std::max(count, 0));
@@ -249,10 +256,10 @@ private:
     std::size_t position_ = 0;
 };
 
-ExrImage decode(const std::string& file) {
-    ImageHeader image_header = read_header(file);
-    check_image_size(image_header, file.size());
-    MemoryInput stream(file);
+ExrImage decode_exr_image(const std::string& exr_file_bytes) {
+    ImageHeader image_header = parse_exr_header(exr_file_bytes);
+    check_image_size(image_header, exr_file_bytes.size());
+    ExrMemoryReader stream(exr_file_bytes);
     imf::InputFile input(stream);
     if (!input.isComplete()) throw DataError("it is truncated");
     ExrImage image{int(image_header.rows), int(image_header.columns), {}, std::move(image_header.notes)};
@@ -273,13 +280,13 @@ ExrImage decode(const std::string& file) {
 
 ExrImage read_exr(const std::filesystem::path& path) {
     try {
-        return decode(read_file(path));
+        return decode_exr_image(read_file(path));
     } catch (const DataError& error) {
         const std::string message = error.what();
         throw DataError(message.starts_with(path.string()) ? message
                                                            : fmt::format("{}: {}", path.string(), message));
     } catch (const std::exception& error) {  // OpenEXR throws its own exceptions.
-        throw DataError(fmt::format("{}: {}", path.string(), make_excerpt(error.what())));
+        throw DataError(fmt::format("{}: {}", path.string(), shorten_for_error_message(error.what())));
     }
 }
 

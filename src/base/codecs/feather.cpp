@@ -18,9 +18,9 @@
 namespace relidar {
 namespace {
 
-using arrow::Codec;
-using arrow::Field;
-using arrow::Kind;
+using arrow::ArrowCompression;
+using arrow::ArrowField;
+using arrow::ArrowValueKind;
 using Batch = Feather::Batch;
 
 constexpr std::string_view kMagic = "ARROW1";
@@ -30,55 +30,60 @@ constexpr std::size_t kMostRows = 64, kMostText = 1024;
 constexpr std::size_t kPadding = 64;  // Maximum number of padding bytes at the end of a buffer.
 
 template <class T>
-T read_little_endian(std::string_view bytes, std::size_t offset) {
+T read_little_endian(std::string_view bytes, std::size_t byte_offset) {
     T value;
-    std::memcpy(&value, bytes.data() + offset, sizeof value);
+    std::memcpy(&value, bytes.data() + byte_offset, sizeof value);
     return value;
 }
 
-/// Returns `count` bytes that start at an offset. Throws an error if they are not inside
-/// `bytes`.
-std::string_view slice_bytes(std::string_view bytes, std::int64_t offset, std::int64_t count,
-                             const char* description) {
-    if (offset < 0 || count < 0 || std::uint64_t(offset) > bytes.size() ||
-        std::uint64_t(count) > bytes.size() - std::uint64_t(offset))
+/// Returns `n_expected_bytes` bytes that start at an offset. Throws an error if they are
+/// not inside `file_bytes`.
+std::string_view get_checked_byte_range(std::string_view bytes, std::int64_t offset, std::int64_t n_bytes,
+                                        const char* name_for_errors) {
+    if (offset < 0 || n_bytes < 0 || std::uint64_t(offset) > bytes.size() ||
+        std::uint64_t(n_bytes) > bytes.size() - std::uint64_t(offset))
         throw DataError(fmt::format("{} should be at byte {} with {} bytes, but the file has only {} bytes",
-                                    description, offset, count, bytes.size()));
-    return bytes.substr(std::size_t(offset), std::size_t(count));
+                                    name_for_errors, offset, n_bytes, bytes.size()));
+    return bytes.substr(std::size_t(offset), std::size_t(n_bytes));
 }
 
-std::string_view find_footer(std::string_view bytes) {
-    constexpr std::size_t kHead = 8, kTail = 4 + kMagic.size();
-    if (bytes.size() < kHead + kTail || !bytes.starts_with(kMagic))
-        throw DataError(fmt::format(
-            "the {} bytes of the file do not begin with ARROW1, expected a Feather V2 file", bytes.size()));
-    if (!bytes.ends_with(kMagic))
+std::string_view find_arrow_footer(std::string_view file_bytes) {
+    constexpr std::size_t kHeaderBytes = 8, kTrailerBytes = 4 + kMagic.size();
+    if (file_bytes.size() < kHeaderBytes + kTrailerBytes || !file_bytes.starts_with(kMagic))
+        throw DataError(
+            fmt::format("the {} bytes of the file do not begin with ARROW1, expected a Feather V2 file",
+                        file_bytes.size()));
+    if (!file_bytes.ends_with(kMagic))
         throw DataError("the file is truncated, because it does not end with ARROW1");
-    const std::int64_t end = std::int64_t(bytes.size() - kTail),
-                       n = read_little_endian<std::int32_t>(bytes, bytes.size() - kTail);
-    return slice_bytes(bytes, end - n, n, "a footer");
+    const std::int64_t end = std::int64_t(file_bytes.size() - kTrailerBytes),
+                       n = read_little_endian<std::int32_t>(file_bytes, file_bytes.size() - kTrailerBytes);
+    return get_checked_byte_range(file_bytes, end - n, n, "a footer");
 }
 
 /// Reads the record batch at a position of the file. Its message begins with 0xFFFFFFFF
 /// and the length of its flatbuffer.
-Batch read_batch_at(std::string_view bytes, const arrow::Block& block) {
+Batch read_record_batch(std::string_view file_bytes, const arrow::ArrowFileBlock& block) {
     constexpr std::int64_t kPrefix = 8;
-    const std::string_view message = slice_bytes(bytes, block.offset, block.metadata_bytes, "a message");
+    const std::string_view message =
+        get_checked_byte_range(file_bytes, block.offset, block.metadata_bytes, "a message");
     if (std::int64_t(message.size()) < kPrefix ||
         read_little_endian<std::uint32_t>(message, 0) != 0xFFFFFFFFu)
         throw DataError(fmt::format(
             "found no message at byte {}, expected a record batch of Arrow 0.15 or later", block.offset));
     const auto n = read_little_endian<std::int32_t>(message, 4);
-    return {arrow::parse_batch(slice_bytes(message, kPrefix, n, "a message")),
-            slice_bytes(bytes, block.offset + block.metadata_bytes, block.body_bytes, "a record batch")};
+    return {arrow::parse_record_batch(get_checked_byte_range(message, kPrefix, n, "a message")),
+            get_checked_byte_range(file_bytes, block.offset + block.metadata_bytes, block.body_bytes,
+                                   "a record batch")};
 }
 
 /// Decompresses a buffer of a record batch. Throws an error if its size is less than
-/// n_bytes, or larger by more than padding.
-std::string read_buffer(const Batch& batch, std::size_t index, std::size_t n_bytes) {
-    const arrow::Buffer& place = batch.layout.buffers.at(index);
-    std::string_view stored = slice_bytes(batch.body, place.offset, place.length, "a buffer");
-    bool compressed = batch.layout.codec != Codec::none && !stored.empty();
+/// n_expected_bytes, or larger by more than padding.
+std::string read_decompressed_buffer(const Batch& batch, std::size_t buffer_index,
+                                     std::size_t n_expected_bytes) {
+    const arrow::ArrowBufferRange& buffer_range = batch.layout.buffers.at(buffer_index);
+    std::string_view stored =
+        get_checked_byte_range(batch.body, buffer_range.offset, buffer_range.length, "a buffer");
+    bool compressed = batch.layout.codec != ArrowCompression::none && !stored.empty();
     std::int64_t n = std::int64_t(stored.size());
     if (compressed) {
         if (stored.size() < 8)
@@ -89,83 +94,85 @@ std::string read_buffer(const Batch& batch, std::size_t index, std::size_t n_byt
         compressed = n != -1;
         if (!compressed) n = std::int64_t(stored.size());
     }
-    if (n < std::int64_t(n_bytes) || n > std::int64_t(n_bytes + kPadding))
-        throw DataError(fmt::format("found a buffer of {} bytes, expected {}", n, n_bytes));
-    if (!compressed) return std::string(stored.substr(0, n_bytes));
+    if (n < std::int64_t(n_expected_bytes) || n > std::int64_t(n_expected_bytes + kPadding))
+        throw DataError(fmt::format("found a buffer of {} bytes, expected {}", n, n_expected_bytes));
+    if (!compressed) return std::string(stored.substr(0, n_expected_bytes));
     std::string bytes(std::size_t(n), '\0');
-    if (batch.layout.codec == Codec::lz4_frame) unpack_lz4(stored, bytes);
-    else unpack_zstd(stored, bytes);
+    if (batch.layout.codec == ArrowCompression::lz4_frame) decompress_lz4(stored, bytes);
+    else decompress_zstd(stored, bytes);
     return bytes;
 }
 
 /// Returns the number of rows of a column in a record batch. Throws an error if the
 /// column has missing values.
-std::size_t count_rows_of_batch(const Batch& batch, std::size_t node, std::size_t last_buffer) {
-    if (node >= batch.layout.nodes.size() || last_buffer >= batch.layout.buffers.size())
+std::size_t get_checked_row_count(const Batch& batch, std::size_t node_index, std::size_t last_buffer_index) {
+    if (node_index >= batch.layout.nodes.size() || last_buffer_index >= batch.layout.buffers.size())
         throw DataError(
             fmt::format("found a record batch with {} columns and {} buffers, expected more of them",
                         batch.layout.nodes.size(), batch.layout.buffers.size()));
-    const arrow::Node& found = batch.layout.nodes[node];
-    if (found.length != batch.layout.length)
-        throw DataError(
-            fmt::format("the column has {} rows in a batch of {} rows", found.length, batch.layout.length));
-    if (found.null_count != 0)
-        throw DataError(fmt::format("{} values are missing (null), expected none", found.null_count));
-    return std::size_t(found.length);
+    const arrow::ArrowFieldNode& field_node = batch.layout.nodes[node_index];
+    if (field_node.length != batch.layout.length)
+        throw DataError(fmt::format("the column has {} rows in a batch of {} rows", field_node.length,
+                                    batch.layout.length));
+    if (field_node.null_count != 0)
+        throw DataError(fmt::format("{} values are missing (null), expected none", field_node.null_count));
+    return std::size_t(field_node.length);
 }
 
 template <class Stored, class T, class Convert>
-void append_converted(std::vector<T>& values, const Batch& batch, const Feather::Column& column,
-                      const Convert& convert) {
-    const std::size_t n = count_rows_of_batch(batch, column.node, column.buffer + 1);
-    const std::string bytes = read_buffer(batch, column.buffer + 1, n * sizeof(Stored));
+void append_converted_column(std::vector<T>& values, const Batch& batch, const Feather::Column& column,
+                             const Convert& convert) {
+    const std::size_t n = get_checked_row_count(batch, column.node, column.buffer + 1);
+    const std::string bytes = read_decompressed_buffer(batch, column.buffer + 1, n * sizeof(Stored));
     for (std::size_t i = 0; i < n; ++i)
         values.push_back(convert(read_little_endian<Stored>(bytes, i * sizeof(Stored))));
 }
 
 /// Appends the integers of a column to `values`. The integers may have any width.
 template <class T>
-void append_integers(std::vector<T>& values, const Batch& batch, const Feather::Column& column,
-                     const Field::Type& type) {
+void append_integer_column(std::vector<T>& values, const Batch& batch, const Feather::Column& column,
+                           const ArrowField::Type& integer_type) {
     const auto as = [](auto value) { return T(value); };
-    switch (type.bits) {
+    switch (integer_type.bits) {
         case 8:
-            return type.is_signed ? append_converted<std::int8_t>(values, batch, column, as)
-                                  : append_converted<std::uint8_t>(values, batch, column, as);
+            return integer_type.is_signed ? append_converted_column<std::int8_t>(values, batch, column, as)
+                                          : append_converted_column<std::uint8_t>(values, batch, column, as);
         case 16:
-            return type.is_signed ? append_converted<std::int16_t>(values, batch, column, as)
-                                  : append_converted<std::uint16_t>(values, batch, column, as);
+            return integer_type.is_signed ? append_converted_column<std::int16_t>(values, batch, column, as)
+                                          : append_converted_column<std::uint16_t>(values, batch, column, as);
         case 32:
-            return type.is_signed ? append_converted<std::int32_t>(values, batch, column, as)
-                                  : append_converted<std::uint32_t>(values, batch, column, as);
+            return integer_type.is_signed ? append_converted_column<std::int32_t>(values, batch, column, as)
+                                          : append_converted_column<std::uint32_t>(values, batch, column, as);
         default:
             break;
     }
-    if (type.is_signed) return append_converted<std::int64_t>(values, batch, column, as);
-    append_converted<std::uint64_t>(values, batch, column, [](std::uint64_t value) {
+    if (integer_type.is_signed) return append_converted_column<std::int64_t>(values, batch, column, as);
+    append_converted_column<std::uint64_t>(values, batch, column, [](std::uint64_t value) {
         if (value > std::uint64_t(std::numeric_limits<std::int64_t>::max()))
             throw DataError(fmt::format("the integer {} is too large, expected at most 63 bits", value));
         return T(value);
     });
 }
 
-void append_floats(std::vector<double>& values, const Batch& batch, const Feather::Column& column, int bits) {
+void append_float_column(std::vector<double>& values, const Batch& batch, const Feather::Column& column,
+                         int bits_per_value) {
     const auto as = [](auto value) { return double(value); };
-    if (bits == 64) append_converted<double>(values, batch, column, as);
-    else if (bits == 32) append_converted<float>(values, batch, column, as);
+    if (bits_per_value == 64) append_converted_column<double>(values, batch, column, as);
+    else if (bits_per_value == 32) append_converted_column<float>(values, batch, column, as);
     else
-        append_converted<std::uint16_t>(values, batch, column,
-                                        [](std::uint16_t half) { return double(glm::unpackHalf1x16(half)); });
+        append_converted_column<std::uint16_t>(
+            values, batch, column, [](std::uint16_t half) { return double(glm::unpackHalf1x16(half)); });
 }
 
 /// Appends the texts of a column to `values`. Text i is stored between the offsets i and
 /// i + 1.
-/// @param max_count maximum number of text bytes
-void append_texts(std::vector<std::string>& values, const Batch& batch, std::size_t node,
-                  std::size_t first_buffer, std::size_t max_count) {
-    const std::size_t n = count_rows_of_batch(batch, node, first_buffer + 2);
+/// @param max_text_bytes maximum number of text bytes
+void append_text_column(std::vector<std::string>& values, const Batch& batch, std::size_t node_index,
+                        std::size_t first_buffer_index, std::size_t max_text_bytes) {
+    const std::size_t n = get_checked_row_count(batch, node_index, first_buffer_index + 2);
     if (n == 0) return;  // Without rows, writers may omit the offsets.
-    const std::string offsets = read_buffer(batch, first_buffer + 1, (n + 1) * sizeof(std::int32_t));
+    const std::string offsets =
+        read_decompressed_buffer(batch, first_buffer_index + 1, (n + 1) * sizeof(std::int32_t));
     const auto offset = [&](std::size_t index) {
         return read_little_endian<std::int32_t>(offsets, index * sizeof(std::int32_t));
     };
@@ -173,22 +180,24 @@ void append_texts(std::vector<std::string>& values, const Batch& batch, std::siz
         if (offset(i) < 0 || offset(i + 1) < offset(i))
             throw DataError(fmt::format("text {} goes from offset {} to {}, expected increasing offsets", i,
                                         offset(i), offset(i + 1)));
-    if (std::size_t(offset(n)) > max_count)
-        throw DataError(fmt::format("found {} bytes of text, expected at most {}", offset(n), max_count));
-    const std::string characters = read_buffer(batch, first_buffer + 2, std::size_t(offset(n)));
+    if (std::size_t(offset(n)) > max_text_bytes)
+        throw DataError(
+            fmt::format("found {} bytes of text, expected at most {}", offset(n), max_text_bytes));
+    const std::string characters =
+        read_decompressed_buffer(batch, first_buffer_index + 2, std::size_t(offset(n)));
     for (std::size_t i = 0; i < n; ++i)
         values.push_back(characters.substr(std::size_t(offset(i)), std::size_t(offset(i + 1) - offset(i))));
 }
 
 /// Returns the total number of rows of all record batches.
-/// @throws DataError if the number exceeds `max_count`
-std::size_t count_rows(const std::vector<Batch>& batches, std::size_t max_count) {
+/// @throws DataError if the number exceeds `max_rows`
+std::size_t count_rows_of_batches(const std::vector<Batch>& batches, std::size_t max_rows) {
     std::size_t rows = 0;
     for (const Batch& batch : batches) {
         const std::int64_t n = batch.layout.length;
-        if (n < 0 || std::uint64_t(n) > max_count - rows)
+        if (n < 0 || std::uint64_t(n) > max_rows - rows)
             throw DataError(
-                fmt::format("found a batch of {} rows, expected at most {} rows", n, max_count - rows));
+                fmt::format("found a batch of {} rows, expected at most {} rows", n, max_rows - rows));
         rows += std::size_t(n);
     }
     return rows;
@@ -200,10 +209,10 @@ Feather::Feather(const std::filesystem::path& file) : Feather(file.string(), rea
 
 Feather::Feather(std::string name, std::string bytes) : name_(std::move(name)), bytes_(std::move(bytes)) {
     try {
-        arrow::Footer footer = arrow::parse_footer(find_footer(bytes_));
+        arrow::Footer footer = arrow::parse_arrow_footer(find_arrow_footer(bytes_));
         Column at;
-        for (Field& field : footer.fields) {
-            const std::size_t n_buffers = field.count_buffers();
+        for (ArrowField& field : footer.fields) {
+            const std::size_t n_buffers = field.count_buffers_of_column();
             columns_.push_back({std::move(field), at.node, at.buffer});
             at.node += 1;
             at.buffer += n_buffers;
@@ -211,49 +220,50 @@ Feather::Feather(std::string name, std::string bytes) : name_(std::move(name)), 
         // Number of file bytes that are not part of any block read so far. Blocks do not
         // overlap.
         std::int64_t left = std::int64_t(bytes_.size());
-        const auto read = [&](const std::vector<arrow::Block>& blocks, std::vector<Batch>& batches) {
-            for (const arrow::Block& block : blocks) {
-                batches.push_back(read_batch_at(bytes_, block));
+        const auto read = [&](const std::vector<arrow::ArrowFileBlock>& blocks, std::vector<Batch>& batches) {
+            for (const arrow::ArrowFileBlock& block : blocks) {
+                batches.push_back(read_record_batch(bytes_, block));
                 left -= block.metadata_bytes + block.body_bytes;
                 if (left < 0) throw DataError("the record batches are longer than the file");
             }
         };
         read(footer.dictionaries, dictionaries_);
         read(footer.batches, batches_);
-        count_rows(dictionaries_, kMostRows * bytes_.size());
-        rows_ = count_rows(batches_, kMostRows * bytes_.size());
+        count_rows_of_batches(dictionaries_, kMostRows * bytes_.size());
+        rows_ = count_rows_of_batches(batches_, kMostRows * bytes_.size());
     } catch (const DataError& error) {
         throw DataError(name_ + ": " + error.what());
     }
 }
 
-const Feather::Column& Feather::find(const std::string& name) const {
+const Feather::Column& Feather::find_column(const std::string& column_name) const {
     std::string names;
     for (const Column& column : columns_) {
-        if (column.field.name == name) return column;
+        if (column.field.name == column_name) return column;
         names += (names.empty() ? "" : ", ") + column.field.name;
     }
-    throw DataError(fmt::format("the file has no such column, expected one of '{}'", make_excerpt(names)));
+    throw DataError(
+        fmt::format("the file has no such column, expected one of '{}'", shorten_for_error_message(names)));
 }
 
 template <class Task>
-auto Feather::reading(const std::string& column, const Task& task) const {
+auto Feather::call_with_column(const std::string& column_name, const Task& task) const {
     try {
-        return task(find(column));
+        return task(find_column(column_name));
     } catch (const DataError& error) {
-        throw DataError(fmt::format("{}, column '{}': {}", name_, column, error.what()));
+        throw DataError(fmt::format("{}, column '{}': {}", name_, column_name, error.what()));
     }
 }
 
-std::vector<double> Feather::numbers(const std::string& name) const {
-    return reading(name, [&](const Column& column) {
-        const Field::Type& type = column.field.type;
-        if (type.kind == Kind::text || column.field.dictionary)
+std::vector<double> Feather::read_number_column(const std::string& column_name) const {
+    return call_with_column(column_name, [&](const Column& column) {
+        const ArrowField::Type& type = column.field.type;
+        if (type.kind == ArrowValueKind::text || column.field.dictionary)
             throw DataError("found text, expected numbers");
         std::vector<double> values;
         for (const Batch& batch : batches_) {
-            if (type.kind == Kind::integer) append_integers(values, batch, column, type);
-            else append_floats(values, batch, column, type.bits);
+            if (type.kind == ArrowValueKind::integer) append_integer_column(values, batch, column, type);
+            else append_float_column(values, batch, column, type.bits);
         }
         for (std::size_t i = 0; i < values.size(); ++i)
             if (!std::isfinite(values[i]))
@@ -262,32 +272,33 @@ std::vector<double> Feather::numbers(const std::string& name) const {
     });
 }
 
-std::vector<std::int64_t> Feather::integers(const std::string& name) const {
-    return reading(name, [&](const Column& column) {
-        if (column.field.type.kind != Kind::integer || column.field.dictionary)
+std::vector<std::int64_t> Feather::read_integer_column(const std::string& column_name) const {
+    return call_with_column(column_name, [&](const Column& column) {
+        if (column.field.type.kind != ArrowValueKind::integer || column.field.dictionary)
             throw DataError("found values that are not integers, expected integers");
         std::vector<std::int64_t> values;
-        for (const Batch& batch : batches_) append_integers(values, batch, column, column.field.type);
+        for (const Batch& batch : batches_) append_integer_column(values, batch, column, column.field.type);
         return values;
     });
 }
 
-std::vector<std::string> Feather::texts(const std::string& name) const {
-    return reading(name, [&](const Column& column) {
-        if (column.field.type.kind != Kind::text) throw DataError("found numbers, expected text");
+std::vector<std::string> Feather::read_text_column(const std::string& column_name) const {
+    return call_with_column(column_name, [&](const Column& column) {
+        if (column.field.type.kind != ArrowValueKind::text) throw DataError("found numbers, expected text");
         const std::size_t most = kMostText * bytes_.size();
         std::vector<std::string> values;
         if (!column.field.dictionary) {
-            for (const Batch& batch : batches_) append_texts(values, batch, column.node, column.buffer, most);
+            for (const Batch& batch : batches_)
+                append_text_column(values, batch, column.node, column.buffer, most);
             return values;
         }
         std::vector<std::string> words;
         for (const Batch& batch : dictionaries_)
             if (batch.layout.dictionary == column.field.dictionary->id)
-                append_texts(words, batch, 0, 0, most);
+                append_text_column(words, batch, 0, 0, most);
         std::vector<std::int64_t> indices;
         for (const Batch& batch : batches_)
-            append_integers(indices, batch, column, column.field.dictionary->index);
+            append_integer_column(indices, batch, column, column.field.dictionary->index);
         std::size_t length = 0;
         for (const std::int64_t index : indices) {
             if (index < 0 || std::uint64_t(index) >= words.size())

@@ -29,20 +29,20 @@ public:
     Feather& operator=(const Feather&) = delete;
 
     const std::string& name() const { return name_; }
-    std::size_t rows() const { return rows_; }
+    std::size_t get_row_count() const { return rows_; }
 
     /// Returns the values of a numeric column. All returned values are finite.
     /// @throws DataError with file and column if the column is missing, damaged or not
     /// numeric
-    std::vector<double> numbers(const std::string& column) const;
+    std::vector<double> read_number_column(const std::string& column_name) const;
     /// Returns the values of an integer column.
     /// @throws DataError with file and column if the column is missing, damaged or has
     /// another type
-    std::vector<std::int64_t> integers(const std::string& column) const;
+    std::vector<std::int64_t> read_integer_column(const std::string& column_name) const;
     /// Returns the values of a text column, which may be dictionary-encoded.
     /// @throws DataError with file and column if the column is missing, damaged or has
     /// another type
-    std::vector<std::string> texts(const std::string& column) const;
+    std::vector<std::string> read_text_column(const std::string& column_name) const;
 
     struct Batch {
         arrow::RecordBatch layout;
@@ -51,7 +51,7 @@ public:
     /// Column of the table. Every record batch has a list of nodes and a list of buffers.
     /// `node` and `buffer` are the first indices of this column in these lists.
     struct Column {
-        arrow::Field field;
+        arrow::ArrowField field;
         std::size_t node = 0, buffer = 0;
     };
 
@@ -61,11 +61,11 @@ private:
     std::vector<Batch> batches_, dictionaries_;
     std::size_t rows_ = 0;
 
-    const Column& find(const std::string& name) const;
+    const Column& find_column(const std::string& column_name) const;
     /// Runs a task that reads a column. If the task throws a DataError, adds the names of
     /// file and column to its message.
     template <class Task>
-    auto reading(const std::string& column, const Task& task) const;
+    auto call_with_column(const std::string& column_name, const Task& task) const;
 };
 
 }  // namespace relidar

@@ -17,18 +17,21 @@
 
 namespace relidar::report_detail {
 
-std::string format_note_line(const std::pair<std::string, std::string>& note) {
-    std::string line = note.first + " " + note.second;
+std::string format_metadata_line(const std::pair<std::string, std::string>& key_and_value) {
+    std::string line = key_and_value.first + " " + key_and_value.second;
     std::replace_if(
         line.begin(), line.end(), [](unsigned char character) { return std::iscntrl(character) != 0; }, ' ');
     return line;
 }
 
-std::string get_system_message(int error) { return std::generic_category().message(error); }
+std::string get_system_error_message(int error_number) {
+    return std::generic_category().message(error_number);
+}
 
 OutputFile::OutputFile(const std::filesystem::path& path) : file_(std::fopen(path.c_str(), "wb")) {
     if (!file_)
-        throw DataError("cannot create a temporary file in the same folder: " + get_system_message(errno));
+        throw DataError("cannot create a temporary file in the same folder: " +
+                        get_system_error_message(errno));
 }
 
 OutputFile::~OutputFile() {
@@ -37,7 +40,7 @@ OutputFile::~OutputFile() {
 
 void OutputFile::write(const void* data, std::size_t n_bytes) {
     if (n_bytes > 0 && std::fwrite(data, 1, n_bytes, file_) != n_bytes)
-        throw DataError(fmt::format("cannot write {} bytes: {}", n_bytes, get_system_message(errno)));
+        throw DataError(fmt::format("cannot write {} bytes: {}", n_bytes, get_system_error_message(errno)));
 }
 
 void OutputFile::close() {
@@ -45,11 +48,12 @@ void OutputFile::close() {
     const int flush_error = errno;
     const bool closed = std::fclose(std::exchange(file_, nullptr)) == 0;
     if (!flushed || !closed)
-        throw DataError("cannot write the last bytes: " + get_system_message(flushed ? errno : flush_error));
+        throw DataError("cannot write the last bytes: " +
+                        get_system_error_message(flushed ? errno : flush_error));
 }
 
 void write_file(const std::filesystem::path& path, std::string_view bytes) {
-    write_atomically(path, [&](const std::filesystem::path& temporary) {
+    write_file_atomically(path, [&](const std::filesystem::path& temporary) {
         OutputFile file(temporary);
         file.write(bytes);
         file.close();
@@ -62,17 +66,17 @@ std::vector<std::byte> read_file(const std::filesystem::path& path) {
     };
     std::error_code error;
     const auto status = std::filesystem::status(path, error);
-    if (!std::filesystem::exists(status)) fail(get_system_message(error ? error.value() : ENOENT));
+    if (!std::filesystem::exists(status)) fail(get_system_error_message(error ? error.value() : ENOENT));
     if (!std::filesystem::is_regular_file(status)) fail("it is not a regular file");
     const auto size = std::filesystem::file_size(path, error);
     if (error) fail(error.message());
 
     std::FILE* file = std::fopen(path.c_str(), "rb");
-    if (!file) fail(get_system_message(errno));
+    if (!file) fail(get_system_error_message(errno));
     const std::unique_ptr<std::FILE, int (*)(std::FILE*)> guard(file, std::fclose);
     std::vector<std::byte> bytes(size);
     if (size > 0 && std::fread(bytes.data(), 1, size, file) != size)
-        fail(std::ferror(file) ? get_system_message(errno)
+        fail(std::ferror(file) ? get_system_error_message(errno)
                                : "the file became shorter while it was being read");
     return bytes;
 }

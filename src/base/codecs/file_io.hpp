@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes and reads the bytes of files. Detects every failure, for example short writes,
 // failed flushes and files that shrink while they are read. Error messages contain only
-// the failed operation. write_atomically() and the readers add the path. Private to
+// the failed operation. write_file_atomically() and the readers add the path. Private to
 // base/codecs.
 #pragma once
 
@@ -37,7 +37,7 @@ private:
     std::FILE* file_ = nullptr;
 };
 
-/// Writes a complete file atomically with write_atomically().
+/// Writes a complete file atomically with write_file_atomically().
 void write_file(const std::filesystem::path& path, std::string_view bytes);
 
 /// Reads a complete file.
@@ -45,9 +45,9 @@ void write_file(const std::filesystem::path& path, std::string_view bytes);
 std::vector<std::byte> read_file(const std::filesystem::path& path);
 
 /// Returns a metadata entry (key and value) as one line for a file header.
-std::string format_note_line(const std::pair<std::string, std::string>& note);
+std::string format_metadata_line(const std::pair<std::string, std::string>& key_and_value);
 
 /// Returns the text for a system error number (errno), like strerror.
-std::string get_system_message(int error);
+std::string get_system_error_message(int error_number);
 
 }  // namespace relidar::report_detail

@@ -20,7 +20,7 @@ static_assert(std::endian::native == std::endian::little, "MCAP is little-endian
 
 constexpr std::string_view kMagic("\x89MCAP0\r\n", 8);
 /// Codes of MCAP records.
-enum Code : std::uint8_t {
+enum McapRecordCode : std::uint8_t {
     kHeader = 1,
     kFooter = 2,
     kSchema = 3,
@@ -36,21 +36,22 @@ enum Code : std::uint8_t {
     kDataEnd = 15
 };
 
-void append_text(std::string& bytes, std::string_view text) {
-    append(bytes, std::uint32_t(text.size()));
+void append_length_prefixed_text(std::string& bytes, std::string_view text) {
+    append_binary_value(bytes, std::uint32_t(text.size()));
     bytes += text;
 }
 
-std::string format_pairs(const McapWriter::Values& values) {
+std::string encode_key_value_pairs(const McapWriter::McapMetadataMap& values) {
     std::string pairs;
-    for (const auto& [key, value] : values) append_text(pairs, key), append_text(pairs, value);
+    for (const auto& [key, value] : values)
+        append_length_prefixed_text(pairs, key), append_length_prefixed_text(pairs, value);
     return pairs;
 }
 
-std::string encode_record(Code code, std::string_view body) {
+std::string encode_mcap_record(McapRecordCode record_code, std::string_view body) {
     std::string bytes;
-    append(bytes, std::uint8_t(code));
-    append(bytes, std::uint64_t(body.size()));
+    append_binary_value(bytes, std::uint8_t(record_code));
+    append_binary_value(bytes, std::uint64_t(body.size()));
     bytes += body;
     return bytes;
 }
@@ -59,14 +60,14 @@ std::string encode_record(Code code, std::string_view body) {
 
 McapWriter::McapWriter(std::filesystem::path path, std::string_view profile)
     : path_(std::move(path)), file_(path_, std::ios::binary) {
-    put(kMagic);
+    write_to_file(kMagic);
     std::string header;
-    append_text(header, profile);
-    append_text(header, "relidar " RELIDAR_VERSION);
-    put(encode_record(kHeader, header));
+    append_length_prefixed_text(header, profile);
+    append_length_prefixed_text(header, "relidar " RELIDAR_VERSION);
+    write_to_file(encode_mcap_record(kHeader, header));
 }
 
-void McapWriter::put(std::string_view bytes) {
+void McapWriter::write_to_file(std::string_view bytes) {
     errno = 0;
     file_.write(bytes.data(), std::streamsize(bytes.size()));
     if (!file_)
@@ -78,127 +79,140 @@ void McapWriter::put(std::string_view bytes) {
 std::uint16_t McapWriter::add_schema(std::string_view name, std::string_view encoding,
                                      std::string_view definition) {
     std::string body;
-    append(body, ++n_schemas_);
-    append_text(body, name), append_text(body, encoding), append_text(body, definition);
-    schemas_ += encode_record(kSchema, body);
-    put(encode_record(kSchema, body));
+    append_binary_value(body, ++n_schemas_);
+    append_length_prefixed_text(body, name), append_length_prefixed_text(body, encoding),
+        append_length_prefixed_text(body, definition);
+    schemas_ += encode_mcap_record(kSchema, body);
+    write_to_file(encode_mcap_record(kSchema, body));
     return n_schemas_;
 }
 
 std::uint16_t McapWriter::add_channel(std::uint16_t schema, std::string_view topic, std::string_view encoding,
-                                      const Values& metadata) {
+                                      const McapMetadataMap& metadata) {
     const auto id = std::uint16_t(n_messages_.size() + 1);
     n_messages_[id] = 0;
     std::string body;
-    append(body, id), append(body, schema);
-    append_text(body, topic), append_text(body, encoding), append_text(body, format_pairs(metadata));
-    channels_ += encode_record(kChannel, body);
-    put(encode_record(kChannel, body));
+    append_binary_value(body, id), append_binary_value(body, schema);
+    append_length_prefixed_text(body, topic), append_length_prefixed_text(body, encoding),
+        append_length_prefixed_text(body, encode_key_value_pairs(metadata));
+    channels_ += encode_mcap_record(kChannel, body);
+    write_to_file(encode_mcap_record(kChannel, body));
     return id;
 }
 
-void McapWriter::add_metadata(std::string_view name, const Values& values) {
+void McapWriter::add_metadata(std::string_view name, const McapMetadataMap& values) {
     std::string body, index;
-    append_text(body, name), append_text(body, format_pairs(values));
-    const std::string metadata = encode_record(kMetadata, body);
-    append(index, written_), append(index, std::uint64_t(metadata.size())), append_text(index, name);
-    metadata_indices_ += encode_record(kMetadataIndex, index);
+    append_length_prefixed_text(body, name),
+        append_length_prefixed_text(body, encode_key_value_pairs(values));
+    const std::string metadata = encode_mcap_record(kMetadata, body);
+    append_binary_value(index, written_), append_binary_value(index, std::uint64_t(metadata.size())),
+        append_length_prefixed_text(index, name);
+    metadata_indices_ += encode_mcap_record(kMetadataIndex, index);
     ++n_metadata_;
-    put(metadata);
+    write_to_file(metadata);
 }
 
-void McapWriter::add_message(std::uint16_t channel, std::uint64_t time_ns, std::string_view message) {
-    chunk_index_[channel].push_back({time_ns, chunk_.size()});
+void McapWriter::add_message(std::uint16_t channel_id, std::uint64_t time_ns, std::string_view message) {
+    chunk_index_[channel_id].push_back({time_ns, chunk_.size()});
     chunk_first_ns_ = std::min(chunk_first_ns_, time_ns), chunk_last_ns_ = std::max(chunk_last_ns_, time_ns);
     std::string body;
-    append(body, channel), append(body, std::uint32_t(n_messages_.at(channel)++));
+    append_binary_value(body, channel_id),
+        append_binary_value(body, std::uint32_t(n_messages_.at(channel_id)++));
     // A message has a log time and a publish time. Both get the same value.
-    append(body, time_ns), append(body, time_ns);
+    append_binary_value(body, time_ns), append_binary_value(body, time_ns);
     body += message;
-    chunk_ += encode_record(kMessageRecord, body);
+    chunk_ += encode_mcap_record(kMessageRecord, body);
 }
 
-void McapWriter::end_chunk() {
+void McapWriter::write_pending_chunk() {
     if (chunk_.empty()) return;
     const std::uint64_t begin = written_;
     std::string body;
-    append(body, chunk_first_ns_), append(body, chunk_last_ns_), append(body, std::uint64_t(chunk_.size()));
-    append(body, std::uint32_t(crc32(0, reinterpret_cast<const Bytef*>(chunk_.data()), uInt(chunk_.size()))));
+    append_binary_value(body, chunk_first_ns_), append_binary_value(body, chunk_last_ns_),
+        append_binary_value(body, std::uint64_t(chunk_.size()));
+    append_binary_value(
+        body, std::uint32_t(crc32(0, reinterpret_cast<const Bytef*>(chunk_.data()), uInt(chunk_.size()))));
     // Writes an empty name, which means no compression. Compression would save little,
     // because the floats of a scan compress poorly.
-    append_text(body, "");
-    append(body, std::uint64_t(chunk_.size()));
-    put(encode_record(kChunk, body + chunk_));
+    append_length_prefixed_text(body, "");
+    append_binary_value(body, std::uint64_t(chunk_.size()));
+    write_to_file(encode_mcap_record(kChunk, body + chunk_));
     const std::uint64_t end = written_;
 
     // For each channel, its id and the file position of its message index. The chunk
     // index record contains this list.
     std::string index_positions;
     for (const auto& [channel, messages] : chunk_index_) {
-        append(index_positions, channel), append(index_positions, written_);
+        append_binary_value(index_positions, channel), append_binary_value(index_positions, written_);
         std::string index, entries;
-        for (const Indexed& message : messages)
-            append(entries, message.time_ns), append(entries, message.offset);
-        append(index, channel), append_text(index, entries);
-        put(encode_record(kMessageIndex, index));
+        for (const MessageIndexEntry& message : messages)
+            append_binary_value(entries, message.time_ns), append_binary_value(entries, message.offset);
+        append_binary_value(index, channel), append_length_prefixed_text(index, entries);
+        write_to_file(encode_mcap_record(kMessageIndex, index));
     }
     std::string index;
-    append(index, chunk_first_ns_), append(index, chunk_last_ns_), append(index, begin),
-        append(index, end - begin);
-    append_text(index, index_positions);
-    append(index, written_ - end), append_text(index, ""), append(index, std::uint64_t(chunk_.size()));
-    append(index, std::uint64_t(chunk_.size()));
-    chunk_indices_ += encode_record(kChunkIndex, index);
+    append_binary_value(index, chunk_first_ns_), append_binary_value(index, chunk_last_ns_),
+        append_binary_value(index, begin), append_binary_value(index, end - begin);
+    append_length_prefixed_text(index, index_positions);
+    append_binary_value(index, written_ - end), append_length_prefixed_text(index, ""),
+        append_binary_value(index, std::uint64_t(chunk_.size()));
+    append_binary_value(index, std::uint64_t(chunk_.size()));
+    chunk_indices_ += encode_mcap_record(kChunkIndex, index);
     ++n_chunks_;
     first_ns_ = std::min(first_ns_, chunk_first_ns_), last_ns_ = std::max(last_ns_, chunk_last_ns_);
     chunk_.clear(), chunk_index_.clear();
     chunk_first_ns_ = UINT64_MAX, chunk_last_ns_ = 0;
 }
 
-std::string McapWriter::statistics() const {
+std::string McapWriter::encode_statistics_record() const {
     std::string body, counts;
     std::uint64_t n_messages = 0;
-    for (const auto& [channel, n] : n_messages_) append(counts, channel), append(counts, n), n_messages += n;
-    append(body, n_messages), append(body, n_schemas_), append(body, std::uint32_t(n_messages_.size()));
+    for (const auto& [channel, n] : n_messages_)
+        append_binary_value(counts, channel), append_binary_value(counts, n), n_messages += n;
+    append_binary_value(body, n_messages), append_binary_value(body, n_schemas_),
+        append_binary_value(body, std::uint32_t(n_messages_.size()));
     // The number of attachments is 0.
-    append(body, std::uint32_t(0)), append(body, n_metadata_), append(body, n_chunks_);
-    append(body, n_messages ? first_ns_ : std::uint64_t(0)), append(body, last_ns_);
-    append_text(body, counts);
-    return encode_record(kStatistics, body);
+    append_binary_value(body, std::uint32_t(0)), append_binary_value(body, n_metadata_),
+        append_binary_value(body, n_chunks_);
+    append_binary_value(body, n_messages ? first_ns_ : std::uint64_t(0)), append_binary_value(body, last_ns_);
+    append_length_prefixed_text(body, counts);
+    return encode_mcap_record(kStatistics, body);
 }
 
 /// Returns the bytes of the summary section at the end of the file. Records with the same
 /// code form a group.
 /// @param groups receives the position of each group
-std::string McapWriter::summary(std::vector<Group>& groups) const {
+std::string McapWriter::encode_summary_section(std::vector<SummaryRecordGroup>& groups) const {
     std::string bytes;
-    const auto add = [&](Code code, const std::string& records) {
+    const auto add = [&](McapRecordCode code, const std::string& records) {
         if (!records.empty()) groups.push_back({code, written_ + bytes.size(), records.size()});
         bytes += records;
     };
-    add(kSchema, schemas_), add(kChannel, channels_), add(kStatistics, statistics());
+    add(kSchema, schemas_), add(kChannel, channels_), add(kStatistics, encode_statistics_record());
     add(kChunkIndex, chunk_indices_), add(kMetadataIndex, metadata_indices_);
     return bytes;
 }
 
 void McapWriter::close() {
-    end_chunk();
+    write_pending_chunk();
     std::string end, footer;
     // Checksum 0 means that the file has no checksum. Each chunk has one instead.
-    append(end, std::uint32_t(0));
-    put(encode_record(kDataEnd, end));
+    append_binary_value(end, std::uint32_t(0));
+    write_to_file(encode_mcap_record(kDataEnd, end));
     const std::uint64_t begin = written_;
-    std::vector<Group> groups;
-    put(summary(groups));
+    std::vector<SummaryRecordGroup> groups;
+    write_to_file(encode_summary_section(groups));
     const std::uint64_t offsets = written_;
-    for (const Group& group : groups) {
+    for (const SummaryRecordGroup& group : groups) {
         std::string body;
-        append(body, group.code), append(body, group.begin), append(body, group.n_bytes);
-        put(encode_record(kSummaryOffset, body));
+        append_binary_value(body, group.code), append_binary_value(body, group.begin),
+            append_binary_value(body, group.n_bytes);
+        write_to_file(encode_mcap_record(kSummaryOffset, body));
     }
-    append(footer, begin), append(footer, offsets), append(footer, std::uint32_t(0));
-    put(encode_record(kFooter, footer));
-    put(kMagic);
+    append_binary_value(footer, begin), append_binary_value(footer, offsets),
+        append_binary_value(footer, std::uint32_t(0));
+    write_to_file(encode_mcap_record(kFooter, footer));
+    write_to_file(kMagic);
     file_.close();
     if (!file_) throw DataError(fmt::format("cannot write '{}': the disk is probably full", path_.string()));
 }

@@ -17,7 +17,7 @@ namespace relidar::scan_files {
 /// Writer of an MCAP file.
 class McapWriter {
 public:
-    using Values = std::map<std::string, std::string>;  ///< Maps names to values.
+    using McapMetadataMap = std::map<std::string, std::string>;  ///< Maps names to values.
 
     /// Creates an MCAP file.
     /// @param profile "ros2" for messages of ROS 2, otherwise empty
@@ -29,21 +29,21 @@ public:
     /// @return id of the schema or channel
     std::uint16_t add_schema(std::string_view name, std::string_view encoding, std::string_view definition);
     std::uint16_t add_channel(std::uint16_t schema, std::string_view topic, std::string_view encoding,
-                              const Values& metadata = {});
-    void add_metadata(std::string_view name, const Values& values);
-    void add_message(std::uint16_t channel, std::uint64_t time_ns, std::string_view message);
+                              const McapMetadataMap& metadata = {});
+    void add_metadata(std::string_view name, const McapMetadataMap& values);
+    void add_message(std::uint16_t channel_id, std::uint64_t time_ns, std::string_view message);
     /// Writes all messages since the last call as one chunk. Readers load one chunk at a
     /// time.
-    void end_chunk();
+    void write_pending_chunk();
     /// Writes the summary and the footer, which readers read first. Call this function
     /// last.
     void close();
 
 private:
-    struct Indexed {
+    struct MessageIndexEntry {
         std::uint64_t time_ns, offset;  ///< Offset of the message in the chunk.
     };
-    struct Group {
+    struct SummaryRecordGroup {
         std::uint8_t code;             ///< Code of the records in the group.
         std::uint64_t begin, n_bytes;  ///< Position and size of the group in the file.
     };
@@ -58,12 +58,12 @@ private:
     std::uint64_t first_ns_ = UINT64_MAX, last_ns_ = 0;  ///< First and last time of all messages.
 
     std::string chunk_;
-    std::map<std::uint16_t, std::vector<Indexed>> chunk_index_;
+    std::map<std::uint16_t, std::vector<MessageIndexEntry>> chunk_index_;
     std::uint64_t chunk_first_ns_ = UINT64_MAX, chunk_last_ns_ = 0;
 
-    void put(std::string_view bytes);
-    std::string statistics() const;
-    std::string summary(std::vector<Group>& groups) const;
+    void write_to_file(std::string_view bytes);
+    std::string encode_statistics_record() const;
+    std::string encode_summary_section(std::vector<SummaryRecordGroup>& groups) const;
 };
 
 }  // namespace relidar::scan_files

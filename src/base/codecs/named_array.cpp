@@ -21,9 +21,9 @@ template <class T>
 NamedArray make_typed_array(std::string name, std::vector<std::size_t> shape, const char* dtype,
                             const T* values, std::size_t count) {
     NamedArray array{std::move(name), dtype, std::move(shape), {}};
-    if (array.count() != count)
+    if (array.count_elements() != count)
         throw DataError(fmt::format("array '{}' has {} values, expected {} for the shape [{}]", array.name,
-                                    count, array.count(), fmt::join(array.shape, ", ")));
+                                    count, array.count_elements(), fmt::join(array.shape, ", ")));
     array.bytes.resize(count * sizeof(T));
     if (count > 0) std::memcpy(array.bytes.data(), values, array.bytes.size());
     return array;
@@ -46,7 +46,7 @@ struct Half {
 };
 
 template <class Out, class T>
-std::vector<Out> convert(const NamedArray& array) {
+std::vector<Out> convert_elements(const NamedArray& array) {
     std::vector<Out> result(array.bytes.size() / sizeof(T));
     for (std::size_t i = 0; i < result.size(); ++i) {
         T value;
@@ -60,20 +60,20 @@ template <class Out>
 using Converter = std::vector<Out> (*)(const NamedArray&);
 
 template <class Out>
-Converter<Out> find_converter(std::string_view dtype) {
+Converter<Out> find_element_converter(std::string_view dtype) {
     static constexpr std::array<std::pair<std::string_view, Converter<Out>>, 12> kConverters{{
-        {"f2", convert<Out, Half>},
-        {"f4", convert<Out, float>},
-        {"f8", convert<Out, double>},
-        {"i1", convert<Out, std::int8_t>},
-        {"i2", convert<Out, std::int16_t>},
-        {"i4", convert<Out, std::int32_t>},
-        {"i8", convert<Out, std::int64_t>},
-        {"u1", convert<Out, std::uint8_t>},
-        {"u2", convert<Out, std::uint16_t>},
-        {"u4", convert<Out, std::uint32_t>},
-        {"u8", convert<Out, std::uint64_t>},
-        {"b1", convert<Out, std::uint8_t>},
+        {"f2", convert_elements<Out, Half>},
+        {"f4", convert_elements<Out, float>},
+        {"f8", convert_elements<Out, double>},
+        {"i1", convert_elements<Out, std::int8_t>},
+        {"i2", convert_elements<Out, std::int16_t>},
+        {"i4", convert_elements<Out, std::int32_t>},
+        {"i8", convert_elements<Out, std::int64_t>},
+        {"u1", convert_elements<Out, std::uint8_t>},
+        {"u2", convert_elements<Out, std::uint16_t>},
+        {"u4", convert_elements<Out, std::uint32_t>},
+        {"u8", convert_elements<Out, std::uint64_t>},
+        {"b1", convert_elements<Out, std::uint8_t>},
     }};
     for (const auto& [name, function] : kConverters)
         if (name == dtype) return function;
@@ -81,9 +81,9 @@ Converter<Out> find_converter(std::string_view dtype) {
 }
 
 template <class Out>
-std::vector<Out> convert_values(const NamedArray& array) {
-    report_detail::check_array(array);
-    const Converter<Out> function = find_converter<Out>(array.dtype);
+std::vector<Out> check_and_convert_elements(const NamedArray& array) {
+    report_detail::check_array_type_and_size(array);
+    const Converter<Out> function = find_element_converter<Out>(array.dtype);
     if (!function)
         throw DataError(
             fmt::format("array '{}' has the type '{}', which is not a number type", array.name, array.dtype));
@@ -91,7 +91,7 @@ std::vector<Out> convert_values(const NamedArray& array) {
 }
 
 /// Converts UTF-8 to Unicode code points. Replaces each invalid byte with U+FFFD.
-std::u32string decode_code_points(std::string_view utf8) {
+std::u32string decode_utf8_code_points(std::string_view utf8) {
     // Smallest code point for each length of a UTF-8 sequence. A longer sequence for a
     // smaller code point is invalid (overlong encoding).
     constexpr char32_t kReplacement = 0xFFFD, kLeast[] = {0, 0x80, 0x800, 0x10000};
@@ -121,7 +121,7 @@ std::u32string decode_code_points(std::string_view utf8) {
 
 namespace report_detail {
 
-std::size_t get_item_size(std::string_view dtype) {
+std::size_t get_element_size_bytes(std::string_view dtype) {
     if (dtype.starts_with('S') || dtype.starts_with('U')) {
         std::uint32_t length = 0;
         const auto [end, error] = std::from_chars(dtype.data() + 1, dtype.data() + dtype.size(), length);
@@ -129,13 +129,13 @@ std::size_t get_item_size(std::string_view dtype) {
                    ? length * (dtype[0] == 'U' ? sizeof(char32_t) : 1)
                    : 0;
     }
-    if (!find_converter<float>(dtype)) return 0;
+    if (!find_element_converter<float>(dtype)) return 0;
     return std::size_t(dtype[1] - '0');
 }
 
-std::optional<std::size_t> compute_byte_count(const std::vector<std::size_t>& shape,
-                                              std::size_t get_item_size) {
-    std::size_t product = get_item_size;
+std::optional<std::size_t> compute_array_size_bytes(const std::vector<std::size_t>& shape,
+                                                    std::size_t element_size_bytes) {
+    std::size_t product = element_size_bytes;
     bool overflow = false, empty = false;
     for (std::size_t extent : shape) {
         empty = empty || extent == 0;
@@ -146,13 +146,13 @@ std::optional<std::size_t> compute_byte_count(const std::vector<std::size_t>& sh
     return product;
 }
 
-void check_array(const NamedArray& array) {
+void check_array_type_and_size(const NamedArray& array) {
     if (array.name.empty()) throw DataError("an array has no name");
-    const std::size_t size = get_item_size(array.dtype);
+    const std::size_t size = get_element_size_bytes(array.dtype);
     if (size == 0)
         throw DataError(
             fmt::format("array '{}' has the type '{}', which is not supported", array.name, array.dtype));
-    const auto expected = compute_byte_count(array.shape, size);
+    const auto expected = compute_array_size_bytes(array.shape, size);
     if (!expected || *expected != array.bytes.size())
         throw DataError(
             fmt::format("array '{}' has {} bytes, which do not fit the shape [{}] and the type {}",
@@ -161,8 +161,8 @@ void check_array(const NamedArray& array) {
 
 }  // namespace report_detail
 
-std::size_t NamedArray::count() const {
-    const auto n = report_detail::compute_byte_count(shape, 1);
+std::size_t NamedArray::count_elements() const {
+    const auto n = report_detail::compute_array_size_bytes(shape, 1);
     if (!n)
         throw DataError(
             fmt::format("array '{}' has the shape [{}], which is too large", name, fmt::join(shape, ", ")));
@@ -170,12 +170,14 @@ std::size_t NamedArray::count() const {
 }
 
 const NamedArray* find_array(const std::vector<NamedArray>& arrays, std::string_view name) {
-    const auto found = std::ranges::find(arrays, name, &NamedArray::name);
-    return found == arrays.end() ? nullptr : &*found;
+    const auto match = std::ranges::find(arrays, name, &NamedArray::name);
+    return match == arrays.end() ? nullptr : &*match;
 }
 
-std::vector<float> NamedArray::as_float() const { return convert_values<float>(*this); }
-std::vector<double> NamedArray::as_double() const { return convert_values<double>(*this); }
+std::vector<float> NamedArray::convert_to_floats() const { return check_and_convert_elements<float>(*this); }
+std::vector<double> NamedArray::convert_to_doubles() const {
+    return check_and_convert_elements<double>(*this);
+}
 
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const float* values,
                       std::size_t count) {
@@ -195,7 +197,7 @@ NamedArray make_array(std::string name, std::vector<std::size_t> shape, const st
     return make_typed_array(std::move(name), std::move(shape), "u2", values, count);
 }
 
-NamedArray make_text(std::string name, const std::string& text) {
+NamedArray make_single_text_array(std::string name, const std::string& text) {
     NamedArray array = make_text_array(std::move(name), {text});
     array.shape = {};
     return array;
@@ -205,7 +207,7 @@ NamedArray make_text_array(std::string name, const std::vector<std::string>& tex
     std::vector<std::u32string> letters;
     std::size_t length = 1;
     for (const std::string& text : texts)
-        length = std::max(length, letters.emplace_back(decode_code_points(text)).size());
+        length = std::max(length, letters.emplace_back(decode_utf8_code_points(text)).size());
     const std::size_t size = length * sizeof(char32_t);
     NamedArray array{std::move(name),
                      fmt::format("U{}", length),

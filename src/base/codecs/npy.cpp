@@ -24,24 +24,26 @@ constexpr std::string_view kNpyMagic{"\x93NUMPY", 6};
 constexpr std::size_t kAlignment = 64;
 
 /// Parses the header of a .npy file, which is a Python dict, from left to right.
-class HeaderParser {
+class NpyHeaderParser {
 public:
-    explicit HeaderParser(std::string_view text) : text_(text) {}
+    explicit NpyHeaderParser(std::string_view text) : text_(text) {}
 
-    void parse() {
-        expect('{');
-        while (!accept('}')) {
-            const std::string key = quoted();
-            expect(':');
+    void parse_header() {
+        skip_required_character('{');
+        while (!skip_character_if_next('}')) {
+            const std::string key = parse_quoted_string();
+            skip_required_character(':');
             if (key == "descr")
-                descr = peek('[') ? refuse("contains a struct type, expected a plain number type") : quoted();
-            else if (key == "fortran_order") fortran_order = boolean();
-            else if (key == "shape") shape = tuple();
-            else refuse("has the unknown key '" + key + "'");
-            if (!accept(',') && !peek('}')) refuse("is malformed");
+                descr = is_next_character('[')
+                            ? throw_header_error("contains a struct type, expected a plain number type")
+                            : parse_quoted_string();
+            else if (key == "fortran_order") fortran_order = parse_boolean();
+            else if (key == "shape") shape = parse_integer_tuple();
+            else throw_header_error("has the unknown key '" + key + "'");
+            if (!skip_character_if_next(',') && !is_next_character('}')) throw_header_error("is malformed");
         }
         if (!descr || !fortran_order || !shape)
-            refuse("has no descr, fortran_order or shape, expected all of them");
+            throw_header_error("has no descr, fortran_order or shape, expected all of them");
     }
 
     std::optional<std::string> descr;
@@ -49,58 +51,58 @@ public:
     std::optional<std::vector<std::size_t>> shape;
 
 private:
-    [[noreturn]] static std::string refuse(const std::string& why) {
-        throw DataError("the npy header " + why);
+    [[noreturn]] static std::string throw_header_error(const std::string& reason) {
+        throw DataError("the npy header " + reason);
     }
 
-    bool peek(char character) {
+    bool is_next_character(char character) {
         while (!text_.empty() && (text_[0] == ' ' || text_[0] == '\n' || text_[0] == '\t'))
             text_.remove_prefix(1);
         return !text_.empty() && text_[0] == character;
     }
-    bool accept(char character) {
-        if (!peek(character)) return false;
+    bool skip_character_if_next(char character) {
+        if (!is_next_character(character)) return false;
         text_.remove_prefix(1);
         return true;
     }
-    void expect(char character) {
-        if (!accept(character)) refuse("is malformed");
+    void skip_required_character(char character) {
+        if (!skip_character_if_next(character)) throw_header_error("is malformed");
     }
-    bool accept_word(std::string_view word) {
-        peek(' ');
+    bool skip_word_if_next(std::string_view word) {
+        is_next_character(' ');
         if (!text_.starts_with(word)) return false;
         text_.remove_prefix(word.size());
         return true;
     }
-    std::string quoted() {
-        const char quote = peek('"') ? '"' : '\'';
-        expect(quote);
+    std::string parse_quoted_string() {
+        const char quote = is_next_character('"') ? '"' : '\'';
+        skip_required_character(quote);
         const std::size_t end = text_.find(quote);
-        if (end == std::string_view::npos) refuse("is malformed");
+        if (end == std::string_view::npos) throw_header_error("is malformed");
         std::string result(text_.substr(0, end));
         text_.remove_prefix(end + 1);
         return result;
     }
-    bool boolean() {
-        if (accept_word("True")) return true;
-        if (accept_word("False")) return false;
-        refuse("is malformed");
+    bool parse_boolean() {
+        if (skip_word_if_next("True")) return true;
+        if (skip_word_if_next("False")) return false;
+        throw_header_error("is malformed");
     }
-    std::size_t integer() {
-        peek(' ');
+    std::size_t parse_integer() {
+        is_next_character(' ');
         std::size_t value = 0;
         const auto [end, error] = std::from_chars(text_.data(), text_.data() + text_.size(), value);
-        if (error != std::errc()) refuse("contains an invalid shape");
+        if (error != std::errc()) throw_header_error("contains an invalid shape");
         text_.remove_prefix(std::size_t(end - text_.data()));
-        accept('L');  // Accepts the suffix L, which Python 2 writes after long integers.
+        skip_character_if_next('L');  // Accepts the suffix L, which Python 2 writes after long integers.
         return value;
     }
-    std::vector<std::size_t> tuple() {
+    std::vector<std::size_t> parse_integer_tuple() {
         std::vector<std::size_t> result;
-        expect('(');
-        while (!accept(')')) {
-            result.push_back(integer());
-            if (!accept(',') && !peek(')')) refuse("is malformed");
+        skip_required_character('(');
+        while (!skip_character_if_next(')')) {
+            result.push_back(parse_integer());
+            if (!skip_character_if_next(',') && !is_next_character(')')) throw_header_error("is malformed");
         }
         return result;
     }
@@ -108,26 +110,26 @@ private:
     std::string_view text_;
 };
 
-std::string parse_type_descriptor(const std::string& descr) {
-    const std::string_view type = std::string_view(descr).substr(descr.empty() ? 0 : 1);
-    const char order = descr.empty() ? '?' : descr[0];
-    const std::size_t size = get_item_size(type);
-    if (size == 0) throw DataError(fmt::format("type '{}' is not supported", descr));
+std::string parse_numpy_type(const std::string& type_descriptor) {
+    const std::string_view type = std::string_view(type_descriptor).substr(type_descriptor.empty() ? 0 : 1);
+    const char order = type_descriptor.empty() ? '?' : type_descriptor[0];
+    const std::size_t size = get_element_size_bytes(type);
+    if (size == 0) throw DataError(fmt::format("type '{}' is not supported", type_descriptor));
     if (order != '<' && !(order == '|' && (size == 1 || type.starts_with('S'))))
-        throw DataError(fmt::format("type '{}' is not little-endian", descr));
+        throw DataError(fmt::format("type '{}' is not little-endian", type_descriptor));
     return std::string(type);
 }
 
-std::uint32_t little_endian(const std::byte* bytes, std::size_t count) {
+std::uint32_t read_little_endian_uint32(const std::byte* bytes, std::size_t n_bytes) {
     std::uint32_t value = 0;
-    std::memcpy(&value, bytes, count);
+    std::memcpy(&value, bytes, n_bytes);
     return value;
 }
 
 }  // namespace
 
 std::string make_npy_header(const NamedArray& array) {
-    const char order = get_item_size(array.dtype) == 1 || array.dtype.starts_with('S') ? '|' : '<';
+    const char order = get_element_size_bytes(array.dtype) == 1 || array.dtype.starts_with('S') ? '|' : '<';
     std::string shape;
     for (std::size_t extent : array.shape) shape += fmt::format("{}, ", extent);
     if (array.shape.size() > 1) shape.resize(shape.size() - 2);
@@ -155,21 +157,22 @@ NamedArray parse_npy(const std::string& name, const std::vector<std::byte>& byte
     if (version < 1 || version > 3)
         throw DataError(fmt::format("the file has npy version {}, expected 1 to 3", version));
     const std::size_t n_length = version == 1 ? 2 : 4, start = 8 + n_length;
-    const std::size_t length = little_endian(bytes.data() + 8, n_length);
+    const std::size_t length = read_little_endian_uint32(bytes.data() + 8, n_length);
     if (length > bytes.size() - start)
         throw DataError(fmt::format("the npy header should have {} bytes, but only {} bytes are left", length,
                                     bytes.size() - start));
 
-    HeaderParser header({reinterpret_cast<const char*>(bytes.data()) + start, length});
-    header.parse();
-    NamedArray array{name, parse_type_descriptor(*header.descr), *header.shape, {}};
+    NpyHeaderParser header({reinterpret_cast<const char*>(bytes.data()) + start, length});
+    header.parse_header();
+    NamedArray array{name, parse_numpy_type(*header.descr), *header.shape, {}};
     if (*header.fortran_order)
         throw DataError("the values are in Fortran (column-major) order, expected row-major");
-    const auto expected = compute_byte_count(array.shape, get_item_size(array.dtype));
-    const std::size_t found = bytes.size() - start - length;
-    if (!expected || *expected != found)
-        throw DataError(fmt::format("the {} bytes of values do not fit the shape of the array", found));
-    array.bytes.assign(bytes.end() - std::ptrdiff_t(found), bytes.end());
+    const auto n_expected_bytes = compute_array_size_bytes(array.shape, get_element_size_bytes(array.dtype));
+    const std::size_t n_value_bytes = bytes.size() - start - length;
+    if (!n_expected_bytes || *n_expected_bytes != n_value_bytes)
+        throw DataError(
+            fmt::format("the {} bytes of values do not fit the shape of the array", n_value_bytes));
+    array.bytes.assign(bytes.end() - std::ptrdiff_t(n_value_bytes), bytes.end());
     return array;
 }
 

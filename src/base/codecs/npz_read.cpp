@@ -33,11 +33,11 @@ constexpr std::size_t kMaxExpansion = 1032;
 // Maximum number of bytes in one call of zlib, which counts bytes with 32 bits.
 constexpr std::size_t kPiece = 1 << 30;
 
-/// Bytes of the zip archive. part() checks the bounds.
-struct Archive {
+/// Bytes of the zip archive. get_byte_range() checks the bounds.
+struct ZipArchiveBytes {
     std::vector<std::byte> bytes;
 
-    std::span<const std::byte> part(std::uint64_t offset, std::uint64_t n_bytes) const {
+    std::span<const std::byte> get_byte_range(std::uint64_t offset, std::uint64_t n_bytes) const {
         if (offset > bytes.size() || n_bytes > bytes.size() - offset)
             throw DataError(fmt::format("expected {} bytes at byte {}, but the file has only {} bytes",
                                         n_bytes, offset, bytes.size()));
@@ -54,18 +54,18 @@ T read_zip_field(std::span<const std::byte> bytes, std::size_t offset) {
     return value;
 }
 
-struct Directory {
+struct ZipDirectoryLocation {
     std::uint64_t n_entries = 0, size = 0, offset = 0;
 };
 
 /// Returns the position of the zip end record. This is the last record whose comment ends
 /// exactly at the end of the file.
-std::size_t find_zip_end_record(const Archive& archive) {
+std::size_t find_zip_end_record_offset(const ZipArchiveBytes& archive) {
     const std::size_t n = archive.bytes.size();
     if (n < kEndSize)
         throw DataError(fmt::format("the file has {} bytes, which is too short for a zip archive", n));
     for (std::size_t back = kEndSize; back <= std::min<std::size_t>(n, kEndSize + 0xFFFF); ++back) {
-        const auto record = archive.part(n - back, kEndSize);
+        const auto record = archive.get_byte_range(n - back, kEndSize);
         if (read_zip_field<std::uint32_t>(record, 0) == kEndSignature &&
             read_zip_field<std::uint16_t>(record, 20) == back - kEndSize)
             return n - back;
@@ -73,17 +73,18 @@ std::size_t find_zip_end_record(const Archive& archive) {
     throw DataError("the file is not a zip archive, or it is truncated");
 }
 
-Directory find_directory(const Archive& archive) {
-    const std::size_t end = find_zip_end_record(archive);
-    const auto record = archive.part(end, kEndSize);
-    Directory directory{read_zip_field<std::uint16_t>(record, 10), read_zip_field<std::uint32_t>(record, 12),
-                        read_zip_field<std::uint32_t>(record, 16)};
+ZipDirectoryLocation locate_zip_directory(const ZipArchiveBytes& archive) {
+    const std::size_t end = find_zip_end_record_offset(archive);
+    const auto record = archive.get_byte_range(end, kEndSize);
+    ZipDirectoryLocation directory{read_zip_field<std::uint16_t>(record, 10),
+                                   read_zip_field<std::uint32_t>(record, 12),
+                                   read_zip_field<std::uint32_t>(record, 16)};
     const bool see64 =
         directory.n_entries == 0xFFFF || directory.size == kSee64 || directory.offset == kSee64;
     if (see64 && end >= kLocator64Size) {
-        const auto locator = archive.part(end - kLocator64Size, kLocator64Size);
+        const auto locator = archive.get_byte_range(end - kLocator64Size, kLocator64Size);
         if (read_zip_field<std::uint32_t>(locator, 0) == kLocator64Signature) {
-            const auto end64 = archive.part(read_zip_field<std::uint64_t>(locator, 8), kEnd64Size);
+            const auto end64 = archive.get_byte_range(read_zip_field<std::uint64_t>(locator, 8), kEnd64Size);
             if (read_zip_field<std::uint32_t>(end64, 0) != kEnd64Signature)
                 throw DataError("the zip64 end record is damaged");
             directory = {read_zip_field<std::uint64_t>(end64, 32), read_zip_field<std::uint64_t>(end64, 40),
@@ -107,15 +108,15 @@ struct NpzEntry {
 
 /// Reads 64-bit values from the zip64 extra field. This field contains only the values
 /// whose 32-bit value is 0xFFFFFFFF, which means "see zip64".
-void apply_zip64(NpzEntry& entry, std::span<const std::byte> extra) {
-    for (std::size_t at = 0; at + 4 <= extra.size();) {
-        const std::size_t size = read_zip_field<std::uint16_t>(extra, at + 2);
-        if (read_zip_field<std::uint16_t>(extra, at) == kZip64Extra) {
+void apply_zip64_extra_field(NpzEntry& entry, std::span<const std::byte> extra_fields) {
+    for (std::size_t at = 0; at + 4 <= extra_fields.size();) {
+        const std::size_t size = read_zip_field<std::uint16_t>(extra_fields, at + 2);
+        if (read_zip_field<std::uint16_t>(extra_fields, at) == kZip64Extra) {
             std::size_t field = at + 4;
             for (std::uint64_t* value : {&entry.size, &entry.packed_size, &entry.offset}) {
                 if (*value != kSee64) continue;
-                *value =
-                    read_zip_field<std::uint64_t>(extra.first(std::min(extra.size(), at + 4 + size)), field);
+                *value = read_zip_field<std::uint64_t>(
+                    extra_fields.first(std::min(extra_fields.size(), at + 4 + size)), field);
                 field += 8;
             }
             return;
@@ -126,8 +127,8 @@ void apply_zip64(NpzEntry& entry, std::span<const std::byte> extra) {
 
 /// Parses the zip directory entry at position `offset`. Then advances `offset` to the
 /// next entry.
-NpzEntry parse_entry(std::span<const std::byte> directory, std::size_t& offset) {
-    const auto record = directory.subspan(offset);
+NpzEntry parse_zip_directory_entry(std::span<const std::byte> directory_bytes, std::size_t& offset) {
+    const auto record = directory_bytes.subspan(offset);
     if (read_zip_field<std::uint32_t>(record, 0) != kCentralSignature || record.size() < kCentralSize)
         throw DataError("the zip directory is damaged");
     NpzEntry entry;
@@ -143,13 +144,14 @@ NpzEntry parse_entry(std::span<const std::byte> directory, std::size_t& offset) 
     if (n_name + n_extra + n_comment > record.size() - kCentralSize)
         throw DataError("the zip directory is truncated");
     entry.name.assign(reinterpret_cast<const char*>(record.data()) + kCentralSize, n_name);
-    apply_zip64(entry, record.subspan(kCentralSize + n_name, n_extra));
+    apply_zip64_extra_field(entry, record.subspan(kCentralSize + n_name, n_extra));
     offset += kCentralSize + n_name + n_extra + n_comment;
     return entry;
 }
 
-std::vector<std::byte> inflate_bytes(std::span<const std::byte> packed, std::size_t size) {
-    std::vector<std::byte> result(size);
+std::vector<std::byte> inflate_bytes(std::span<const std::byte> compressed_bytes,
+                                     std::size_t uncompressed_size) {
+    std::vector<std::byte> result(uncompressed_size);
     z_stream stream{};
     if (inflateInit2(&stream, -MAX_WBITS) != Z_OK) throw std::bad_alloc();
     int status = Z_OK;
@@ -157,29 +159,30 @@ std::vector<std::byte> inflate_bytes(std::span<const std::byte> packed, std::siz
     // zlib requires a valid output pointer, even if the output is empty.
     Bytef none = 0;
     while (status == Z_OK) {
-        stream.next_in = reinterpret_cast<Bytef*>(const_cast<std::byte*>(packed.data() + consumed));
-        stream.avail_in = uInt(std::min(packed.size() - consumed, kPiece));
-        stream.next_out = size > 0 ? reinterpret_cast<Bytef*>(result.data() + produced) : &none;
-        stream.avail_out = uInt(std::min(size - produced, kPiece));
+        stream.next_in = reinterpret_cast<Bytef*>(const_cast<std::byte*>(compressed_bytes.data() + consumed));
+        stream.avail_in = uInt(std::min(compressed_bytes.size() - consumed, kPiece));
+        stream.next_out = uncompressed_size > 0 ? reinterpret_cast<Bytef*>(result.data() + produced) : &none;
+        stream.avail_out = uInt(std::min(uncompressed_size - produced, kPiece));
         const uInt n_in = stream.avail_in, n_out = stream.avail_out;
         status = ::inflate(&stream, Z_NO_FLUSH);
         consumed += n_in - stream.avail_in;
         produced += n_out - stream.avail_out;
     }
     inflateEnd(&stream);
-    if (status != Z_STREAM_END || produced != size)
-        throw DataError(fmt::format("the compressed data unpack to {} bytes, expected {}", produced, size));
+    if (status != Z_STREAM_END || produced != uncompressed_size)
+        throw DataError(
+            fmt::format("the compressed data unpack to {} bytes, expected {}", produced, uncompressed_size));
     return result;
 }
 
-std::vector<std::byte> decompress_entry(const Archive& archive, const NpzEntry& entry) {
+std::vector<std::byte> decompress_zip_entry(const ZipArchiveBytes& archive, const NpzEntry& entry) {
     if (entry.flags & 1) throw DataError("it is encrypted");
-    const auto local = archive.part(entry.offset, kLocalSize);
+    const auto local = archive.get_byte_range(entry.offset, kLocalSize);
     if (read_zip_field<std::uint32_t>(local, 0) != kLocalSignature)
         throw DataError("the zip header is damaged");
     const std::uint64_t start = entry.offset + kLocalSize + read_zip_field<std::uint16_t>(local, 26) +
                                 read_zip_field<std::uint16_t>(local, 28);
-    const auto packed = archive.part(start, entry.packed_size);
+    const auto packed = archive.get_byte_range(start, entry.packed_size);
     std::vector<std::byte> bytes;
     if (entry.method == 0) {
         if (entry.size != entry.packed_size)
@@ -201,33 +204,33 @@ std::vector<std::byte> decompress_entry(const Archive& archive, const NpzEntry& 
     return bytes;
 }
 
-NamedArray read_array(const Archive& archive, const NpzEntry& entry) {
+NamedArray read_array_from_zip_entry(const ZipArchiveBytes& archive, const NpzEntry& entry) {
     constexpr std::string_view kSuffix = ".npy";
     try {
         if (entry.name.size() <= kSuffix.size() || !entry.name.ends_with(kSuffix))
             throw DataError("the entry is not a .npy array");
         return report_detail::parse_npy(entry.name.substr(0, entry.name.size() - kSuffix.size()),
-                                        decompress_entry(archive, entry));
+                                        decompress_zip_entry(archive, entry));
     } catch (const DataError& error) {
         throw DataError(fmt::format("entry '{}': {}", entry.name, error.what()));
     }
 }
 
-std::vector<NamedArray> parse_archive(const Archive& archive) {
-    const Directory directory = find_directory(archive);
-    const auto records = archive.part(directory.offset, directory.size);
+std::vector<NamedArray> parse_npz_arrays(const ZipArchiveBytes& archive) {
+    const ZipDirectoryLocation directory = locate_zip_directory(archive);
+    const auto records = archive.get_byte_range(directory.offset, directory.size);
     std::vector<NamedArray> arrays;
     std::set<std::string> names;
     std::uint64_t n_packed = 0;
     std::size_t at = 0;
     for (std::uint64_t i = 0; i < directory.n_entries; ++i) {
-        const NpzEntry entry = parse_entry(records, at);
+        const NpzEntry entry = parse_zip_directory_entry(records, at);
         if (!names.insert(entry.name).second)
             throw DataError(fmt::format("entry '{}' occurs twice, expected it once", entry.name));
         n_packed += std::min<std::uint64_t>(entry.packed_size, archive.bytes.size() + 1);
         // Rejects overlapping entries, which zip bombs use.
         if (n_packed > archive.bytes.size()) throw DataError("the zip entries of the file overlap");
-        arrays.push_back(read_array(archive, entry));
+        arrays.push_back(read_array_from_zip_entry(archive, entry));
     }
     return arrays;
 }
@@ -235,9 +238,9 @@ std::vector<NamedArray> parse_archive(const Archive& archive) {
 }  // namespace
 
 std::vector<NamedArray> read_npz(const std::filesystem::path& path) {
-    const Archive archive{report_detail::read_file(path)};
+    const ZipArchiveBytes archive{report_detail::read_file(path)};
     try {
-        return parse_archive(archive);
+        return parse_npz_arrays(archive);
     } catch (const DataError& error) {
         throw DataError(fmt::format("cannot read npz '{}': {}", path.string(), error.what()));
     }

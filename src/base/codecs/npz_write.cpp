@@ -33,7 +33,7 @@ constexpr std::uint64_t kLimit = std::numeric_limits<std::uint32_t>::max();
 
 /// A file in the zip archive. Its local header and the central directory both contain
 /// these values.
-struct Entry {
+struct ZipEntry {
     std::string name;
     std::uint32_t crc = 0, packed_size = 0, size = 0, offset = 0;
 };
@@ -53,8 +53,8 @@ public:
 
     /// Compresses one piece of the data.
     /// @param n_bytes below 4 GiB
-    /// @param last true for the last piece
-    void add(const void* data, std::size_t n_bytes, bool last) {
+    /// @param is_last_chunk true for the last piece
+    void compress_chunk(const void* data, std::size_t n_bytes, bool is_last_chunk) {
         const auto* bytes = static_cast<const Bytef*>(data);
         // Skips empty pieces, because zlib resets the checksum if the pointer is null.
         if (n_bytes > 0) crc = std::uint32_t(::crc32(crc, bytes, uInt(n_bytes)));
@@ -64,7 +64,7 @@ public:
             Bytef chunk[1 << 16];
             stream_.next_out = chunk;
             stream_.avail_out = sizeof chunk;
-            ::deflate(&stream_, last ? Z_FINISH : Z_NO_FLUSH);
+            ::deflate(&stream_, is_last_chunk ? Z_FINISH : Z_NO_FLUSH);
             packed.append(reinterpret_cast<const char*>(chunk), sizeof chunk - stream_.avail_out);
         } while (stream_.avail_out == 0);
     }
@@ -78,78 +78,79 @@ private:
 
 /// Appends the fields from "version needed" to "name length", which are the same in the
 /// local header and the central directory.
-void append_common(std::string& bytes, const Entry& entry) {
-    append(bytes, kVersion);
-    append(bytes, kUtf8Names);
-    append(bytes, kDeflated);
-    append(bytes, std::uint16_t(0));  // Zip field: modification time.
-    append(bytes, kDate);
-    append(bytes, entry.crc);
-    append(bytes, entry.packed_size);
-    append(bytes, entry.size);
-    append(bytes, std::uint16_t(entry.name.size()));
-    append(bytes, std::uint16_t(0));  // Zip field: length of the extra field.
+void append_common_header_fields(std::string& bytes, const ZipEntry& entry) {
+    append_binary_value(bytes, kVersion);
+    append_binary_value(bytes, kUtf8Names);
+    append_binary_value(bytes, kDeflated);
+    append_binary_value(bytes, std::uint16_t(0));  // Zip field: modification time.
+    append_binary_value(bytes, kDate);
+    append_binary_value(bytes, entry.crc);
+    append_binary_value(bytes, entry.packed_size);
+    append_binary_value(bytes, entry.size);
+    append_binary_value(bytes, std::uint16_t(entry.name.size()));
+    append_binary_value(bytes, std::uint16_t(0));  // Zip field: length of the extra field.
 }
 
-std::string make_local_header(const Entry& entry) {
+std::string make_zip_local_header(const ZipEntry& entry) {
     std::string bytes;
-    append(bytes, kLocalHeader);
-    append_common(bytes, entry);
+    append_binary_value(bytes, kLocalHeader);
+    append_common_header_fields(bytes, entry);
     return bytes + entry.name;
 }
 
-std::string make_central_header(const Entry& entry) {
+std::string make_zip_central_header(const ZipEntry& entry) {
     std::string bytes;
-    append(bytes, kCentralHeader);
-    append(bytes, kVersion);  // Zip field: version of the writer.
-    append_common(bytes, entry);
-    append(bytes, std::uint16_t(0));  // Zip field: length of the comment.
-    append(bytes, std::uint16_t(0));  // Zip field: disk number.
-    append(bytes, std::uint16_t(0));  // Zip field: internal file attributes.
-    append(bytes, std::uint32_t(0));  // Zip field: external file attributes.
-    append(bytes, entry.offset);
+    append_binary_value(bytes, kCentralHeader);
+    append_binary_value(bytes, kVersion);  // Zip field: version of the writer.
+    append_common_header_fields(bytes, entry);
+    append_binary_value(bytes, std::uint16_t(0));  // Zip field: length of the comment.
+    append_binary_value(bytes, std::uint16_t(0));  // Zip field: disk number.
+    append_binary_value(bytes, std::uint16_t(0));  // Zip field: internal file attributes.
+    append_binary_value(bytes, std::uint32_t(0));  // Zip field: external file attributes.
+    append_binary_value(bytes, entry.offset);
     return bytes + entry.name;
 }
 
-std::string make_zip_end_record(std::size_t n_entries, std::size_t directory_size,
+std::string make_zip_end_record(std::size_t n_entries, std::size_t directory_size_bytes,
                                 std::size_t directory_offset) {
     std::string bytes;
-    append(bytes, kEndRecord);
-    append(bytes, std::uint32_t(0));  // Zip fields: disk numbers.
-    append(bytes, std::uint16_t(n_entries));
-    append(bytes, std::uint16_t(n_entries));
-    append(bytes, std::uint32_t(directory_size));
-    append(bytes, std::uint32_t(directory_offset));
-    append(bytes, std::uint16_t(0));  // Zip field: length of the comment.
+    append_binary_value(bytes, kEndRecord);
+    append_binary_value(bytes, std::uint32_t(0));  // Zip fields: disk numbers.
+    append_binary_value(bytes, std::uint16_t(n_entries));
+    append_binary_value(bytes, std::uint16_t(n_entries));
+    append_binary_value(bytes, std::uint32_t(directory_size_bytes));
+    append_binary_value(bytes, std::uint32_t(directory_offset));
+    append_binary_value(bytes, std::uint16_t(0));  // Zip field: length of the comment.
     return bytes;
 }
 
-void check_size(const std::string& description, std::uint64_t n_bytes) {
+void check_npz_size_limit(const std::string& description, std::uint64_t n_bytes) {
     if (n_bytes >= kLimit)
         throw DataError(fmt::format("{} has {} bytes, but npz files have at most 4 GiB; use safetensors",
                                     description, n_bytes));
 }
 
-/// Writes an array to the zip file at `offset`.
+/// Writes an array to the zip file at `file_offset`.
 /// @return directory entry of the array
-Entry write_entry(report_detail::OutputFile& file, const NamedArray& array, std::size_t offset) {
+ZipEntry write_array_as_zip_entry(report_detail::OutputFile& file, const NamedArray& array,
+                                  std::size_t file_offset) {
     const std::string header = report_detail::make_npy_header(array);
-    check_size(fmt::format("array '{}'", array.name), header.size() + array.bytes.size());
+    check_npz_size_limit(fmt::format("array '{}'", array.name), header.size() + array.bytes.size());
     Deflater deflater;
-    deflater.add(header.data(), header.size(), false);
-    deflater.add(array.bytes.data(), array.bytes.size(), true);
-    check_size("the archive", offset + deflater.packed.size() + array.name.size() + 1024);
-    const Entry entry{array.name + ".npy", deflater.crc, std::uint32_t(deflater.packed.size()),
-                      std::uint32_t(header.size() + array.bytes.size()), std::uint32_t(offset)};
-    file.write(make_local_header(entry));
+    deflater.compress_chunk(header.data(), header.size(), false);
+    deflater.compress_chunk(array.bytes.data(), array.bytes.size(), true);
+    check_npz_size_limit("the archive", file_offset + deflater.packed.size() + array.name.size() + 1024);
+    const ZipEntry entry{array.name + ".npy", deflater.crc, std::uint32_t(deflater.packed.size()),
+                         std::uint32_t(header.size() + array.bytes.size()), std::uint32_t(file_offset)};
+    file.write(make_zip_local_header(entry));
     file.write(deflater.packed);
     return entry;
 }
 
-void check_archive_arrays(const std::vector<NamedArray>& arrays) {
+void check_arrays_fit_npz(const std::vector<NamedArray>& arrays) {
     std::set<std::string> names;
     for (const NamedArray& array : arrays) {
-        report_detail::check_array(array);
+        report_detail::check_array_type_and_size(array);
         if (array.name.size() > 0xFF00) throw DataError("an array name is too long");
         if (!names.insert(array.name).second)
             throw DataError(fmt::format("array name '{}' is used twice", array.name));
@@ -161,17 +162,17 @@ void check_archive_arrays(const std::vector<NamedArray>& arrays) {
 }  // namespace
 
 void write_npz(const std::filesystem::path& path, const std::vector<NamedArray>& arrays) {
-    write_atomically(path, [&](const std::filesystem::path& temporary) {
-        check_archive_arrays(arrays);
+    write_file_atomically(path, [&](const std::filesystem::path& temporary) {
+        check_arrays_fit_npz(arrays);
         report_detail::OutputFile file(temporary);
         std::size_t offset = 0;
         std::string directory;
         for (const NamedArray& array : arrays) {
-            const Entry entry = write_entry(file, array, offset);
-            offset += make_local_header(entry).size() + entry.packed_size;
-            directory += make_central_header(entry);
+            const ZipEntry entry = write_array_as_zip_entry(file, array, offset);
+            offset += make_zip_local_header(entry).size() + entry.packed_size;
+            directory += make_zip_central_header(entry);
         }
-        check_size("the archive", offset + directory.size());
+        check_npz_size_limit("the archive", offset + directory.size());
         file.write(directory);
         file.write(make_zip_end_record(arrays.size(), directory.size(), offset));
         file.close();

@@ -19,21 +19,22 @@ namespace relidar {
 
 namespace {
 
-void append_big_endian(std::string& bytes, std::uint32_t value) {
+void append_big_endian_uint32(std::string& bytes, std::uint32_t value) {
     for (int shift = 24; shift >= 0; shift -= 8) bytes += static_cast<char>(value >> shift);
 }
 
 /// Returns a PNG text chunk (iTXt) with a name and an uncompressed UTF-8 text. We write
 /// this chunk ourselves, because the simplified interface of libpng cannot write text.
-std::string make_text_chunk(const std::string& name, const std::string& text) {
+std::string make_png_text_chunk(const std::string& keyword, const std::string& text) {
     // Five zero bytes follow the name. They mean: end of the name, not compressed,
     // compression method 0, empty language, and empty translated name.
-    const std::string body = "iTXt" + name + std::string(5, '\0') + text;
+    const std::string body = "iTXt" + keyword + std::string(5, '\0') + text;
     std::string chunk;
-    append_big_endian(chunk, static_cast<std::uint32_t>(body.size() - 4));
+    append_big_endian_uint32(chunk, static_cast<std::uint32_t>(body.size() - 4));
     chunk += body;
-    append_big_endian(chunk, static_cast<std::uint32_t>(crc32(0, reinterpret_cast<const Bytef*>(body.data()),
-                                                              static_cast<uInt>(body.size()))));
+    append_big_endian_uint32(
+        chunk, static_cast<std::uint32_t>(
+                   crc32(0, reinterpret_cast<const Bytef*>(body.data()), static_cast<uInt>(body.size()))));
     return chunk;
 }
 
@@ -43,7 +44,7 @@ constexpr std::ptrdiff_t kAfterHeader = 8 + 25;
 
 }  // namespace
 
-std::vector<std::uint8_t> encode_png(const Image& image, const FileNotes& notes) {
+std::vector<std::uint8_t> encode_png(const Image& image, const FileMetadata& notes) {
     const std::size_t n = std::size_t(std::max(image.rows, 0)) * std::size_t(std::max(image.columns, 0)) * 3;
     if (n == 0 || image.rgb.size() != n)
         throw DataError(
@@ -64,12 +65,12 @@ std::vector<std::uint8_t> encode_png(const Image& image, const FileNotes& notes)
     if (!done) throw DataError("cannot encode a PNG image: " + message);
     bytes.resize(size);
     std::string chunks;
-    for (const auto& [name, text] : notes) chunks += make_text_chunk(name, text);
+    for (const auto& [name, text] : notes) chunks += make_png_text_chunk(name, text);
     bytes.insert(bytes.begin() + kAfterHeader, chunks.begin(), chunks.end());
     return bytes;
 }
 
-void write_png(const std::filesystem::path& path, const Image& image, const FileNotes& notes) {
+void write_png(const std::filesystem::path& path, const Image& image, const FileMetadata& notes) {
     const std::vector<std::uint8_t> bytes = encode_png(image, notes);
     report_detail::write_file(path, {reinterpret_cast<const char*>(bytes.data()), bytes.size()});
 }

@@ -24,8 +24,8 @@ namespace relidar {
 namespace {
 
 using Json = nlohmann::json;
-using report_detail::compute_byte_count;
-using report_detail::get_item_size;
+using report_detail::compute_array_size_bytes;
+using report_detail::get_element_size_bytes;
 
 // Maximum size of a header in bytes. The format allows 100 MB, but a parsed header needs
 // 24 times as much memory. Our headers have only a few kB.
@@ -50,37 +50,38 @@ constexpr std::array<std::pair<std::string_view, std::string_view>, 12> kTypes{{
 
 /// Returns the safetensors name of a numpy type.
 /// @throws DataError if safetensors has no such type, for example text
-std::string get_tensor_type(const std::string& dtype) {
-    const auto it =
-        std::find_if(kTypes.begin(), kTypes.end(), [&](const auto& type) { return type.second == dtype; });
+std::string convert_to_safetensors_type(const std::string& numpy_type) {
+    const auto it = std::find_if(kTypes.begin(), kTypes.end(),
+                                 [&](const auto& type) { return type.second == numpy_type; });
     if (it == kTypes.end())
-        throw DataError(fmt::format("the type '{}' is not supported by safetensors", dtype));
+        throw DataError(fmt::format("the type '{}' is not supported by safetensors", numpy_type));
     return std::string(it->first);
 }
 
-std::string get_numpy_type(const std::string& name, const std::string& type) {
-    const auto it =
-        std::find_if(kTypes.begin(), kTypes.end(), [&](const auto& known) { return known.first == type; });
+std::string convert_to_numpy_type(const std::string& array_name, const std::string& safetensors_type) {
+    const auto it = std::find_if(kTypes.begin(), kTypes.end(),
+                                 [&](const auto& known) { return known.first == safetensors_type; });
     if (it == kTypes.end())
-        throw DataError(
-            fmt::format("array '{}' has the type '{}', which is not supported", name, make_excerpt(type)));
+        throw DataError(fmt::format("array '{}' has the type '{}', which is not supported", array_name,
+                                    shorten_for_error_message(safetensors_type)));
     return std::string(it->second);
 }
 
 /// Returns the JSON header of a file. The header lists the arrays in the order of
 /// `arrays`.
-std::string make_header(const std::vector<NamedArray>& arrays,
-                        const std::map<std::string, std::string>& metadata) {
+std::string make_safetensors_header(const std::vector<NamedArray>& arrays,
+                                    const std::map<std::string, std::string>& metadata) {
     nlohmann::ordered_json header = nlohmann::ordered_json::object();
     if (!metadata.empty()) header[kMetadata] = metadata;
     std::size_t offset = 0;
     for (const NamedArray& array : arrays) {
-        report_detail::check_array(array);
+        report_detail::check_array_type_and_size(array);
         if (array.name == kMetadata || header.contains(array.name))
             throw DataError(fmt::format("array name '{}' is reserved or used twice", array.name));
         const std::size_t end = offset + array.bytes.size();
-        header[array.name] = {
-            {"dtype", get_tensor_type(array.dtype)}, {"shape", array.shape}, {"data_offsets", {offset, end}}};
+        header[array.name] = {{"dtype", convert_to_safetensors_type(array.dtype)},
+                              {"shape", array.shape},
+                              {"data_offsets", {offset, end}}};
         offset = end;
     }
     std::string text = header.dump();
@@ -92,25 +93,25 @@ std::string make_header(const std::vector<NamedArray>& arrays,
 
 /// Parsed header of a file. `names` contains the array names in file order. Sorting by
 /// data position could not restore this order, because empty arrays share a position.
-struct Header {
+struct SafetensorsHeader {
     Json json;
     std::vector<std::string> names;
     std::size_t data_start = 0;
 };
 
-Header parse_header(const std::vector<std::byte>& file) {
-    Header header;
+SafetensorsHeader parse_safetensors_header(const std::vector<std::byte>& file_bytes) {
+    SafetensorsHeader header;
     std::uint64_t size = 0;
-    if (file.size() < sizeof size)
-        throw DataError(fmt::format("the file has {} bytes, expected at least 8", file.size()));
-    std::memcpy(&size, file.data(), sizeof size);
+    if (file_bytes.size() < sizeof size)
+        throw DataError(fmt::format("the file has {} bytes, expected at least 8", file_bytes.size()));
+    std::memcpy(&size, file_bytes.data(), sizeof size);
     if (size > kMaxHeader)
         throw DataError(fmt::format("the header has {} bytes, expected at most {} bytes", size, kMaxHeader));
-    if (size > file.size() - sizeof size)
+    if (size > file_bytes.size() - sizeof size)
         throw DataError(fmt::format("the header should have {} bytes, but the file ends after {} bytes of it",
-                                    size, file.size() - sizeof size));
+                                    size, file_bytes.size() - sizeof size));
     header.data_start = sizeof size + size;
-    const char* text = reinterpret_cast<const char*>(file.data()) + sizeof size;
+    const char* text = reinterpret_cast<const char*>(file_bytes.data()) + sizeof size;
     header.json = Json::parse(
         text, text + size,
         [&](int depth, Json::parse_event_t event, const Json& parsed) {
@@ -125,74 +126,77 @@ Header parse_header(const std::vector<std::byte>& file) {
     for (const std::string& name : header.names) {
         if (name.size() > kMaxName)
             throw DataError(fmt::format("the name of array '{}' has {} bytes, expected at most {}",
-                                        make_excerpt(name), name.size(), kMaxName));
+                                        shorten_for_error_message(name), name.size(), kMaxName));
     }
     return header;
 }
 
 /// Returns a list of non-negative integers from a field of the header.
-std::vector<std::size_t> read_integer_array(const std::string& name, const Json& entry, const char* key) {
-    if (!entry.is_object() || !entry.contains(key) || !entry[key].is_array())
-        throw DataError(fmt::format("array '{}' has no list '{}'", name, key));
-    if (entry[key].size() > kMaxDimensions)
-        throw DataError(fmt::format("array '{}': '{}' contains {} numbers, expected at most {}", name, key,
-                                    entry[key].size(), kMaxDimensions));
+std::vector<std::size_t> parse_integer_list(const std::string& array_name, const Json& array_json,
+                                            const char* key) {
+    if (!array_json.is_object() || !array_json.contains(key) || !array_json[key].is_array())
+        throw DataError(fmt::format("array '{}' has no list '{}'", array_name, key));
+    if (array_json[key].size() > kMaxDimensions)
+        throw DataError(fmt::format("array '{}': '{}' contains {} numbers, expected at most {}", array_name,
+                                    key, array_json[key].size(), kMaxDimensions));
     std::vector<std::size_t> result;
-    for (const Json& value : entry[key]) {
+    for (const Json& value : array_json[key]) {
         if (!value.is_number_unsigned())
             throw DataError(
-                fmt::format("array '{}': '{}' contains a value of type {}, expected integers from 0", name,
-                            key, value.type_name()));
+                fmt::format("array '{}': '{}' contains a value of type {}, expected integers from 0",
+                            array_name, key, value.type_name()));
         result.push_back(value.get<std::size_t>());
     }
     return result;
 }
 
-struct Range {
+struct DataByteRange {
     std::size_t begin = 0, end = 0;
 };
 
 /// Parses the header entry of an array. Returns its name, type and shape, and the byte
 /// range of its data.
-std::pair<NamedArray, Range> parse_tensor(const std::string& name, const Json& entry, std::size_t n_data) {
-    if (!entry.is_object() || !entry.contains("dtype") || !entry["dtype"].is_string())
-        throw DataError(fmt::format("array '{}' has no string 'dtype'", name));
-    NamedArray array{name,
-                     get_numpy_type(name, entry["dtype"].get<std::string>()),
-                     read_integer_array(name, entry, "shape"),
+std::pair<NamedArray, DataByteRange> parse_array_description(const std::string& array_name,
+                                                             const Json& array_json,
+                                                             std::size_t n_data_bytes) {
+    if (!array_json.is_object() || !array_json.contains("dtype") || !array_json["dtype"].is_string())
+        throw DataError(fmt::format("array '{}' has no string 'dtype'", array_name));
+    NamedArray array{array_name,
+                     convert_to_numpy_type(array_name, array_json["dtype"].get<std::string>()),
+                     parse_integer_list(array_name, array_json, "shape"),
                      {}};
-    const std::vector<std::size_t> offsets = read_integer_array(name, entry, "data_offsets");
-    if (offsets.size() != 2 || offsets[0] > offsets[1] || offsets[1] > n_data)
-        throw DataError(fmt::format("array '{}': data_offsets [{}] are outside the {} bytes of data", name,
-                                    fmt::join(offsets, ", "), n_data));
-    const auto expected = compute_byte_count(array.shape, get_item_size(array.dtype));
+    const std::vector<std::size_t> offsets = parse_integer_list(array_name, array_json, "data_offsets");
+    if (offsets.size() != 2 || offsets[0] > offsets[1] || offsets[1] > n_data_bytes)
+        throw DataError(fmt::format("array '{}': data_offsets [{}] are outside the {} bytes of data",
+                                    array_name, fmt::join(offsets, ", "), n_data_bytes));
+    const auto expected = compute_array_size_bytes(array.shape, get_element_size_bytes(array.dtype));
     if (!expected || *expected != offsets[1] - offsets[0])
-        throw DataError(fmt::format("array '{}' has {} bytes, which do not fit its shape", name,
+        throw DataError(fmt::format("array '{}' has {} bytes, which do not fit its shape", array_name,
                                     offsets[1] - offsets[0]));
     return {std::move(array), {offsets[0], offsets[1]}};
 }
 
-std::map<std::string, std::string> parse_metadata(const Json& entry) {
+std::map<std::string, std::string> parse_metadata(const Json& metadata_json) {
     std::map<std::string, std::string> result;
-    if (!entry.is_object()) throw DataError("__metadata__ is not an object");
-    for (const auto& [key, value] : entry.items()) {
+    if (!metadata_json.is_object()) throw DataError("__metadata__ is not an object");
+    for (const auto& [key, value] : metadata_json.items()) {
         if (!value.is_string())
-            throw DataError(fmt::format("__metadata__ '{}' is not a string", make_excerpt(key)));
+            throw DataError(fmt::format("__metadata__ '{}' is not a string", shorten_for_error_message(key)));
         result[key] = value.get<std::string>();
     }
     return result;
 }
 
-std::vector<NamedArray> parse_tensors(const std::vector<std::byte>& file,
-                                      std::map<std::string, std::string>* metadata) {
-    const Header header = parse_header(file);
-    const std::size_t n_data = file.size() - header.data_start;
-    std::vector<std::pair<NamedArray, Range>> entries;
+std::vector<NamedArray> parse_safetensors_file(const std::vector<std::byte>& file_bytes,
+                                               std::map<std::string, std::string>* metadata) {
+    const SafetensorsHeader header = parse_safetensors_header(file_bytes);
+    const std::size_t n_data = file_bytes.size() - header.data_start;
+    std::vector<std::pair<NamedArray, DataByteRange>> entries;
     std::map<std::string, std::string> file_metadata;
     for (const std::string& name : header.names) {
         const Json& entry = header.json.at(name);
         if (name == kMetadata) file_metadata = parse_metadata(entry);
-        else entries.push_back(parse_tensor(name, entry, n_data));
+        else entries.push_back(parse_array_description(name, entry, n_data));
     }
     std::stable_sort(entries.begin(), entries.end(), [](const auto& first, const auto& second) {
         return std::pair(first.second.begin, first.second.end) <
@@ -205,7 +209,7 @@ std::vector<NamedArray> parse_tensors(const std::vector<std::byte>& file,
             throw DataError(
                 fmt::format("array '{}' starts at byte {}, expected {} without a gap or an overlap",
                             array.name, range.begin, covered));
-        const auto data = file.begin() + std::ptrdiff_t(header.data_start);
+        const auto data = file_bytes.begin() + std::ptrdiff_t(header.data_start);
         array.bytes.assign(data + std::ptrdiff_t(range.begin), data + std::ptrdiff_t(range.end));
         covered = range.end;
         arrays.push_back(std::move(array));
@@ -221,8 +225,8 @@ std::vector<NamedArray> parse_tensors(const std::vector<std::byte>& file,
 
 void write_safetensors(const std::filesystem::path& path, const std::vector<NamedArray>& arrays,
                        const std::map<std::string, std::string>& metadata) {
-    write_atomically(path, [&](const std::filesystem::path& temporary) {
-        const std::string header = make_header(arrays, metadata);
+    write_file_atomically(path, [&](const std::filesystem::path& temporary) {
+        const std::string header = make_safetensors_header(arrays, metadata);
         const std::uint64_t size = header.size();
         report_detail::OutputFile file(temporary);
         file.write(&size, sizeof size);
@@ -236,7 +240,7 @@ std::vector<NamedArray> read_safetensors(const std::filesystem::path& path,
                                          std::map<std::string, std::string>* metadata) {
     const std::vector<std::byte> file = report_detail::read_file(path);
     try {
-        return parse_tensors(file, metadata);
+        return parse_safetensors_file(file, metadata);
     } catch (const std::exception& error) {
         throw DataError(fmt::format("cannot read safetensors '{}': {}", path.string(), error.what()));
     }

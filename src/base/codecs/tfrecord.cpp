@@ -19,7 +19,7 @@ namespace {
 // Sizes in bytes of a record's header (before the data) and footer (after the data).
 constexpr std::uint64_t kHeader = 12, kFooter = 4;
 
-constexpr std::array<std::uint32_t, 256> make_crc_table() {
+constexpr std::array<std::uint32_t, 256> make_crc32c_table() {
     std::array<std::uint32_t, 256> table{};
     for (std::uint32_t byte = 0; byte < 256; ++byte) {
         std::uint32_t c = byte;
@@ -30,7 +30,7 @@ constexpr std::array<std::uint32_t, 256> make_crc_table() {
 }
 
 template <class T>
-T read_unaligned(const char* bytes) {
+T read_unaligned_value(const char* bytes) {
     T value;
     std::memcpy(&value, bytes, sizeof value);
     return value;
@@ -39,14 +39,14 @@ T read_unaligned(const char* bytes) {
 }  // namespace
 
 std::uint32_t compute_masked_crc32c(std::string_view bytes) {
-    static constexpr std::array<std::uint32_t, 256> kTable = make_crc_table();
+    static constexpr std::array<std::uint32_t, 256> kTable = make_crc32c_table();
     std::uint32_t c = ~0u;
     for (const char byte : bytes) c = kTable[(c ^ static_cast<unsigned char>(byte)) & 0xFF] ^ (c >> 8);
     c = ~c;
     return ((c >> 15) | (c << 17)) + 0xa282ead8u;
 }
 
-TfRecords::TfRecords(std::filesystem::path file) : file_(std::move(file)) {
+TfRecordReader::TfRecordReader(std::filesystem::path file) : file_(std::move(file)) {
     if (!does_path_exist(file_)) throw DataError(fmt::format("{}: no such file", file_.string()));
     std::ifstream in(file_, std::ios::binary | std::ios::ate);
     const std::streamoff end = in ? std::streamoff(in.tellg()) : -1;
@@ -58,10 +58,10 @@ TfRecords::TfRecords(std::filesystem::path file) : file_(std::move(file)) {
         if (left < kHeader || !in.read(header.data(), kHeader))
             throw DataError(
                 fmt::format("{} is truncated: its header has {} bytes, expected {}", where, left, kHeader));
-        if (read_unaligned<std::uint32_t>(&header[8]) != compute_masked_crc32c({header.data(), 8}))
+        if (read_unaligned_value<std::uint32_t>(&header[8]) != compute_masked_crc32c({header.data(), 8}))
             throw DataError(fmt::format(
                 "{}: the checksum (CRC) of its length is wrong, expected a TFRecord file", where));
-        const auto size = read_unaligned<std::uint64_t>(header.data());
+        const auto size = read_unaligned_value<std::uint64_t>(header.data());
         left -= kHeader;
         if (left < kFooter || size > left - kFooter)
             throw DataError(fmt::format(
@@ -77,20 +77,20 @@ TfRecords::TfRecords(std::filesystem::path file) : file_(std::move(file)) {
             fmt::format("{} is empty, expected a TFRecord file with at least one record", file_.string()));
 }
 
-std::string TfRecords::read(std::size_t record) const {
-    const Place& place = records_[record];
-    std::string data(place.size + kFooter, '\0');
+std::string TfRecordReader::read_record_data(std::size_t record_index) const {
+    const RecordByteRange& byte_range = records_[record_index];
+    std::string data(byte_range.size + kFooter, '\0');
     std::ifstream in(file_, std::ios::binary);
-    in.seekg(std::streamoff(place.begin));
+    in.seekg(std::streamoff(byte_range.begin));
     if (!in.read(data.data(), std::streamsize(data.size())))
-        throw DataError(
-            fmt::format("{}: record {}: cannot read its {} bytes", file_.string(), record, data.size()));
-    const auto crc = read_unaligned<std::uint32_t>(&data[place.size]);
-    data.resize(place.size);
+        throw DataError(fmt::format("{}: record {}: cannot read its {} bytes", file_.string(), record_index,
+                                    data.size()));
+    const auto crc = read_unaligned_value<std::uint32_t>(&data[byte_range.size]);
+    data.resize(byte_range.size);
     if (crc != compute_masked_crc32c(data))
         throw DataError(
             fmt::format("{}: record {}: the checksum (CRC) of its data is wrong; the file is damaged",
-                        file_.string(), record));
+                        file_.string(), record_index));
     return data;
 }
 

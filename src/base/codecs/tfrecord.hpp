@@ -18,24 +18,24 @@ std::uint32_t compute_masked_crc32c(std::string_view bytes);
 
 /// Reads records of a TFRecord file. The data of a record is read from the file only when
 /// it is requested.
-class TfRecords {
+class TfRecordReader {
 public:
     /// Finds the positions of all records in the file.
     /// @throws DataError with the number of the record whose length or end is wrong
-    explicit TfRecords(std::filesystem::path file);
+    explicit TfRecordReader(std::filesystem::path file);
 
     std::size_t size() const { return records_.size(); }
-    const std::filesystem::path& file() const { return file_; }
+    const std::filesystem::path& get_file_path() const { return file_; }
     /// Reads the data of a record from the file. Thread-safe.
     /// @throws DataError if the record cannot be read or its CRC is wrong
-    std::string read(std::size_t record) const;
+    std::string read_record_data(std::size_t record_index) const;
 
 private:
-    struct Place {
+    struct RecordByteRange {
         std::uint64_t begin, size;  ///< Position and size of the data, bytes.
     };
     std::filesystem::path file_;
-    std::vector<Place> records_;
+    std::vector<RecordByteRange> records_;
 };
 
 }  // namespace relidar

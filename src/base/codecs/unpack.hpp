@@ -7,13 +7,13 @@
 
 namespace relidar {
 
-/// Decompresses one lz4 frame into `target`. `target` must have exactly the uncompressed
-/// size.
+/// Decompresses one lz4 frame into `uncompressed_bytes`. `uncompressed_bytes` must have
+/// exactly the uncompressed size.
 /// @throws DataError if the frame is damaged or has a different uncompressed size
-void unpack_lz4(std::string_view packed, std::span<char> target);
-/// Decompresses one zstd frame into `target`. `target` must have exactly the uncompressed
-/// size.
+void decompress_lz4(std::string_view compressed_bytes, std::span<char> uncompressed_bytes);
+/// Decompresses one zstd frame into `uncompressed_bytes`. `uncompressed_bytes` must have
+/// exactly the uncompressed size.
 /// @throws DataError if the frame is damaged or has a different uncompressed size
-void unpack_zstd(std::string_view packed, std::span<char> target);
+void decompress_zstd(std::string_view compressed_bytes, std::span<char> uncompressed_bytes);
 
 }  // namespace relidar

@@ -8,18 +8,18 @@
 
 namespace relidar {
 
-Proxy choose_proxy(Proxy proxy, const Device& device) {
-    if (device.traversal() == Traversal::software) return Proxy::boxes;
-    if (proxy != Proxy::automatic) return proxy;
+ProxyShape choose_bounding_shape(ProxyShape requested_shape, const Device& device) {
+    if (device.traversal() == RayTracingBackend::software) return ProxyShape::boxes;
+    if (requested_shape != ProxyShape::automatic) return requested_shape;
     // Uses triangles on a GPU, which intersects triangles in hardware faster than boxes
     // (docs/performance.md).
-    return device.info().type == "CPU" ? Proxy::boxes : Proxy::triangles;
+    return device.info().type == "CPU" ? ProxyShape::boxes : ProxyShape::triangles;
 }
 
-struct Accel::Impl {
+struct AccelerationStructure::Impl {
     AccelOptions options;
-    Proxy proxy;
-    std::unique_ptr<HardwareAccel> hardware;  ///< exactly one of `hardware` and `software` is not null
+    ProxyShape proxy;
+    std::unique_ptr<RayQueryAccel> hardware;  ///< exactly one of `hardware` and `software` is not null
     std::unique_ptr<Bvh> software;
     bool built = false;
     /// True if the traversal cost of the tree has grown too much since the last build.
@@ -31,29 +31,30 @@ struct Accel::Impl {
     std::uint64_t n_updates = 0;
 
     Impl(Device& device, const DeviceScene& scene, const AccelOptions& o)
-        : options(o), proxy(choose_proxy(o.proxy, device)) {
-        if (device.traversal() == Traversal::software) software = std::make_unique<Bvh>(device, scene);
-        else hardware = std::make_unique<HardwareAccel>(device, scene, proxy);
+        : options(o), proxy(choose_bounding_shape(o.proxy, device)) {
+        if (device.traversal() == RayTracingBackend::software)
+            software = std::make_unique<Bvh>(device, scene);
+        else hardware = std::make_unique<RayQueryAccel>(device, scene, proxy);
     }
 
-    bool should_rebuild() const {
+    bool should_rebuild_tree() const {
         return !built || outgrown || (options.rebuild_every > 0 && refits >= options.rebuild_every);
     }
-    void build(Stream& stream, const DeviceScene& scene) {
-        if (hardware) hardware->record(stream, scene, options, {{0, scene.size()}}, false);
-        else software->build(stream, scene, options);
+    void build_tree(Stream& stream, const DeviceScene& scene) {
+        if (hardware) hardware->record_build_or_refit(stream, scene, options, {{0, scene.size()}}, false);
+        else software->build_trees(stream, scene, options);
     }
-    void refit(Stream& stream, const DeviceScene& scene, const std::vector<SurfelRange>& ranges) {
-        if (hardware) hardware->record(stream, scene, options, ranges, true);
-        else software->refit(stream, scene, options, ranges);
+    void refit_tree(Stream& stream, const DeviceScene& scene, const std::vector<SurfelRange>& ranges) {
+        if (hardware) hardware->record_build_or_refit(stream, scene, options, ranges, true);
+        else software->refit_trees(stream, scene, options, ranges);
     }
 };
 
 namespace {
 
-std::vector<SurfelRange> list_animated_surfel_ranges(const std::vector<Model>& models) {
+std::vector<SurfelRange> list_animated_surfel_ranges(const std::vector<SurfelModel>& models) {
     std::vector<SurfelRange> ranges;
-    for (const Model& model : models) {
+    for (const SurfelModel& model : models) {
         if (model.count == 0 || model.stride_m <= 0.0f) continue;
         if (!ranges.empty() && ranges.back().first + ranges.back().count == model.first)
             ranges.back().count += model.count;
@@ -64,20 +65,21 @@ std::vector<SurfelRange> list_animated_surfel_ranges(const std::vector<Model>& m
 
 }  // namespace
 
-Accel::Accel(Device& device, const DeviceScene& scene, const AccelOptions& options)
+AccelerationStructure::AccelerationStructure(Device& device, const DeviceScene& scene,
+                                             const AccelOptions& options)
     : impl_(std::make_unique<Impl>(device, scene, options)) {}
-Accel::~Accel() = default;
+AccelerationStructure::~AccelerationStructure() = default;
 
-void Accel::update(Stream& stream, const DeviceScene& scene, bool rebuild) {
+void AccelerationStructure::update_bvh(Stream& stream, const DeviceScene& scene, bool force_rebuild) {
     Impl& a = *impl_;
-    const bool refit = !rebuild && !a.should_rebuild();
+    const bool refit = !force_rebuild && !a.should_rebuild_tree();
     ++a.n_updates;
     if (refit) {
-        a.refit(stream, scene, {{0, scene.size()}});
+        a.refit_tree(stream, scene, {{0, scene.size()}});
         ++a.refits;
         return;
     }
-    a.build(stream, scene);
+    a.build_tree(stream, scene);
     a.built = true;
     a.outgrown = false;
     a.refits = 0;
@@ -85,42 +87,42 @@ void Accel::update(Stream& stream, const DeviceScene& scene, bool rebuild) {
     a.cost_when_built = 0.0;
 }
 
-void Accel::refit_animated_actors(Stream& stream, const DeviceScene& scene) {
+void AccelerationStructure::refit_animated_actor_bvhs(Stream& stream, const DeviceScene& scene) {
     Impl& a = *impl_;
-    if (!a.built) return update(stream, scene);
+    if (!a.built) return update_bvh(stream, scene);
     // Refits the trees of walking actors. Such refits do not count towards a rebuild,
     // because walking repeats the same shapes, so the trees do not degrade.
-    a.refit(stream, scene, list_animated_surfel_ranges(scene.layout().models));
+    a.refit_tree(stream, scene, list_animated_surfel_ranges(scene.get_scene_layout().models));
     ++a.n_updates;
 }
 
-void Accel::move(Stream& stream, const DeviceScene& scene) {
-    if (impl_->hardware) impl_->hardware->move(stream, scene);
-    else impl_->software->move(stream, scene);
+void AccelerationStructure::update_top_level_bvh(Stream& stream, const DeviceScene& scene) {
+    if (impl_->hardware) impl_->hardware->rebuild_top_level_structure(stream, scene);
+    else impl_->software->rebuild_top_level_tree(stream, scene);
 }
 
-void Accel::measure_tree_cost(Stream& stream) {
+void AccelerationStructure::measure_bvh_traversal_cost(Stream& stream) {
     Impl& a = *impl_;
     if (!a.software || !a.built) return;
-    if (const std::optional<double> cost = a.software->read_cost(stream); cost && a.measured) {
+    if (const std::optional<double> cost = a.software->read_tree_cost(stream); cost && a.measured) {
         if (a.cost_when_built <= 0.0) a.cost_when_built = *cost;
         a.outgrown = *cost > double(a.options.rebuild_growth) * a.cost_when_built;
     }
-    a.software->record_cost_measurement(stream);
+    a.software->record_tree_cost_measurement(stream);
     a.measured = true;
 }
 
-AccelAddresses Accel::addresses() const {
+AccelAddresses AccelerationStructure::get_device_addresses() const {
     AccelAddresses addresses;
-    if (impl_->software) addresses.bvh = impl_->software->pointers();
-    else impl_->hardware->fill(addresses);
+    if (impl_->software) addresses.bvh = impl_->software->get_device_pointers();
+    else impl_->hardware->write_addresses(addresses);
     return addresses;
 }
 
-Proxy Accel::proxy() const { return impl_->proxy; }
-std::uint64_t Accel::updates() const { return impl_->n_updates; }
-int Accel::refits_since_build() const { return impl_->refits; }
-std::uint64_t Accel::memory_bytes() const {
+ProxyShape AccelerationStructure::get_bounding_shape() const { return impl_->proxy; }
+std::uint64_t AccelerationStructure::get_update_count() const { return impl_->n_updates; }
+int AccelerationStructure::count_refits_since_build() const { return impl_->refits; }
+std::uint64_t AccelerationStructure::get_device_memory_bytes() const {
     return impl_->hardware ? impl_->hardware->memory_bytes() : impl_->software->memory_bytes();
 }
 

@@ -25,7 +25,7 @@ namespace {
 
 constexpr std::uint32_t kWorkgroup = RELIDAR_BVH_WORKGROUP;
 // Workgroup size of the kernels whose threads exchange data in shared memory.
-constexpr Constant kShares{ConstantId::WORKGROUP_SIZE, kWorkgroup};
+constexpr SpecialisationConstant kShares{SpecialisationConstantId::WORKGROUP_SIZE, kWorkgroup};
 
 // Number of threads of a refit on a CPU. The driver runs a contiguous part of them on
 // each core. Each thread processes every n-th node, so all cores have a similar amount of
@@ -34,10 +34,12 @@ constexpr std::uint32_t kRefitThreadsOfCpu = 1 << 12;
 
 /// Rounds the length of an array in scratch memory up to a multiple of 4 words, so that
 /// the array after it is aligned to 16 bytes.
-std::uint32_t pad_count(std::uint32_t count) { return (count + 3) / 4 * 4; }
+std::uint32_t round_up_to_multiple_of_4(std::uint32_t count) { return (count + 3) / 4 * 4; }
 
 std::uint32_t count_workgroups(std::uint32_t n_threads) { return (n_threads + kWorkgroup - 1) / kWorkgroup; }
-std::uint32_t count_tiles(std::uint32_t count) { return (count + RELIDAR_BVH_TILE - 1) / RELIDAR_BVH_TILE; }
+std::uint32_t count_surfel_tiles(std::uint32_t n_surfels) {
+    return (n_surfels + RELIDAR_BVH_TILE - 1) / RELIDAR_BVH_TILE;
+}
 
 /// Returns the number of lanes in a subgroup of the device.
 /// @throws DeviceError if the device lacks a feature that the kernels need
@@ -49,20 +51,20 @@ std::uint32_t get_subgroup_size(const Device& device) {
     return static_cast<std::uint32_t>(info.subgroup_size);
 }
 
-std::vector<std::uint32_t> list_instance_models(const DeviceScene& scene) {
+std::vector<std::uint32_t> get_model_index_per_instance(const DeviceScene& scene) {
     std::vector<std::uint32_t> models;
-    for (const Instance& instance : scene.layout().instances) models.push_back(instance.model);
+    for (const ModelInstance& instance : scene.get_scene_layout().instances) models.push_back(instance.model);
     return models;
 }
 
-/// Returns the number of nodes of a tree with `count` instances and eight children per
-/// node.
-std::uint32_t count_top_nodes(std::uint32_t count) {
+/// Returns the number of nodes of a tree with `n_instances` instances and eight children
+/// per node.
+std::uint32_t count_top_level_nodes(std::uint32_t n_instances) {
     std::uint32_t n_nodes = 0;
     do {
-        count = std::max((count + 7) / 8, 1u);
-        n_nodes += count;
-    } while (count > 1);
+        n_instances = std::max((n_instances + 7) / 8, 1u);
+        n_nodes += n_instances;
+    } while (n_instances > 1);
     return n_nodes;
 }
 
@@ -77,7 +79,7 @@ constexpr std::uint32_t kAllModels = std::numeric_limits<std::uint32_t>::max();
 constexpr std::uint32_t kChildrenAt = 0, kDecisionsAt = 2, kValuesAt = 3, kDemandsAt = 4, kKeysAt = 5,
                         kBoxesAt = 7, kCostsAt = 13, kSparesAt = 20, kOtherEndsAt = 21, kClustersAt = 22,
                         kScratchWords = 23;
-constexpr std::uint32_t kOffsetsAt = kKeysAt, kPlacesAt = kBoxesAt, kSlotsAt = kBoxesAt + 1;
+constexpr std::uint32_t kOffsetsAt = kKeysAt, kWideNodeIndicesAt = kBoxesAt, kSlotsAt = kBoxesAt + 1;
 
 struct Bvh::Impl {
     std::uint32_t n, n_models, n_instances, bound, n_refitting;
@@ -114,68 +116,70 @@ struct Bvh::Impl {
     Array<float, shared::InstanceBoxes> top_boxes;
     Array<glm::uvec2> top_keys;
     Array<float, shared::CostSums> cost_sums;  ///< sums of accel/bvh_cost, one per workgroup
-    Readback costs;
+    ReadbackBuffer costs;
 
     Impl(Device& device, const DeviceScene& scene);
-    shared::BvhBinary binary() const;
-    shared::BvhWide wide() const;
+    shared::BvhBinary get_binary_tree_addresses() const;
+    shared::BvhWide get_wide_tree_addresses() const;
     template <class T, class Meaning>
-    Address<T, Meaning> at(std::uint32_t words_a_surfel) const {
-        return scratch.address_as<T, Meaning>(words_a_surfel * std::size_t(pad_count(n)));
+    Address<T, Meaning> get_scratch_address(std::uint32_t words_per_surfel) const {
+        return scratch.address_as<T, Meaning>(words_per_surfel * std::size_t(round_up_to_multiple_of_4(n)));
     }
     /// Returns the position of the sort keys in scratch memory. The sort alternates
     /// between two sets of keys and ends in set 0. Set 1 is overwritten by the costs of
     /// the binary nodes.
-    std::uint32_t get_keys_offset(int set) const { return set == 0 ? kKeysAt : kCostsAt; }
-    SortSet get_sort_buffers(int set) const;
-    std::uint32_t levels() const;
-    void collapse_to_wide_tree(Stream& stream, const DeviceScene& scene);
-    std::uint32_t get_key_bits() const {
+    std::uint32_t get_sort_keys_offset(int set_index) const { return set_index == 0 ? kKeysAt : kCostsAt; }
+    SortBuffers get_sort_buffer_set(int set_index) const;
+    std::uint32_t compute_max_tree_levels() const;
+    void collapse_binary_to_wide_tree(Stream& stream, const DeviceScene& scene);
+    std::uint32_t count_sort_key_bits() const {
         return 3 * RELIDAR_BVH_MORTON_BITS +
                static_cast<std::uint32_t>(std::bit_width(std::max(n_models, 1u) - 1));
     }
-    void make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
-                    const SurfelRange& range);
-    SortSet sort_surfels(Stream& stream, const DeviceScene& scene);
+    void compute_surfel_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                              const SurfelRange& range);
+    SortBuffers sort_surfels_by_morton_code(Stream& stream, const DeviceScene& scene);
     /// Submits kernels that compute the node boxes of some models: those whose first
     /// surfel has an index in [first, last].
-    void compute_node_boxes(Stream& stream, std::uint32_t first, std::uint32_t last);
+    void compute_node_boxes(Stream& stream, std::uint32_t first_surfel, std::uint32_t last_surfel);
 };
 
 Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
     : n(scene.size()),
-      n_models(static_cast<std::uint32_t>(scene.layout().models.size())),
-      n_instances(static_cast<std::uint32_t>(scene.layout().instances.size())),
-      bound(compute_max_nodes(n, n_models)),
+      n_models(static_cast<std::uint32_t>(scene.get_scene_layout().models.size())),
+      n_instances(static_cast<std::uint32_t>(scene.get_scene_layout().instances.size())),
+      bound(compute_max_node_count(n, n_models)),
       n_refitting(prefers_coalesced_access(d) ? RELIDAR_BVH_WIDTH * bound
                                               : std::min(RELIDAR_BVH_WIDTH * bound, kRefitThreadsOfCpu)),
-      proxies(
-          d, "diff/accel/proxies",
-          {{ConstantId::BOXES, 2u}, {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(scene.primitive())}}),
-      bounds_kernel(d, "diff/accel/bvh_bounds", {kShares}, Subgroups::full),
+      proxies(d, "diff/accel/proxies",
+              {{SpecialisationConstantId::BOXES, 2u},
+               {SpecialisationConstantId::PRIMITIVE, static_cast<std::uint32_t>(scene.primitive())}}),
+      bounds_kernel(d, "diff/accel/bvh_bounds", {kShares}, SubgroupRequirement::full),
       keys_kernel(d, "diff/accel/bvh_keys"),
       sort(d, n, 2),
-      cluster(d, "diff/accel/bvh_cluster", {{ConstantId::WORKGROUP_SIZE, get_subgroup_size(d)}},
-              Subgroups::full),
+      cluster(d, "diff/accel/bvh_cluster", {{SpecialisationConstantId::WORKGROUP_SIZE, get_subgroup_size(d)}},
+              SubgroupRequirement::full),
       wide_mark(d, "diff/accel/bvh_wide_mark"),
-      wide_mark_rest(d, "diff/accel/bvh_wide_mark", {kShares, {ConstantId::UNTIL_DONE, 1u}}),
-      wide_count(d, "diff/accel/bvh_wide_count", {kShares}, Subgroups::full),
-      wide_scan(d, "diff/accel/bvh_wide_scan", {kShares}, Subgroups::full),
+      wide_mark_rest(d, "diff/accel/bvh_wide_mark", {kShares, {SpecialisationConstantId::UNTIL_DONE, 1u}}),
+      wide_count(d, "diff/accel/bvh_wide_count", {kShares}, SubgroupRequirement::full),
+      wide_scan(d, "diff/accel/bvh_wide_scan", {kShares}, SubgroupRequirement::full),
       wide_place(d, "diff/accel/bvh_wide_place"),
       wide_emit(d, "diff/accel/bvh_wide_emit"),
-      refit_kernel(d, "diff/accel/bvh_refit", {{ConstantId::LANES, get_subgroup_size(d)}}, Subgroups::full),
-      top(d, "diff/accel/bvh_top", {kShares}, Subgroups::full),
-      cost_kernel(d, "diff/accel/bvh_cost", {kShares}, Subgroups::full),
-      model_of(d, std::span<const std::uint32_t>(list_instance_models(scene)), "models of the instances"),
+      refit_kernel(d, "diff/accel/bvh_refit", {{SpecialisationConstantId::LANES, get_subgroup_size(d)}},
+                   SubgroupRequirement::full),
+      top(d, "diff/accel/bvh_top", {kShares}, SubgroupRequirement::full),
+      cost_kernel(d, "diff/accel/bvh_cost", {kShares}, SubgroupRequirement::full),
+      model_of(d, std::span<const std::uint32_t>(get_model_index_per_instance(scene)),
+               "models of the instances"),
       boxes(d, 6 * std::size_t(n), "surfel boxes"),
       bounds(d, 6 * std::size_t(n_models), "model bounds"),
       scratch(d,
-              std::max(kScratchWords * std::size_t(pad_count(n)),
-                       kSlotsAt * std::size_t(pad_count(n)) + 8 * std::size_t(bound)),
+              std::max(kScratchWords * std::size_t(round_up_to_multiple_of_4(n)),
+                       kSlotsAt * std::size_t(round_up_to_multiple_of_4(n)) + 8 * std::size_t(bound)),
               "acceleration structure scratch"),
       queue(d, bound, "collapse queue"),
-      level_sizes(d, levels() + 1, "collapse levels"),
-      tiles(d, count_tiles(n), "collapse sums"),
+      level_sizes(d, compute_max_tree_levels() + 1, "collapse levels"),
+      tiles(d, count_surfel_tiles(n), "collapse sums"),
       nodes(d, bound, "wide nodes"),
       order(d, n, "surfels in leaf order"),
       links(d, bound, "wide node links"),
@@ -184,8 +188,8 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       count(d, 1, "wide node count"),
       roots(d, n_instances, "instance roots"),
       top_order(d, n_instances, "instances in leaf order"),
-      top_node_array(d, count_top_nodes(n_instances), "top nodes"),
-      top_boxes(d, 6 * (std::size_t(n_instances) + count_top_nodes(n_instances)), "instance boxes"),
+      top_node_array(d, count_top_level_nodes(n_instances), "top nodes"),
+      top_boxes(d, 6 * (std::size_t(n_instances) + count_top_level_nodes(n_instances)), "instance boxes"),
       top_keys(d, std::bit_ceil(std::max(n_instances, 1u)), "instance keys"),
       cost_sums(d, count_workgroups(bound), "cost sums"),
       costs(d, count_workgroups(bound) * sizeof(float), "cost sums") {}
@@ -193,21 +197,21 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
 /// Returns the number of launches of bvh_wide_mark, which processes one tree level per
 /// launch: the number of levels of a full tree with `bound` nodes, plus 4 for uneven
 /// trees.
-std::uint32_t Bvh::Impl::levels() const {
+std::uint32_t Bvh::Impl::compute_max_tree_levels() const {
     std::uint32_t n_levels = 4;
     for (std::uint64_t width = n_models; width < bound; width *= RELIDAR_BVH_WIDTH) ++n_levels;
     return n_levels;
 }
 
-shared::BvhBinary Bvh::Impl::binary() const {
-    return {.children = at<glm::uvec2, shared::BinaryChildren>(kChildrenAt),
-            .boxes = at<float, shared::BinaryBoxes>(kBoxesAt),
-            .costs = at<float, shared::BinaryCosts>(kCostsAt),
-            .decisions = at<std::uint32_t, shared::BinaryDecisions>(kDecisionsAt),
-            .spares = at<std::uint32_t, shared::SpareNodes>(kSparesAt)};
+shared::BvhBinary Bvh::Impl::get_binary_tree_addresses() const {
+    return {.children = get_scratch_address<glm::uvec2, shared::BinaryChildren>(kChildrenAt),
+            .boxes = get_scratch_address<float, shared::BinaryBoxes>(kBoxesAt),
+            .costs = get_scratch_address<float, shared::BinaryCosts>(kCostsAt),
+            .decisions = get_scratch_address<std::uint32_t, shared::BinaryDecisions>(kDecisionsAt),
+            .spares = get_scratch_address<std::uint32_t, shared::SpareNodes>(kSparesAt)};
 }
 
-shared::BvhWide Bvh::Impl::wide() const {
+shared::BvhWide Bvh::Impl::get_wide_tree_addresses() const {
     return {.nodes = nodes.address(),
             .order = order.address(),
             .links = links.address(),
@@ -216,15 +220,16 @@ shared::BvhWide Bvh::Impl::wide() const {
             .count = count.address()};
 }
 
-SortSet Bvh::Impl::get_sort_buffers(int set) const {
-    return {.keys = at<std::uint32_t, shared::SortKeys>(get_keys_offset(set)),
-            .order = at<std::uint32_t, shared::SortOrder>(set == 0 ? kValuesAt : kCostsAt + 2)};
+SortBuffers Bvh::Impl::get_sort_buffer_set(int set_index) const {
+    return {.keys = get_scratch_address<std::uint32_t, shared::SortKeys>(get_sort_keys_offset(set_index)),
+            .order = get_scratch_address<std::uint32_t, shared::SortOrder>(set_index == 0 ? kValuesAt
+                                                                                          : kCostsAt + 2)};
 }
 
-void Bvh::Impl::make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
-                           const SurfelRange& range) {
+void Bvh::Impl::compute_surfel_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                                     const SurfelRange& range) {
     run(stream, proxies, range.count,
-        {.records = scene.records().address(),
+        {.records = scene.get_surfel_records().address(),
          .vertices = {},
          .boxes = boxes.address(),
          .reach = {},
@@ -235,64 +240,66 @@ void Bvh::Impl::make_boxes(Stream& stream, const DeviceScene& scene, const Accel
          .n_surfels = range.count});
 }
 
-SortSet Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
+SortBuffers Bvh::Impl::sort_surfels_by_morton_code(Stream& stream, const DeviceScene& scene) {
     stream.fill(bounds, 0xffffffffu);
-    run(stream, bounds_kernel, std::size_t(count_tiles(n)) * kWorkgroup,
+    run(stream, bounds_kernel, std::size_t(count_surfel_tiles(n)) * kWorkgroup,
         {.boxes = boxes.address(),
-         .models = scene.models().address(),
+         .models = scene.get_model_table().address(),
          .bounds = bounds.address(),
          .n_surfels = n,
          .n_models = n_models});
     // Each pass of the sort moves the keys to the other one of two sets. The first set is
     // chosen by the parity of the number of passes, so that the last pass writes set 0.
-    const int first_set = static_cast<int>(RadixSort::passes(get_key_bits()) % 2);
+    const int first_set = static_cast<int>(RadixSort::count_passes(count_sort_key_bits()) % 2);
     run(stream, keys_kernel, n,
-        {.records = scene.records().address(),
-         .models = scene.models().address(),
+        {.records = scene.get_surfel_records().address(),
+         .models = scene.get_model_table().address(),
          .bounds = bounds.address(),
-         .keys = at<glm::uvec2, shared::MortonKeys>(get_keys_offset(first_set)),
-         .other_ends = at<std::uint32_t, shared::OtherEnds>(kOtherEndsAt),
-         .demands = at<std::uint32_t, shared::SlotDemands>(kDemandsAt),
+         .keys = get_scratch_address<glm::uvec2, shared::MortonKeys>(get_sort_keys_offset(first_set)),
+         .other_ends = get_scratch_address<std::uint32_t, shared::OtherEnds>(kOtherEndsAt),
+         .demands = get_scratch_address<std::uint32_t, shared::SlotDemands>(kDemandsAt),
          .n_surfels = n,
          .n_models = n_models});
-    return sort.run(stream, get_sort_buffers(first_set), get_sort_buffers(1 - first_set), get_key_bits());
+    return sort.run(stream, get_sort_buffer_set(first_set), get_sort_buffer_set(1 - first_set),
+                    count_sort_key_bits());
 }
 
-void Bvh::Impl::collapse_to_wide_tree(Stream& stream, const DeviceScene& scene) {
+void Bvh::Impl::collapse_binary_to_wide_tree(Stream& stream, const DeviceScene& scene) {
     stream.fill(level_sizes);
-    shared::BvhWideParams params{.tree = binary(),
-                                 .wide = wide(),
-                                 .queue = queue.address(),
-                                 .slots = at<std::uint32_t, shared::WideSlots>(kSlotsAt),
-                                 .level_sizes = level_sizes.address(),
-                                 .demands = at<std::uint32_t, shared::SlotDemands>(kDemandsAt),
-                                 .offsets = at<glm::uvec2, shared::TileOffsets>(kOffsetsAt),
-                                 .tiles = tiles.address(),
-                                 .places = at<std::uint32_t, shared::WidePlaces>(kPlacesAt),
-                                 .surfels = at<std::uint32_t, shared::SortedSurfels>(kValuesAt),
-                                 .models = scene.models().address(),
-                                 .n_surfels = n,
-                                 .n_tiles = count_tiles(n),
-                                 .n_models = n_models,
-                                 .bound = bound,
-                                 .level = 0};
-    for (std::uint64_t width = n_models; params.level < levels() - 1;
+    shared::BvhWideParams params{
+        .tree = get_binary_tree_addresses(),
+        .wide = get_wide_tree_addresses(),
+        .queue = queue.address(),
+        .slots = get_scratch_address<std::uint32_t, shared::WideSlots>(kSlotsAt),
+        .level_sizes = level_sizes.address(),
+        .demands = get_scratch_address<std::uint32_t, shared::SlotDemands>(kDemandsAt),
+        .offsets = get_scratch_address<glm::uvec2, shared::TileOffsets>(kOffsetsAt),
+        .tiles = tiles.address(),
+        .places = get_scratch_address<std::uint32_t, shared::WidePlaces>(kWideNodeIndicesAt),
+        .surfels = get_scratch_address<std::uint32_t, shared::SortedSurfels>(kValuesAt),
+        .models = scene.get_model_table().address(),
+        .n_surfels = n,
+        .n_tiles = count_surfel_tiles(n),
+        .n_models = n_models,
+        .bound = bound,
+        .level = 0};
+    for (std::uint64_t width = n_models; params.level < compute_max_tree_levels() - 1;
          ++params.level, width = std::min<std::uint64_t>(width * RELIDAR_BVH_WIDTH, bound))
         run(stream, wide_mark, width, params);
     run(stream, wide_mark_rest, kWorkgroup, params);
-    run(stream, wide_count, std::size_t(count_tiles(n)) * kWorkgroup, params);
+    run(stream, wide_count, std::size_t(count_surfel_tiles(n)) * kWorkgroup, params);
     run(stream, wide_scan, kWorkgroup, params);
     run(stream, wide_place, bound, params);
     run(stream, wide_emit, bound, params);
 }
 
-void Bvh::Impl::compute_node_boxes(Stream& stream, std::uint32_t first, std::uint32_t last) {
+void Bvh::Impl::compute_node_boxes(Stream& stream, std::uint32_t first_surfel, std::uint32_t last_surfel) {
     run(stream, refit_kernel, n_refitting,
-        {.wide = wide(),
+        {.wide = get_wide_tree_addresses(),
          .boxes = boxes.address(),
          .bound = bound,
-         .first_surfel = first,
-         .last_surfel = last});
+         .first_surfel = first_surfel,
+         .last_surfel = last_surfel});
 }
 
 Bvh::Bvh(Device& device, const DeviceScene& scene) {
@@ -303,48 +310,48 @@ Bvh::Bvh(Device& device, const DeviceScene& scene) {
     // Sets an initial value that models without surfels keep.
     for (const Buffer* none : {&impl_->links.buffer(), &impl_->queue.buffer()})
         stream.fill(*none, RELIDAR_BVH_NO_NODE);
-    stream.finish();
+    stream.submit_and_wait();
 }
 
 Bvh::~Bvh() = default;
 
-void Bvh::build(Stream& stream, const DeviceScene& scene, const AccelOptions& options) {
+void Bvh::build_trees(Stream& stream, const DeviceScene& scene, const AccelOptions& options) {
     Impl& b = *impl_;
-    b.make_boxes(stream, scene, options, {0, b.n});
-    const SortSet sorted = b.sort_surfels(stream, scene);
+    b.compute_surfel_boxes(stream, scene, options, {0, b.n});
+    const SortBuffers sorted = b.sort_surfels_by_morton_code(stream, scene);
     run(stream, b.cluster, b.n,
-        {.tree = b.binary(),
+        {.tree = b.get_binary_tree_addresses(),
          .boxes = b.boxes.address(),
-         .keys = b.at<glm::uvec2, shared::MortonKeys>(kKeysAt),
-         .surfels = sorted.order.as<shared::SortedSurfels>(),
-         .models = scene.models().address(),
-         .other_ends = b.at<std::uint32_t, shared::OtherEnds>(kOtherEndsAt),
-         .clusters = b.at<std::uint32_t, shared::BinaryClusters>(kClustersAt),
+         .keys = b.get_scratch_address<glm::uvec2, shared::MortonKeys>(kKeysAt),
+         .surfels = sorted.order.cast_meaning<shared::SortedSurfels>(),
+         .models = scene.get_model_table().address(),
+         .other_ends = b.get_scratch_address<std::uint32_t, shared::OtherEnds>(kOtherEndsAt),
+         .clusters = b.get_scratch_address<std::uint32_t, shared::BinaryClusters>(kClustersAt),
          .roots = b.queue.address(),
          .n_surfels = b.n,
          .n_models = b.n_models});
-    b.collapse_to_wide_tree(stream, scene);
+    b.collapse_binary_to_wide_tree(stream, scene);
     b.compute_node_boxes(stream, 0, kAllModels);
-    move(stream, scene);
+    rebuild_top_level_tree(stream, scene);
 }
 
-void Bvh::refit(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
-                const std::vector<SurfelRange>& ranges) {
+void Bvh::refit_trees(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                      const std::vector<SurfelRange>& ranges) {
     for (const auto& [first, count] : ranges) {
         if (count == 0) continue;
-        impl_->make_boxes(stream, scene, options, {first, count});
+        impl_->compute_surfel_boxes(stream, scene, options, {first, count});
         impl_->compute_node_boxes(stream, first, first + count - 1);
     }
-    move(stream, scene);
+    rebuild_top_level_tree(stream, scene);
 }
 
-void Bvh::move(Stream& stream, const DeviceScene& scene) {
+void Bvh::rebuild_top_level_tree(Stream& stream, const DeviceScene& scene) {
     Impl& b = *impl_;
     run(stream, b.top, kWorkgroup,
-        {.bvh = pointers(),
-         .instances = scene.instances().address(),
+        {.bvh = get_device_pointers(),
+         .instances = scene.get_instance_table().address(),
          .model_of = b.model_of.address(),
-         .models = scene.models().address(),
+         .models = scene.get_model_table().address(),
          .model_boxes = b.node_boxes.address(),
          .boxes = b.top_boxes.address(),
          .keys = b.top_keys.address(),
@@ -352,7 +359,7 @@ void Bvh::move(Stream& stream, const DeviceScene& scene) {
          .n_padded = static_cast<std::uint32_t>(b.top_keys.size())});
 }
 
-shared::BvhPointers Bvh::pointers() const {
+shared::BvhPointers Bvh::get_device_pointers() const {
     const Impl& b = *impl_;
     return {.nodes = b.nodes.address(),
             .order = b.order.address(),
@@ -374,25 +381,28 @@ std::uint64_t Bvh::memory_bytes() const {
     return bytes;
 }
 
-BvhOnHost Bvh::download() const {
+HostBvhCopy Bvh::download_bvh() const {
     const Impl& b = *impl_;
-    BvhOnHost host{b.nodes.download(),          b.order.download(),     b.roots.download(),
-                   b.top_node_array.download(), b.top_order.download(), b.boxes.download()};
+    HostBvhCopy host{b.nodes.download(),          b.order.download(),     b.roots.download(),
+                     b.top_node_array.download(), b.top_order.download(), b.boxes.download()};
     host.nodes.resize(std::min<std::size_t>(b.count.download().front(), host.nodes.size()));
     return host;
 }
 
-void Bvh::record_cost_measurement(Stream& stream) {
+void Bvh::record_tree_cost_measurement(Stream& stream) {
     Impl& b = *impl_;
     run(stream, b.cost_kernel, b.bound,
-        {.wide = b.wide(), .boxes = b.boxes.address(), .partial = b.cost_sums.address(), .bound = b.bound});
-    b.costs.record(stream, b.cost_sums.buffer(), b.cost_sums.size() * sizeof(float));
+        {.wide = b.get_wide_tree_addresses(),
+         .boxes = b.boxes.address(),
+         .partial = b.cost_sums.address(),
+         .bound = b.bound});
+    b.costs.record_copy_to_host(stream, b.cost_sums.buffer(), b.cost_sums.size() * sizeof(float));
 }
 
-std::optional<double> Bvh::read_cost(Stream& stream) {
+std::optional<double> Bvh::read_tree_cost(Stream& stream) {
     Impl& b = *impl_;
-    if (!b.costs.pending()) return std::nullopt;
-    const float* sums = static_cast<const float*>(b.costs.wait(stream));
+    if (!b.costs.has_pending_copy()) return std::nullopt;
+    const float* sums = static_cast<const float*>(b.costs.wait_for_copied_bytes(stream));
     return std::accumulate(sums, sums + b.cost_sums.size(), 0.0);
 }
 

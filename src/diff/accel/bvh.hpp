@@ -5,7 +5,7 @@
 //
 // The build sorts surfels along a space-filling curve and clusters them into binary
 // trees. Then it converts these to nodes with up to eight children and computes the boxes
-// bottom up. Only read_cost() and download() wait for the device.
+// bottom up. Only read_tree_cost() and download_bvh() wait for the device.
 //
 // Memory per surfel: 24 B for boxes, 92 B for scratch, 4 B for the order, 30 B for nodes
 // (at most n / 4 nodes, plus one per model).
@@ -25,7 +25,7 @@ namespace relidar {
 
 /// Copy of the BVH (bounding volume hierarchy) in host memory, for tests and
 /// measurements.
-struct BvhOnHost {
+struct HostBvhCopy {
     std::vector<shared::BvhNode> nodes;  ///< nodes in use
     std::vector<std::uint32_t> order;    ///< [n] surfels in the order of the leaves
     std::vector<std::uint32_t> roots;    ///< [n_instances] root node of each instance's model
@@ -38,8 +38,8 @@ struct BvhOnHost {
 
 class Bvh {
 public:
-    /// Allocates memory for the surfels, models and instances of a scene. build() must be
-    /// called before the first use.
+    /// Allocates memory for the surfels, models and instances of a scene. build_trees()
+    /// must be called before the first use.
     /// @throws DeviceError if compute shaders lack subgroup arithmetic or ballots, or
     /// subgroups have fewer than 4 lanes
     Bvh(Device& device, const DeviceScene& scene);
@@ -47,32 +47,32 @@ public:
 
     /// Submits kernels that compute the surfel boxes, the trees of all models and the
     /// top-level tree over the instances.
-    void build(Stream& stream, const DeviceScene& scene, const AccelOptions& options);
+    void build_trees(Stream& stream, const DeviceScene& scene, const AccelOptions& options);
     /// Submits kernels that update the boxes in the trees of models and rebuild the
     /// top-level tree. The structure of the models' trees stays the same. Requires an
-    /// earlier build().
+    /// earlier build_trees().
     /// @param ranges models to update. The surfels of other models must not have changed
-    void refit(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
-               const std::vector<SurfelRange>& ranges);
+    void refit_trees(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                     const std::vector<SurfelRange>& ranges);
     /// Submits kernels that rebuild only the top-level tree. Call this function after
     /// instances have moved.
-    void move(Stream& stream, const DeviceScene& scene);
+    void rebuild_top_level_tree(Stream& stream, const DeviceScene& scene);
 
-    shared::BvhPointers pointers() const;
+    shared::BvhPointers get_device_pointers() const;
     std::uint64_t memory_bytes() const;
     /// Submits a kernel that computes the traversal cost of all trees (surface area
-    /// heuristic, m^2). read_cost() waits for the cost and returns it, or nothing if
-    /// record_cost_measurement() was not called before. A rebuild is useful if the cost
-    /// is much higher than after the last build.
-    void record_cost_measurement(Stream& stream);
-    std::optional<double> read_cost(Stream& stream);
+    /// heuristic, m^2). read_tree_cost() waits for the cost and returns it, or nothing if
+    /// record_tree_cost_measurement() was not called before. A rebuild is useful if the
+    /// cost is much higher than after the last build.
+    void record_tree_cost_measurement(Stream& stream);
+    std::optional<double> read_tree_cost(Stream& stream);
     /// Copies the BVH to the host, for tests. Waits for the device. All recorded commands
     /// must have been submitted before.
-    BvhOnHost download() const;
+    HostBvhCopy download_bvh() const;
 
     /// Returns the maximum number of nodes in the trees of all models: n / 4 nodes for n
     /// surfels, plus one root per model.
-    static std::uint32_t compute_max_nodes(std::uint32_t n_surfels, std::uint32_t n_models) {
+    static std::uint32_t compute_max_node_count(std::uint32_t n_surfels, std::uint32_t n_models) {
         return n_surfels / 4 + n_models;
     }
 

@@ -19,14 +19,14 @@ namespace relidar {
 namespace {
 
 /// Acceleration structure and the buffer that stores it.
-struct Structure {
+struct VulkanAccelStructure {
     Device::Impl* device = nullptr;
     std::unique_ptr<Buffer> storage;
     VkAccelerationStructureKHR handle = VK_NULL_HANDLE;
     std::uint64_t address = 0;
 
-    Structure(Device& owner, VkAccelerationStructureTypeKHR type, VkDeviceSize size,
-              const std::string& description)
+    VulkanAccelStructure(Device& owner, VkAccelerationStructureTypeKHR type, VkDeviceSize size,
+                         const std::string& description)
         : device(&owner.impl()) {
         storage = std::make_unique<Buffer>(owner, size, description);
         if (device->compile_only) return;
@@ -34,19 +34,19 @@ struct Structure {
         info.buffer = storage->impl().handle;
         info.size = size;
         info.type = type;
-        gpu::check(vkCreateAccelerationStructureKHR(device->device, &info, nullptr, &handle),
-                   "vkCreateAccelerationStructureKHR");
-        gpu::name_object(device->device, VK_OBJECT_TYPE_ACCELERATION_STRUCTURE_KHR, handle, description);
+        gpu::check_vulkan_result(vkCreateAccelerationStructureKHR(device->device, &info, nullptr, &handle),
+                                 "vkCreateAccelerationStructureKHR");
+        gpu::set_object_name(device->device, VK_OBJECT_TYPE_ACCELERATION_STRUCTURE_KHR, handle, description);
         VkAccelerationStructureDeviceAddressInfoKHR query{
             VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_DEVICE_ADDRESS_INFO_KHR};
         query.accelerationStructure = handle;
         address = vkGetAccelerationStructureDeviceAddressKHR(device->device, &query);
     }
-    ~Structure() {
+    ~VulkanAccelStructure() {
         if (handle) vkDestroyAccelerationStructureKHR(device->device, handle, nullptr);
     }
-    Structure(const Structure&) = delete;
-    Structure& operator=(const Structure&) = delete;
+    VulkanAccelStructure(const VulkanAccelStructure&) = delete;
+    VulkanAccelStructure& operator=(const VulkanAccelStructure&) = delete;
 };
 
 /// Input for building one acceleration structure. Its three Vulkan structs are stored
@@ -58,31 +58,33 @@ struct BuildInput {
     VkAccelerationStructureBuildRangeInfoKHR range{};
 
     /// Returns the memory sizes that a build needs.
-    /// @param count number of primitives or instances
-    VkAccelerationStructureBuildSizesInfoKHR sizes(Device::Impl& device, std::uint32_t count) {
-        range.primitiveCount = count;
+    /// @param n_primitives number of primitives or instances
+    VkAccelerationStructureBuildSizesInfoKHR query_build_sizes(Device::Impl& device,
+                                                               std::uint32_t n_primitives) {
+        range.primitiveCount = n_primitives;
         info.geometryCount = 1;
         info.pGeometries = &geometry;
         VkAccelerationStructureBuildSizesInfoKHR result{
             VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_BUILD_SIZES_INFO_KHR};
         vkGetAccelerationStructureBuildSizesKHR(
-            device.device, VK_ACCELERATION_STRUCTURE_BUILD_TYPE_DEVICE_KHR, &info, &count, &result);
+            device.device, VK_ACCELERATION_STRUCTURE_BUILD_TYPE_DEVICE_KHR, &info, &n_primitives, &result);
         return result;
     }
 
-    void prepare(const Structure& target, bool update, std::uint64_t scratch) {
+    void set_build_target(const VulkanAccelStructure& target, bool update, std::uint64_t scratch_address) {
         info.mode = update ? VK_BUILD_ACCELERATION_STRUCTURE_MODE_UPDATE_KHR
                            : VK_BUILD_ACCELERATION_STRUCTURE_MODE_BUILD_KHR;
         info.srcAccelerationStructure = update ? target.handle : VK_NULL_HANDLE;
         info.dstAccelerationStructure = target.handle;
-        info.scratchData.deviceAddress = scratch;
+        info.scratchData.deviceAddress = scratch_address;
     }
 };
 
 /// Records a single command for all builds, so that the device can run them concurrently.
 /// The command gets a copy of the inputs.
-void record_accel_builds(Stream::Impl& stream, const std::string& name, std::vector<BuildInput> inputs) {
-    stream.record(name, [inputs = std::move(inputs)](VkCommandBuffer commands) {
+void record_accel_structure_builds(Stream::Impl& stream, const std::string& command_name,
+                                   std::vector<BuildInput> inputs) {
+    stream.record_command(command_name, [inputs = std::move(inputs)](VkCommandBuffer commands) {
         std::vector<VkAccelerationStructureBuildGeometryInfoKHR> infos;
         std::vector<const VkAccelerationStructureBuildRangeInfoKHR*> ranges;
         for (const BuildInput& input : inputs) {
@@ -97,45 +99,46 @@ void record_accel_builds(Stream::Impl& stream, const std::string& name, std::vec
 
 /// Triangle mesh around one surfel or 3D Gaussian. Kernel diff/accel/proxies writes its
 /// corners.
-struct Mesh {
+struct ProxyTriangleMesh {
     std::uint32_t n_corners;
     std::vector<std::uint32_t> corners;  ///< [triangles,3] indices of the corners
 
-    std::uint32_t n_triangles() const { return static_cast<std::uint32_t>(corners.size() / 3); }
+    std::uint32_t count_triangles() const { return static_cast<std::uint32_t>(corners.size() / 3); }
 };
 
-const Mesh kRectangle{4, {0, 1, 2, 2, 3, 0}};
-const Mesh kIcosahedron{
+const ProxyTriangleMesh kRectangle{4, {0, 1, 2, 2, 3, 0}};
+const ProxyTriangleMesh kIcosahedron{
     12, {0, 1, 8, 0, 1, 10, 0, 4, 5,  0, 4, 8, 0, 5, 10, 1, 6, 7,  1, 6, 8, 1, 7,  10, 2, 3, 9, 2, 3,  11,
          2, 4, 5, 2, 4, 9,  2, 5, 11, 3, 6, 7, 3, 6, 9,  3, 7, 11, 4, 8, 9, 5, 10, 11, 6, 8, 9, 7, 10, 11}};
 
-/// Returns the vertex indices of `count` copies of a mesh, whose corners are stored one
-/// copy after another.
-std::vector<std::uint32_t> make_triangle_indices(const Mesh& mesh, std::uint32_t count) {
+/// Returns the vertex indices of `n_copies` copies of a mesh, whose corners are stored
+/// one copy after another.
+std::vector<std::uint32_t> repeat_triangle_indices(const ProxyTriangleMesh& mesh, std::uint32_t n_copies) {
     std::vector<std::uint32_t> indices;
-    indices.reserve(mesh.corners.size() * count);
-    for (std::uint32_t i = 0; i < count; ++i)
+    indices.reserve(mesh.corners.size() * n_copies);
+    for (std::uint32_t i = 0; i < n_copies; ++i)
         for (const std::uint32_t corner : mesh.corners) indices.push_back(mesh.n_corners * i + corner);
     return indices;
 }
 
 }  // namespace
 
-struct HardwareAccel::Impl {
-    Proxy proxy;
-    const Mesh& mesh;
+struct RayQueryAccel::Impl {
+    ProxyShape proxy;
+    const ProxyTriangleMesh& mesh;
     Kernel<shared::ProxyParams> proxies;
     Array<float> geometry;       ///< vertices [n,corners,3] or boxes [n,6]
     Array<std::uint32_t> reach;  ///< [1] maximum distance from a hit to the far side of its icosahedron
     /// Triangle indices for the largest model. Smaller models use the first part of them,
     /// with an offset to their first vertex.
     Array<std::uint32_t> indices;
-    std::vector<std::unique_ptr<Structure>> blas;  ///< one per model, null for a model without surfels
+    std::vector<std::unique_ptr<VulkanAccelStructure>>
+        blas;  ///< one per model, null for a model without surfels
     std::vector<BuildInput> blas_input;
     /// Offset of each model's scratch memory. It must be separate, because models are
     /// built concurrently.
     std::vector<std::uint64_t> blas_scratch;
-    std::unique_ptr<Structure> tlas;
+    std::unique_ptr<VulkanAccelStructure> tlas;
     BuildInput tlas_input;
     Kernel<shared::ModelRadiiParams> model_radii;
     /// [models] radius of the sphere around each model's origin that contains all its
@@ -146,34 +149,35 @@ struct HardwareAccel::Impl {
     Buffer scratch;
     std::uint64_t scratch_address = 0;
 
-    Impl(Device& device, const Scene& layout, Proxy p, Primitive primitive)
+    Impl(Device& device, const Scene& layout, ProxyShape p, PrimitiveType primitive)
         : proxy(p),
           mesh(get_primitive_kind(primitive).mesh == ProxyMesh::icosahedron ? kIcosahedron : kRectangle),
           proxies(device, "diff/accel/proxies",
-                  {{ConstantId::BOXES, proxy == Proxy::boxes ? 1u : 0u},
-                   {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(primitive)}}),
+                  {{SpecialisationConstantId::BOXES, proxy == ProxyShape::boxes ? 1u : 0u},
+                   {SpecialisationConstantId::PRIMITIVE, static_cast<std::uint32_t>(primitive)}}),
           model_radii(device, "diff/accel/model_radii",
-                      {{ConstantId::PRIMITIVE, static_cast<std::uint32_t>(primitive)}}),
+                      {{SpecialisationConstantId::PRIMITIVE, static_cast<std::uint32_t>(primitive)}}),
           radii(device, std::max<std::size_t>(layout.models.size(), 1), "radii of models"),
           moving(device, std::max<std::size_t>(layout.instances.size(), 1), "moving instances") {
-        if (&mesh == &kIcosahedron && proxy == Proxy::triangles)
+        if (&mesh == &kIcosahedron && proxy == ProxyShape::triangles)
             reach = Array<std::uint32_t>(device, 1, "reach of proxies");
     }
 
-    void fill_model_geometry(const Model& model);
-    void make_proxies(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
-                      const SurfelRange& range);
-    void measure_radii(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
-                       const SurfelRange& range);
-    void upload_moving_instances(Stream::Impl& stream, const std::vector<shared::MovingInstance>& all);
-    std::uint64_t write_instances(Stream::Impl& stream, const DeviceScene& scene);
+    void append_model_build_input(const SurfelModel& model);
+    void compute_proxy_shapes(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                              const SurfelRange& range);
+    void compute_model_radii(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                             const SurfelRange& range);
+    void upload_moving_instances(Stream::Impl& stream,
+                                 const std::vector<shared::MovingInstance>& moving_instances);
+    std::uint64_t write_instances_and_get_address(Stream::Impl& stream, const DeviceScene& scene);
 };
 
 /// Describes the geometry of one model, which is a part of the array `geometry`. It is
 /// not opaque, so that the shader can test every candidate hit.
-void HardwareAccel::Impl::fill_model_geometry(const Model& model) {
+void RayQueryAccel::Impl::append_model_build_input(const SurfelModel& model) {
     BuildInput& input = blas_input.emplace_back();
-    if (proxy == Proxy::boxes) {
+    if (proxy == ProxyShape::boxes) {
         input.geometry.geometryType = VK_GEOMETRY_TYPE_AABBS_KHR;
         input.geometry.geometry.aabbs = {VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_AABBS_DATA_KHR,
                                          nullptr,
@@ -196,28 +200,31 @@ void HardwareAccel::Impl::fill_model_geometry(const Model& model) {
                        VK_BUILD_ACCELERATION_STRUCTURE_ALLOW_UPDATE_BIT_KHR;
 }
 
-void HardwareAccel::Impl::upload_moving_instances(Stream::Impl& stream,
-                                                  const std::vector<shared::MovingInstance>& all) {
-    n_moving = static_cast<std::uint32_t>(all.size());
-    if (n_moving > 0) stream.write(moving.buffer(), all.data(), all.size() * sizeof(all[0]));
+void RayQueryAccel::Impl::upload_moving_instances(
+    Stream::Impl& stream, const std::vector<shared::MovingInstance>& moving_instances) {
+    n_moving = static_cast<std::uint32_t>(moving_instances.size());
+    if (n_moving > 0)
+        stream.record_buffer_write(moving.buffer(), moving_instances.data(),
+                                   moving_instances.size() * sizeof(moving_instances[0]));
 }
 
 /// Writes all present instances whose models have surfels to temporary memory.
 /// @return device address of the instances
-std::uint64_t HardwareAccel::Impl::write_instances(Stream::Impl& stream, const DeviceScene& scene) {
-    const Scene& layout = scene.layout();
+std::uint64_t RayQueryAccel::Impl::write_instances_and_get_address(Stream::Impl& stream,
+                                                                   const DeviceScene& scene) {
+    const Scene& layout = scene.get_scene_layout();
     std::vector<VkAccelerationStructureInstanceKHR> rows;
     std::vector<shared::MovingInstance> of_motion;
     for (std::size_t i = 0; i < layout.instances.size(); ++i) {
-        const Structure* model = blas[layout.instances[i].model].get();
-        if (!model || !scene.poses()[i].present) continue;
-        const glm::mat4 m(to_matrix(scene.poses()[i].world_from_model));
+        const VulkanAccelStructure* model = blas[layout.instances[i].model].get();
+        if (!model || !scene.get_instance_poses()[i].present) continue;
+        const glm::mat4 m(to_matrix(scene.get_instance_poses()[i].world_from_model));
         VkAccelerationStructureInstanceKHR& row = rows.emplace_back();
         for (int r = 0; r < 3; ++r)
             for (int c = 0; c < 4; ++c) row.transform.matrix[r][c] = m[c][r];
         row.instanceCustomIndex = static_cast<std::uint32_t>(i) & 0xffffffu;
         row.mask = RELIDAR_STANDING_MASK;
-        if (!scene.poses()[i].motion.is_none()) {
+        if (!scene.get_instance_poses()[i].motion.is_stationary()) {
             row.mask = (RELIDAR_STANDING_MASK << (1 + of_motion.size() % RELIDAR_MOVING_MASKS)) & 0xffu;
             of_motion.push_back({static_cast<std::uint32_t>(i), layout.instances[i].model, row.mask});
         }
@@ -227,36 +234,39 @@ std::uint64_t HardwareAccel::Impl::write_instances(Stream::Impl& stream, const D
     }
     tlas_input.range.primitiveCount = static_cast<std::uint32_t>(rows.size());
     upload_moving_instances(stream, of_motion);
-    return rows.empty() ? 0 : stream.store(rows.data(), rows.size() * sizeof(rows[0])).address;
+    return rows.empty() ? 0 : stream.store_host_bytes(rows.data(), rows.size() * sizeof(rows[0])).address;
 }
 
-HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy proxy)
-    : impl_(std::make_unique<Impl>(device, scene.layout(), proxy, scene.primitive())) {
+RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShape proxy)
+    : impl_(std::make_unique<Impl>(device, scene.get_scene_layout(), proxy, scene.primitive())) {
     Impl& a = *impl_;
-    const Scene& layout = scene.layout();
+    const Scene& layout = scene.get_scene_layout();
     std::uint32_t largest = 0;
-    for (const Model& model : layout.models) largest = std::max(largest, model.count);
+    for (const SurfelModel& model : layout.models) largest = std::max(largest, model.count);
     a.geometry = Array<float>(
-        device, std::size_t(scene.size()) * (a.proxy == Proxy::boxes ? 6 : 3 * a.mesh.n_corners), "proxies");
-    if (a.proxy == Proxy::triangles)
+        device, std::size_t(scene.size()) * (a.proxy == ProxyShape::boxes ? 6 : 3 * a.mesh.n_corners),
+        "proxies");
+    if (a.proxy == ProxyShape::triangles)
         a.indices = Array<std::uint32_t>(
-            device, std::span<const std::uint32_t>(make_triangle_indices(a.mesh, largest)), "proxy indices");
+            device, std::span<const std::uint32_t>(repeat_triangle_indices(a.mesh, largest)),
+            "proxy indices");
 
     const std::uint64_t alignment = device.impl().scratch_alignment;
     VkDeviceSize scratch_bytes = 0;
     a.blas_input.reserve(layout.models.size());
-    for (const Model& model : layout.models) {
-        a.fill_model_geometry(model);
-        const std::uint32_t n = model.count * (a.proxy == Proxy::boxes ? 1u : a.mesh.n_triangles());
+    for (const SurfelModel& model : layout.models) {
+        a.append_model_build_input(model);
+        const std::uint32_t n = model.count * (a.proxy == ProxyShape::boxes ? 1u : a.mesh.count_triangles());
         a.blas_scratch.push_back(scratch_bytes);
         if (n == 0) {
             a.blas.push_back(nullptr);
             continue;
         }
-        const VkAccelerationStructureBuildSizesInfoKHR sizes = a.blas_input.back().sizes(device.impl(), n);
-        a.blas.push_back(std::make_unique<Structure>(device, VK_ACCELERATION_STRUCTURE_TYPE_BOTTOM_LEVEL_KHR,
-                                                     sizes.accelerationStructureSize,
-                                                     "bottom level of " + model.name));
+        const VkAccelerationStructureBuildSizesInfoKHR sizes =
+            a.blas_input.back().query_build_sizes(device.impl(), n);
+        a.blas.push_back(std::make_unique<VulkanAccelStructure>(
+            device, VK_ACCELERATION_STRUCTURE_TYPE_BOTTOM_LEVEL_KHR, sizes.accelerationStructureSize,
+            "bottom level of " + model.name));
         scratch_bytes += (std::max(sizes.buildScratchSize, sizes.updateScratchSize) + alignment - 1) /
                          alignment * alignment;
     }
@@ -266,21 +276,21 @@ HardwareAccel::HardwareAccel(Device& device, const DeviceScene& scene, Proxy pro
         VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_INSTANCES_DATA_KHR, nullptr, VK_FALSE, {}};
     a.tlas_input.info.type = VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR;
     a.tlas_input.info.flags = VK_BUILD_ACCELERATION_STRUCTURE_PREFER_FAST_TRACE_BIT_KHR;
-    const VkAccelerationStructureBuildSizesInfoKHR sizes = a.tlas_input.sizes(
+    const VkAccelerationStructureBuildSizesInfoKHR sizes = a.tlas_input.query_build_sizes(
         device.impl(), static_cast<std::uint32_t>(std::max<std::size_t>(layout.instances.size(), 1)));
-    a.tlas = std::make_unique<Structure>(device, VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR,
-                                         sizes.accelerationStructureSize, "top level");
+    a.tlas = std::make_unique<VulkanAccelStructure>(device, VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR,
+                                                    sizes.accelerationStructureSize, "top level");
     scratch_bytes = std::max(scratch_bytes, sizes.buildScratchSize);
     a.scratch = Buffer(device, scratch_bytes + alignment, "acceleration structure scratch");
     a.scratch_address = (a.scratch.impl().address + alignment - 1) / alignment * alignment;
 }
 
-HardwareAccel::~HardwareAccel() = default;
+RayQueryAccel::~RayQueryAccel() = default;
 
-void HardwareAccel::Impl::make_proxies(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
-                                       const SurfelRange& range) {
+void RayQueryAccel::Impl::compute_proxy_shapes(Stream& stream, const DeviceScene& scene,
+                                               const AccelOptions& options, const SurfelRange& range) {
     run(stream, proxies, range.count,
-        {.records = scene.records().address(),
+        {.records = scene.get_surfel_records().address(),
          .vertices = geometry.address_as<float, shared::ProxyVertices>(),
          .boxes = geometry.address_as<float, shared::SurfelBoxes>(),
          .reach = reach.address(),
@@ -291,55 +301,57 @@ void HardwareAccel::Impl::make_proxies(Stream& stream, const DeviceScene& scene,
          .n_surfels = range.count});
 }
 
-void HardwareAccel::Impl::measure_radii(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
-                                        const SurfelRange& range) {
+void RayQueryAccel::Impl::compute_model_radii(Stream& stream, const DeviceScene& scene,
+                                              const AccelOptions& options, const SurfelRange& range) {
     run(stream, model_radii, (range.count + RELIDAR_RADIUS_STRETCH - 1) / RELIDAR_RADIUS_STRETCH,
-        {.records = scene.records().address(),
-         .models = scene.models().address(),
+        {.records = scene.get_surfel_records().address(),
+         .models = scene.get_model_table().address(),
          .radii = radii.address(),
          .alpha_min = scene.alpha_min(),
          .margin_m = options.margin_m,
          .margin_scale = options.margin_scale,
-         .n_models = static_cast<std::uint32_t>(scene.layout().models.size()),
+         .n_models = static_cast<std::uint32_t>(scene.get_scene_layout().models.size()),
          .first_surfel = range.first,
          .n_surfels = range.count});
 }
 
-void HardwareAccel::record(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
-                           const std::vector<SurfelRange>& ranges, bool refit) {
+void RayQueryAccel::record_build_or_refit(Stream& stream, const DeviceScene& scene,
+                                          const AccelOptions& options, const std::vector<SurfelRange>& ranges,
+                                          bool refit_only) {
     Impl& a = *impl_;
     std::uint32_t n = 0;
     for (const SurfelRange& range : ranges) n += range.count;
     // `reach` is a maximum over all models, so it starts again only if all models are
     // updated.
     if (a.reach.size() && n == scene.size()) stream.fill(a.reach);
-    for (const SurfelRange& range : ranges) a.make_proxies(stream, scene, options, range);
+    for (const SurfelRange& range : ranges) a.compute_proxy_shapes(stream, scene, options, range);
     // An update of some models must keep the radii of all other models.
     if (n == scene.size()) stream.fill(a.radii);
-    for (const SurfelRange& range : ranges) a.measure_radii(stream, scene, options, range);
+    for (const SurfelRange& range : ranges) a.compute_model_radii(stream, scene, options, range);
     std::vector<BuildInput> inputs;
     for (std::size_t i = 0; i < a.blas.size(); ++i) {
         const auto is_in = [&](const SurfelRange& range) {
-            return range.holds(scene.layout().models[i].first);
+            return range.contains_surfel(scene.get_scene_layout().models[i].first);
         };
         if (!a.blas[i] || std::ranges::none_of(ranges, is_in)) continue;
-        a.blas_input[i].prepare(*a.blas[i], refit, a.scratch_address + a.blas_scratch[i]);
+        a.blas_input[i].set_build_target(*a.blas[i], refit_only, a.scratch_address + a.blas_scratch[i]);
         inputs.push_back(a.blas_input[i]);
     }
     if (!inputs.empty())
-        record_accel_builds(stream.impl(), refit ? "accel/refit" : "accel/build", std::move(inputs));
-    move(stream, scene);
+        record_accel_structure_builds(stream.impl(), refit_only ? "accel/refit" : "accel/build",
+                                      std::move(inputs));
+    rebuild_top_level_structure(stream, scene);
 }
 
-void HardwareAccel::move(Stream& stream, const DeviceScene& scene) {
+void RayQueryAccel::rebuild_top_level_structure(Stream& stream, const DeviceScene& scene) {
     Impl& a = *impl_;
     Stream::Impl& s = stream.impl();
-    a.tlas_input.geometry.geometry.instances.data.deviceAddress = a.write_instances(s, scene);
-    a.tlas_input.prepare(*a.tlas, false, a.scratch_address);
-    record_accel_builds(s, "accel/top_level", {a.tlas_input});
+    a.tlas_input.geometry.geometry.instances.data.deviceAddress = a.write_instances_and_get_address(s, scene);
+    a.tlas_input.set_build_target(*a.tlas, false, a.scratch_address);
+    record_accel_structure_builds(s, "accel/top_level", {a.tlas_input});
 }
 
-void HardwareAccel::fill(AccelAddresses& addresses) const {
+void RayQueryAccel::write_addresses(AccelAddresses& addresses) const {
     const Impl& a = *impl_;
     addresses.tlas = {a.tlas->address};
     // Kernels store this float as an integer, because positive floats have the same order
@@ -350,7 +362,7 @@ void HardwareAccel::fill(AccelAddresses& addresses) const {
     addresses.n_moving = a.n_moving;
 }
 
-std::uint64_t HardwareAccel::memory_bytes() const {
+std::uint64_t RayQueryAccel::memory_bytes() const {
     std::uint64_t bytes = impl_->geometry.buffer().size_bytes() + impl_->indices.buffer().size_bytes() +
                           impl_->scratch.size_bytes() + impl_->tlas->storage->size_bytes();
     for (const auto& structure : impl_->blas)

@@ -15,24 +15,24 @@
 
 namespace relidar {
 
-class HardwareAccel {
+class RayQueryAccel {
 public:
     /// Allocates memory for the acceleration structures of a scene. Does not build them.
     /// @param proxy kind of shape that encloses a surfel: triangles or boxes
-    HardwareAccel(Device& device, const DeviceScene& scene, Proxy proxy);
-    ~HardwareAccel();
+    RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShape proxy);
+    ~RayQueryAccel();
 
     /// Records commands that build or refit the structures of models, and build the
     /// top-level structure over the instances. A refit requires an earlier build.
     /// @param ranges models to update. The surfels of other models must not have changed
-    void record(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
-                const std::vector<SurfelRange>& ranges, bool refit);
+    void record_build_or_refit(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                               const std::vector<SurfelRange>& ranges, bool refit_only);
     /// Records commands that rebuild only the top-level structure, after instances have
     /// moved.
-    void move(Stream& stream, const DeviceScene& scene);
+    void rebuild_top_level_structure(Stream& stream, const DeviceScene& scene);
 
     /// Writes the addresses that ray queries need into `addresses`.
-    void fill(AccelAddresses& addresses) const;
+    void write_addresses(AccelAddresses& addresses) const;
     std::uint64_t memory_bytes() const;
 
 private:

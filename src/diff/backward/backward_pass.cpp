@@ -25,64 +25,69 @@ constexpr std::uint32_t kMostHitsPerRay = 4096;
 /// atomics. Then both methods take about the same time, but atomics need no memory.
 /// Devices without float atomics use records, because their compare-and-swap loops
 /// conflict if many rays hit one surfel.
-bool should_gather_hits(const Device& device, Reduction reduction, ShDirection direction) {
-    if (reduction != Reduction::automatic) return reduction == Reduction::gather;
-    return direction == ShDirection::ray || !device.info().float_atomics;
+bool should_sum_hits_without_atomics(const Device& device, GradientReduction reduction,
+                                     ShDirection sh_direction) {
+    if (reduction != GradientReduction::automatic) return reduction == GradientReduction::gather;
+    return sh_direction == ShDirection::ray || !device.info().float_atomics;
 }
 
 /// Returns true if lanes exchange gradient rows through shared memory before they add
 /// them with atomics. On a GPU this is faster, because it reduces the memory sectors per
 /// atomic instruction. It requires maximal reconvergence, because lanes leave the loops
 /// over hits at different times.
-bool uses_row_exchange(const Device& device, const BackwardOptions& backward, bool gathered) {
-    return !gathered && backward.coalesced_atomics.value_or(prefers_coalesced_access(device) &&
-                                                            has_maximal_reconvergence(device));
+bool should_exchange_gradient_rows(const Device& device, const BackwardOptions& backward_options,
+                                   bool sums_without_atomics) {
+    return !sums_without_atomics &&
+           backward_options.coalesced_atomics.value_or(prefers_coalesced_access(device) &&
+                                                       has_maximal_reconvergence(device));
 }
 
 }  // namespace
 
 struct BackwardPass::Impl {
-    ImageModel model;
+    ImageFormationModel model;
     TraceOptions options;
     Kernel<shared::BackwardParams> trace;
-    PoseGradients poses;
-    std::unique_ptr<HitGather> gather;  ///< null if gradients are added with atomics
+    PoseGradientKernels poses;
+    std::unique_ptr<HitGradientGather> gather;  ///< null if gradients are added with atomics
     /// Counter that the tracing kernel needs as an output. The host ignores it, because
     /// the forward pass has already reported the same rays.
     Array<std::uint32_t, shared::PassCapCount> pass_cap;
 
-    static std::vector<Constant> make_kernel_constants(const Device& device, const ImageModel& model,
-                                                       Proxy proxy, const TraceOptions& options,
-                                                       const BackwardOptions& backward) {
-        std::vector<Constant> all = make_trace_constants(device, proxy, options, model);
-        const bool gathered = should_gather_hits(device, backward.reduction, model.sh_direction);
-        all.push_back({ConstantId::GATHER, gathered ? 1u : 0u});
-        const bool exchanged = uses_row_exchange(device, backward, gathered);
-        all.push_back({ConstantId::COALESCED_ATOMICS, exchanged ? 1u : 0u});
+    static std::vector<SpecialisationConstant> make_backward_kernel_constants(
+        const Device& device, const ImageFormationModel& model, ProxyShape proxy,
+        const TraceOptions& trace_options, const BackwardOptions& backward_options) {
+        std::vector<SpecialisationConstant> all =
+            make_trace_kernel_constants(device, proxy, trace_options, model);
+        const bool gathered =
+            should_sum_hits_without_atomics(device, backward_options.reduction, model.sh_direction);
+        all.push_back({SpecialisationConstantId::GATHER, gathered ? 1u : 0u});
+        const bool exchanged = should_exchange_gradient_rows(device, backward_options, gathered);
+        all.push_back({SpecialisationConstantId::COALESCED_ATOMICS, exchanged ? 1u : 0u});
         // With one subgroup per workgroup, subgroup barriers are correct on lavapipe,
         // which treats them as barriers of the full workgroup.
         if (exchanged)
-            all.push_back(
-                {ConstantId::WORKGROUP_SIZE, static_cast<std::uint32_t>(device.info().subgroup_size)});
+            all.push_back({SpecialisationConstantId::WORKGROUP_SIZE,
+                           static_cast<std::uint32_t>(device.info().subgroup_size)});
         return all;
     }
 
-    Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& o,
+    Impl(Device& device, const ImageFormationModel& m, ProxyShape proxy, const TraceOptions& o,
          const BackwardOptions& backward)
         : model(m),
           options(o),
           trace(device, "diff/backward/trace",
-                choose_accumulating_variant(device, get_traversal_variant(device)),
-                make_kernel_constants(device, m, proxy, o, backward)),
+                choose_float_atomics_variant(device, get_traversal_kernel_variant(device)),
+                make_backward_kernel_constants(device, m, proxy, o, backward)),
           poses(device),
-          gather(should_gather_hits(device, backward.reduction, m.sh_direction)
-                     ? std::make_unique<HitGather>(device, m, backward.hits_per_ray, o)
+          gather(should_sum_hits_without_atomics(device, backward.reduction, m.sh_direction)
+                     ? std::make_unique<HitGradientGather>(device, m, backward.hits_per_ray, o)
                      : nullptr),
           pass_cap(device, 1, "pass cap count") {}
 };
 
-BackwardPass::BackwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options,
-                           const BackwardOptions& backward) {
+BackwardPass::BackwardPass(Device& device, const ImageFormationModel& model, ProxyShape proxy,
+                           const TraceOptions& options, const BackwardOptions& backward) {
     if (backward.hits_per_ray < 1 || backward.hits_per_ray > kMostHitsPerRay)
         throw UsageError(
             fmt::format("cannot create the backward pass: found {} hit records per ray, expected 1 to {}",
@@ -92,61 +97,65 @@ BackwardPass::BackwardPass(Device& device, const ImageModel& model, Proxy proxy,
 
 BackwardPass::~BackwardPass() = default;
 void BackwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
-const Array<std::uint32_t>* BackwardPass::most_hits() const {
+const Array<std::uint32_t>* BackwardPass::get_device_max_hit_count() const {
     return impl_->gather ? &impl_->gather->most_hits() : nullptr;
 }
-std::uint64_t BackwardPass::hit_capacity() const { return impl_->gather ? impl_->gather->capacity() : 0; }
-
-void BackwardPass::reserve_hits(Stream& stream, std::uint64_t n_hits) {
-    if (!impl_->gather) return;
-    stream.finish();
-    impl_->gather->reserve(n_hits);
+std::uint64_t BackwardPass::get_hit_capacity() const {
+    return impl_->gather ? impl_->gather->get_hit_capacity() : 0;
 }
 
-void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, const RenderedBatch& batch,
-                       const glm::vec3& view_origin_m, Gradients& gradients) {
+void BackwardPass::reserve_hit_memory(Stream& stream, std::uint64_t n_hits) {
+    if (!impl_->gather) return;
+    stream.submit_and_wait();
+    impl_->gather->reserve_hit_records(n_hits);
+}
+
+void BackwardPass::record_backward_pass(Stream& stream, DeviceScene& scene,
+                                        const AccelerationStructure& accel, const RenderedBatch& batch,
+                                        const glm::vec3& view_origin_m, DeviceGradients& gradients) {
     RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays), batch.rendered->size());
-    RELIDAR_ASSERT_LE(16 * std::size_t(scene.gradient_rows()), gradients.records.size());
-    const ImageModel& model = impl_->model;
+    RELIDAR_ASSERT_LE(16 * std::size_t(scene.count_gradient_rows()), gradients.records.size());
+    const ImageFormationModel& model = impl_->model;
     const bool has_pose_gradients = gradients.poses.size() > 0,
                lists = scene.can_skip_untouched_surfels() && !gradients.zero_untouched;
     shared::BackwardParams params{};
     params.scene =
-        make_trace_scene(scene, accel, batch.rays, model, impl_->options, impl_->pass_cap.address());
+        make_trace_scene_params(scene, accel, batch.rays, model, impl_->options, impl_->pass_cap.address());
     params.rendered = batch.rendered->address();
     params.upstream = batch.upstream->address();
     params.d_records = gradients.records.address();
     params.d_sh = gradients.surfels.sh.address();
     if (lists) params.touched = gradients.touched.address();
     params.d_rays = gradients.rays.address();
-    if (batch.kept) {
-        RELIDAR_ASSERT_EQ(batch.kept->hold(batch.rays), true);
-        params.kept = batch.kept->hits.address();
-        params.n_kept = batch.kept->per_ray;
+    if (batch.stored_hits) {
+        RELIDAR_ASSERT_EQ(batch.stored_hits->can_store_hits(batch.rays), true);
+        params.kept = batch.stored_hits->hits.address();
+        params.n_kept = batch.stored_hits->per_ray;
     }
-    params.n_rows = scene.gradient_rows();
+    params.n_rows = scene.count_gradient_rows();
     params.with_turn = has_pose_gradients ? 1u : 0u;
     if (impl_->gather) {
-        impl_->gather->assign_hit_records(stream, batch);
-        impl_->gather->fill(params);
+        impl_->gather->assign_hit_record_indices(stream, batch);
+        impl_->gather->write_hit_addresses(params);
     }
     {
-        const Concurrent zeros(stream);
+        const ConcurrentLaunchScope zeros(stream);
         stream.fill(gradients.records);
         if (model.sh_direction == ShDirection::ray) stream.fill(gradients.surfels.sh);
         if (lists) stream.fill(gradients.touched);
         if (lists && has_pose_gradients) stream.fill(gradients.pose_sums->d_view);
     }
     relidar::run(stream, impl_->trace, count_trace_threads(batch.rays), params);
-    if (impl_->gather) impl_->gather->run(stream, params);
-    scene.activate_vjp(stream, model, view_origin_m,
-                       {.d_records = &gradients.records,
-                        .d_surfels = &gradients.surfels,
-                        .touched = &gradients.touched,
-                        .d_view = has_pose_gradients ? &gradients.pose_sums->d_view : nullptr,
-                        .zero_untouched = gradients.zero_untouched,
-                        .touched_is_marked = lists});
-    if (has_pose_gradients) impl_->poses.run(stream, scene, model, view_origin_m, gradients);
+    if (impl_->gather) impl_->gather->sum_hit_gradients(stream, params);
+    scene.backpropagate_surfel_records(stream, model, view_origin_m,
+                                       {.d_records = &gradients.records,
+                                        .d_surfels = &gradients.surfels,
+                                        .touched = &gradients.touched,
+                                        .d_view = has_pose_gradients ? &gradients.pose_sums->d_view : nullptr,
+                                        .zero_untouched = gradients.zero_untouched,
+                                        .touched_is_marked = lists});
+    if (has_pose_gradients)
+        impl_->poses.compute_pose_gradients(stream, scene, model, view_origin_m, gradients);
 }
 
 }  // namespace relidar

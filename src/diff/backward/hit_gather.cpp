@@ -12,29 +12,30 @@
 namespace relidar {
 namespace {
 
-std::vector<Constant> make_kernel_constants(const ImageModel& model, const TraceOptions& options) {
-    return {{ConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
-            {ConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
-            {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(model.primitive)},
-            {ConstantId::LIKELIHOOD, options.likelihood ? 1u : 0u}};
+std::vector<SpecialisationConstant> make_gather_kernel_constants(const ImageFormationModel& model,
+                                                                 const TraceOptions& options) {
+    return {{SpecialisationConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
+            {SpecialisationConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
+            {SpecialisationConstantId::PRIMITIVE, static_cast<std::uint32_t>(model.primitive)},
+            {SpecialisationConstantId::LIKELIHOOD, options.likelihood ? 1u : 0u}};
 }
 
 }  // namespace
 
-HitGather::HitGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray,
-                     const TraceOptions& options)
+HitGradientGather::HitGradientGather(Device& device, const ImageFormationModel& model,
+                                     std::uint32_t hits_per_ray, const TraceOptions& options)
     : device_(device),
       hits_per_ray_(hits_per_ray),
       part_floats_(model.sh_direction == ShDirection::surfel ? 16u : 16u + RELIDAR_SH_FLOATS),
-      gather_(device, "diff/backward/gather", choose_accumulating_variant(device),
-              make_kernel_constants(model, options)),
-      heads_kernel_(device, "diff/backward/gather_heads", choose_accumulating_variant(device),
-                    make_kernel_constants(model, options)),
+      gather_(device, "diff/backward/gather", choose_float_atomics_variant(device),
+              make_gather_kernel_constants(model, options)),
+      heads_kernel_(device, "diff/backward/gather_heads", choose_float_atomics_variant(device),
+                    make_gather_kernel_constants(model, options)),
       most_hits_(device, std::vector<std::uint32_t>{0u}, "most hits of a batch"),
       n_hits_(device, 1, "hits of a batch"),
       prefix_sum_(device) {}
 
-void HitGather::reserve(std::uint64_t n_hits) {
+void HitGradientGather::reserve_hit_records(std::uint64_t n_hits) {
     constexpr std::uint64_t kMost = 1ull << 31;  // record indices have 32 bits
     const auto capacity = static_cast<std::uint32_t>(std::min(n_hits, kMost));
     if (sort_ && capacity <= sort_->capacity()) return;
@@ -49,41 +50,41 @@ void HitGather::reserve(std::uint64_t n_hits) {
               "sums of hit records"};
 }
 
-void HitGather::assign_hit_records(Stream& stream, const RenderedBatch& batch) {
+void HitGradientGather::assign_hit_record_indices(Stream& stream, const RenderedBatch& batch) {
     n_rays_ = batch.rays.n_rays;
     if (n_rays_ > first_hit_.size()) {
-        stream.finish();
+        stream.submit_and_wait();
         first_hit_ = {device_, n_rays_, "slots of rays"};
         prefix_sum_.reserve(device_, n_rays_);
-        reserve(std::uint64_t(n_rays_) * hits_per_ray_);
+        reserve_hit_records(std::uint64_t(n_rays_) * hits_per_ray_);
     }
     const StridedCounts hits{.address = batch.rendered->address_as<std::uint32_t, shared::ScanCounts>(),
                              .offset = offsetof(shared::RenderedRay, n_hits) / 4,
                              .stride = sizeof(shared::RenderedRay) / 4};
-    prefix_sum_.run(stream, hits, first_hit_.address().as<shared::ScanPrefix>(), n_rays_,
-                    n_hits_.address().as<shared::ScanTotal>());
+    prefix_sum_.run(stream, hits, first_hit_.address().cast_meaning<shared::ScanPrefix>(), n_rays_,
+                    n_hits_.address().cast_meaning<shared::ScanTotal>());
 }
 
-void HitGather::fill(shared::BackwardParams& params) const {
+void HitGradientGather::write_hit_addresses(shared::BackwardParams& params) const {
     params.first_hit = first_hit_.address();
     params.hits = hits_.address();
     params.rows = rows_[0].address();
     params.capacity = sort_->capacity();
 }
 
-void HitGather::run(Stream& stream, const shared::BackwardParams& params) {
+void HitGradientGather::sum_hit_gradients(Stream& stream, const shared::BackwardParams& params) {
     const auto set = [&](int index) {
-        return SortSet{.keys = rows_[index].address().as<shared::SortKeys>(),
-                       .order = slots_[index].address().as<shared::SortOrder>()};
+        return SortBuffers{.keys = rows_[index].address().cast_meaning<shared::SortKeys>(),
+                           .order = slots_[index].address().cast_meaning<shared::SortOrder>()};
     };
-    const SortSet sorted =
+    const SortBuffers sorted =
         sort_->run(stream, set(0), set(1), static_cast<std::uint32_t>(std::bit_width(params.n_rows)),
-                   n_hits_.address().as<shared::SortCount>());
+                   n_hits_.address().cast_meaning<shared::SortCount>());
     const shared::GatherParams gather{.scene = params.scene,
                                       .upstream = params.upstream,
                                       .hits = hits_.address(),
-                                      .rows = sorted.keys.as<shared::HitRows>(),
-                                      .slots = sorted.order.as<shared::HitSlots>(),
+                                      .rows = sorted.keys.cast_meaning<shared::HitRows>(),
+                                      .slots = sorted.order.cast_meaning<shared::HitSlots>(),
                                       .n_hits = n_hits_.address(),
                                       .parts = parts_.address(),
                                       .d_records = params.d_records,

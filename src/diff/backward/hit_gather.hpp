@@ -13,29 +13,29 @@
 
 namespace relidar {
 
-class HitGather {
+class HitGradientGather {
 public:
     /// Creates the kernels that sort and sum the gradients of hits.
     /// @param hits_per_ray memory is allocated for this number of hits per ray of the
     /// largest batch
-    HitGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray,
-              const TraceOptions& options);
+    HitGradientGather(Device& device, const ImageFormationModel& model, std::uint32_t hits_per_ray,
+                      const TraceOptions& options);
     /// Assigns a position in the list of hits to each rendered hit, in the order of the
     /// rays. If the batch is the largest so far, waits for the device and allocates
     /// memory.
-    void assign_hit_records(Stream& stream, const RenderedBatch& batch);
+    void assign_hit_record_indices(Stream& stream, const RenderedBatch& batch);
     /// Sets the addresses in `params` to which the backward kernel writes its hits.
-    void fill(shared::BackwardParams& params) const;
+    void write_hit_addresses(shared::BackwardParams& params) const;
     /// Sums the gradients of all hits by surfel and adds the sums to the arrays of
     /// `params`.
-    void run(Stream& stream, const shared::BackwardParams& params);
+    void sum_hit_gradients(Stream& stream, const shared::BackwardParams& params);
     /// Returns the largest number of hits of any batch since the host set the value to 0,
     /// [1] on the device.
     const Array<std::uint32_t>& most_hits() const { return most_hits_; }
-    std::uint64_t capacity() const { return sort_ ? sort_->capacity() : 0; }
+    std::uint64_t get_hit_capacity() const { return sort_ ? sort_->capacity() : 0; }
     /// Allocates memory for at least `n_hits` hits. The device must be idle, because the
     /// old memory is freed.
-    void reserve(std::uint64_t n_hits);
+    void reserve_hit_records(std::uint64_t n_hits);
 
 private:
     Device& device_;

@@ -22,7 +22,7 @@ struct BlockTable {
 };
 
 BlockTable make_surfel_block_table(const DeviceScene& scene) {
-    const Scene& layout = scene.layout();
+    const Scene& layout = scene.get_scene_layout();
     BlockTable table;
     std::vector<bool> viewed(layout.models.size(), false);
     for (std::size_t i = 0; i < layout.instances.size(); ++i) {
@@ -41,7 +41,7 @@ BlockTable make_surfel_block_table(const DeviceScene& scene) {
 
 }  // namespace
 
-Gradients::PoseSums::PoseSums(Device& device, const DeviceScene& scene) {
+DeviceGradients::PoseGradientSums::PoseGradientSums(Device& device, const DeviceScene& scene) {
     const BlockTable table = make_surfel_block_table(scene);
     blocks = Array<shared::PoseBlock>(device, table.blocks, "pose blocks");
     first_block = Array<std::uint32_t>(device, table.first, "first pose blocks");
@@ -49,19 +49,20 @@ Gradients::PoseSums::PoseSums(Device& device, const DeviceScene& scene) {
     d_view = {device, 3 * std::size_t(scene.size()), "view gradient"};
 }
 
-PoseGradients::PoseGradients(Device& device)
-    : blocks_(device, "diff/backward/pose_blocks", {{ConstantId::WORKGROUP_SIZE, kThreads}}),
-      poses_(device, "diff/backward/poses", {{ConstantId::WORKGROUP_SIZE, kThreads}}),
+PoseGradientKernels::PoseGradientKernels(Device& device)
+    : blocks_(device, "diff/backward/pose_blocks", {{SpecialisationConstantId::WORKGROUP_SIZE, kThreads}}),
+      poses_(device, "diff/backward/poses", {{SpecialisationConstantId::WORKGROUP_SIZE, kThreads}}),
       sensor_(device, "diff/backward/sensor_pose") {}
 
-void PoseGradients::run(Stream& stream, const DeviceScene& scene, const ImageModel& model,
-                        const glm::vec3& view_origin_m, Gradients& gradients) {
-    const Gradients::PoseSums& sums = *gradients.pose_sums;
-    const auto n_instances = static_cast<std::uint32_t>(scene.layout().instances.size()),
+void PoseGradientKernels::compute_pose_gradients(Stream& stream, const DeviceScene& scene,
+                                                 const ImageFormationModel& model,
+                                                 const glm::vec3& view_origin_m, DeviceGradients& gradients) {
+    const DeviceGradients::PoseGradientSums& sums = *gradients.pose_sums;
+    const auto n_instances = static_cast<std::uint32_t>(scene.get_scene_layout().instances.size()),
                n_blocks = static_cast<std::uint32_t>(sums.blocks.size());
     RELIDAR_ASSERT_LE(std::size_t(n_instances) + 1, sums.first_block.size());
     relidar::run(stream, blocks_, kThreads * std::size_t(n_blocks),
-                 {.records = scene.records().address(),
+                 {.records = scene.get_surfel_records().address(),
                   .d_records = gradients.records.address(),
                   .d_view = sums.d_view.address(),
                   .blocks = sums.blocks.address(),
@@ -69,14 +70,14 @@ void PoseGradients::run(Stream& stream, const DeviceScene& scene, const ImageMod
                   .n_blocks = n_blocks,
                   .sh_per_surfel = model.sh_direction == ShDirection::surfel ? 1u : 0u});
     relidar::run(stream, poses_, kThreads * std::size_t(n_instances),
-                 {.instances = scene.instances().address(),
+                 {.instances = scene.get_instance_table().address(),
                   .sums = sums.sums.address(),
                   .first_block = sums.first_block.address(),
                   .d_poses = gradients.poses.address(),
                   .view_origin = view_origin_m,
                   .n_instances = n_instances});
     relidar::run(stream, sensor_, 1,
-                 {.instances = scene.instances().address(),
+                 {.instances = scene.get_instance_table().address(),
                   .d_poses = gradients.poses.address(),
                   .d_sensor = gradients.sensor.address(),
                   .view_origin = view_origin_m,

@@ -12,24 +12,24 @@ namespace relidar {
 
 /// Blocks of surfels into which all instances are divided, and the gradient sum of each
 /// block.
-struct Gradients::PoseSums {
+struct DeviceGradients::PoseGradientSums {
     Array<shared::PoseBlock> blocks;
     Array<std::uint32_t> first_block;            ///< [instances + 1] first block of each instance
     Array<float, shared::PoseSums> sums;         ///< [blocks, RELIDAR_POSE_SUMS] sum of each block
     Array<float, shared::ViewGradients> d_view;  ///< [n,3] output of activate_vjp
 
-    PoseSums(Device& device, const DeviceScene& scene);
+    PoseGradientSums(Device& device, const DeviceScene& scene);
 };
 
 /// The three kernels that compute pose gradients.
-class PoseGradients {
+class PoseGradientKernels {
 public:
-    explicit PoseGradients(Device& device);
+    explicit PoseGradientKernels(Device& device);
     /// Computes the pose gradients of all instances and of the sensor. Reads the
     /// gradients of the surfel records, and the gradients of the view directions in
     /// pose_sums.
-    void run(Stream& stream, const DeviceScene& scene, const ImageModel& model,
-             const glm::vec3& view_origin_m, Gradients& gradients);
+    void compute_pose_gradients(Stream& stream, const DeviceScene& scene, const ImageFormationModel& model,
+                                const glm::vec3& view_origin_m, DeviceGradients& gradients);
 
 private:
     Kernel<shared::PoseBlocksParams> blocks_;

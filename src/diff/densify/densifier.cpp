@@ -27,14 +27,14 @@ constexpr float kUnbounded = std::numeric_limits<float>::infinity();
 double logit(double probability) { return std::log(probability / (1.0 - probability)); }
 
 /// Thresholds that decide which surfels are dropped or grow.
-struct Rules {
+struct DensifyThresholds {
     float min_opacity = 0.0f;
     float max_extent_share = kUnbounded;
 };
 
 /// Purpose of random numbers. It is part of their seed, so that different purposes get
 /// independent numbers.
-enum class Draw : std::uint64_t { classify = 1, phase = 2 };
+enum class RandomPurpose : std::uint64_t { classify = 1, phase = 2 };
 
 // Opacity after a reset, relative to alpha_min. Above 1, because a surfel below alpha_min
 // is invisible and gets no gradient.
@@ -49,7 +49,7 @@ struct Densifier::Impl {
     double reset_opacity_to;
     std::uint64_t seed;
     std::vector<double> extents_m;
-    Rearrangement arrays;
+    SurfelReorderer arrays;
     /// [n_models, RELIDAR_DENSIFY_COUNTERS] counters of each model
     Array<std::uint32_t, shared::DensifyCounters> counters;
     Kernel<shared::ObserveParams> observe;
@@ -66,7 +66,8 @@ struct Densifier::Impl {
           min_opacity(std::max(float(o.min_opacity), alpha_min)),
           reset_opacity_to(std::max(o.reset_opacity, kResetOverAlphaMin * double(alpha_min))),
           seed(random_seed),
-          arrays(d, static_cast<std::uint32_t>(scene.surfels.size()), n_frames, scene.surfels.parameters()),
+          arrays(d, static_cast<std::uint32_t>(scene.surfels.size()), n_frames,
+                 scene.surfels.get_parameter_set()),
           counters(d, scene.models.size() * RELIDAR_DENSIFY_COUNTERS, "densification counters"),
           observe(d, "diff/densify/observe"),
           classify(d, "diff/densify/classify"),
@@ -76,47 +77,50 @@ struct Densifier::Impl {
             extents_m.push_back(compute_model_extent(scene, model));
     }
 
-    std::uint64_t random(Draw draw, int step) const {
-        return combine_hashes(combine_hashes(seed, std::uint64_t(draw)), std::uint64_t(step));
+    std::uint64_t compute_random_key(RandomPurpose purpose, int step) const {
+        return hash_integer_pair(hash_integer_pair(seed, std::uint64_t(purpose)), std::uint64_t(step));
     }
-    Rules get_densify_rules(int step) const;
-    std::vector<ModelCounts> counts(Stream& stream, const DeviceScene& scene, const Rules& rules, int step);
-    std::uint32_t reserve_surfels(DeviceScene& scene, Adam& adam, std::uint32_t requested,
-                                  double other_allocation_bytes, std::string& why);
-    DensifyReport apply(Stream& stream, DeviceScene& scene, Adam& adam, const Rules& rules, int step,
-                        double other_allocation_bytes);
+    DensifyThresholds get_densify_thresholds(int step) const;
+    std::vector<ModelDensifyCounters> count_surfels_per_action(Stream& stream, const DeviceScene& scene,
+                                                               const DensifyThresholds& rules, int step);
+    std::uint32_t reserve_surfel_memory(DeviceScene& scene, Adam& adam, std::uint32_t requested_surfels,
+                                        double other_bytes_per_surfel, std::string& failure_reason);
+    DensifyReport densify_surfels(Stream& stream, DeviceScene& scene, Adam& adam,
+                                  const DensifyThresholds& rules, int step, double other_bytes_per_surfel);
 };
 
-Rules Densifier::Impl::get_densify_rules(int step) const {
-    Rules rules{min_opacity, kUnbounded};
+DensifyThresholds Densifier::Impl::get_densify_thresholds(int step) const {
+    DensifyThresholds rules{min_opacity, kUnbounded};
     if (step > options.large_from) rules.max_extent_share = static_cast<float>(options.max_extent_share);
     return rules;
 }
 
-std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceScene& scene, const Rules& rules,
-                                                 int step) {
+std::vector<ModelDensifyCounters> Densifier::Impl::count_surfels_per_action(Stream& stream,
+                                                                            const DeviceScene& scene,
+                                                                            const DensifyThresholds& rules,
+                                                                            int step) {
     const SurfelStatistics& s = arrays.statistics;
     const std::vector<float> extents(extents_m.begin(), extents_m.end());
     stream.fill(counters);
     relidar::run(stream, classify, scene.size(),
-                 {.surfels = get_surfel_pointers(scene.parameters()),
+                 {.surfels = get_surfel_pointers(scene.get_surfel_parameters()),
                   .gradient_sum = s.gradient_sum.address(),
-                  .n_seen = s.n_seen.address(),
+                  .n_seen = s.n_observing_batches.address(),
                   .action = arrays.action.address(),
                   .weight = arrays.weight.address(),
                   .counters = counters.address(),
-                  .models = scene.models().address(),
-                  .extents = stream.impl().values(extents).as<shared::ModelExtents>(),
+                  .models = scene.get_model_table().address(),
+                  .extents = stream.impl().store_host_values(extents).cast_meaning<shared::ModelExtents>(),
                   .min_opacity = rules.min_opacity,
                   .max_extent_share = rules.max_extent_share,
                   .clone_extent_share = static_cast<float>(options.clone_extent_share),
                   .gradient_threshold = static_cast<float>(options.gradient_threshold),
                   .n_surfels = scene.size(),
                   .n_models = static_cast<std::uint32_t>(extents.size()),
-                  .key = static_cast<std::uint32_t>(random(Draw::classify, step))});
-    stream.finish();
+                  .key = static_cast<std::uint32_t>(compute_random_key(RandomPurpose::classify, step))});
+    stream.submit_and_wait();
     const std::vector<std::uint32_t> values = counters.download();
-    std::vector<ModelCounts> result(extents.size());
+    std::vector<ModelDensifyCounters> result(extents.size());
     for (std::size_t i = 0; i < values.size(); ++i)
         result[i / RELIDAR_DENSIFY_COUNTERS][i % RELIDAR_DENSIFY_COUNTERS] = values[i];
     return result;
@@ -124,35 +128,38 @@ std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceSce
 
 /// Allocates memory for the surfels after a densification. If memory is short, tries
 /// fewer surfels.
-/// @param requested desired number of surfels
-/// @param why receives the reason if memory is short
-/// @return number of surfels for which memory is available, at most `requested`
-std::uint32_t Densifier::Impl::reserve_surfels(DeviceScene& scene, Adam& adam, std::uint32_t requested,
-                                               double other_allocation_bytes, std::string& why) {
+/// @param requested_surfels desired number of surfels
+/// @param failure_reason receives the reason if memory is short
+/// @return number of surfels for which memory is available, at most `requested_surfels`
+std::uint32_t Densifier::Impl::reserve_surfel_memory(DeviceScene& scene, Adam& adam,
+                                                     std::uint32_t requested_surfels,
+                                                     double other_bytes_per_surfel,
+                                                     std::string& failure_reason) {
     const std::uint32_t before = scene.size();
     // bytes per surfel of parameters, Adam moments and records
-    const double others = 4.0 * (3.0 * count_floats_per_surfel(scene.parameters().parameters()) + 16.0);
-    const double bytes = double(arrays.bytes_per_surfel()) + others;
+    const double others =
+        4.0 * (3.0 * count_floats_per_surfel(scene.get_surfel_parameters().get_parameter_set()) + 16.0);
+    const double bytes = double(arrays.compute_bytes_per_surfel()) + others;
     const auto fits = [&](std::uint32_t target, double capacity) {
         const std::uint32_t now = arrays.capacity();
         const bool grows = capacity > now;
         const double while_copied = grows ? 4.0 * kShFloats * now : 0.0;
-        why =
-            describe_allocation_failure(device, other_allocation_bytes * target +
-                                                    (grows ? bytes * (capacity - now) + while_copied : 0.0));
-        if (!why.empty() || !grows) return why.empty();
+        failure_reason =
+            try_allocation_and_get_error(device, other_bytes_per_surfel * target +
+                                                     (grows ? bytes * (capacity - now) + while_copied : 0.0));
+        if (!failure_reason.empty() || !grows) return failure_reason.empty();
         try {
             const std::uint32_t n = static_cast<std::uint32_t>(capacity);
             scene.reserve(device, n);
-            adam.moment1().reserve(device, n, "first moment");
-            adam.moment2().reserve(device, n, "second moment");
-            arrays.reserve(n);
+            adam.get_first_moments().reserve(device, n, "first moment");
+            adam.get_second_moments().reserve(device, n, "second moment");
+            arrays.reserve_surfel_memory(n);
         } catch (const OutOfDeviceMemory& error) {
-            why = error.what();
+            failure_reason = error.what();
         }
-        return why.empty();
+        return failure_reason.empty();
     };
-    for (std::uint32_t growth = requested > before ? requested - before : 0; growth > 0;
+    for (std::uint32_t growth = requested_surfels > before ? requested_surfels - before : 0; growth > 0;
          growth = growth >= 16 ? growth / 2 : 0) {
         const std::uint32_t target = before + growth;
         const double generous =
@@ -163,44 +170,46 @@ std::uint32_t Densifier::Impl::reserve_surfels(DeviceScene& scene, Adam& adam, s
             (!there && fits(target, target)))
             return target;
     }
-    return std::min(requested, before);
+    return std::min(requested_surfels, before);
 }
 
-DensifyReport Densifier::Impl::apply(Stream& stream, DeviceScene& scene, Adam& adam, const Rules& rules,
-                                     int step, double other_allocation_bytes) {
+DensifyReport Densifier::Impl::densify_surfels(Stream& stream, DeviceScene& scene, Adam& adam,
+                                               const DensifyThresholds& rules, int step,
+                                               double other_bytes_per_surfel) {
     const std::uint32_t before = scene.size();
-    const std::vector<ModelCounts> counted = counts(stream, scene, rules, step);
-    GrowthPlan plan =
-        limit_growth_plan(plan_growth(counted, options, random(Draw::phase, step)), memory_limit);
-    std::string why;
-    const std::uint32_t room = reserve_surfels(scene, adam, plan.size(), other_allocation_bytes, why);
+    const std::vector<ModelDensifyCounters> counted = count_surfels_per_action(stream, scene, rules, step);
+    GrowthPlan plan = limit_growth_plan(
+        plan_surfel_growth(counted, options, compute_random_key(RandomPurpose::phase, step)), memory_limit);
+    std::string failure_reason;
+    const std::uint32_t surfel_capacity =
+        reserve_surfel_memory(scene, adam, plan.size(), other_bytes_per_surfel, failure_reason);
     std::string note;
-    if (room < plan.size()) {
-        memory_limit = room;
-        plan = limit_growth_plan(plan, room);
-        note = fmt::format("densification stops at {} surfels: {}", room, why);
+    if (surfel_capacity < plan.size()) {
+        memory_limit = surfel_capacity;
+        plan = limit_growth_plan(plan, surfel_capacity);
+        note = fmt::format("densification stops at {} surfels: {}", surfel_capacity, failure_reason);
     }
     DensifyReport report = make_densify_report(counted, plan);
     report.note = note;
-    if (report.removed() == 0 && report.added == 0) {
+    if (report.count_removed_surfels() == 0 && report.added == 0) {
         arrays.reset_gradient_sums(stream);
-        stream.finish();
+        stream.submit_and_wait();
         return report;
     }
-    arrays.assign_new_positions(stream, plan, before);
-    arrays.move(stream, scene.parameters(), false, plan.size());
-    arrays.move(stream, adam.moment1(), true, plan.size());
-    arrays.move(stream, adam.moment2(), true, plan.size());
+    arrays.compute_new_row_indices(stream, plan, before);
+    arrays.move_to_new_rows(stream, scene.get_surfel_parameters(), false, plan.size());
+    arrays.move_to_new_rows(stream, adam.get_first_moments(), true, plan.size());
+    arrays.move_to_new_rows(stream, adam.get_second_moments(), true, plan.size());
     relidar::run(stream, spawn, before,
-                 {.surfels = get_surfel_pointers(scene.parameters()),
+                 {.surfels = get_surfel_pointers(scene.get_surfel_parameters()),
                   .action = arrays.action.address(),
                   .n_rows = arrays.n_rows.address(),
                   .starts = arrays.starts.address(),
                   .n_surfels = before,
-                  .key = static_cast<std::uint32_t>(random(Draw::classify, step))});
-    arrays.move_statistics(stream);
-    stream.finish();
-    scene.set_models(plan.ranges(scene.layout().models, counted));
+                  .key = static_cast<std::uint32_t>(compute_random_key(RandomPurpose::classify, step))});
+    arrays.move_statistics_to_new_rows(stream);
+    stream.submit_and_wait();
+    scene.set_models(plan.assign_new_surfel_ranges(scene.get_scene_layout().models, counted));
     return report;
 }
 
@@ -210,12 +219,13 @@ Densifier::Densifier(Device& device, const Scene& initial, const DensifyOptions&
                 ? nullptr
                 : std::make_unique<Impl>(device, initial, options, alpha_min, n_frames, seed)) {}
 Densifier::~Densifier() = default;
-bool Densifier::is_active() const { return impl_ != nullptr; }
+bool Densifier::is_densification_enabled() const { return impl_ != nullptr; }
 SurfelStatistics& Densifier::statistics() { return impl_->arrays.statistics; }
-std::vector<double>& Densifier::extents_m() { return impl_->extents_m; }
-const std::vector<double>& Densifier::extents_m() const { return impl_->extents_m; }
+std::vector<double>& Densifier::get_model_extents_m() { return impl_->extents_m; }
+const std::vector<double>& Densifier::get_model_extents_m() const { return impl_->extents_m; }
 
-void Densifier::observe(Stream& stream, const DeviceScene& scene, const ObservedBatch& batch) {
+void Densifier::accumulate_gradient_statistics(Stream& stream, const DeviceScene& scene,
+                                               const BackpropagatedBatch& batch) {
     if (!impl_) return;
     const SurfelStatistics& s = impl_->arrays.statistics;
     RELIDAR_ASSERT_LE(batch.frame / 32 + 1, s.n_words);
@@ -224,7 +234,7 @@ void Densifier::observe(Stream& stream, const DeviceScene& scene, const Observed
                  {.d_mean = batch.gradients->mean.address(),
                   .touched = batch.touched->address(),
                   .gradient_sum = s.gradient_sum.address(),
-                  .n_seen = s.n_seen.address(),
+                  .n_seen = s.n_observing_batches.address(),
                   .frames = s.frames.address(),
                   .n_surfels = scene.size(),
                   .n_words = s.n_words,
@@ -238,21 +248,22 @@ bool Densifier::should_densify(int step) const {
     return step >= o.from && step < o.until && step % std::max(1, o.every) == 0;
 }
 
-DensifyReport Densifier::run(Stream& stream, DeviceScene& scene, Adam& adam, int step,
-                             double other_allocation_bytes) {
-    return impl_->apply(stream, scene, adam, impl_->get_densify_rules(step), step, other_allocation_bytes);
+DensifyReport Densifier::densify_surfels(Stream& stream, DeviceScene& scene, Adam& adam, int step,
+                                         double reserved_bytes_per_surfel) {
+    return impl_->densify_surfels(stream, scene, adam, impl_->get_densify_thresholds(step), step,
+                                  reserved_bytes_per_surfel);
 }
 
-void Densifier::after_step(Stream& stream, DeviceScene& scene, Adam& adam, int step) {
+void Densifier::reset_opacities_if_scheduled(Stream& stream, DeviceScene& scene, Adam& adam, int step) {
     if (!impl_) return;
     const DensifyOptions& o = impl_->options;
     if (o.opacity_reset_every <= 0 || step >= o.until || step % o.opacity_reset_every != 0) return;
     relidar::run(stream, impl_->reset_opacity, scene.size(),
-                 {.opacity_logit = scene.parameters().opacity_logit.address(),
+                 {.opacity_logit = scene.get_surfel_parameters().opacity_logit.address(),
                   .max_logit = static_cast<float>(logit(impl_->reset_opacity_to)),
                   .n_surfels = scene.size()});
-    stream.fill(adam.moment1().opacity_logit);
-    stream.fill(adam.moment2().opacity_logit);
+    stream.fill(adam.get_first_moments().opacity_logit);
+    stream.fill(adam.get_second_moments().opacity_logit);
 }
 
 }  // namespace relidar

@@ -7,46 +7,47 @@
 
 namespace relidar {
 
-std::uint32_t GrowthPlan::sum_earlier_weights(std::uint64_t weight) const {
-    return total_weight == 0 ? 0u : static_cast<std::uint32_t>((weight * n_new + phase) / total_weight);
+std::uint32_t GrowthPlan::count_earlier_copies(std::uint64_t cumulative_weight) const {
+    return total_weight == 0 ? 0u
+                             : static_cast<std::uint32_t>((cumulative_weight * n_new + phase) / total_weight);
 }
 
-std::vector<Model> GrowthPlan::ranges(std::vector<Model> models,
-                                      const std::vector<ModelCounts>& counts) const {
+std::vector<SurfelModel> GrowthPlan::assign_new_surfel_ranges(
+    std::vector<SurfelModel> models, const std::vector<ModelDensifyCounters>& counts) const {
     std::uint32_t next = 0;
     std::uint64_t weight = 0;
     for (std::size_t i = 0; i < models.size(); ++i) {
         const std::uint64_t above = weight + counts[i][RELIDAR_DENSIFY_WEIGHT];
         models[i].first = next;
         models[i].count =
-            counts[i][RELIDAR_DENSIFY_KEPT] + sum_earlier_weights(above) - sum_earlier_weights(weight);
+            counts[i][RELIDAR_DENSIFY_KEPT] + count_earlier_copies(above) - count_earlier_copies(weight);
         next += models[i].count;
         weight = above;
     }
     return models;
 }
 
-GrowthPlan plan_growth(const std::vector<ModelCounts>& counts, const DensifyOptions& options,
-                       std::uint64_t random) {
+GrowthPlan plan_surfel_growth(const std::vector<ModelDensifyCounters>& counts, const DensifyOptions& options,
+                              std::uint64_t random_number) {
     GrowthPlan plan;
-    for (const ModelCounts& c : counts) {
+    for (const ModelDensifyCounters& c : counts) {
         plan.survivors += c[RELIDAR_DENSIFY_KEPT];
         plan.total_weight += c[RELIDAR_DENSIFY_WEIGHT];
     }
     if (plan.total_weight == 0) return plan;
-    plan.phase = static_cast<std::uint32_t>(random % plan.total_weight);
+    plan.phase = static_cast<std::uint32_t>(random_number % plan.total_weight);
     plan.n_new = plan.total_weight;  // one new surfel per growing surfel, because each has weight 1
     return limit_growth_plan(plan, static_cast<std::uint32_t>(options.max_surfels));
 }
 
-GrowthPlan limit_growth_plan(GrowthPlan plan, std::uint32_t size) {
-    plan.n_new = std::min(plan.n_new, size > plan.survivors ? size - plan.survivors : 0u);
+GrowthPlan limit_growth_plan(GrowthPlan plan, std::uint32_t max_surfels) {
+    plan.n_new = std::min(plan.n_new, max_surfels > plan.survivors ? max_surfels - plan.survivors : 0u);
     return plan;
 }
 
-DensifyReport make_densify_report(const std::vector<ModelCounts>& counts, const GrowthPlan& plan) {
+DensifyReport make_densify_report(const std::vector<ModelDensifyCounters>& counts, const GrowthPlan& plan) {
     DensifyReport r;
-    for (const ModelCounts& c : counts) {
+    for (const ModelDensifyCounters& c : counts) {
         r.invalid += c[RELIDAR_DENSIFY_INVALID];
         r.faint += c[RELIDAR_DENSIFY_FAINT];
         r.large += c[RELIDAR_DENSIFY_LARGE];
@@ -54,23 +55,23 @@ DensifyReport make_densify_report(const std::vector<ModelCounts>& counts, const 
         r.clones += c[RELIDAR_DENSIFY_CLONES];
         r.splits += c[RELIDAR_DENSIFY_SPLITS];
     }
-    r.before = plan.survivors + r.removed();
+    r.before = plan.survivors + r.count_removed_surfels();
     r.added = plan.n_new;
     r.after = plan.size();
     return r;
 }
 
-void DensifyReport::add(const DensifyReport& report) {
-    before = report.before;
-    after = report.after;
-    added += report.added;
-    clones += report.clones;
-    splits += report.splits;
-    invalid += report.invalid;
-    faint += report.faint;
-    large += report.large;
-    outside += report.outside;
-    if (!report.note.empty()) note = report.note;
+void DensifyReport::add_counts(const DensifyReport& later_report) {
+    before = later_report.before;
+    after = later_report.after;
+    added += later_report.added;
+    clones += later_report.clones;
+    splits += later_report.splits;
+    invalid += later_report.invalid;
+    faint += later_report.faint;
+    large += later_report.large;
+    outside += later_report.outside;
+    if (!later_report.note.empty()) note = later_report.note;
 }
 
 }  // namespace relidar

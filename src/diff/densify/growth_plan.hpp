@@ -17,7 +17,7 @@ namespace relidar {
 /// Densification counters of one model: numbers of surfels that are kept, dropped for
 /// each reason, cloned and split. The index is RELIDAR_DENSIFY_KEPT or a following
 /// constant.
-using ModelCounts = std::array<std::uint32_t, RELIDAR_DENSIFY_COUNTERS>;
+using ModelDensifyCounters = std::array<std::uint32_t, RELIDAR_DENSIFY_COUNTERS>;
 
 struct GrowthPlan {
     std::uint32_t survivors = 0;
@@ -28,22 +28,24 @@ struct GrowthPlan {
     std::uint32_t size() const { return survivors + n_new; }
     /// Returns the total number of copies of all surfels before a position. Must use the
     /// same formula as kernel diff/densify/allot.
-    /// @param weight sum of the weights of these surfels
-    std::uint32_t sum_earlier_weights(std::uint64_t weight) const;
+    /// @param cumulative_weight sum of the weights of these surfels
+    std::uint32_t count_earlier_copies(std::uint64_t cumulative_weight) const;
     /// Returns the models with the surfel ranges that they have after the densification.
-    std::vector<Model> ranges(std::vector<Model> models, const std::vector<ModelCounts>& counts) const;
+    std::vector<SurfelModel> assign_new_surfel_ranges(std::vector<SurfelModel> models,
+                                                      const std::vector<ModelDensifyCounters>& counts) const;
 };
 
 /// Plans how many surfels densification adds. Each growing surfel adds one, but the total
 /// must not exceed DensifyOptions::max_surfels. Surfels that are not dropped always stay.
-/// @param random random number that selects which growing surfels get a copy at the limit
-GrowthPlan plan_growth(const std::vector<ModelCounts>& counts, const DensifyOptions& options,
-                       std::uint64_t random);
-/// Reduces the number of added surfels until the total is at most `size`. Existing
+/// @param random_number random number that selects which growing surfels get a copy at
+/// the limit
+GrowthPlan plan_surfel_growth(const std::vector<ModelDensifyCounters>& counts, const DensifyOptions& options,
+                              std::uint64_t random_number);
+/// Reduces the number of added surfels until the total is at most `max_surfels`. Existing
 /// surfels stay.
-GrowthPlan limit_growth_plan(GrowthPlan plan, std::uint32_t size);
+GrowthPlan limit_growth_plan(GrowthPlan plan, std::uint32_t max_surfels);
 
 /// Sums the densification counters of all models and returns them as a report.
-DensifyReport make_densify_report(const std::vector<ModelCounts>& counts, const GrowthPlan& plan);
+DensifyReport make_densify_report(const std::vector<ModelDensifyCounters>& counts, const GrowthPlan& plan);
 
 }  // namespace relidar

@@ -12,29 +12,30 @@
 
 namespace relidar {
 
-class Rearrangement {
+class SurfelReorderer {
 public:
-    Rearrangement(Device& device, std::uint32_t n_surfels, std::uint32_t n_frames,
-                  ParameterSet parameter_set);
+    SurfelReorderer(Device& device, std::uint32_t n_surfels, std::uint32_t n_frames,
+                    SurfelParameterSet parameter_set);
     /// Allocates memory for a number of surfels. The device must be idle.
     /// @throws DeviceError if memory is exhausted. The existing data stays valid
-    void reserve(std::uint32_t capacity);
+    void reserve_surfel_memory(std::uint32_t n_surfels);
     std::uint32_t capacity() const;
     /// Returns the memory per surfel in bytes.
-    std::size_t bytes_per_surfel() const;
+    std::size_t compute_bytes_per_surfel() const;
     /// Submits the kernels that distribute the new copies among growing surfels and
     /// compute the new position of each surfel. Reads `action` and `weight`.
     /// @param n_surfels_before number of surfels before the densification
-    void assign_new_positions(Stream& stream, const GrowthPlan& plan, std::uint32_t n_surfels_before);
+    void compute_new_row_indices(Stream& stream, const GrowthPlan& plan, std::uint32_t n_surfels_before);
     /// Submits the kernels that move all arrays of a set to the new positions of the
     /// surfels.
-    /// @param fresh true: values of new and changed surfels are set to zero
+    /// @param zero_new_rows true: values of new and changed surfels are set to zero
     /// @param n_surfels_after number of surfels after the densification
-    void move(Stream& stream, SurfelArrays& set, bool fresh, std::uint32_t n_surfels_after);
+    void move_to_new_rows(Stream& stream, SurfelArrays& surfel_arrays, bool zero_new_rows,
+                          std::uint32_t n_surfels_after);
     /// Submits the kernels that move the densification statistics to the new positions of
     /// the surfels. All statistics start again, except the frames in which a surfel was
     /// visible.
-    void move_statistics(Stream& stream);
+    void move_statistics_to_new_rows(Stream& stream);
     /// Submits commands that reset the sums of gradient norms and the numbers of batches
     /// to zero.
     void reset_gradient_sums(Stream& stream);
@@ -49,15 +50,16 @@ public:
 
 private:
     Device& device_;
-    SurfelArrays spare_;
-    Array<std::uint32_t> spare_frames_;
+    SurfelArrays scratch_surfels_;
+    Array<std::uint32_t> scratch_frames_;
     PrefixSum prefix_sum_;
     Kernel<shared::AllotParams> allot_;
     Kernel<shared::MoveParams> move_;
     std::uint32_t before_ = 0;
 
     template <class T>
-    void move_rows(Stream& stream, Array<T>& rows, Array<T>& spare, std::uint32_t stride, bool fresh);
+    void move_rows_and_swap(Stream& stream, Array<T>& rows, Array<T>& scratch_rows,
+                            std::uint32_t words_per_row, bool zero_new_rows);
 };
 
 }  // namespace relidar

@@ -9,12 +9,14 @@
 
 namespace relidar {
 
-std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene, const Accel& accel,
-                                        const RayBatch& batch, const ImageModel& model,
-                                        const TraceOptions& options) {
-    if (device.traversal() != Traversal::software || must_test_every_surfel(device)) return std::nullopt;
-    std::vector<Constant> constants = make_trace_constants(device, accel.proxy(), options, model);
-    constants.push_back({ConstantId::COUNT_VISITS, 1u});
+std::optional<VisitCounts> count_bvh_visits(Device& device, const DeviceScene& scene,
+                                            const AccelerationStructure& accel, const RayBatch& batch,
+                                            const ImageFormationModel& model, const TraceOptions& options) {
+    if (device.traversal() != RayTracingBackend::software || must_test_every_surfel(device))
+        return std::nullopt;
+    std::vector<SpecialisationConstant> constants =
+        make_trace_kernel_constants(device, accel.get_bounding_shape(), options, model);
+    constants.push_back({SpecialisationConstantId::COUNT_VISITS, 1u});
     const Kernel<shared::ForwardParams> trace(device, "diff/forward/trace", KernelVariant("@software_bvh"),
                                               constants);
     const Array<shared::RenderedRay> rendered(device, batch.n_rays, "rendered rays");
@@ -22,7 +24,8 @@ std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene
                                                               "pass cap count");
     const Array<std::uint32_t, shared::VisitCounters> visits(device, std::vector<std::uint32_t>{0u, 0u},
                                                              "visits");
-    shared::TraceScene traced = make_trace_scene(scene, accel, batch, model, options, pass_cap.address());
+    shared::TraceScene traced =
+        make_trace_scene_params(scene, accel, batch, model, options, pass_cap.address());
     traced.visits = visits.address();
     Stream stream(device);
     shared::ForwardParams params = {.scene = traced,
@@ -34,14 +37,14 @@ std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene
                                     .n_kept = 0,
                                     .kept_in_lists = 0,
                                     .surface_gap_m = options.mode_gap_m.value_or(0.0f)};
-    std::optional<HitLists> lists;
-    if (uses_hit_lists(device, options)) {
+    std::optional<HitListTracer> lists;
+    if (should_use_hit_lists(device, options)) {
         // lists with space for all hits
         lists.emplace(device, KernelVariant("@software_bvh"), constants, RELIDAR_MOST_ROOM);
-        lists->run(stream, batch, params);
+        lists->render_with_hit_lists(stream, batch, params);
     }
     run(stream, trace, count_trace_threads(batch), params);
-    stream.finish();
+    stream.submit_and_wait();
     const std::vector<std::uint32_t> sums = visits.download();
     return VisitCounts{double(sums[0]) / batch.n_rays, double(sums[1]) / batch.n_rays};
 }

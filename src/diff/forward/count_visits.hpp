@@ -17,8 +17,8 @@ struct VisitCounts {
 /// Renders a batch again and counts its visits, at most 2^32. Waits for the result. The
 /// surfel records and the acceleration structure must be up to date and submitted.
 /// @return nothing if the device uses ray queries, because the driver reports no visits
-std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene, const Accel& accel,
-                                        const RayBatch& batch, const ImageModel& model,
-                                        const TraceOptions& options);
+std::optional<VisitCounts> count_bvh_visits(Device& device, const DeviceScene& scene,
+                                            const AccelerationStructure& accel, const RayBatch& batch,
+                                            const ImageFormationModel& model, const TraceOptions& options);
 
 }  // namespace relidar

@@ -15,76 +15,79 @@
 namespace relidar {
 
 struct ForwardPass::Impl {
-    ImageModel model;
+    ImageFormationModel model;
     TraceOptions options;
     Kernel<shared::ForwardParams> trace;
     Array<std::uint32_t, shared::PassCapCount> pass_cap;
     Array<std::uint32_t, shared::OverfullCount> n_overfull;
-    std::optional<HitLists> lists;  ///< set if rays write their hits to lists
+    std::optional<HitListTracer> lists;  ///< set if rays write their hits to lists
 
-    Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& o)
+    Impl(Device& device, const ImageFormationModel& m, ProxyShape proxy, const TraceOptions& o)
         : model(m),
           options(o),
-          trace(device, "diff/forward/trace", get_traversal_variant(device),
-                make_trace_constants(device, proxy, o, m)),
+          trace(device, "diff/forward/trace", get_traversal_kernel_variant(device),
+                make_trace_kernel_constants(device, proxy, o, m)),
           pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count"),
           n_overfull(device, std::vector<std::uint32_t>{0u}, "rays with more hits than are kept") {
-        if (uses_hit_lists(device, o))
-            lists.emplace(device, get_traversal_variant(device), make_trace_constants(device, proxy, o, m),
-                          o.list_room);
+        if (should_use_hit_lists(device, o))
+            lists.emplace(device, get_traversal_kernel_variant(device),
+                          make_trace_kernel_constants(device, proxy, o, m), o.initial_list_capacity);
     }
 };
 
-ForwardPass::ForwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options) {
+ForwardPass::ForwardPass(Device& device, const ImageFormationModel& model, ProxyShape proxy,
+                         const TraceOptions& options) {
     if (options.chunk < 1 || options.chunk > 64)
         throw UsageError(fmt::format("setting trace.chunk: found {}, expected 1 to 64", options.chunk));
-    if (options.list_room < 1 || options.list_room > RELIDAR_MOST_ROOM)
-        throw UsageError(fmt::format("TraceOptions::list_room: found {}, expected 1 to {}", options.list_room,
-                                     RELIDAR_MOST_ROOM));
+    if (options.initial_list_capacity < 1 || options.initial_list_capacity > RELIDAR_MOST_ROOM)
+        throw UsageError(fmt::format("TraceOptions::list_room: found {}, expected 1 to {}",
+                                     options.initial_list_capacity, RELIDAR_MOST_ROOM));
     impl_ = std::make_unique<Impl>(device, model, proxy, options);
 }
 
 ForwardPass::~ForwardPass() = default;
 void ForwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
 
-void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch,
-                      Array<shared::RenderedRay>& rendered, KeptHits* kept,
-                      const Array<shared::RenderedSurface>* surfaces) {
-    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), rendered.size());
+void ForwardPass::record_forward_pass(Stream& stream, const DeviceScene& scene,
+                                      const AccelerationStructure& accel, const RayBatch& batch,
+                                      Array<shared::RenderedRay>& rendered_rays, StoredRayHits* stored_hits,
+                                      const Array<shared::RenderedSurface>* surfaces) {
+    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), rendered_rays.size());
     [[maybe_unused]] const std::size_t end = batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1;
     RELIDAR_ASSERT_LE(end, batch.rays->size());
     RELIDAR_ASSERT_LE(batch.targets ? end : 0, batch.targets ? batch.targets->size() : 0);
-    RELIDAR_ASSERT_EQ(!kept || kept->hold(batch), true);
+    RELIDAR_ASSERT_EQ(!stored_hits || stored_hits->can_store_hits(batch), true);
     // the rays of an image must form complete rows
     RELIDAR_ASSERT_LE(batch.columns ? batch.n_rays % batch.columns : 0u, 0u);
-    RELIDAR_ASSERT_LE(impl_->options.has_surfaces() ? std::size_t(batch.n_rays) : 0,
+    RELIDAR_ASSERT_LE(impl_->options.has_surface_outputs() ? std::size_t(batch.n_rays) : 0,
                       surfaces ? surfaces->size() : 0);
-    shared::ForwardParams params = {.scene = make_trace_scene(scene, accel, batch, impl_->model,
-                                                              impl_->options, impl_->pass_cap.address()),
-                                    .lists = {},
-                                    .rendered = rendered.address(),
-                                    .kept = get_address(kept ? &kept->hits : nullptr),
-                                    .n_overfull = impl_->n_overfull.address(),
-                                    .surfaces = get_address(surfaces),
-                                    .n_kept = kept ? kept->per_ray : 0,
-                                    .kept_in_lists = 0,
-                                    .surface_gap_m = impl_->options.mode_gap_m.value_or(0.0f)};
-    if (impl_->lists) impl_->lists->run(stream, batch, params, kept);
+    shared::ForwardParams params = {
+        .scene = make_trace_scene_params(scene, accel, batch, impl_->model, impl_->options,
+                                         impl_->pass_cap.address()),
+        .lists = {},
+        .rendered = rendered_rays.address(),
+        .kept = get_address(stored_hits ? &stored_hits->hits : nullptr),
+        .n_overfull = impl_->n_overfull.address(),
+        .surfaces = get_address(surfaces),
+        .n_kept = stored_hits ? stored_hits->per_ray : 0,
+        .kept_in_lists = 0,
+        .surface_gap_m = impl_->options.mode_gap_m.value_or(0.0f)};
+    if (impl_->lists) impl_->lists->render_with_hit_lists(stream, batch, params, stored_hits);
     relidar::run(stream, impl_->trace, count_trace_threads(batch), params);
 }
 
-const Array<std::uint32_t>& ForwardPass::pass_cap_count() const { return impl_->pass_cap; }
-const Array<std::uint32_t>& ForwardPass::overfull_count() const { return impl_->n_overfull; }
+const Array<std::uint32_t>& ForwardPass::get_truncated_ray_count() const { return impl_->pass_cap; }
+const Array<std::uint32_t>& ForwardPass::get_hit_overflow_ray_count() const { return impl_->n_overfull; }
 
-std::uint32_t ForwardPass::reset_pass_cap_count() {
+std::uint32_t ForwardPass::reset_truncated_ray_count() {
     const std::uint32_t count = impl_->pass_cap.download()[0];
     if (count) impl_->pass_cap.upload(std::vector<std::uint32_t>{0u});
     return count;
 }
 
-Rendering to_rendering(const std::vector<shared::RenderedRay>& rays,
-                       const std::vector<shared::RenderedSurface>& surfaces) {
-    Rendering r;
+RenderedRayValues to_rendering(const std::vector<shared::RenderedRay>& rays,
+                               const std::vector<shared::RenderedSurface>& surfaces) {
+    RenderedRayValues r;
     for (const shared::RenderedRay& ray : rays) {
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) r.name.push_back(ray.name);
         RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)

@@ -15,51 +15,53 @@ namespace relidar {
 /// Returns true if rays write their hits to lists in global memory. On a CPU, a small
 /// sorted buffer per ray is faster, because it stays in the cache and needs no second
 /// kernel.
-inline bool uses_hit_lists(const Device& device, const TraceOptions& options) {
-    return options.order == HitOrder::automatic ? device.info().type != "CPU"
-                                                : options.order == HitOrder::lists;
+inline bool should_use_hit_lists(const Device& device, const TraceOptions& options) {
+    return options.order == HitSortMethod::automatic ? device.info().type != "CPU"
+                                                     : options.order == HitSortMethod::lists;
 }
 
 /// Returns the maximum number of hits in a list. A larger list could not be sorted by a
 /// single subgroup of the device.
-std::uint32_t compute_max_list_capacity(const Device& device);
+std::uint32_t compute_max_hits_per_list(const Device& device);
 
-class HitLists {
+class HitListTracer {
 public:
     /// Creates the kernels that fill, sort and blend hit lists.
     /// @param constants specialisation constants of the tracing kernels
-    /// @param room initial capacity of a list in hits, limited to the maximum
-    HitLists(Device& device, const KernelVariant& variant, const std::vector<Constant>& constants, int room);
+    /// @param initial_hits_per_list initial capacity of a list in hits, limited to the
+    /// maximum
+    HitListTracer(Device& device, const KernelVariant& variant,
+                  const std::vector<SpecialisationConstant>& constants, int initial_hits_per_list);
 
     /// Renders the rays of a batch with hit lists. Sets `params.lists`, so that kernel
     /// diff/forward/trace can render the rays whose lists cannot be used. If the device
     /// has no memory for lists, this kernel renders all rays. All calls must use the same
     /// stream.
-    /// @param kept memory that stores hits for the backward pass. Lists use the same
+    /// @param kept_hits memory that stores hits for the backward pass. Lists use the same
     /// memory if it is large enough, which avoids a copy
-    void run(Stream& stream, const RayBatch& batch, shared::ForwardParams& params,
-             const KeptHits* kept = nullptr);
-    std::uint32_t get_list_capacity() const { return room_; }  ///< capacity of a list in hits
+    void render_with_hit_lists(Stream& stream, const RayBatch& batch, shared::ForwardParams& params,
+                               const StoredRayHits* kept_hits = nullptr);
+    std::uint32_t get_hits_per_list() const { return hits_per_list_; }  ///< capacity of a list in hits
 
 private:
     Device& device_;
     Kernel<shared::AppendParams> append_;
     Kernel<shared::ForwardParams> blend_;
     Kernel<shared::SortHitsParams> sort_;
-    std::uint32_t most_room_, room_;
+    std::uint32_t max_hits_per_list_, hits_per_list_;
     bool grows_ = true;
-    Array<shared::Hit> hits_;      ///< empty if lists use the memory of stored hits
-    std::uint32_t hits_room_ = 0;  ///< capacity of a list in `hits_`
+    Array<shared::Hit> hits_;                    ///< empty if lists use the memory of stored hits
+    std::uint32_t allocated_hits_per_list_ = 0;  ///< capacity of a list in `hits_`
     Array<std::uint32_t, shared::ListLengths> lengths_;
     Array<std::uint32_t, shared::OverflowCount> n_overflows_;
-    Readback overflows_;
+    ReadbackBuffer overflows_;
     std::uint64_t counted_until_ = 0;     ///< number of the submission that reads the count
     std::uint32_t overflows_before_ = 0;  ///< overflow count at the previous check
 
     void allocate_hit_lists(std::size_t n_lists);
-    shared::HitLists reserve_hit_lists(Stream& stream, std::size_t n_threads, const KeptHits* kept);
-    bool has_overflowed(Stream& stream);
-    void count_overflows(Stream& stream);
+    shared::HitLists reserve_hit_lists(Stream& stream, std::size_t n_threads, const StoredRayHits* kept_hits);
+    bool has_hit_list_overflowed(Stream& stream);
+    void record_overflow_count_readback(Stream& stream);
 };
 
 }  // namespace relidar

@@ -19,22 +19,22 @@ namespace relidar {
 struct Renderer::Impl {
     Device& device;
     RendererOptions options;
-    ImageModel model;
+    ImageFormationModel model;
     int highest_sh_degree;
     std::optional<Stream> local_stream;
     Stream& stream;
     DeviceScene scene;
-    std::optional<Accel> accel;
+    std::optional<AccelerationStructure> accel;
     ForwardPass forward;
     bool placed = false;
     glm::vec3 view_origin_m{0.0f};
-    Array<DeviceRay> host_rays;  ///< rays that forward() uploads
+    Array<DeviceRay> host_rays;  ///< rays that render_rays() uploads
     Array<shared::RenderedRay> rendered;
-    std::optional<KeptHits> kept;
+    std::optional<StoredRayHits> stored_hits;
     std::optional<Array<shared::RenderedSurface>> surfaces;
     RenderedBatch batch;
 
-    Impl(Device& d, const Scene& s, const ImageModel& m, const RendererOptions& o)
+    Impl(Device& d, const Scene& s, const ImageFormationModel& m, const RendererOptions& o)
         : device(d),
           options(o),
           model(m),
@@ -42,44 +42,46 @@ struct Renderer::Impl {
           stream(o.stream ? *o.stream : local_stream.emplace(d, true)),
           scene(d, s),
           accel(std::in_place, d, scene, o.accel),
-          forward(d, m, accel->proxy(), o.trace) {
-        reserve_rays(o.n_rays);
+          forward(d, m, accel->get_bounding_shape(), o.trace) {
+        allocate_ray_arrays(o.n_rays);
     }
 
-    void reserve_rays(std::size_t n_rays) {
+    void allocate_ray_arrays(std::size_t n_rays) {
         // The memory for kept hits is allocated last, because it may shrink. If another
-        // allocation fails, `rendered` is empty, so that the next call tries again.
+        // allocation fails, `get_last_rendered_batch` is empty, so that the next call
+        // tries again.
         batch.surfaces = nullptr;
         rendered = {};
-        if (options.trace.has_surfaces()) surfaces.emplace(device, n_rays, "surfaces of rays");
+        if (options.trace.has_surface_outputs()) surfaces.emplace(device, n_rays, "surfaces of rays");
         rendered = Array<shared::RenderedRay>(device, n_rays, "rendered rays");
-        reduce_kept_hits_to_memory(n_rays);
-        batch = {{}, &rendered, nullptr, kept ? &*kept : nullptr, surfaces ? &*surfaces : nullptr};
+        allocate_hit_storage_that_fits(n_rays);
+        batch = {
+            {}, &rendered, nullptr, stored_hits ? &*stored_hits : nullptr, surfaces ? &*surfaces : nullptr};
     }
 
     /// Allocates memory for the hits that the backward pass reads. Halves their number
     /// until they fit. If hits of a ray are missing, the backward pass traces the ray
     /// again.
-    void reduce_kept_hits_to_memory(std::size_t n_threads) {
+    void allocate_hit_storage_that_fits(std::size_t n_threads) {
         for (;; options.keep_hits /= 2) {
             try {
-                return allocate_kept_hits(n_threads);
+                return allocate_hit_storage(n_threads);
             } catch (const OutOfDeviceMemory&) {
                 if (options.keep_hits == 0) throw;
             }
         }
     }
 
-    void allocate_kept_hits(std::size_t n_threads) {
+    void allocate_hit_storage(std::size_t n_threads) {
         // Frees the old memory first, because both may not fit. No command reads the old
         // memory any more.
-        kept.reset();
-        if (options.keep_hits > 0) kept.emplace(device, n_threads, options.keep_hits);
-        batch.kept = kept ? &*kept : nullptr;
+        stored_hits.reset();
+        if (options.keep_hits > 0) stored_hits.emplace(device, n_threads, options.keep_hits);
+        batch.stored_hits = stored_hits ? &*stored_hits : nullptr;
     }
 };
 
-Renderer::Renderer(Device& device, const Scene& scene, const ImageModel& model,
+Renderer::Renderer(Device& device, const Scene& scene, const ImageFormationModel& model,
                    const RendererOptions& options)
     : impl_(std::make_unique<Impl>(device, scene, model, options)) {}
 Renderer::~Renderer() { wait_for_device(); }
@@ -88,94 +90,95 @@ void Renderer::wait_for_device() noexcept {
     // Commands that are recorded on the caller's stream but not yet submitted may use the
     // arrays, too.
     try {
-        if (!impl_->local_stream) impl_->stream.finish();
+        if (!impl_->local_stream) impl_->stream.submit_and_wait();
     } catch (const Error&) {  // nothing to do, because a lost device no longer uses memory
     }
     impl_->device.impl().wait_idle();
 }
 
-void Renderer::place(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m) {
+void Renderer::prepare_view(const std::vector<InstancePose>& instance_poses, const glm::vec3& view_origin_m) {
     Impl& r = *impl_;
     r.view_origin_m = view_origin_m;
-    r.scene.place(r.stream, placed);  // Eq. 4-5 of the paper
-    r.scene.activate(r.stream, r.model, view_origin_m);
-    r.accel->update(r.stream, r.scene);
+    r.scene.record_instance_poses(r.stream, instance_poses);  // Eq. 4-5 of the paper
+    r.scene.compute_surfel_records(r.stream, r.model, view_origin_m);
+    r.accel->update_bvh(r.stream, r.scene);
     r.placed = true;
 }
 
-void Renderer::move(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m) {
+void Renderer::move_instances(const std::vector<InstancePose>& instance_poses,
+                              const glm::vec3& view_origin_m) {
     Impl& r = *impl_;
-    if (!r.placed) return place(placed, view_origin_m);
+    if (!r.placed) return prepare_view(instance_poses, view_origin_m);
     r.view_origin_m = view_origin_m;
-    const bool bends = r.scene.has_new_gait_phases(placed);
-    r.scene.place(r.stream, placed);
+    const bool bends = r.scene.has_new_gait_phases(instance_poses);
+    r.scene.record_instance_poses(r.stream, instance_poses);
     if (bends || r.model.sh_direction == ShDirection::surfel)
-        r.scene.activate(r.stream, r.model, view_origin_m);
-    if (bends) r.accel->refit_animated_actors(r.stream, r.scene);
-    else r.accel->move(r.stream, r.scene);
+        r.scene.compute_surfel_records(r.stream, r.model, view_origin_m);
+    if (bends) r.accel->refit_animated_actor_bvhs(r.stream, r.scene);
+    else r.accel->update_top_level_bvh(r.stream, r.scene);
 }
 
-void Renderer::record_forward(const RayBatch& rays) {
+void Renderer::record_forward_pass(const RayBatch& rays) {
     Impl& r = *impl_;
     if (!r.placed) throw UsageError("cannot render: the scene has no poses; call place() first");
     if (rays.n_rays > r.rendered.size()) {
-        r.stream.finish();
-        r.reserve_rays(rays.n_rays);
+        r.stream.submit_and_wait();
+        r.allocate_ray_arrays(rays.n_rays);
     }
     // An image can need more threads than rays, because its tiles may extend beyond it.
-    if (r.kept && !r.kept->hold(rays)) {
-        r.stream.finish();
-        r.reduce_kept_hits_to_memory(count_trace_threads(rays));
+    if (r.stored_hits && !r.stored_hits->can_store_hits(rays)) {
+        r.stream.submit_and_wait();
+        r.allocate_hit_storage_that_fits(count_trace_threads(rays));
     }
     r.batch.rays = rays;
     // Eq. 2-4 of the paper
-    r.forward.run(r.stream, r.scene, *r.accel, rays, r.rendered, r.kept ? &*r.kept : nullptr,
-                  r.batch.surfaces);
+    r.forward.record_forward_pass(r.stream, r.scene, *r.accel, rays, r.rendered,
+                                  r.stored_hits ? &*r.stored_hits : nullptr, r.batch.surfaces);
 }
 
-Rendering Renderer::forward(const WorldRays& rays) {
+RenderedRayValues Renderer::render_rays(const WorldRays& rays) {
     Impl& r = *impl_;
-    r.stream.finish();  // waits, because earlier commands may still read the rays
+    r.stream.submit_and_wait();  // waits, because earlier commands may still read the rays
     if (rays.size() > r.host_rays.size()) r.host_rays = Array<DeviceRay>(r.device, rays.size(), "rays");
     r.host_rays.upload(to_device_rays(rays));
-    record_forward({&r.host_rays, 0, 1, static_cast<std::uint32_t>(rays.size())});
+    record_forward_pass({&r.host_rays, 0, 1, static_cast<std::uint32_t>(rays.size())});
     return download_rendering();
 }
 
-void Renderer::check_pass_cap() {
+void Renderer::check_rays_fully_traced() {
     Impl& r = *impl_;
-    r.stream.finish();
-    if (const std::uint32_t capped = r.forward.reset_pass_cap_count())
+    r.stream.submit_and_wait();
+    if (const std::uint32_t capped = r.forward.reset_truncated_ray_count())
         throw DeviceError(
             fmt::format("cannot trace {} rays: {} of them exceeded the maximum of {} traversal passes or the "
                         "traversal stack; too many surfels may overlap",
                         r.batch.rays.n_rays, capped, RELIDAR_MAX_PASSES));
 }
 
-Rendering Renderer::download_rendering() {
+RenderedRayValues Renderer::download_rendering() {
     Impl& r = *impl_;
-    check_pass_cap();
+    check_rays_fully_traced();
     const std::size_t n = r.batch.rays.n_rays;
     if (!r.surfaces) return to_rendering(r.rendered.download(n));
-    Rendering rendering = to_rendering(r.rendered.download(n), r.surfaces->download(n));
+    RenderedRayValues rendering = to_rendering(r.rendered.download(n), r.surfaces->download(n));
     if (!r.options.trace.normals) rendering.normal.clear();
     if (!r.options.trace.mode_gap_m) rendering.mode_depth.clear();
     return rendering;
 }
 
-std::uint32_t Renderer::kept_hits() const { return impl_->options.keep_hits; }
+std::uint32_t Renderer::get_stored_hits_per_ray() const { return impl_->options.keep_hits; }
 
-void Renderer::keep_hits(std::uint32_t per_ray) {
+void Renderer::set_stored_hits_per_ray(std::uint32_t hits_per_ray) {
     Impl& r = *impl_;
-    r.stream.finish();
-    const std::uint32_t before = std::exchange(r.options.keep_hits, per_ray);
+    r.stream.submit_and_wait();
+    const std::uint32_t before = std::exchange(r.options.keep_hits, hits_per_ray);
     const std::size_t n_threads =
-        std::max(r.rendered.size(), r.kept ? r.kept->hits.size() / r.kept->per_ray : 0);
+        std::max(r.rendered.size(), r.stored_hits ? r.stored_hits->hits.size() / r.stored_hits->per_ray : 0);
     try {
-        r.allocate_kept_hits(n_threads);
+        r.allocate_hit_storage(n_threads);
     } catch (const OutOfDeviceMemory&) {
         r.options.keep_hits = before;
-        r.reduce_kept_hits_to_memory(n_threads);
+        r.allocate_hit_storage_that_fits(n_threads);
         throw;
     }
 }
@@ -185,34 +188,36 @@ void Renderer::set_sh_degree(int degree) {
     impl_->forward.set_sh_degree(impl_->model.sh_degree);
 }
 
-void Renderer::upload(const Surfels& surfels) {
+void Renderer::upload_surfels(const Surfels& surfels) {
     if (surfels.size() != impl_->scene.size())
         throw DataError(fmt::format("cannot upload surfels: found {}, expected {} like in the scene",
                                     surfels.size(), impl_->scene.size()));
-    impl_->stream.finish();
-    impl_->scene.parameters().upload(surfels);
+    impl_->stream.submit_and_wait();
+    impl_->scene.get_surfel_parameters().upload(surfels);
 }
 
-Scene Renderer::download() {
-    impl_->stream.finish();
-    Scene scene = impl_->scene.layout();
-    scene.surfels = impl_->scene.parameters().download();
+Scene Renderer::download_scene() {
+    impl_->stream.submit_and_wait();
+    Scene scene = impl_->scene.get_scene_layout();
+    scene.surfels = impl_->scene.get_surfel_parameters().download();
     return scene;
 }
 
-void Renderer::release_accel() {
+void Renderer::release_acceleration_structure() {
     impl_->accel.reset();
     impl_->placed = false;
 }
 
-void Renderer::make_accel() { impl_->accel.emplace(impl_->device, impl_->scene, impl_->options.accel); }
+void Renderer::create_acceleration_structure() {
+    impl_->accel.emplace(impl_->device, impl_->scene, impl_->options.accel);
+}
 
-const RenderedBatch& Renderer::rendered() const { return impl_->batch; }
-const ImageModel& Renderer::model() const { return impl_->model; }
+const RenderedBatch& Renderer::get_last_rendered_batch() const { return impl_->batch; }
+const ImageFormationModel& Renderer::model() const { return impl_->model; }
 Stream& Renderer::stream() { return impl_->stream; }
 DeviceScene& Renderer::scene() { return impl_->scene; }
 const DeviceScene& Renderer::scene() const { return impl_->scene; }
-Accel& Renderer::accel() { return *impl_->accel; }
+AccelerationStructure& Renderer::accel() { return *impl_->accel; }
 const ForwardPass& Renderer::forward_pass() const { return impl_->forward; }
 const glm::vec3& Renderer::view_origin_m() const { return impl_->view_origin_m; }
 

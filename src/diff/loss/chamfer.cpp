@@ -16,12 +16,12 @@ namespace {
 
 /// Sizes of an image as (rows, columns): in points, in tiles of points, and in groups of
 /// tiles.
-struct Levels {
+struct ImageTileLevels {
     glm::uvec2 tile{4, 8};  ///< number of points per tile, and of tiles per group
     glm::uvec2 points, tiles, groups;
 
-    explicit Levels(const TargetBatch& batch) {
-        const bool image = batch.image.is_image();
+    explicit ImageTileLevels(const TargetBatch& batch) {
+        const bool image = batch.image.has_image_layout();
         if (!image) tile = {1, 32};
         points = image ? glm::uvec2(batch.image.rows, batch.image.columns) : glm::uvec2(1, batch.n_rays);
         tiles = (points + tile - 1u) / tile;
@@ -30,7 +30,7 @@ struct Levels {
 };
 
 /// Point cloud with bounding boxes of its tiles.
-struct Cloud {
+struct TiledPointCloud {
     Array<glm::vec3, shared::CloudPoints> points;
     Array<glm::vec3, shared::TileLows> tile_low;
     Array<glm::vec3, shared::TileHighs> tile_high;
@@ -39,13 +39,13 @@ struct Cloud {
 
     /// Allocates a point cloud. An image with a single column has the most tiles:
     /// ceil(count / 4). The same factor applies to groups of tiles.
-    Cloud(Device& device, std::size_t count, const std::string& description)
+    TiledPointCloud(Device& device, std::size_t count, const std::string& description)
         : points(device, count, description + " points"),
           tile_low(device, count / 4 + 1, description + " tiles"),
           tile_high(device, count / 4 + 1, description + " tiles"),
           group_low(device, count / 16 + 2, description + " groups"),
           group_high(device, count / 16 + 2, description + " groups") {}
-    shared::ChamferCloud pointers() const {
+    shared::ChamferCloud get_device_pointers() const {
         return {.points = points.address(),
                 .tile_low = tile_low.address(),
                 .tile_high = tile_high.address(),
@@ -58,10 +58,10 @@ struct Cloud {
 
 struct ChamferLoss::Impl {
     LossWeights weights;
-    Cloud simulated, measured;
+    TiledPointCloud simulated, measured;
     Array<std::uint32_t, shared::NearestMeasured> nearest_measured;
     Array<std::uint32_t, shared::NearestSimulated> nearest_simulated;
-    Array<std::uint32_t, shared::FoundGradients> d_found;
+    Array<std::uint32_t, shared::FoundGradients> d_nearest_simulated;
     Array<float, shared::PointCounts> counts;
     Kernel<shared::ChamferPointsParams> points;
     Kernel<shared::ChamferBoxesParams> boxes;
@@ -75,65 +75,68 @@ struct ChamferLoss::Impl {
           measured(device, count, "measured"),
           nearest_measured(device, count, "nearest measured"),
           nearest_simulated(device, count, "nearest simulated"),
-          d_found(device, 2 * count, "gradients of found points"),
+          d_nearest_simulated(device, 2 * count, "gradients of found points"),
           counts(device, 2, "points"),
-          points(device, "diff/loss/chamfer_points", choose_accumulating_variant(device)),
+          points(device, "diff/loss/chamfer_points", choose_float_atomics_variant(device)),
           boxes(device, "diff/loss/chamfer_boxes"),
           nearest(device, "diff/loss/chamfer_nearest"),
-          chamfer(device, "diff/loss/chamfer", choose_accumulating_variant(device)),
+          chamfer(device, "diff/loss/chamfer", choose_float_atomics_variant(device)),
           vjp(device, "diff/loss/chamfer_vjp") {}
 
-    void compute_tile_bounds(Stream& stream, const Cloud& cloud, const Levels& levels) const {
-        RELIDAR_ASSERT_LE(std::size_t(levels.tiles.x) * levels.tiles.y, cloud.tile_low.size());
-        relidar::run(stream, boxes, std::size_t(levels.tiles.x) * levels.tiles.y,
-                     {.low = cloud.points.address().as<shared::LowCorners>(),
-                      .high = cloud.points.address().as<shared::HighCorners>(),
+    void compute_tile_bounds(Stream& stream, const TiledPointCloud& cloud,
+                             const ImageTileLevels& tile_layout) const {
+        RELIDAR_ASSERT_LE(std::size_t(tile_layout.tiles.x) * tile_layout.tiles.y, cloud.tile_low.size());
+        relidar::run(stream, boxes, std::size_t(tile_layout.tiles.x) * tile_layout.tiles.y,
+                     {.low = cloud.points.address().cast_meaning<shared::LowCorners>(),
+                      .high = cloud.points.address().cast_meaning<shared::HighCorners>(),
                       .tile_low = cloud.tile_low.address(),
                       .tile_high = cloud.tile_high.address(),
-                      .rows = levels.points.x,
-                      .columns = levels.points.y,
-                      .tile_rows = levels.tile.x,
-                      .tile_columns = levels.tile.y});
+                      .rows = tile_layout.points.x,
+                      .columns = tile_layout.points.y,
+                      .tile_rows = tile_layout.tile.x,
+                      .tile_columns = tile_layout.tile.y});
     }
-    void compute_group_bounds(Stream& stream, const Cloud& cloud, const Levels& levels) const {
-        RELIDAR_ASSERT_LE(std::size_t(levels.groups.x) * levels.groups.y, cloud.group_low.size());
-        relidar::run(stream, boxes, std::size_t(levels.groups.x) * levels.groups.y,
-                     {.low = cloud.tile_low.address().as<shared::LowCorners>(),
-                      .high = cloud.tile_high.address().as<shared::HighCorners>(),
-                      .tile_low = cloud.group_low.address().as<shared::TileLows>(),
-                      .tile_high = cloud.group_high.address().as<shared::TileHighs>(),
-                      .rows = levels.tiles.x,
-                      .columns = levels.tiles.y,
-                      .tile_rows = levels.tile.x,
-                      .tile_columns = levels.tile.y});
+    void compute_group_bounds(Stream& stream, const TiledPointCloud& cloud,
+                              const ImageTileLevels& tile_layout) const {
+        RELIDAR_ASSERT_LE(std::size_t(tile_layout.groups.x) * tile_layout.groups.y, cloud.group_low.size());
+        relidar::run(stream, boxes, std::size_t(tile_layout.groups.x) * tile_layout.groups.y,
+                     {.low = cloud.tile_low.address().cast_meaning<shared::LowCorners>(),
+                      .high = cloud.tile_high.address().cast_meaning<shared::HighCorners>(),
+                      .tile_low = cloud.group_low.address().cast_meaning<shared::TileLows>(),
+                      .tile_high = cloud.group_high.address().cast_meaning<shared::TileHighs>(),
+                      .rows = tile_layout.tiles.x,
+                      .columns = tile_layout.tiles.y,
+                      .tile_rows = tile_layout.tile.x,
+                      .tile_columns = tile_layout.tile.y});
     }
-    void search(Stream& stream, const Cloud& source_cloud, const Cloud& target_cloud,
-                const Array<std::uint32_t>& nearest_index, const Levels& levels) const {
+    void find_nearest_points(Stream& stream, const TiledPointCloud& source_cloud,
+                             const TiledPointCloud& target_cloud, const Array<std::uint32_t>& nearest_index,
+                             const ImageTileLevels& tile_layout) const {
         relidar::run(stream, nearest, n_rays,
-                     {.queries = source_cloud.points.address().as<shared::QueryPoints>(),
-                      .cloud = target_cloud.pointers(),
+                     {.queries = source_cloud.points.address().cast_meaning<shared::QueryPoints>(),
+                      .cloud = target_cloud.get_device_pointers(),
                       .nearest = nearest_index.address(),
-                      .rows = levels.points.x,
-                      .columns = levels.points.y,
-                      .tile_rows = levels.tile.x,
-                      .tile_columns = levels.tile.y});
+                      .rows = tile_layout.points.x,
+                      .columns = tile_layout.points.y,
+                      .tile_rows = tile_layout.tile.x,
+                      .tile_columns = tile_layout.tile.y});
     }
     /// Submits kernels that search nearest points in both directions. They run
     /// concurrently on the device.
-    void search(Stream& stream, const Levels& levels) const {
+    void find_nearest_points_both_ways(Stream& stream, const ImageTileLevels& tile_layout) const {
         {
-            const Concurrent both(stream);
-            compute_tile_bounds(stream, simulated, levels);
-            compute_tile_bounds(stream, measured, levels);
+            const ConcurrentLaunchScope both(stream);
+            compute_tile_bounds(stream, simulated, tile_layout);
+            compute_tile_bounds(stream, measured, tile_layout);
         }
         {
-            const Concurrent both(stream);
-            compute_group_bounds(stream, simulated, levels);
-            compute_group_bounds(stream, measured, levels);
+            const ConcurrentLaunchScope both(stream);
+            compute_group_bounds(stream, simulated, tile_layout);
+            compute_group_bounds(stream, measured, tile_layout);
         }
-        const Concurrent both(stream);
-        search(stream, simulated, measured, nearest_measured, levels);
-        search(stream, measured, simulated, nearest_simulated, levels);
+        const ConcurrentLaunchScope both(stream);
+        find_nearest_points(stream, simulated, measured, nearest_measured, tile_layout);
+        find_nearest_points(stream, measured, simulated, nearest_simulated, tile_layout);
     }
 };
 
@@ -144,8 +147,8 @@ std::unique_ptr<Loss> make_chamfer_loss(Device& device, const LossWeights& weigh
     return std::make_unique<ChamferLoss>(device, weights, n_rays);
 }
 
-void ChamferLoss::compare(Stream& stream, const RenderedBatch& batch_rendered, const TargetBatch& batch,
-                          const TermRow& terms) {
+void ChamferLoss::record_ray_losses(Stream& stream, const RenderedBatch& batch_rendered,
+                                    const TargetBatch& batch, const LossTermRow& terms) {
     Impl& c = *impl_;
     const RayBatch& rays = batch_rendered.rays;
     const Array<shared::RenderedRay>& rendered = *batch_rendered.rendered;
@@ -153,36 +156,36 @@ void ChamferLoss::compare(Stream& stream, const RenderedBatch& batch_rendered, c
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), c.simulated.points.size());
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), upstream.size());
     c.n_rays = batch.n_rays;
-    const Levels levels(batch);
+    const ImageTileLevels levels(batch);
     const std::uint32_t normalised = c.weights.normalised_depth ? 1u : 0u;
     {
-        const Concurrent zeros(stream);
+        const ConcurrentLaunchScope zeros(stream);
         stream.fill(c.counts);
-        stream.fill(c.d_found);
+        stream.fill(c.d_nearest_simulated);
     }
     relidar::run(stream, c.points, batch.n_rays,
                  {.rays = rays.rays->address(),
                   .rendered = rendered.address(),
                   .targets = batch.targets->address(),
-                  .simulated = c.simulated.points.address().as<shared::SimulatedPoints>(),
-                  .measured = c.measured.points.address().as<shared::MeasuredPoints>(),
+                  .simulated = c.simulated.points.address().cast_meaning<shared::SimulatedPoints>(),
+                  .measured = c.measured.points.address().cast_meaning<shared::MeasuredPoints>(),
                   .counts = c.counts.address(),
                   .n_rays = batch.n_rays,
                   .first_ray = batch.first,
                   .ray_stride = batch.stride,
                   .normalised_depth = normalised});
-    c.search(stream, levels);
+    c.find_nearest_points_both_ways(stream, levels);
     const shared::ChamferParams chamfer{
         .rays = rays.rays->address(),
         .rendered = rendered.address(),
-        .simulated = c.simulated.points.address().as<shared::SimulatedPoints>(),
-        .measured = c.measured.points.address().as<shared::MeasuredPoints>(),
+        .simulated = c.simulated.points.address().cast_meaning<shared::SimulatedPoints>(),
+        .measured = c.measured.points.address().cast_meaning<shared::MeasuredPoints>(),
         .nearest_measured = c.nearest_measured.address(),
         .nearest_simulated = c.nearest_simulated.address(),
         .counts = c.counts.address(),
-        .d_found = c.d_found.address(),
+        .d_found = c.d_nearest_simulated.address(),
         .upstream = upstream.address(),
-        .terms = terms.address(),
+        .terms = terms.get_row_address(),
         .weight = c.weights.chamfer,
         .n_rays = batch.n_rays,
         .first_ray = batch.first,
@@ -192,7 +195,7 @@ void ChamferLoss::compare(Stream& stream, const RenderedBatch& batch_rendered, c
     relidar::run(stream, c.vjp, batch.n_rays, chamfer);
 }
 
-std::array<std::vector<std::uint32_t>, 2> ChamferLoss::nearest() const {
+std::array<std::vector<std::uint32_t>, 2> ChamferLoss::download_nearest_point_indices() const {
     std::array<std::vector<std::uint32_t>, 2> result{impl_->nearest_measured.download(),
                                                      impl_->nearest_simulated.download()};
     for (std::vector<std::uint32_t>& indices : result) indices.resize(impl_->n_rays);

@@ -23,8 +23,8 @@ struct ImageLoss::Impl {
 
 ImageLoss::ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays)
     : impl_(new Impl{weights,
-                     {device, "diff/loss/image_loss", choose_accumulating_variant(device)},
-                     {device, "diff/loss/ssim", choose_accumulating_variant(device)},
+                     {device, "diff/loss/image_loss", choose_float_atomics_variant(device)},
+                     {device, "diff/loss/ssim", choose_float_atomics_variant(device)},
                      {device, "diff/loss/ssim_vjp"},
                      {device, weights.intensity_ssim > 0.0f ? std::size_t(n_rays) * RELIDAR_SSIM_FLOATS : 0,
                       "structural similarity"}}) {}
@@ -33,8 +33,8 @@ std::unique_ptr<Loss> make_image_loss(Device& device, const LossWeights& weights
     return std::make_unique<ImageLoss>(device, weights, n_rays);
 }
 
-void ImageLoss::compare(Stream& stream, const RenderedBatch& rays, const TargetBatch& batch,
-                        const TermRow& terms) {
+void ImageLoss::record_ray_losses(Stream& stream, const RenderedBatch& rays, const TargetBatch& batch,
+                                  const LossTermRow& terms) {
     const Array<shared::RenderedRay>& rendered = *rays.rendered;
     Array<shared::RayGradient>& upstream = *rays.upstream;
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), upstream.size());
@@ -42,12 +42,12 @@ void ImageLoss::compare(Stream& stream, const RenderedBatch& rays, const TargetB
                       batch.targets->size());
     const LossWeights& w = impl_->weights;
     const float per_return = static_cast<float>(1.0 / std::max(batch.n_returned, 1.0)),
-                per_ray = static_cast<float>(1.0 / std::max(batch.n_known, 1.0));
+                per_ray = static_cast<float>(1.0 / std::max(batch.n_known_rays, 1.0));
     relidar::run(stream, impl_->kernel, batch.n_rays,
                  {.rendered = rendered.address(),
                   .targets = batch.targets->address(),
                   .upstream = upstream.address(),
-                  .terms = terms.address(),
+                  .terms = terms.get_row_address(),
                   .depth_weight = w.depth * per_return,
                   .intensity_weight = (1.0f - w.intensity_ssim) * w.intensity * per_return,
                   .drop_weight = w.drop * per_ray,
@@ -65,7 +65,7 @@ void ImageLoss::compare(Stream& stream, const RenderedBatch& rays, const TargetB
                                   .targets = batch.targets->address(),
                                   .statistics = impl_->statistics.address(),
                                   .upstream = upstream.address(),
-                                  .terms = terms.address(),
+                                  .terms = terms.get_row_address(),
                                   .weight = w.intensity_ssim * w.intensity * per_return,
                                   .first_ray = batch.first,
                                   .ray_stride = batch.stride,

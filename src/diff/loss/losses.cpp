@@ -7,7 +7,7 @@
 namespace relidar {
 namespace {
 
-constexpr bool are_terms_in_order() {
+constexpr bool are_loss_terms_in_order() {
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) index,
     const std::size_t indices[] = {RELIDAR_LOSS_TERMS(RELIDAR_TERM)};
 #undef RELIDAR_TERM
@@ -16,20 +16,21 @@ constexpr bool are_terms_in_order() {
         if (index != next++) return false;
     return true;
 }
-static_assert(are_terms_in_order(), "the places of loss terms count up from 0");
+static_assert(are_loss_terms_in_order(), "the places of loss terms count up from 0");
 
 }  // namespace
 
-void Loss::compare(Stream&, const RenderedBatch&, const TargetBatch&, const TermRow&) {}
-void Loss::regularise(Stream&, const DeviceScene&, const SurfelGradients&, const TermRow&) {}
+void Loss::record_ray_losses(Stream&, const RenderedBatch&, const TargetBatch&, const LossTermRow&) {}
+void Loss::record_regularisation_losses(Stream&, const DeviceScene&, const SurfelGradients&,
+                                        const LossTermRow&) {}
 
 std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights& weights,
-                                               std::uint32_t n_rays) {
-    struct Term {
+                                               std::uint32_t max_rays_per_batch) {
+    struct WeightedLossFactory {
         float weight;
-        LossMaker* maker;
+        LossFactory* maker;
     };
-    const Term terms[] = {
+    const WeightedLossFactory terms[] = {
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) \
     {weights.setting, make_##maker##_loss},
         RELIDAR_LOSS_TERMS(RELIDAR_TERM)
@@ -37,12 +38,12 @@ std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights
     };
     // The image loss must be first, because it overwrites the gradients to which all
     // other losses add.
-    std::vector<LossMaker*> makers{make_image_loss};
-    for (const Term& term : terms)
+    std::vector<LossFactory*> makers{make_image_loss};
+    for (const WeightedLossFactory& term : terms)
         if (term.weight > 0.0f && std::find(makers.begin(), makers.end(), term.maker) == makers.end())
             makers.push_back(term.maker);
     std::vector<std::unique_ptr<Loss>> losses;
-    for (LossMaker* make : makers) losses.push_back(make(device, weights, n_rays));
+    for (LossFactory* make : makers) losses.push_back(make(device, weights, max_rays_per_batch));
     return losses;
 }
 

@@ -8,9 +8,9 @@
 
 namespace relidar {
 
-using LossMaker = std::unique_ptr<Loss>(Device& device, const LossWeights& weights, std::uint32_t n_rays);
+using LossFactory = std::unique_ptr<Loss>(Device& device, const LossWeights& weights, std::uint32_t n_rays);
 
-#define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) LossMaker make_##maker##_loss;
+#define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) LossFactory make_##maker##_loss;
 RELIDAR_LOSS_TERMS(RELIDAR_TERM)  // the same function is declared once for each of its terms
 #undef RELIDAR_TERM
 

@@ -15,43 +15,43 @@ namespace relidar {
 
 namespace {
 
-bool has_box(const Model& model) {
+bool has_bounding_box(const SurfelModel& model) {
     return model.half_size_m.x > 0.0f && model.half_size_m.y > 0.0f && model.half_size_m.z > 0.0f;
 }
 
 }  // namespace
 
-struct SurfelLoss::Impl {
+struct ActorBoxLoss::Impl {
     LossWeights weights;
     Kernel<shared::SurfelLossParams> kernel;
 };
 
-SurfelLoss::SurfelLoss(Device& device, const LossWeights& weights)
-    : impl_(new Impl{weights, {device, "diff/loss/surfel_loss", choose_accumulating_variant(device)}}) {}
-SurfelLoss::~SurfelLoss() = default;
+ActorBoxLoss::ActorBoxLoss(Device& device, const LossWeights& weights)
+    : impl_(new Impl{weights, {device, "diff/loss/surfel_loss", choose_float_atomics_variant(device)}}) {}
+ActorBoxLoss::~ActorBoxLoss() = default;
 std::unique_ptr<Loss> make_surfel_loss(Device& device, const LossWeights& weights, std::uint32_t) {
-    return std::make_unique<SurfelLoss>(device, weights);
+    return std::make_unique<ActorBoxLoss>(device, weights);
 }
 
-void SurfelLoss::regularise(Stream& stream, const DeviceScene& scene, const SurfelGradients& gradients,
-                            const TermRow& terms) {
+void ActorBoxLoss::record_regularisation_losses(Stream& stream, const DeviceScene& scene,
+                                                const SurfelGradients& gradients, const LossTermRow& terms) {
     const LossWeights& w = impl_->weights;
-    const std::vector<Model>& models = scene.layout().models;
+    const std::vector<SurfelModel>& models = scene.get_scene_layout().models;
     double n_boxed = 0.0;
     std::uint32_t first = scene.size(), end = 0;  // surfel range that contains all models with a box
-    for (const Model& m : models) {
-        if (!has_box(m)) continue;
+    for (const SurfelModel& m : models) {
+        if (!has_bounding_box(m)) continue;
         n_boxed += m.count;
         first = std::min(first, m.first);
         end = m.first + m.count;
     }
     if (!(w.box > 0.0f) || first >= end) return;
     relidar::run(stream, impl_->kernel, end - first,
-                 {.surfels = get_surfel_pointers(scene.parameters()),
+                 {.surfels = get_surfel_pointers(scene.get_surfel_parameters()),
                   .d_surfels = get_surfel_pointers(*gradients.d_surfels),
                   .touched = get_address(gradients.touched),
-                  .terms = terms.address(),
-                  .models = scene.models().address(),
+                  .terms = terms.get_row_address(),
+                  .models = scene.get_model_table().address(),
                   .box_scale_share = w.box_scale_share,
                   .box_weight = static_cast<float>(w.box / std::max(n_boxed, 1.0)),
                   .first_surfel = first,

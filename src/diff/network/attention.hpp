@@ -8,7 +8,7 @@
 namespace relidar::refine {
 
 /// Intermediate results that the forward pass stores for the backward pass.
-struct AttentionState {
+struct AttentionActivations {
     /// Attention weights [n, heads, pixels, pixels] (softmax of the scores). A row
     /// contains the weights with which one pixel attends to all pixels.
     Tensor share;
@@ -21,21 +21,25 @@ public:
     /// @param heads number of heads. The channels are divided equally between the heads
     Attention(Device& device, std::uint32_t heads);
 
-    AttentionState make_state(Device& device, const Grid& grid, bool with_gradients) const;
+    AttentionActivations make_attention_state(Device& device, const ImageBatchSize& grid,
+                                              bool with_gradients) const;
     /// Computes output[h] = V softmax(K^T Q / sqrt(channels per head)) for each head h.
     /// @param qkv query Q, key K and value V of each pixel, [n, 3 channels, rows,
     /// columns]
     /// @param output [n, channels, rows, columns]
-    void forward(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& output);
-    void vjp(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& d_to, const Slice& d_qkv);
+    void compute_attention(Stream& stream, const ChannelSlice& qkv, AttentionActivations& state,
+                           const ChannelSlice& output);
+    void backpropagate_to_qkv(Stream& stream, const ChannelSlice& qkv, AttentionActivations& state,
+                              const ChannelSlice& d_output, const ChannelSlice& d_qkv);
 
 private:
     std::uint32_t heads_, lanes_;
     Kernel<shared::MatmulParams> matmul_;
     Kernel<shared::SoftmaxParams> softmax_;
 
-    void multiply(Stream& stream, shared::MatmulParams params, const Grid& grid) const;
-    void run_softmax(Stream& stream, AttentionState& state, const Grid& grid, bool derive) const;
+    void multiply_matrices(Stream& stream, shared::MatmulParams params, const ImageBatchSize& grid) const;
+    void run_softmax(Stream& stream, AttentionActivations& state, const ImageBatchSize& grid,
+                     bool is_backward) const;
 };
 
 }  // namespace relidar::refine

@@ -12,37 +12,40 @@ namespace relidar::refine {
 
 /// Convolution kernels of one size (1x1 or 3x3), with memory for partial sums of
 /// gradients.
-class Conv {
+class ConvolutionKernels {
 public:
     using Weights = Address<float, shared::ConvWeights>;
     using Bias = Address<float, shared::ConvBias>;
 
     /// Creates the kernels for convolutions of one size.
-    /// @param taps number of weights per pair of channels: 1 (1x1) or 9 (3x3)
+    /// @param get_kernel_taps number of weights per pair of channels: 1 (1x1) or 9 (3x3)
     /// @throws DeviceError with the name of a missing device feature
-    Conv(Device& device, std::uint32_t taps);
+    ConvolutionKernels(Device& device, std::uint32_t taps);
 
     /// Computes the convolution output = bias + weights * input.
     /// @param weights [output.channels, input.channels, taps]
     /// @param bias [output.channels], or a null address
     /// @param accumulate true: adds the result to `output` instead of overwriting it
-    void forward(Stream& stream, const Slice& input, Weights weights, Bias bias, const Slice& output,
-                 bool accumulate = false);
-    /// Computes the gradient of the input, d_from, from the gradient of the output, d_to.
-    /// @param accumulate true: adds the result to `d_from` instead of overwriting it
-    void backpropagate_input(Stream& stream, const Slice& d_to, Weights weights, const Slice& d_from,
-                             bool accumulate = false);
+    void run_convolution(Stream& stream, const ChannelSlice& input, Weights weights, Bias bias,
+                         const ChannelSlice& output, bool accumulate = false);
+    /// Computes the gradient of the input, d_input, from the gradient of the output,
+    /// d_output.
+    /// @param accumulate true: adds the result to `d_input` instead of overwriting it
+    void backpropagate_input(Stream& stream, const ChannelSlice& d_output, Weights weights,
+                             const ChannelSlice& d_input, bool accumulate = false);
     /// Computes the gradient of the weights, [output channels, input channels, taps].
     /// Adds in a fixed order, so that the result is the same in every run.
-    void backpropagate_weights(Stream& stream, const Slice& input, const Slice& d_to, Weights d_weights);
+    void backpropagate_weights(Stream& stream, const ChannelSlice& input, const ChannelSlice& d_output,
+                               Weights d_weights);
     /// Returns the number of floats that backpropagate_weights() needs for its partial
     /// sums.
-    std::size_t count_partial_floats(const Grid& grid, std::uint32_t n_in, std::uint32_t n_out) const;
-    void reserve(Device& device, std::size_t floats) {
-        partial_.reserve(device, floats, "partial sums of weights");
+    std::size_t count_partial_sum_floats(const ImageBatchSize& grid, std::uint32_t n_input_channels,
+                                         std::uint32_t n_output_channels) const;
+    void reserve_partial_sums(Device& device, std::size_t n_floats) {
+        partial_.reserve(device, n_floats, "partial sums of weights");
     }
 
-    std::uint32_t taps() const { return taps_; }
+    std::uint32_t get_kernel_taps() const { return taps_; }
 
 private:
     std::uint32_t taps_, pixels_, lanes_;
@@ -51,9 +54,9 @@ private:
     Kernel<shared::SumPartsParams> sum_parts_;
     Array<float, shared::PartSums> partial_;
 
-    void run_conv(Stream& stream, const shared::ConvParams& params) const;
+    void run_conv_kernel(Stream& stream, const shared::ConvParams& params) const;
     std::size_t count_conv_threads(const shared::ConvParams& params) const;
-    std::size_t count_weights_threads(const shared::ConvWeightsParams& params) const;
+    std::size_t count_weight_gradient_threads(const shared::ConvWeightsParams& params) const;
 };
 
 }  // namespace relidar::refine

@@ -16,39 +16,41 @@ namespace relidar::refine {
 /// Returns scale and shift of each input channel, [channels, 2]. After this
 /// normalisation, a channel has mean 0 and standard deviation 1 over all images. A
 /// constant channel becomes 0.
-std::vector<float> compute_normalisation(const std::vector<DropImage>& images, std::size_t n_channels);
+std::vector<float> compute_channel_normalisation(const std::vector<RayDropImage>& images,
+                                                 std::size_t n_channels);
 
-class DropInputs {
+class RayDropInputs {
 public:
-    DropInputs(Device& device, const DropNetwork& network);
+    RayDropInputs(Device& device, const RayDropNetwork& network);
 
     /// Uploads training images to the device and replaces all earlier images.
-    /// @param images images of equal size, already checked
-    void keep(Device& device, std::span<const DropImage> images);
+    /// @param output_images images of equal size, already checked
+    void upload_training_images(Device& device, std::span<const RayDropImage> images);
 
     /// Image that is selected for a batch, and the number of columns by which its scene
     /// is rotated.
-    struct Chosen {
-        std::uint32_t sample = 0, turn = 0;
+    struct RotatedSample {
+        std::uint32_t sample = 0, column_shift = 0;
     };
     /// Submits the kernel that creates a batch from the uploaded images.
-    /// @param images output, [n, channels, rows, columns]
-    void make(Stream& stream, std::span<const Chosen> chosen, const Tensor& images);
+    /// @param output_images output, [n, channels, rows, columns]
+    void make_input_batch(Stream& stream, std::span<const RotatedSample> selection,
+                          const Tensor& output_images);
     /// Submits the kernel that creates a batch from images of another device array, which
     /// have no targets.
     /// @param samples [samples, channels, rows, columns]
-    void make(Stream& stream, std::span<const Chosen> chosen, Address<float, shared::DropSamples> samples,
-              const Tensor& images);
+    void make_input_batch(Stream& stream, std::span<const RotatedSample> selection,
+                          Address<float, shared::DropSamples> samples, const Tensor& output_images);
 
     /// Returns the rendered drop logits of the last batch, [n, rows, columns]. The
     /// network corrects them.
-    const Array<float, shared::StartLogits>& start() const { return start_; }
+    const Array<float, shared::StartLogits>& get_rendered_logits() const { return start_; }
     /// Returns the measured drops of the last batch, [n, rows, columns], with the values
-    /// of DropImage::dropped.
-    const Array<float, shared::DropTargets>& target() const { return target_; }
+    /// of RayDropImage::dropped.
+    const Array<float, shared::DropTargets>& get_measured_drops() const { return target_; }
     bool has_targets() const { return targets_.size() > 0; }
     /// Returns the number of pixels of an image whose measured drop is known.
-    std::size_t known(std::uint32_t sample) const { return known_[sample]; }
+    std::size_t count_known_pixels(std::uint32_t image_index) const { return n_known_pixels_[image_index]; }
 
 private:
     std::uint32_t n_channels_, n_fixed_, logit_channel_;
@@ -58,10 +60,10 @@ private:
     Array<float, shared::StartLogits> start_;
     Array<float, shared::DropTargets> target_;
     Array<glm::vec2> scale_shift_;
-    std::vector<std::size_t> known_;
+    std::vector<std::size_t> n_known_pixels_;
 
-    void make(Stream& stream, std::span<const Chosen> chosen, shared::DropInputsParams params,
-              const Tensor& images);
+    void make_input_batch(Stream& stream, std::span<const RotatedSample> selection,
+                          shared::DropInputsParams params, const Tensor& output_images);
 };
 
 }  // namespace relidar::refine

@@ -13,14 +13,17 @@ constexpr std::size_t kPixelsOfPart = 2048;
 
 }  // namespace
 
-DropLoss::DropLoss(Device& device, std::size_t n_pixels)
+RayDropLoss::RayDropLoss(Device& device, std::size_t n_pixels)
     : lanes_(std::uint32_t(device.info().subgroup_size)),
       n_parts_(std::uint32_t(std::max<std::size_t>(1, n_pixels / kPixelsOfPart))),
       kernel_(device, "diff/network/drop_loss",
-              {{ConstantId::LANES, lanes_}, {ConstantId::WORKGROUP_SIZE, kLossThreads}}, Subgroups::full),
+              {{SpecialisationConstantId::LANES, lanes_},
+               {SpecialisationConstantId::WORKGROUP_SIZE, kLossThreads}},
+              SubgroupRequirement::full),
       partial_(device, 2 * n_parts_, "sums of cross-entropies") {}
 
-void DropLoss::run(Stream& stream, std::size_t count, const DropLossArrays& arrays, std::size_t n_known) {
+void RayDropLoss::compute_drop_loss(Stream& stream, std::size_t n_pixels, const RayDropLossArrays& arrays,
+                                    std::size_t n_known_pixels) {
     const std::uint32_t of_workgroup = kLossThreads / lanes_;
     relidar::run(stream, kernel_, std::size_t((n_parts_ + of_workgroup - 1) / of_workgroup) * kLossThreads,
                  {.logit = arrays.logit,
@@ -29,20 +32,20 @@ void DropLoss::run(Stream& stream, std::size_t count, const DropLossArrays& arra
                   .d_logit = arrays.d_logit,
                   .probability = arrays.probability,
                   .partial = partial_.address(),
-                  .n = std::uint32_t(count),
+                  .n = std::uint32_t(n_pixels),
                   .n_parts = n_parts_,
-                  .weight = 1.0f / float(std::max<std::size_t>(n_known, 1))});
+                  .weight = 1.0f / float(std::max<std::size_t>(n_known_pixels, 1))});
 }
 
-DropScore DropLoss::score(std::size_t n_known) const {
-    DropScore score;
+RayDropScore RayDropLoss::read_drop_score(std::size_t n_known_pixels) const {
+    RayDropScore score;
     const std::vector<float> partial = partial_.download();
     for (std::size_t part = 0; part < n_parts_; ++part) {
         score.entropy += double(partial[2 * part]);
         score.accuracy += double(partial[2 * part + 1]);
     }
-    score.entropy /= double(std::max<std::size_t>(n_known, 1));
-    score.accuracy /= double(std::max<std::size_t>(n_known, 1));
+    score.entropy /= double(std::max<std::size_t>(n_known_pixels, 1));
+    score.accuracy /= double(std::max<std::size_t>(n_known_pixels, 1));
     return score;
 }
 

@@ -9,14 +9,14 @@
 namespace relidar::refine {
 
 /// Loss and accuracy, averaged over the pixels of a batch whose measurement is known.
-struct DropScore {
+struct RayDropScore {
     double entropy = 0.0;   ///< mean cross-entropy of the measured outcomes
     double accuracy = 0.0;  ///< Share of pixels whose predicted class (return or no return) is correct.
 };
 
-/// Arrays of n pixels that DropLoss reads and writes. All addresses except `logit` may be
-/// null.
-struct DropLossArrays {
+/// Arrays of n pixels that RayDropLoss reads and writes. All addresses except `logit` may
+/// be null.
+struct RayDropLossArrays {
     Address<float, shared::DropLogits> logit;
     Address<float, shared::StartLogits> start = {};  ///< added to the logits
     /// Measured outcome: 1 for a ray without a return, 0 for a ray with a return,
@@ -26,17 +26,18 @@ struct DropLossArrays {
     Address<float, shared::DropProbabilities> probability = {};  ///< output: drop probabilities
 };
 
-class DropLoss {
+class RayDropLoss {
 public:
-    DropLoss(Device& device, std::size_t n_pixels);
+    RayDropLoss(Device& device, std::size_t n_pixels);
 
-    /// Submits the kernel that computes the loss of `count` pixels.
-    /// @param n_known number of pixels with a known target. The derivative is divided by
-    /// this number
-    void run(Stream& stream, std::size_t count, const DropLossArrays& arrays, std::size_t n_known);
+    /// Submits the kernel that computes the loss of `n_pixels` pixels.
+    /// @param n_known_pixels number of pixels with a known target. The derivative is
+    /// divided by this number
+    void compute_drop_loss(Stream& stream, std::size_t n_pixels, const RayDropLossArrays& arrays,
+                           std::size_t n_known_pixels);
     /// Returns loss and accuracy of the last run, which must be finished.
-    /// @param n_known number of pixels with a known target
-    DropScore score(std::size_t n_known) const;
+    /// @param n_known_pixels number of pixels with a known target
+    RayDropScore read_drop_score(std::size_t n_known_pixels) const;
 
 private:
     std::uint32_t lanes_, n_parts_;

@@ -15,35 +15,35 @@ namespace {
 
 constexpr int kMostWidth = 512, kMostLevels = 6;
 
-using refine::Regularisation;
+using refine::NetworkRegularisation;
 
 /// Predefined network architecture. The numbers of channels are listed for each level,
 /// starting at full image size, and are multiplied by `width`.
-struct Known {
+struct NetworkPreset {
     const char* name;
     std::uint32_t width;
     std::vector<std::uint32_t> factors;
     std::uint32_t heads, taps;
     bool residual;
     int batch;
-    Regularisation in_training;
+    NetworkRegularisation in_training;
 };
 
-const Known& find_known(const std::string& name) {
-    static const Known networks[] = {{"small", 8, {1, 2, 4, 4}, 0, 9, true, 1, {}},
-                                     // docs/method.md
-                                     {"paper", 32, {1, 2, 4, 8, 8}, 8, 9, false, 16, {0.1, true}},
-                                     {"pixel", 16, {1}, 0, 1, true, 1, {}}};
-    const auto found = std::find_if(std::begin(networks), std::end(networks),
-                                    [&](const Known& repository) { return name == repository.name; });
-    if (found == std::end(networks))
+const NetworkPreset& find_predefined_network(const std::string& name) {
+    static const NetworkPreset networks[] = {{"small", 8, {1, 2, 4, 4}, 0, 9, true, 1, {}},
+                                             // docs/method.md
+                                             {"paper", 32, {1, 2, 4, 8, 8}, 8, 9, false, 16, {0.1, true}},
+                                             {"pixel", 16, {1}, 0, 1, true, 1, {}}};
+    const auto match = std::find_if(std::begin(networks), std::end(networks),
+                                    [&](const NetworkPreset& preset) { return name == preset.name; });
+    if (match == std::end(networks))
         throw UsageError(fmt::format("refine.network: found \"{}\", expected small, paper or pixel", name));
-    return *found;
+    return *match;
 }
 
 }  // namespace
 
-std::vector<std::string> list_drop_channels(const RefineOptions& options) {
+std::vector<std::string> list_network_input_channels(const RayDropNetworkOptions& options) {
     std::vector<std::string> names{"log_range", "intensity", "drop_logit"};
     if (options.network != "paper") names.insert(names.end(), {"weight", "spread", "cosine"});
     if (options.rays != "none") names.emplace_back("elevation");
@@ -51,58 +51,59 @@ std::vector<std::string> list_drop_channels(const RefineOptions& options) {
     return names;
 }
 
-std::size_t count_parameters(const RefineOptions& options) {
-    return refine::UnetPlan(refine::make_network_shape(options)).n_parameters;
+std::size_t count_network_parameters(const RayDropNetworkOptions& options) {
+    return refine::UnetParameterLayout(refine::make_network_architecture(options)).n_parameters;
 }
 
 namespace refine {
 
-DropNetwork make_network_shape(const RefineOptions& options) {
-    const Known& known = find_known(options.network);
-    const int width = options.width > 0 ? options.width : int(known.width);
-    const int levels = options.levels >= 0 ? options.levels : int(known.factors.size()) - 1;
+RayDropNetwork make_network_architecture(const RayDropNetworkOptions& options) {
+    const NetworkPreset& preset = find_predefined_network(options.network);
+    const int width = options.width > 0 ? options.width : int(preset.width);
+    const int levels = options.levels >= 0 ? options.levels : int(preset.factors.size()) - 1;
     if (width > kMostWidth || levels > kMostLevels)
         throw UsageError(fmt::format(
             "cannot create the ray-drop network: found {} channels and {} levels, expected at most "
             "{} channels and {} levels",
             width, levels, kMostWidth, kMostLevels));
-    DropNetwork network;
-    network.inputs = list_drop_channels(options);
+    RayDropNetwork network;
+    network.inputs = list_network_input_channels(options);
     for (int l = 0; l <= levels; ++l)
         network.widths.push_back(std::uint32_t(width) *
-                                 known.factors[std::min(std::size_t(l), known.factors.size() - 1)]);
-    network.heads = levels > 0 ? known.heads : 0;
+                                 preset.factors[std::min(std::size_t(l), preset.factors.size() - 1)]);
+    network.heads = levels > 0 ? preset.heads : 0;
     if (network.heads > 0 && network.widths.back() % network.heads != 0)
         throw UsageError(
             fmt::format("cannot create the ray-drop network of width {}: its deepest level has {} channels, "
                         "expected a multiple of its {} attention heads",
                         width, network.widths.back(), network.heads));
-    network.taps = known.taps;
-    network.residual = known.residual;
+    network.taps = preset.taps;
+    network.residual = preset.residual;
     return network;
 }
 
-int get_batch_size(const RefineOptions& options) {
-    return options.batch > 0 ? options.batch : find_known(options.network).batch;
+int get_batch_size(const RayDropNetworkOptions& options) {
+    return options.batch > 0 ? options.batch : find_predefined_network(options.network).batch;
 }
 
-Regularisation make_regularisation(const RefineOptions& options) {
-    return find_known(options.network).in_training;
+NetworkRegularisation get_regularisation(const RayDropNetworkOptions& options) {
+    return find_predefined_network(options.network).in_training;
 }
 
-std::uint32_t get_logit_channel(const DropNetwork& network) {
+std::uint32_t find_drop_logit_channel(const RayDropNetwork& network) {
     return std::uint32_t(std::find(network.inputs.begin(), network.inputs.end(), "drop_logit") -
                          network.inputs.begin());
 }
 
-std::uint32_t count_fixed_channels(const DropNetwork& network) {
+std::uint32_t count_sensor_pixel_channels(const RayDropNetwork& network) {
     return std::uint32_t(std::count_if(
         network.inputs.begin(), network.inputs.end(),
         [](const std::string& name) { return name == "elevation" || name.starts_with("origin"); }));
 }
 
-void check_image(const DropNetwork& network, const DropImage& image, const std::string& description) {
-    const int side = network.smallest_side();
+void check_network_input_image(const RayDropNetwork& network, const RayDropImage& image,
+                               const std::string& description) {
+    const int side = network.compute_min_image_side();
     if (image.rows < side || image.columns < side)
         throw DataError(fmt::format(
             "{}: found {} x {} pixels, expected at least {} x {} pixels for a network with {} levels",

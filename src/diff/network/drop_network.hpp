@@ -14,15 +14,15 @@ namespace relidar::refine {
 /// Returns a network without parameters, with the shape that the options describe.
 /// @throws UsageError if the network is unknown, too wide or too deep, or the number of
 /// heads does not divide the channels
-DropNetwork make_network_shape(const RefineOptions& options);
+RayDropNetwork make_network_architecture(const RayDropNetworkOptions& options);
 
 /// Returns the number of images per training step.
 /// @throws UsageError if the network is unknown
-int get_batch_size(const RefineOptions& options);
+int get_batch_size(const RayDropNetworkOptions& options);
 
 /// Training settings that reduce overfitting. Small networks do without them: dropout
 /// hardly helps, and rotated images make them less accurate.
-struct Regularisation {
+struct NetworkRegularisation {
     double dropout = 0.0;  ///< share of the values that a layer drops
     /// True: training rotates images around the sensor by a random number of columns.
     /// Channels that describe the sensor's pixels are not rotated.
@@ -30,18 +30,19 @@ struct Regularisation {
 };
 /// Returns the training settings that reduce overfitting of a network.
 /// @throws UsageError if the network is unknown
-Regularisation make_regularisation(const RefineOptions& options);
+NetworkRegularisation get_regularisation(const RayDropNetworkOptions& options);
 
 /// Returns the index of the input channel that contains the rendered drop logit.
-std::uint32_t get_logit_channel(const DropNetwork& network);
+std::uint32_t find_drop_logit_channel(const RayDropNetwork& network);
 
 /// Returns the number of input channels that describe the sensor's pixels instead of the
 /// scene. They are the last channels.
-std::uint32_t count_fixed_channels(const DropNetwork& network);
+std::uint32_t count_sensor_pixel_channels(const RayDropNetwork& network);
 
 /// Checks the size and the values of an image.
 /// @param description description of the image for error messages
 /// @throws DataError if the image has the wrong size or values that are not finite
-void check_image(const DropNetwork& network, const DropImage& image, const std::string& description);
+void check_network_input_image(const RayDropNetwork& network, const RayDropImage& image,
+                               const std::string& description);
 
 }  // namespace relidar::refine

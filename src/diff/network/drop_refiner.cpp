@@ -19,12 +19,12 @@
 namespace relidar {
 namespace {
 
-const DropNetwork& check_network(const DropNetwork& network) {
+const RayDropNetwork& require_valid_network(const RayDropNetwork& network) {
     if (network.widths.empty() || network.inputs.empty() || (network.taps != 1 && network.taps != 9))
         throw DataError(
             "cannot use the ray-drop network: its list of channels or inputs is empty or its kernel "
             "size is invalid");
-    const refine::UnetPlan plan(network);
+    const refine::UnetParameterLayout plan(network);
     const auto check = [](const char* description, std::size_t found, std::size_t expected) {
         if (found != expected)
             throw DataError(
@@ -39,123 +39,130 @@ const DropNetwork& check_network(const DropNetwork& network) {
 
 }  // namespace
 
-void compile_drop_network(Device& device, const RefineOptions& options) {
-    DropNetwork network = refine::make_network_shape(options);
-    const refine::UnetPlan plan(network);
-    refine::initialise(network, plan, 0);
+void compile_network_pipelines(Device& device, const RayDropNetworkOptions& options) {
+    RayDropNetwork network = refine::make_network_architecture(options);
+    const refine::UnetParameterLayout plan(network);
+    refine::initialise_network_parameters(network, plan, 0);
     network.normalisation.assign(2 * network.inputs.size(), 0.0f);
-    const refine::DropInputs inputs(device, network);
+    const refine::RayDropInputs inputs(device, network);
     const refine::Unet unet(device, network);
-    const refine::DropLoss loss(device, 1);
+    const refine::RayDropLoss loss(device, 1);
 }
 
 namespace {
 
 /// The network with memory for images of one size.
-struct ShapedNetwork {
-    refine::Grid grid{};
-    refine::DropInputs inputs;
+struct SizedRayDropNetwork {
+    refine::ImageBatchSize grid{};
+    refine::RayDropInputs inputs;
     refine::Unet unet;
-    std::optional<refine::DropLoss> loss = {};
+    std::optional<refine::RayDropLoss> loss = {};
     Array<float, shared::DropProbabilities> probability = {};
 
-    ShapedNetwork(Device& device, const DropNetwork& network)
+    SizedRayDropNetwork(Device& device, const RayDropNetwork& network)
         : inputs(device, network), unet(device, network) {}
 
-    void reserve(Device& device, const refine::Grid& image_grid) {
+    void allocate_for_image_size(Device& device, const refine::ImageBatchSize& image_grid) {
         grid = image_grid;
-        unet.reserve(device, grid, false);
-        probability = {device, grid.pixels(), "drop probabilities"};
-        loss.emplace(device, grid.pixels());
+        unet.allocate_activations(device, grid, false);
+        probability = {device, grid.count_pixels_per_image(), "drop probabilities"};
+        loss.emplace(device, grid.count_pixels_per_image());
     }
 };
 
 }  // namespace
 
-struct DropPass::Impl {
+struct RayDropInference::Impl {
     // Number of image sizes for which memory is kept. Two, because a vehicle may have a
     // large and a small LiDAR that are rendered alternately.
     static constexpr std::size_t kShapes = 2;
 
     Device& device;
-    DropNetwork network;
-    std::list<ShapedNetwork> shaped;  ///< most recently used first
+    RayDropNetwork network;
+    std::list<SizedRayDropNetwork> shaped;  ///< most recently used first
 
-    Impl(Device& d, const DropNetwork& n) : device(d), network(check_network(n)) {
+    Impl(Device& d, const RayDropNetwork& n) : device(d), network(require_valid_network(n)) {
         shaped.emplace_front(device, network);
     }
 
-    ShapedNetwork& get_network_for_shape(Stream& stream, const refine::Grid& image) {
-        auto place = std::ranges::find(shaped, image, &ShapedNetwork::grid);
-        const bool is_new = place == shaped.end();
-        if (is_new) place = std::ranges::find(shaped, refine::Grid{}, &ShapedNetwork::grid);
-        if (place == shaped.end() && shaped.size() < kShapes)
-            place = shaped.emplace(shaped.end(), device, network);
-        if (place == shaped.end()) {
+    SizedRayDropNetwork& get_network_for_image_size(Stream& stream,
+                                                    const refine::ImageBatchSize& image_grid) {
+        auto cache_entry = std::ranges::find(shaped, image_grid, &SizedRayDropNetwork::grid);
+        const bool is_new = cache_entry == shaped.end();
+        if (is_new)
+            cache_entry = std::ranges::find(shaped, refine::ImageBatchSize{}, &SizedRayDropNetwork::grid);
+        if (cache_entry == shaped.end() && shaped.size() < kShapes)
+            cache_entry = shaped.emplace(shaped.end(), device, network);
+        if (cache_entry == shaped.end()) {
             // The device may still use the arrays of the size that is replaced below.
-            stream.finish();
-            --place;
+            stream.submit_and_wait();
+            --cache_entry;
         }
-        shaped.splice(shaped.begin(), shaped, place);
-        if (is_new) place->reserve(device, image);
-        return *place;
+        shaped.splice(shaped.begin(), shaped, cache_entry);
+        if (is_new) cache_entry->allocate_for_image_size(device, image_grid);
+        return *cache_entry;
     }
 };
 
-DropPass::DropPass(Device& device, const DropNetwork& network) : impl_(new Impl(device, network)) {}
-DropPass::~DropPass() = default;
+RayDropInference::RayDropInference(Device& device, const RayDropNetwork& network)
+    : impl_(new Impl(device, network)) {}
+RayDropInference::~RayDropInference() = default;
 
-const DropNetwork& DropPass::network() const { return impl_->network; }
+const RayDropNetwork& RayDropInference::network() const { return impl_->network; }
 
-const Array<float, shared::DropProbabilities>& DropPass::run(
-    Stream& stream, int rows, int columns, const Array<float, shared::DropSamples>& channels) {
+const Array<float, shared::DropProbabilities>& RayDropInference::record_network_evaluation(
+    Stream& stream, int rows, int columns, const Array<float, shared::DropSamples>& input_channels) {
     Impl& r = *impl_;
-    if (const int side = r.network.smallest_side(); rows < side || columns < side)
+    if (const int side = r.network.compute_min_image_side(); rows < side || columns < side)
         throw DataError(fmt::format(
             "cannot apply the ray-drop network: the image has {} x {} pixels, expected at least {} "
             "rows and columns",
             rows, columns, side));
-    const refine::Grid grid{1, std::uint32_t(rows), std::uint32_t(columns)};
-    RELIDAR_ASSERT_LE(r.network.inputs.size() * grid.pixels(), channels.size());
-    ShapedNetwork& shaped = r.get_network_for_shape(stream, grid);
-    const refine::DropInputs::Chosen whole{};
-    shaped.inputs.make(stream, {&whole, 1}, channels.address(), shaped.unet.inputs());
-    shaped.unet.evaluate(stream);
-    shaped.loss->run(stream, grid.pixels(),
-                     {.logit = shaped.unet.logit().values.address().as<shared::DropLogits>(),
-                      .start = r.network.residual ? shaped.inputs.start().address()
-                                                  : Address<float, shared::StartLogits>(),
-                      .probability = shaped.probability.address()},
-                     0);
+    const refine::ImageBatchSize grid{1, std::uint32_t(rows), std::uint32_t(columns)};
+    RELIDAR_ASSERT_LE(r.network.inputs.size() * grid.count_pixels_per_image(), input_channels.size());
+    SizedRayDropNetwork& shaped = r.get_network_for_image_size(stream, grid);
+    const refine::RayDropInputs::RotatedSample unrotated_sample{};
+    shaped.inputs.make_input_batch(stream, {&unrotated_sample, 1}, input_channels.address(),
+                                   shaped.unet.get_input_images());
+    shaped.unet.run_inference(stream);
+    shaped.loss->compute_drop_loss(
+        stream, grid.count_pixels_per_image(),
+        {.logit = shaped.unet.get_drop_logits().values.address().cast_meaning<shared::DropLogits>(),
+         .start = r.network.residual ? shaped.inputs.get_rendered_logits().address()
+                                     : Address<float, shared::StartLogits>(),
+         .probability = shaped.probability.address()},
+        0);
     return shaped.probability;
 }
 
-struct DropRefiner::Impl {
+struct RayDropRefiner::Impl {
     Device& device;
-    DropPass pass;
+    RayDropInference pass;
     Stream stream;
     Array<float, shared::DropSamples> channels;
 
-    Impl(Device& d, const DropNetwork& n) : device(d), pass(d, n), stream(d, d.info().timestamps) {}
+    Impl(Device& d, const RayDropNetwork& n) : device(d), pass(d, n), stream(d, d.info().timestamps) {}
 };
 
-DropRefiner::DropRefiner(Device& device, const DropNetwork& network) : impl_(new Impl(device, network)) {}
-DropRefiner::~DropRefiner() = default;
-DropRefiner::DropRefiner(DropRefiner&&) noexcept = default;
-DropRefiner& DropRefiner::operator=(DropRefiner&&) noexcept = default;
+RayDropRefiner::RayDropRefiner(Device& device, const RayDropNetwork& network)
+    : impl_(new Impl(device, network)) {}
+RayDropRefiner::~RayDropRefiner() = default;
+RayDropRefiner::RayDropRefiner(RayDropRefiner&&) noexcept = default;
+RayDropRefiner& RayDropRefiner::operator=(RayDropRefiner&&) noexcept = default;
 
-const DropNetwork& DropRefiner::network() const { return impl_->pass.network(); }
-const KernelTimes& DropRefiner::times() const { return impl_->stream.times(); }
-DropPass& DropRefiner::pass() { return impl_->pass; }
+const RayDropNetwork& RayDropRefiner::network() const { return impl_->pass.network(); }
+const KernelTimes& RayDropRefiner::times() const { return impl_->stream.times(); }
+RayDropInference& RayDropRefiner::get_drop_pass() { return impl_->pass; }
 
-std::vector<float> DropRefiner::refine(const DropImage& image) {
+std::vector<float> RayDropRefiner::predict_drop_probabilities(const RayDropImage& image) {
     Impl& r = *impl_;
-    refine::check_image(network(), image, "refining ray-drop");
-    r.stream.finish();
+    refine::check_network_input_image(network(), image, "refining ray-drop");
+    r.stream.submit_and_wait();
     r.channels.reserve(r.device, image.channels.size(), "a scan to refine");
     r.channels.upload(image.channels);
-    const auto& probability = r.pass.run(r.stream, image.rows, image.columns, r.channels);
-    r.stream.finish();
+    const auto& probability =
+        r.pass.record_network_evaluation(r.stream, image.rows, image.columns, r.channels);
+    r.stream.submit_and_wait();
     return probability.download();
 }
 

@@ -17,12 +17,13 @@ namespace {
 constexpr double kLastRate = 0.01;         // final learning rate relative to the initial rate
 constexpr std::uint32_t kKeysOfStep = 64;  // number of dropout keys per step, one for each layer
 
-void check_images(const DropNetwork& network, const std::vector<DropImage>& images) {
+void check_training_images(const RayDropNetwork& network, const std::vector<RayDropImage>& images) {
     if (images.empty()) throw DataError("cannot train the ray-drop network: there are no training images");
     double drops = 0.0;
     for (std::size_t i = 0; i < images.size(); ++i) {
-        const DropImage& image = images[i];
-        check_image(network, image, fmt::format("cannot train the ray-drop network with image {}", i));
+        const RayDropImage& image = images[i];
+        check_network_input_image(network, image,
+                                  fmt::format("cannot train the ray-drop network with image {}", i));
         if (image.rows != images[0].rows || image.columns != images[0].columns)
             throw DataError(fmt::format(
                 "cannot train the ray-drop network: image {} has {} x {} pixels, expected {} x {} like "
@@ -39,30 +40,30 @@ void check_images(const DropNetwork& network, const std::vector<DropImage>& imag
             "probably contains only points and no rays without return; use --set refine.enabled=false");
 }
 
-DropNetwork make_initial_network(const std::vector<DropImage>& images, const RefineOptions& options,
-                                 std::uint64_t seed) {
-    DropNetwork network = make_network_shape(options);
-    check_images(network, images);
-    network.normalisation = compute_normalisation(images, network.inputs.size());
-    initialise(network, UnetPlan(network), seed);
+RayDropNetwork make_initial_network(const std::vector<RayDropImage>& images,
+                                    const RayDropNetworkOptions& options, std::uint64_t seed) {
+    RayDropNetwork network = make_network_architecture(options);
+    check_training_images(network, images);
+    network.normalisation = compute_channel_normalisation(images, network.inputs.size());
+    initialise_network_parameters(network, UnetParameterLayout(network), seed);
     return network;
 }
 
 }  // namespace
 
-struct DropTraining::Impl {
-    const DropNetwork network;  ///< shape, normalisation and initial parameters
-    const RefineOptions options;
+struct RayDropTraining::Impl {
+    const RayDropNetwork network;  ///< shape, normalisation and initial parameters
+    const RayDropNetworkOptions options;
     const std::size_t n_images, batch;
-    const Grid grid;
-    DropInputs inputs;
+    const ImageBatchSize grid;
+    RayDropInputs inputs;
     Unet unet;
-    DropLoss loss;
+    RayDropLoss loss;
     ArrayAdam adam;
     Stream stream;
 
-    Impl(Device& device, const std::vector<DropImage>& images, const RefineOptions& o, std::uint64_t seed,
-         bool timing)
+    Impl(Device& device, const std::vector<RayDropImage>& images, const RayDropNetworkOptions& o,
+         std::uint64_t seed, bool timing)
         : network(make_initial_network(images, o, seed)),
           options(o),
           n_images(images.size()),
@@ -70,79 +71,84 @@ struct DropTraining::Impl {
           grid{std::uint32_t(batch), std::uint32_t(images[0].rows), std::uint32_t(images[0].columns)},
           inputs(device, network),
           unet(device, network),
-          loss(device, grid.all_pixels()),
+          loss(device, grid.count_all_pixels()),
           adam(device, network.parameters.size(), {.epsilon = 1e-8}),
           stream(device, timing) {
-        inputs.keep(device, images);
-        unet.reserve(device, grid, true);
+        inputs.upload_training_images(device, images);
+        unet.allocate_activations(device, grid, true);
         // the padding between groups of parameters needs gradients of zero, and no kernel
         // writes it
-        stream.fill(unet.gradients());
-        stream.finish();
+        stream.fill(unet.get_parameter_gradients());
+        stream.submit_and_wait();
     }
 };
 
-DropTraining::DropTraining(Device& device, const std::vector<DropImage>& images, const RefineOptions& options,
-                           std::uint64_t seed, bool timing)
+RayDropTraining::RayDropTraining(Device& device, const std::vector<RayDropImage>& images,
+                                 const RayDropNetworkOptions& options, std::uint64_t seed, bool timing)
     : impl_(std::make_unique<Impl>(device, images, options, seed, timing)) {}
-DropTraining::~DropTraining() = default;
+RayDropTraining::~RayDropTraining() = default;
 
-std::size_t DropTraining::batch() const { return impl_->batch; }
-std::size_t DropTraining::count_steps_per_epoch() const { return impl_->n_images / impl_->batch; }
-const KernelTimes& DropTraining::times() const { return impl_->stream.times(); }
+std::size_t RayDropTraining::get_images_per_step() const { return impl_->batch; }
+std::size_t RayDropTraining::count_steps_per_epoch() const { return impl_->n_images / impl_->batch; }
+const KernelTimes& RayDropTraining::times() const { return impl_->stream.times(); }
 
-DropScore DropTraining::step(std::span<const DropInputs::Chosen> chosen, int step, int n_steps) {
+RayDropScore RayDropTraining::train_on_batch(std::span<const RayDropInputs::RotatedSample> selection,
+                                             int step, int n_steps) {
     Impl& t = *impl_;
-    std::size_t known = 0;
-    for (const DropInputs::Chosen& c : chosen) known += t.inputs.known(c.sample);
-    t.inputs.make(t.stream, chosen, t.unet.inputs());
-    t.unet.forward(t.stream, std::uint32_t(step) * kKeysOfStep,
-                   float(make_regularisation(t.options).dropout));
-    t.loss.run(
-        t.stream, t.grid.all_pixels(),
-        {.logit = t.unet.logit().values.address().as<shared::DropLogits>(),
-         .start = t.network.residual ? t.inputs.start().address() : Address<float, shared::StartLogits>(),
-         .target = t.inputs.target().address(),
-         .d_logit = t.unet.d_logit().values.address().as<shared::DropLogitGradients>()},
-        known);
-    t.unet.backward(t.stream);
-    t.adam.step(t.stream, t.unet.parameters(), t.unet.gradients(),
-                interpolate_exponentially(t.options.rate, kLastRate * t.options.rate, step, n_steps), step);
-    t.stream.finish();
-    return t.loss.score(known);
+    std::size_t n_known_pixels = 0;
+    for (const RayDropInputs::RotatedSample& c : selection)
+        n_known_pixels += t.inputs.count_known_pixels(c.sample);
+    t.inputs.make_input_batch(t.stream, selection, t.unet.get_input_images());
+    t.unet.run_training_forward_pass(t.stream, std::uint32_t(step) * kKeysOfStep,
+                                     float(get_regularisation(t.options).dropout));
+    t.loss.compute_drop_loss(
+        t.stream, t.grid.count_all_pixels(),
+        {.logit = t.unet.get_drop_logits().values.address().cast_meaning<shared::DropLogits>(),
+         .start = t.network.residual ? t.inputs.get_rendered_logits().address()
+                                     : Address<float, shared::StartLogits>(),
+         .target = t.inputs.get_measured_drops().address(),
+         .d_logit =
+             t.unet.get_drop_logit_gradients().values.address().cast_meaning<shared::DropLogitGradients>()},
+        n_known_pixels);
+    t.unet.run_backward_pass(t.stream);
+    t.adam.record_adam_step(
+        t.stream, t.unet.get_network_parameters(), t.unet.get_parameter_gradients(),
+        interpolate_exponentially(t.options.rate, kLastRate * t.options.rate, step, n_steps), step);
+    t.stream.submit_and_wait();
+    return t.loss.read_drop_score(n_known_pixels);
 }
 
-DropNetwork DropTraining::download() const {
-    DropNetwork result = impl_->network;
-    result.parameters = impl_->unet.parameters().download();
-    result.running = impl_->unet.running().download();
+RayDropNetwork RayDropTraining::download_network() const {
+    RayDropNetwork result = impl_->network;
+    result.parameters = impl_->unet.get_network_parameters().download();
+    result.running = impl_->unet.get_running_moments().download();
     return result;
 }
 
-RefineState DropTraining::state() const {
-    RefineState state;
-    state.parameters = impl_->unet.parameters().download();
-    state.moment1 = impl_->adam.moment1().download();
-    state.moment2 = impl_->adam.moment2().download();
-    state.running = impl_->unet.running().download();
+RayDropTrainState RayDropTraining::download_training_state() const {
+    RayDropTrainState state;
+    state.parameters = impl_->unet.get_network_parameters().download();
+    state.moment1 = impl_->adam.get_first_moments().download();
+    state.moment2 = impl_->adam.get_second_moments().download();
+    state.running = impl_->unet.get_running_moments().download();
     return state;
 }
 
-void DropTraining::restore(const RefineState& state) {
+void RayDropTraining::restore_training_state(const RayDropTrainState& state) {
     const auto check = [](const char* name, std::size_t found, std::size_t expected) {
         if (found != expected)
             throw DataError(
                 fmt::format("cannot resume the ray-drop network: {}: found {} numbers, expected {}", name,
                             found, expected));
     };
-    const DropNetwork& n = impl_->network;
+    const RayDropNetwork& n = impl_->network;
     check("parameters", state.parameters.size(), n.parameters.size());
     check("moment1", state.moment1.size(), n.parameters.size());
     check("moment2", state.moment2.size(), n.parameters.size());
     check("running", state.running.size(), n.running.size());
-    impl_->unet.upload(state.parameters, state.running);
-    impl_->adam.moment1().upload(state.moment1);
-    impl_->adam.moment2().upload(state.moment2);
+    impl_->unet.upload_parameters(state.parameters, state.running);
+    impl_->adam.get_first_moments().upload(state.moment1);
+    impl_->adam.get_second_moments().upload(state.moment2);
 }
 
 }  // namespace relidar::refine

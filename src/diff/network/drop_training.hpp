@@ -14,30 +14,31 @@
 
 namespace relidar::refine {
 
-class DropTraining {
+class RayDropTraining {
 public:
     /// Uploads the images, and creates the network and the optimizer.
     /// @throws DataError in the same cases as train_drop_network()
-    DropTraining(Device& device, const std::vector<DropImage>& images, const RefineOptions& options,
-                 std::uint64_t seed, bool timing = false);
-    ~DropTraining();
+    RayDropTraining(Device& device, const std::vector<RayDropImage>& images,
+                    const RayDropNetworkOptions& options, std::uint64_t seed, bool timing = false);
+    ~RayDropTraining();
 
-    std::size_t batch() const;  ///< images per step
+    std::size_t get_images_per_step() const;  ///< images per step
     /// Returns the number of steps per epoch. Images that do not fill the last batch are
     /// left out. The order is random, so other images are left out in the next epoch.
     std::size_t count_steps_per_epoch() const;
 
     /// Trains the network on one batch.
-    /// @param step number of the step, starting at 1
+    /// @param train_on_batch number of the step, starting at 1
     /// @return loss and accuracy of the network before this step
-    DropScore step(std::span<const DropInputs::Chosen> chosen, int step, int n_steps);
-    DropNetwork download() const;
+    RayDropScore train_on_batch(std::span<const RayDropInputs::RotatedSample> selection, int step,
+                                int n_steps);
+    RayDropNetwork download_network() const;
     /// Returns the trained parameters and their Adam moments. The caller must set the
     /// remaining fields of the state.
-    RefineState state() const;
+    RayDropTrainState download_training_state() const;
     /// Restores the trained parameters and their Adam moments.
     /// @throws DataError if their sizes do not match the network
-    void restore(const RefineState& state);
+    void restore_training_state(const RayDropTrainState& state);
     const KernelTimes& times() const;
 
 private:

@@ -16,21 +16,21 @@ struct ConvolutionSize {
 
     /// Returns the number of multiplications and additions of one pass. This number is
     /// the same for the forward pass and both derivatives.
-    double operations() const {
+    double count_operations_per_pass() const {
         return 2.0 * 9.0 * double(rows) * double(columns) * double(n_in) * double(n_out);
     }
 };
 
 /// Convolution on a device, for benchmarks. Its inputs are not zero. Each call waits
 /// until its pass is finished.
-class MeasuredConvolution {
+class ConvolutionBenchmark {
 public:
-    MeasuredConvolution(Device& device, const ConvolutionSize& size);
-    ~MeasuredConvolution();
+    ConvolutionBenchmark(Device& device, const ConvolutionSize& size);
+    ~ConvolutionBenchmark();
 
-    void forward();
-    void run_input_gradient();    ///< computes the derivative with respect to the image
-    void run_weights_gradient();  ///< computes the derivative with respect to the weights
+    void run_forward_pass();
+    void compute_input_gradient();   ///< computes the derivative with respect to the image
+    void compute_weight_gradient();  ///< computes the derivative with respect to the weights
 
 private:
     struct Impl;
@@ -38,18 +38,19 @@ private:
 };
 
 /// Runs training and inference of a network on random images of one size, for benchmarks.
-class MeasuredDropNetwork {
+class RayDropNetworkBenchmark {
 public:
-    MeasuredDropNetwork(Device& device, const RefineOptions& options, int rows, int columns);
-    ~MeasuredDropNetwork();
+    RayDropNetworkBenchmark(Device& device, const RayDropNetworkOptions& options, int rows, int columns);
+    ~RayDropNetworkBenchmark();
 
-    void step();   ///< Runs one training step on options.batch images and waits until it is finished.
-    void infer();  ///< runs inference on one image and waits until it is finished
+    void
+    run_training_step();   ///< Runs one training step on options.batch images and waits until it is finished.
+    void run_inference();  ///< runs inference on one image and waits until it is finished
     /// Returns the number of multiplications and additions of inference on one image.
     /// Training needs three times as many operations per image.
-    double operations() const;
-    /// Returns the duration of each kernel in step(), in milliseconds. Empty if the
-    /// device has no timestamps.
+    double count_inference_operations() const;
+    /// Returns the duration of each kernel in run_training_step(), in milliseconds. Empty
+    /// if the device has no timestamps.
     const KernelTimes& times() const;
 
 private:

@@ -15,42 +15,47 @@ constexpr float kMomentum = 0.1f, kEpsilon = 1e-5f;
 
 /// Returns the number of parts into which the pixels of a batch are split. Sums are
 /// computed part by part. No part extends over two images.
-std::uint32_t count_norm_parts(const Grid& grid) {
-    return grid.n * std::uint32_t(std::clamp<std::size_t>(grid.pixels() / 4096, 1, 64));
+std::uint32_t count_partial_sums_per_channel(const ImageBatchSize& grid) {
+    return grid.n * std::uint32_t(std::clamp<std::size_t>(grid.count_pixels_per_image() / 4096, 1, 64));
 }
 /// Returns the number of threads that the kernels need for all pixels of a slice.
-std::size_t count_threads(const Slice& slice) {
+std::size_t count_normalisation_threads(const ChannelSlice& slice) {
     constexpr std::size_t kStretch = std::size_t(kNormThreads) * RELIDAR_NORM_PIXELS;
-    return std::size_t(slice.grid.n) * slice.channels * ((slice.grid.pixels() + kStretch - 1) / kStretch) *
-           kNormThreads;
+    return std::size_t(slice.grid.n) * slice.channels *
+           ((slice.grid.count_pixels_per_image() + kStretch - 1) / kStretch) * kNormThreads;
 }
 
-std::vector<Constant> make_subgroup_constants(std::uint32_t lanes) {
-    return {{ConstantId::LANES, lanes}, {ConstantId::WORKGROUP_SIZE, kNormThreads}};
+std::vector<SpecialisationConstant> make_norm_kernel_constants(std::uint32_t lanes_per_subgroup) {
+    return {{SpecialisationConstantId::LANES, lanes_per_subgroup},
+            {SpecialisationConstantId::WORKGROUP_SIZE, kNormThreads}};
 }
 
 }  // namespace
 
-Norm::Norm(Device& device)
+NormalisationKernels::NormalisationKernels(Device& device)
     : lanes_(std::uint32_t(device.info().subgroup_size)),
-      sums_(device, "diff/network/channel_sums", make_subgroup_constants(lanes_), Subgroups::full),
+      sums_(device, "diff/network/channel_sums", make_norm_kernel_constants(lanes_),
+            SubgroupRequirement::full),
       finish_(device, "diff/network/norm_finish"),
-      norm_(device, "diff/network/norm", {{ConstantId::WORKGROUP_SIZE, kNormThreads}}),
-      norm_vjp_(device, "diff/network/norm_vjp", {{ConstantId::WORKGROUP_SIZE, kNormThreads}}),
+      norm_(device, "diff/network/norm", {{SpecialisationConstantId::WORKGROUP_SIZE, kNormThreads}}),
+      norm_vjp_(device, "diff/network/norm_vjp", {{SpecialisationConstantId::WORKGROUP_SIZE, kNormThreads}}),
       sum_parts_(device, "diff/network/sum_parts") {}
 
-void Norm::reserve(Device& device, std::uint32_t channels, const Grid& grid) {
-    partial_.reserve(device, 2 * std::size_t(channels) * count_norm_parts(grid), "partial sums of channels");
+void NormalisationKernels::reserve_channel_sums(Device& device, std::uint32_t n_channels,
+                                                const ImageBatchSize& grid) {
+    partial_.reserve(device, 2 * std::size_t(n_channels) * count_partial_sums_per_channel(grid),
+                     "partial sums of channels");
 }
 
-void Norm::run_sums(Stream& stream, shared::ChannelSumsParams params) const {
+void NormalisationKernels::sum_channels_in_parts(Stream& stream, shared::ChannelSumsParams params) const {
     RELIDAR_ASSERT_LE(2 * std::size_t(params.n_channels) * params.n_parts, partial_.size());
     const std::uint32_t of_workgroup = kNormThreads / lanes_, jobs = params.n_channels * params.n_parts;
     run(stream, sums_, std::size_t((jobs + of_workgroup - 1) / of_workgroup) * kNormThreads, params);
 }
 
-void Norm::finish(Stream& stream, const Slice& input, const NormWeights& weights, NormState& state,
-                  bool training) const {
+void NormalisationKernels::compute_scale_and_shift(Stream& stream, const ChannelSlice& input,
+                                                   const NormWeights& weights, NormActivations& state,
+                                                   bool is_training) const {
     run(stream, finish_, input.channels,
         {.partial = partial_.address(),
          .beta_gamma = weights.beta_gamma,
@@ -58,76 +63,83 @@ void Norm::finish(Stream& stream, const Slice& input, const NormWeights& weights
          .moments = state.moments.address(),
          .scale_shift = state.scale_shift.address(),
          .n_channels = input.channels,
-         .n_parts = count_norm_parts(input.grid),
+         .n_parts = count_partial_sums_per_channel(input.grid),
          .n_images = input.grid.n,
-         .n_pixels = std::uint32_t(input.grid.pixels()),
-         .training = training ? 1u : 0u,
+         .n_pixels = std::uint32_t(input.grid.count_pixels_per_image()),
+         .training = is_training ? 1u : 0u,
          .momentum = kMomentum,
          .epsilon = kEpsilon});
 }
 
-void Norm::apply(Stream& stream, const Slice& input, const NormState& state, const Slice& output,
-                 bool training) const {
-    RELIDAR_ASSERT_EQ(input.channels * input.grid.all_pixels(), output.channels * output.grid.all_pixels());
-    run(stream, norm_, count_threads(input),
+void NormalisationKernels::apply_scale_shift_and_relu(Stream& stream, const ChannelSlice& input,
+                                                      const NormActivations& state,
+                                                      const ChannelSlice& output, bool is_training) const {
+    RELIDAR_ASSERT_EQ(input.channels * input.grid.count_all_pixels(),
+                      output.channels * output.grid.count_all_pixels());
+    run(stream, norm_, count_normalisation_threads(input),
         {.from = input.view,
          .to = output.view,
          .scale_shift = state.scale_shift.address(),
          .n_images = input.grid.n,
-         .n_pixels = std::uint32_t(input.grid.pixels()),
+         .n_pixels = std::uint32_t(input.grid.count_pixels_per_image()),
          .n_channels = input.channels,
          .dropout_key = state.dropout_key,
-         .dropout = training ? state.dropout : 0.0f});
+         .dropout = is_training ? state.dropout : 0.0f});
 }
 
-void Norm::forward(Stream& stream, const Slice& input, const NormWeights& weights, NormState& state,
-                   const Slice& output) {
-    run_sums(stream, {.from = input.view,
-                      .d_to = input.view,
-                      .partial = partial_.address(),
-                      .scale_shift = {},
-                      .moments = {},
-                      .kind = shared::kSums_moments,
-                      .n_images = input.grid.n,
-                      .n_pixels = std::uint32_t(input.grid.pixels()),
-                      .n_channels = input.channels,
-                      .n_parts = count_norm_parts(input.grid),
-                      .dropout_key = 0,
-                      .dropout = 0.0f});
-    finish(stream, input, weights, state, true);
-    apply(stream, input, state, output, true);
+void NormalisationKernels::normalise_for_training(Stream& stream, const ChannelSlice& input,
+                                                  const NormWeights& weights, NormActivations& state,
+                                                  const ChannelSlice& output) {
+    sum_channels_in_parts(stream, {.from = input.view,
+                                   .d_to = input.view,
+                                   .partial = partial_.address(),
+                                   .scale_shift = {},
+                                   .moments = {},
+                                   .kind = shared::kSums_moments,
+                                   .n_images = input.grid.n,
+                                   .n_pixels = std::uint32_t(input.grid.count_pixels_per_image()),
+                                   .n_channels = input.channels,
+                                   .n_parts = count_partial_sums_per_channel(input.grid),
+                                   .dropout_key = 0,
+                                   .dropout = 0.0f});
+    compute_scale_and_shift(stream, input, weights, state, true);
+    apply_scale_shift_and_relu(stream, input, state, output, true);
 }
 
-void Norm::evaluate(Stream& stream, const Slice& input, const NormWeights& weights, NormState& state,
-                    const Slice& output) {
-    finish(stream, input, weights, state, false);
-    apply(stream, input, state, output, false);
+void NormalisationKernels::normalise_for_inference(Stream& stream, const ChannelSlice& input,
+                                                   const NormWeights& weights, NormActivations& state,
+                                                   const ChannelSlice& output) {
+    compute_scale_and_shift(stream, input, weights, state, false);
+    apply_scale_shift_and_relu(stream, input, state, output, false);
 }
 
-void Norm::vjp(Stream& stream, const Slice& input, const NormState& state, const Slice& d_to,
-               const Slice& d_from, const NormGradient& gradient, bool accumulate) {
-    const auto n_pixels = std::uint32_t(input.grid.pixels()), n_parts = count_norm_parts(input.grid);
-    run_sums(stream, {.from = input.view,
-                      .d_to = d_to.view,
-                      .partial = partial_.address(),
-                      .scale_shift = state.scale_shift.address(),
-                      .moments = state.moments.address(),
-                      .kind = shared::kSums_norm_vjp,
-                      .n_images = input.grid.n,
-                      .n_pixels = n_pixels,
-                      .n_channels = input.channels,
-                      .n_parts = n_parts,
-                      .dropout_key = state.dropout_key,
-                      .dropout = state.dropout});
+void NormalisationKernels::backpropagate_norm_layer(Stream& stream, const ChannelSlice& input,
+                                                    const NormActivations& state,
+                                                    const ChannelSlice& d_output, const ChannelSlice& d_input,
+                                                    const NormGradientTarget& gradient, bool accumulate) {
+    const auto n_pixels = std::uint32_t(input.grid.count_pixels_per_image()),
+               n_parts = count_partial_sums_per_channel(input.grid);
+    sum_channels_in_parts(stream, {.from = input.view,
+                                   .d_to = d_output.view,
+                                   .partial = partial_.address(),
+                                   .scale_shift = state.scale_shift.address(),
+                                   .moments = state.moments.address(),
+                                   .kind = shared::kSums_norm_vjp,
+                                   .n_images = input.grid.n,
+                                   .n_pixels = n_pixels,
+                                   .n_channels = input.channels,
+                                   .n_parts = n_parts,
+                                   .dropout_key = state.dropout_key,
+                                   .dropout = state.dropout});
     run(stream, sum_parts_, 2 * input.channels,
         {.partial = partial_.address(),
          .sum = gradient.all.address_as<float, shared::SumOfParts>(gradient.first),
          .n_parts = n_parts,
          .n = 2 * input.channels});
-    run(stream, norm_vjp_, count_threads(input),
+    run(stream, norm_vjp_, count_normalisation_threads(input),
         {.from = input.view,
-         .d_to = d_to.view,
-         .d_from = d_from.view,
+         .d_to = d_output.view,
+         .d_from = d_input.view,
          .d_beta_gamma = gradient.all.address_as<glm::vec2, shared::BetaGamma>(gradient.first),
          .scale_shift = state.scale_shift.address(),
          .moments = state.moments.address(),
@@ -139,25 +151,26 @@ void Norm::vjp(Stream& stream, const Slice& input, const NormState& state, const
          .accumulate = accumulate ? 1u : 0u});
 }
 
-void Norm::backpropagate_bias(Stream& stream, const Slice& d_to, Address<float, shared::ConvBias> d_bias) {
-    const std::uint32_t n_parts = count_norm_parts(d_to.grid);
-    run_sums(stream, {.from = d_to.view,
-                      .d_to = d_to.view,
-                      .partial = partial_.address(),
-                      .scale_shift = {},
-                      .moments = {},
-                      .kind = shared::kSums_plain,
-                      .n_images = d_to.grid.n,
-                      .n_pixels = std::uint32_t(d_to.grid.pixels()),
-                      .n_channels = d_to.channels,
-                      .n_parts = n_parts,
-                      .dropout_key = 0,
-                      .dropout = 0.0f});
-    run(stream, sum_parts_, d_to.channels,
+void NormalisationKernels::backpropagate_bias(Stream& stream, const ChannelSlice& d_output,
+                                              Address<float, shared::ConvBias> d_bias) {
+    const std::uint32_t n_parts = count_partial_sums_per_channel(d_output.grid);
+    sum_channels_in_parts(stream, {.from = d_output.view,
+                                   .d_to = d_output.view,
+                                   .partial = partial_.address(),
+                                   .scale_shift = {},
+                                   .moments = {},
+                                   .kind = shared::kSums_plain,
+                                   .n_images = d_output.grid.n,
+                                   .n_pixels = std::uint32_t(d_output.grid.count_pixels_per_image()),
+                                   .n_channels = d_output.channels,
+                                   .n_parts = n_parts,
+                                   .dropout_key = 0,
+                                   .dropout = 0.0f});
+    run(stream, sum_parts_, d_output.channels,
         {.partial = partial_.address(),
-         .sum = d_bias.as<shared::SumOfParts>(),
+         .sum = d_bias.cast_meaning<shared::SumOfParts>(),
          .n_parts = n_parts,
-         .n = d_to.channels});
+         .n = d_output.channels});
 }
 
 }  // namespace relidar::refine

@@ -18,47 +18,49 @@ struct NormWeights {
 
 /// Where the gradients of beta and gamma are written: into an array, starting at index
 /// `first`, as [channels, 2].
-struct NormGradient {
+struct NormGradientTarget {
     const Array<float>& all;
     std::size_t first = 0;
 };
 
 /// Intermediate results of a layer that the forward pass stores for the backward pass.
-struct NormState {
+struct NormActivations {
     Array<glm::vec2, shared::NormMoments> moments;     ///< [channels] mean and 1 / deviation of each channel
     Array<glm::vec2, shared::ScaleShift> scale_shift;  ///< [channels] scale and shift of each channel
     std::uint32_t dropout_key = 0;
     float dropout = 0.0f;
 
-    NormState() = default;
-    NormState(Device& device, std::uint32_t channels)
+    NormActivations() = default;
+    NormActivations(Device& device, std::uint32_t channels)
         : moments(device, channels, "moments"), scale_shift(device, channels, "scale and shift") {}
 };
 
 /// Kernels of all normalisation layers.
-class Norm {
+class NormalisationKernels {
 public:
-    explicit Norm(Device& device);
+    explicit NormalisationKernels(Device& device);
 
     /// Computes output = dropout(relu(gamma x + beta)) for training, where x is the
     /// input, normalised with mean and variance of the batch. Updates the running mean
     /// and variance.
-    void forward(Stream& stream, const Slice& input, const NormWeights& weights, NormState& state,
-                 const Slice& output);
+    void normalise_for_training(Stream& stream, const ChannelSlice& input, const NormWeights& weights,
+                                NormActivations& state, const ChannelSlice& output);
     /// Computes the layer for inference. Uses the running mean and variance, and no
     /// dropout.
-    void evaluate(Stream& stream, const Slice& input, const NormWeights& weights, NormState& state,
-                  const Slice& output);
-    /// Computes the gradients of the input (d_from), beta and gamma from the gradient of
-    /// the output (d_to). Requires an earlier forward().
-    /// @param accumulate true: adds the result to `d_from` instead of overwriting it
-    void vjp(Stream& stream, const Slice& input, const NormState& state, const Slice& d_to,
-             const Slice& d_from, const NormGradient& gradient, bool accumulate = false);
+    void normalise_for_inference(Stream& stream, const ChannelSlice& input, const NormWeights& weights,
+                                 NormActivations& state, const ChannelSlice& output);
+    /// Computes the gradients of the input (d_input), beta and gamma from the gradient of
+    /// the output (d_output). Requires an earlier normalise_for_training().
+    /// @param accumulate true: adds the result to `d_input` instead of overwriting it
+    void backpropagate_norm_layer(Stream& stream, const ChannelSlice& input, const NormActivations& state,
+                                  const ChannelSlice& d_output, const ChannelSlice& d_input,
+                                  const NormGradientTarget& gradient, bool accumulate = false);
     /// Computes the gradient of a bias, [channels]: the sum of each channel over the
     /// pixels of all images.
-    void backpropagate_bias(Stream& stream, const Slice& d_to, Address<float, shared::ConvBias> d_bias);
+    void backpropagate_bias(Stream& stream, const ChannelSlice& d_output,
+                            Address<float, shared::ConvBias> d_bias);
     /// Allocates memory for images with this number of channels and pixels.
-    void reserve(Device& device, std::uint32_t channels, const Grid& grid);
+    void reserve_channel_sums(Device& device, std::uint32_t n_channels, const ImageBatchSize& grid);
 
 private:
     std::uint32_t lanes_;
@@ -69,11 +71,11 @@ private:
     Kernel<shared::SumPartsParams> sum_parts_;
     Array<float, shared::PartSums> partial_;
 
-    void run_sums(Stream& stream, shared::ChannelSumsParams params) const;
-    void apply(Stream& stream, const Slice& input, const NormState& state, const Slice& output,
-               bool training) const;
-    void finish(Stream& stream, const Slice& input, const NormWeights& weights, NormState& state,
-                bool training) const;
+    void sum_channels_in_parts(Stream& stream, shared::ChannelSumsParams params) const;
+    void apply_scale_shift_and_relu(Stream& stream, const ChannelSlice& input, const NormActivations& state,
+                                    const ChannelSlice& output, bool is_training) const;
+    void compute_scale_and_shift(Stream& stream, const ChannelSlice& input, const NormWeights& weights,
+                                 NormActivations& state, bool is_training) const;
 };
 
 }  // namespace relidar::refine

@@ -7,54 +7,57 @@
 namespace relidar::refine {
 namespace {
 
-shared::ResampleParams make_resample_params(const Slice& input, const Slice& output, const Grid& large,
-                                            const Grid& small) {
+shared::ResampleParams make_resample_params(const ChannelSlice& input, const ChannelSlice& output,
+                                            const ImageBatchSize& large_grid,
+                                            const ImageBatchSize& small_grid) {
     RELIDAR_ASSERT_EQ(input.channels, output.channels);
-    RELIDAR_ASSERT_EQ(large.n, small.n);
+    RELIDAR_ASSERT_EQ(large_grid.n, small_grid.n);
     return {.from = input.view,
             .to = output.view,
             .pooled = input.view,
-            .n_images = large.n,
+            .n_images = large_grid.n,
             .n_channels = input.channels,
-            .rows = large.rows,
-            .columns = large.columns,
-            .small_rows = small.rows,
-            .small_columns = small.columns};
+            .rows = large_grid.rows,
+            .columns = large_grid.columns,
+            .small_rows = small_grid.rows,
+            .small_columns = small_grid.columns};
 }
 
-std::size_t count_values(const Slice& slice) { return slice.channels * slice.grid.all_pixels(); }
+std::size_t count_values(const ChannelSlice& slice) { return slice.channels * slice.grid.count_all_pixels(); }
 
 }  // namespace
 
-Grid halve_grid(const Grid& grid) { return {grid.n, grid.rows / 2, grid.columns / 2}; }
+ImageBatchSize halve_grid(const ImageBatchSize& grid) { return {grid.n, grid.rows / 2, grid.columns / 2}; }
 
-Resample::Resample(Device& device)
+ResamplingKernels::ResamplingKernels(Device& device)
     : pool_(device, "diff/network/pool"),
       pool_vjp_(device, "diff/network/pool_vjp"),
       upsample_(device, "diff/network/upsample"),
       upsample_vjp_(device, "diff/network/upsample_vjp") {}
 
-void Resample::pool(Stream& stream, const Slice& input, const Slice& output) {
+void ResamplingKernels::max_pool(Stream& stream, const ChannelSlice& input, const ChannelSlice& output) {
     RELIDAR_ASSERT_EQ(halve_grid(input.grid) == output.grid, true);
     run(stream, pool_, count_values(output), make_resample_params(input, output, input.grid, output.grid));
 }
 
-void Resample::backpropagate_pool(Stream& stream, const Slice& input, const Slice& d_to,
-                                  const Slice& d_from) {
-    RELIDAR_ASSERT_EQ(halve_grid(input.grid) == d_to.grid && input.grid == d_from.grid, true);
-    shared::ResampleParams params = make_resample_params(d_to, d_from, input.grid, d_to.grid);
+void ResamplingKernels::backpropagate_max_pool(Stream& stream, const ChannelSlice& input,
+                                               const ChannelSlice& d_output, const ChannelSlice& d_input) {
+    RELIDAR_ASSERT_EQ(halve_grid(input.grid) == d_output.grid && input.grid == d_input.grid, true);
+    shared::ResampleParams params = make_resample_params(d_output, d_input, input.grid, d_output.grid);
     params.pooled = input.view;
-    run(stream, pool_vjp_, count_values(d_to), params);
+    run(stream, pool_vjp_, count_values(d_output), params);
 }
 
-void Resample::upsample(Stream& stream, const Slice& input, const Slice& output) {
+void ResamplingKernels::upsample_bilinear(Stream& stream, const ChannelSlice& input,
+                                          const ChannelSlice& output) {
     run(stream, upsample_, count_values(output),
         make_resample_params(input, output, output.grid, input.grid));
 }
 
-void Resample::backpropagate_upsample(Stream& stream, const Slice& d_to, const Slice& d_from) {
-    run(stream, upsample_vjp_, count_values(d_from),
-        make_resample_params(d_to, d_from, d_to.grid, d_from.grid));
+void ResamplingKernels::backpropagate_upsample(Stream& stream, const ChannelSlice& d_output,
+                                               const ChannelSlice& d_input) {
+    run(stream, upsample_vjp_, count_values(d_input),
+        make_resample_params(d_output, d_input, d_output.grid, d_input.grid));
 }
 
 }  // namespace relidar::refine

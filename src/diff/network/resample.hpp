@@ -9,21 +9,22 @@ namespace relidar::refine {
 
 /// Returns the size of the pooled image: half the rows and half the columns, rounded
 /// down.
-Grid halve_grid(const Grid& grid);
+ImageBatchSize halve_grid(const ImageBatchSize& grid);
 
-class Resample {
+class ResamplingKernels {
 public:
-    explicit Resample(Device& device);
+    explicit ResamplingKernels(Device& device);
 
     /// Computes the maximum of each block of 2 x 2 pixels (max pooling).
     /// @param output images of the size halve_grid(input.grid)
-    void pool(Stream& stream, const Slice& input, const Slice& output);
-    /// Adds the gradient of the input of pool() to d_from.
-    void backpropagate_pool(Stream& stream, const Slice& input, const Slice& d_to, const Slice& d_from);
+    void max_pool(Stream& stream, const ChannelSlice& input, const ChannelSlice& output);
+    /// Adds the gradient of the input of max_pool() to d_input.
+    void backpropagate_max_pool(Stream& stream, const ChannelSlice& input, const ChannelSlice& d_output,
+                                const ChannelSlice& d_input);
     /// Enlarges `input` to the image size of `output` by bilinear interpolation.
-    void upsample(Stream& stream, const Slice& input, const Slice& output);
-    /// Computes dL/d(from) from dL/d(to), the derivative of upsample().
-    void backpropagate_upsample(Stream& stream, const Slice& d_to, const Slice& d_from);
+    void upsample_bilinear(Stream& stream, const ChannelSlice& input, const ChannelSlice& output);
+    /// Computes dL/d(from) from dL/d(to), the derivative of upsample_bilinear().
+    void backpropagate_upsample(Stream& stream, const ChannelSlice& d_output, const ChannelSlice& d_input);
 
 private:
     Kernel<shared::ResampleParams> pool_, pool_vjp_, upsample_, upsample_vjp_;

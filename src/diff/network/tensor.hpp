@@ -15,39 +15,41 @@
 namespace relidar::refine {
 
 /// Number of images, and rows and columns of each image.
-struct Grid {
+struct ImageBatchSize {
     std::uint32_t n = 0, rows = 0, columns = 0;
 
-    std::size_t pixels() const { return std::size_t(rows) * columns; }  ///< pixels of one image
-    std::size_t all_pixels() const { return n * pixels(); }
-    friend bool operator==(const Grid&, const Grid&) = default;
+    std::size_t count_pixels_per_image() const {
+        return std::size_t(rows) * columns;
+    }  ///< pixels of one image
+    std::size_t count_all_pixels() const { return n * count_pixels_per_image(); }
+    friend bool operator==(const ImageBatchSize&, const ImageBatchSize&) = default;
 };
 
-/// Returns how many groups of `size` elements are needed for `count` elements.
-inline std::uint32_t count_groups_of(std::uint32_t count, std::uint32_t size) {
-    return (count + size - 1) / size;
+/// Returns how many groups of `group_size` elements are needed for `n_channels` elements.
+inline std::uint32_t divide_rounding_up(std::uint32_t count, std::uint32_t group_size) {
+    return (count + group_size - 1) / group_size;
 }
 
 /// View of consecutive channels of a tensor.
-struct Slice {
+struct ChannelSlice {
     shared::ImageSlice view;
     std::uint32_t channels = 0;
-    Grid grid;
+    ImageBatchSize grid;
 
-    Slice part(std::uint32_t first, std::uint32_t count) const {
-        return {{view.values, view.channels, view.first + first}, count, grid};
+    ChannelSlice get_channel_range(std::uint32_t first_channel, std::uint32_t n_channels) const {
+        return {{view.values, view.channels, view.first + first_channel}, n_channels, grid};
     }
 };
 
 struct Tensor {
     std::uint32_t channels = 0;
-    Grid grid;
+    ImageBatchSize grid;
     Array<float> values;
 
     Tensor() = default;
-    Tensor(Device& device, std::uint32_t n_channels, const Grid& g, const std::string& description)
-        : channels(n_channels), grid(g), values(device, n_channels * g.all_pixels(), description) {}
-    Slice all() const { return {{values.address(), channels, 0}, channels, grid}; }
+    Tensor(Device& device, std::uint32_t n_channels, const ImageBatchSize& g, const std::string& description)
+        : channels(n_channels), grid(g), values(device, n_channels * g.count_all_pixels(), description) {}
+    ChannelSlice get_all_channels() const { return {{values.address(), channels, 0}, channels, grid}; }
 };
 
 }  // namespace relidar::refine

@@ -19,30 +19,32 @@ namespace {
 
 /// Draws the order of the images and their rotations for one epoch. The random generator
 /// starts anew in each epoch, so that a resumed training gets the same values.
-std::vector<refine::DropInputs::Chosen> draw_epoch_order(std::size_t count, int columns, bool turn,
-                                                         std::uint64_t seed, int epoch) {
+std::vector<refine::RayDropInputs::RotatedSample> draw_epoch_order(std::size_t n_images, int n_columns,
+                                                                   bool rotate_images, std::uint64_t seed,
+                                                                   int epoch) {
     std::mt19937_64 random(seed * 1000003u + std::uint64_t(epoch));
-    std::vector<refine::DropInputs::Chosen> chosen(count);
-    for (std::size_t i = 0; i < count; ++i) {
+    std::vector<refine::RayDropInputs::RotatedSample> chosen(n_images);
+    for (std::size_t i = 0; i < n_images; ++i) {
         const std::size_t j = random() % (i + 1);  // inside-out variant of the Fisher-Yates shuffle
         if (i != j) chosen[i].sample = chosen[j].sample;
         chosen[j].sample = std::uint32_t(i);
     }
-    for (refine::DropInputs::Chosen& c : chosen)
-        c.turn = turn ? std::uint32_t(random() % std::uint64_t(columns)) : 0;
+    for (refine::RayDropInputs::RotatedSample& c : chosen)
+        c.column_shift = rotate_images ? std::uint32_t(random() % std::uint64_t(n_columns)) : 0;
     return chosen;
 }
 
 /// State of a training between two steps.
-struct Course {
+struct TrainingRunState {
     const std::size_t batch, n_steps;  ///< images per step, steps per epoch
-    RefineProgress report;
+    RayDropTrainProgress report;
     double entropy, accuracy;  ///< sums over the steps of the epoch
     const double before_s;     ///< duration of earlier sessions of this training, s
     const std::chrono::steady_clock::time_point begin = std::chrono::steady_clock::now();
 
-    Course(const refine::DropTraining& training, const RefineOptions& options, const RefineState& start)
-        : batch(training.batch()),
+    TrainingRunState(const refine::RayDropTraining& training, const RayDropNetworkOptions& options,
+                     const RayDropTrainState& start)
+        : batch(training.get_images_per_step()),
           n_steps(training.count_steps_per_epoch()),
           entropy(start.entropy),
           accuracy(start.accuracy),
@@ -59,19 +61,19 @@ struct Course {
     /// Increments the step number. After the last step of an epoch, starts the next
     /// epoch.
     /// @return index of the step in its epoch
-    std::size_t advance_step() {
+    std::size_t advance_and_get_step_in_epoch() {
         const std::size_t k = std::size_t(report.step++) % n_steps;
         if (k == 0) entropy = accuracy = 0.0;
         return k;
     }
-    int epoch() const { return int(std::size_t(report.step - 1) / n_steps); }
+    int get_epoch_index() const { return int(std::size_t(report.step - 1) / n_steps); }
 
-    void add(const refine::DropScore& score, std::size_t index) {
+    void add_step_score(const refine::RayDropScore& score, std::size_t step_in_epoch) {
         entropy += score.entropy;
         accuracy += score.accuracy;
-        report.epoch = epoch() + 1;
-        report.entropy = entropy / double(index + 1);
-        report.accuracy = accuracy / double(index + 1);
+        report.epoch = get_epoch_index() + 1;
+        report.entropy = entropy / double(step_in_epoch + 1);
+        report.accuracy = accuracy / double(step_in_epoch + 1);
         report.seconds =
             before_s + std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
         if (!std::isfinite(score.entropy))
@@ -80,7 +82,7 @@ struct Course {
                 "number; use a smaller refine.rate",
                 score.entropy, report.step));
     }
-    RefineState copy_state_into(RefineState state) const {
+    RayDropTrainState add_progress_to_state(RayDropTrainState state) const {
         state.step = report.step;
         state.entropy = entropy;
         state.accuracy = accuracy;
@@ -91,24 +93,26 @@ struct Course {
 
 }  // namespace
 
-DropNetwork train_drop_network(Device& device, const std::vector<DropImage>& images,
-                               const RefineOptions& options, std::uint64_t seed,
-                               const RefineCallback& progress, const RefineState* start) {
-    refine::DropTraining training(device, images, options, seed);
-    Course course(training, options, start ? *start : RefineState{});
-    if (start) training.restore(*start);
-    const auto state = [&] { return course.copy_state_into(training.state()); };
-    std::vector<refine::DropInputs::Chosen> order;
+RayDropNetwork train_ray_drop_network(Device& device, const std::vector<RayDropImage>& images,
+                                      const RayDropNetworkOptions& options, std::uint64_t seed,
+                                      const RayDropTrainCallback& progress,
+                                      const RayDropTrainState* resume_state) {
+    refine::RayDropTraining training(device, images, options, seed);
+    TrainingRunState course(training, options, resume_state ? *resume_state : RayDropTrainState{});
+    if (resume_state) training.restore_training_state(*resume_state);
+    const auto state = [&] { return course.add_progress_to_state(training.download_training_state()); };
+    std::vector<refine::RayDropInputs::RotatedSample> order;
     while (course.report.step < course.report.n_steps) {
-        const std::size_t k = course.advance_step();
+        const std::size_t k = course.advance_and_get_step_in_epoch();
         if (k == 0 || order.empty())
-            order = draw_epoch_order(images.size(), images[0].columns,
-                                     refine::make_regularisation(options).turns, seed, course.epoch());
+            order =
+                draw_epoch_order(images.size(), images[0].columns, refine::get_regularisation(options).turns,
+                                 seed, course.get_epoch_index());
         const auto chosen = std::span(order).subspan(k * course.batch, course.batch);
-        course.add(training.step(chosen, course.report.step, course.report.n_steps), k);
+        course.add_step_score(training.train_on_batch(chosen, course.report.step, course.report.n_steps), k);
         if (progress && !progress(course.report, state)) break;
     }
-    return training.download();
+    return training.download_network();
 }
 
 }  // namespace relidar

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes the offsets and initial values of a network's parameters. The order of the
-// calls in UnetPlan's constructor determines the offsets. Each group of parameters starts
-// at a multiple of four floats, because arrays on the device need this alignment.
+// calls in UnetParameterLayout's constructor determines the offsets. Each group of
+// parameters starts at a multiple of four floats, because arrays on the device need this
+// alignment.
 #include <cmath>
 #include <random>
 
@@ -10,9 +11,9 @@
 namespace relidar::refine {
 namespace {
 
-std::size_t reserve_floats(std::size_t& count, std::size_t floats) {
-    const std::size_t first = count;
-    count += (floats + 3) / 4 * 4;
+std::size_t allocate_aligned_floats(std::size_t& n_allocated, std::size_t n_floats) {
+    const std::size_t first = n_allocated;
+    n_allocated += (n_floats + 3) / 4 * 4;
     return first;
 }
 
@@ -22,20 +23,20 @@ float draw_symmetric_uniform(std::mt19937_64& random) { return float(random() >>
 
 }  // namespace
 
-UnetPlan::UnetPlan(const DropNetwork& network) {
+UnetParameterLayout::UnetParameterLayout(const RayDropNetwork& network) {
     const auto conv = [&](std::uint32_t n_in, std::uint32_t n_out, std::uint32_t taps, bool biased) {
-        ConvLayer layer{
-            n_in, n_out, taps, reserve_floats(n_parameters, std::size_t(n_in) * n_out * taps), {}};
-        if (biased) layer.bias = reserve_floats(n_parameters, n_out);
+        ConvParameterOffsets layer{
+            n_in, n_out, taps, allocate_aligned_floats(n_parameters, std::size_t(n_in) * n_out * taps), {}};
+        if (biased) layer.bias = allocate_aligned_floats(n_parameters, n_out);
         return layer;
     };
     const auto block = [&](std::uint32_t n_in, std::uint32_t n_out, std::uint32_t taps) {
-        return Block{reserve_floats(n_parameters, 2 * n_in), reserve_floats(n_running, 2 * n_in),
-                     conv(n_in, n_out, taps, false)};
+        return UnetBlockOffsets{allocate_aligned_floats(n_parameters, 2 * n_in),
+                                allocate_aligned_floats(n_running, 2 * n_in), conv(n_in, n_out, taps, false)};
     };
     const std::vector<std::uint32_t>& w = network.widths;
     const std::size_t n_levels = w.size() - 1;
-    head = conv(std::uint32_t(network.inputs.size()), w[0], 1, true);
+    first_conv = conv(std::uint32_t(network.inputs.size()), w[0], 1, true);
     for (std::size_t l = 1; l <= n_levels; ++l) {
         down.push_back(block(w[l - 1], w[l], network.taps));
         down.push_back(block(w[l], w[l], network.taps));
@@ -49,14 +50,14 @@ UnetPlan::UnetPlan(const DropNetwork& network) {
         up.push_back(block(joined, joined, network.taps));
         up.push_back(block(joined, count_decoder_channels(w, l), network.taps));
     }
-    tail = conv(w[0], 1, 1, true);
+    last_conv = conv(w[0], 1, 1, true);
 }
 
 std::uint32_t count_decoder_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
     return level == 0 ? widths[0] : widths[level] / 2;
 }
 
-std::uint32_t count_channels_below(const std::vector<std::uint32_t>& widths, std::size_t level) {
+std::uint32_t count_upsampled_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
     const std::size_t n_levels = widths.size() - 1;
     return level >= n_levels       ? 0
            : level + 1 == n_levels ? widths[n_levels]
@@ -64,32 +65,33 @@ std::uint32_t count_channels_below(const std::vector<std::uint32_t>& widths, std
 }
 
 std::uint32_t count_concatenated_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
-    return count_channels_below(widths, level) + widths[level];
+    return count_upsampled_channels(widths, level) + widths[level];
 }
 
-void initialise(DropNetwork& network, const UnetPlan& plan, std::uint64_t seed) {
+void initialise_network_parameters(RayDropNetwork& network, const UnetParameterLayout& plan,
+                                   std::uint64_t seed) {
     std::mt19937_64 random(seed);
     network.parameters.assign(plan.n_parameters, 0.0f);
     network.running.assign(plan.n_running, 0.0f);
-    const auto draw_conv = [&](const ConvLayer& layer) {
+    const auto draw_conv = [&](const ConvParameterOffsets& layer) {
         const float bound = std::sqrt(6.0f / float(layer.n_in * layer.taps));
         for (std::size_t i = 0; i < std::size_t(layer.n_in) * layer.n_out * layer.taps; ++i)
             network.parameters[layer.weights + i] = bound * draw_symmetric_uniform(random);
     };
-    const auto draw_block = [&](const Block& block) {
+    const auto draw_block = [&](const UnetBlockOffsets& block) {
         for (std::size_t c = 0; c < block.conv.n_in; ++c) {
             network.parameters[block.beta_gamma + 2 * c + 1] = 1.0f;
             network.running[block.running + 2 * c + 1] = 1.0f;
         }
         draw_conv(block.conv);
     };
-    draw_conv(plan.head);
-    for (const Block& block : plan.down) draw_block(block);
+    draw_conv(plan.first_conv);
+    for (const UnetBlockOffsets& block : plan.down) draw_block(block);
     // The output projection of the attention stays 0, so that attention initially adds
     // nothing.
     if (plan.query) draw_block(*plan.query);
-    for (const Block& block : plan.up) draw_block(block);
-    if (!network.residual) draw_conv(plan.tail);
+    for (const UnetBlockOffsets& block : plan.up) draw_block(block);
+    if (!network.residual) draw_conv(plan.last_conv);
 }
 
 }  // namespace relidar::refine

@@ -26,8 +26,9 @@ namespace {
 // occupied.
 constexpr std::uint32_t kStreamingThreads = 128;
 
-std::vector<Constant> make_adam_constants(bool per_float) {
-    return {{ConstantId::PER_FLOAT, per_float ? 1u : 0u}, {ConstantId::WORKGROUP_SIZE, kStreamingThreads}};
+std::vector<SpecialisationConstant> make_adam_kernel_constants(bool thread_per_float) {
+    return {{SpecialisationConstantId::PER_FLOAT, thread_per_float ? 1u : 0u},
+            {SpecialisationConstantId::WORKGROUP_SIZE, kStreamingThreads}};
 }
 
 }  // namespace
@@ -38,83 +39,87 @@ struct Adam::Impl {
     SurfelArrays moment1, moment2;
     Array<float, shared::ScaleBounds> max_log_scale;
     Kernel<shared::AdamParams> kernel;
-    std::optional<TouchedList> list;  ///< set if only the rows that have a gradient are updated
+    std::optional<TouchedSurfelList> list;  ///< set if only the rows that have a gradient are updated
 
-    Impl(Device& device, std::uint32_t n_surfels, const AdamOptions& o, ParameterSet parameter_set)
+    Impl(Device& device, std::uint32_t n_surfels, const AdamOptions& o, SurfelParameterSet parameter_set)
         : options(o),
           per_float(prefers_coalesced_access(device)),
           moment1(device, n_surfels - std::min(o.n_fixed, n_surfels), "first moment", parameter_set),
           moment2(device, moment1.n, "second moment", parameter_set),
           max_log_scale(device, 0, "bounds of scales"),
-          kernel(device, "diff/optimizer/adam", make_adam_constants(per_float)) {
+          kernel(device, "diff/optimizer/adam", make_adam_kernel_constants(per_float)) {
         if (options.only_touched) list.emplace(device);
     }
 };
 
-Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, ParameterSet parameter_set)
+Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options,
+           SurfelParameterSet parameter_set)
     : impl_(new Impl(device, n_surfels, options, parameter_set)) {
     Stream stream(device);
     impl_->moment1.fill_zero(stream);
     impl_->moment2.fill_zero(stream);
     // Finishes setting the moments to zero, because a resumed run uploads other moments
     // before the first step.
-    stream.finish();
+    stream.submit_and_wait();
 }
 Adam::~Adam() = default;
-SurfelArrays& Adam::moment1() { return impl_->moment1; }
-SurfelArrays& Adam::moment2() { return impl_->moment2; }
-Array<float>& Adam::max_log_scale() { return impl_->max_log_scale; }
+SurfelArrays& Adam::get_first_moments() { return impl_->moment1; }
+SurfelArrays& Adam::get_second_moments() { return impl_->moment2; }
+Array<float>& Adam::get_max_log_scales() { return impl_->max_log_scale; }
 
-void Adam::bound_scales(Device& device, const std::vector<float>& max_log_scale) {
-    impl_->max_log_scale = {device, std::span<const float>(max_log_scale), "bounds of scales"};
+void Adam::set_max_log_scales(Device& device, const std::vector<float>& max_log_scales) {
+    impl_->max_log_scale = {device, std::span<const float>(max_log_scales), "bounds of scales"};
 }
 
-void Adam::step(Stream& stream, SurfelArrays& parameters, const SurfelArrays& gradients,
-                const Array<std::uint32_t, shared::TouchedSurfels>* touched, const LearningRates& rates,
-                int step, int sh_degree) {
+void Adam::record_adam_step(Stream& stream, SurfelArrays& parameters, const SurfelArrays& gradients,
+                            const Array<std::uint32_t, shared::TouchedSurfels>* touched_flags,
+                            const LearningRates& learning_rates, int step_number, int sh_degree) {
     Impl& a = *impl_;
     const std::uint32_t first = std::min(a.options.n_fixed, parameters.n), n_rows = parameters.n - first;
     RELIDAR_ASSERT_LE(n_rows, a.moment1.n);
     RELIDAR_ASSERT_LE(parameters.n, gradients.n);
     RELIDAR_ASSERT_EQ(a.max_log_scale.size() == 0 || a.max_log_scale.size() == parameters.n, true);
-    const float correction1 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta1, step)));
-    const float correction2 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta2, step)));
-    const bool listed = a.list && touched;
-    if (listed) a.list->find(stream, touched->address(first), n_rows);
+    const float correction1 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta1, step_number)));
+    const float correction2 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta2, step_number)));
+    const bool listed = a.list && touched_flags;
+    if (listed) a.list->collect_touched_rows(stream, touched_flags->address(first), n_rows);
     const std::uint32_t active_harmonics = static_cast<std::uint32_t>((sh_degree + 1) * (sh_degree + 1));
-    const Concurrent groups(stream);  // launches may overlap, because the groups are independent
-    for (const ParameterGroup& group : list_parameter_groups(parameters.parameters())) {
-        const std::uint32_t stride = group.floats(), block = group.harmonics ? group.row[1] : stride;
+    const ConcurrentLaunchScope groups(stream);  // launches may overlap, because the groups are independent
+    for (const SurfelParameterGroup& group : list_parameter_groups(parameters.get_parameter_set())) {
+        const std::uint32_t stride = group.count_floats(), block = group.harmonics ? group.row[1] : stride;
         const std::uint32_t n_active = group.harmonics ? active_harmonics : block, n_blocks = stride / block;
         // In spherical harmonics, all coefficients except the constant one have a lower
         // learning rate.
-        const double rest_factor = group.harmonics ? rates.sh_rest_factor : 1.0;
+        const double rest_factor = group.harmonics ? learning_rates.sh_rest_factor : 1.0;
         const std::size_t from = std::size_t(first) * stride;
-        const bool by_model = group.rate == &LearningRates::mean && !rates.mean_factors.empty();
+        const bool by_model = group.rate == &LearningRates::mean && !learning_rates.mean_factors.empty();
         const std::size_t n_threads = std::size_t(n_rows) * (a.per_float ? n_blocks * n_active : 1u);
-        run(stream, a.kernel, listed ? a.list->threads(n_threads) : n_threads,
+        run(stream, a.kernel, listed ? a.list->choose_thread_count(n_threads) : n_threads,
             {.values = group.device(parameters).address_as<float, shared::AdamValues>(from),
              .gradients = group.device(gradients).address_as<float, shared::AdamGradients>(from),
              .moment1 = group.device(a.moment1).address_as<float, shared::FirstMoments>(),
              .moment2 = group.device(a.moment2).address_as<float, shared::SecondMoments>(),
-             .touched = touched && !listed ? touched->address(first)
-                                           : Address<std::uint32_t, shared::TouchedSurfels>{},
-             .rows = listed ? a.list->rows() : Address<std::uint32_t, shared::TouchedRows>{},
-             .n_listed = listed ? a.list->count() : Address<std::uint32_t, shared::TouchedCount>{},
+             .touched = touched_flags && !listed ? touched_flags->address(first)
+                                                 : Address<std::uint32_t, shared::TouchedSurfels>{},
+             .rows =
+                 listed ? a.list->get_touched_rows_address() : Address<std::uint32_t, shared::TouchedRows>{},
+             .n_listed = listed ? a.list->get_touched_count_address()
+                                : Address<std::uint32_t, shared::TouchedCount>{},
              .bounds = group.scales && a.max_log_scale.size() > 0 ? a.max_log_scale.address(first)
                                                                   : Address<float, shared::ScaleBounds>{},
-             .model_scale = (by_model ? stream.impl().values(rates.mean_factors) : Address<float>{})
-                                .as<shared::ModelRates>(),
-             .models = by_model ? rates.models->address() : Address<shared::ModelEntry>{},
-             .learning_rate = static_cast<float>(rates.*group.rate * rest_factor),
+             .model_scale =
+                 (by_model ? stream.impl().store_host_values(learning_rates.mean_factors) : Address<float>{})
+                     .cast_meaning<shared::ModelRates>(),
+             .models = by_model ? learning_rates.models->address() : Address<shared::ModelEntry>{},
+             .learning_rate = static_cast<float>(learning_rates.*group.rate * rest_factor),
              .beta1 = static_cast<float>(a.options.beta1),
              .beta2 = static_cast<float>(a.options.beta2),
              .epsilon = static_cast<float>(a.options.epsilon),
              .correction1 = correction1,
              .correction2 = correction2,
              .first_scale = static_cast<float>(1.0 / std::max(rest_factor, 1e-12)),
-             .block_scale = static_cast<float>(group.harmonics ? rates.intensity_factor : 1.0),
-             .n_models = static_cast<std::uint32_t>(by_model ? rates.mean_factors.size() : 0),
+             .block_scale = static_cast<float>(group.harmonics ? learning_rates.intensity_factor : 1.0),
+             .n_models = static_cast<std::uint32_t>(by_model ? learning_rates.mean_factors.size() : 0),
              .first_row = first,
              .n_rows = n_rows,
              .stride = stride,
@@ -134,7 +139,7 @@ struct ArrayAdam::Impl {
         : options(o),
           moment1(device, count, "first moment"),
           moment2(device, count, "second moment"),
-          kernel(device, "diff/optimizer/adam", make_adam_constants(true)) {}
+          kernel(device, "diff/optimizer/adam", make_adam_kernel_constants(true)) {}
 };
 
 ArrayAdam::ArrayAdam(Device& device, std::size_t count, const AdamOptions& options)
@@ -142,14 +147,14 @@ ArrayAdam::ArrayAdam(Device& device, std::size_t count, const AdamOptions& optio
     Stream stream(device);
     stream.fill(impl_->moment1);
     stream.fill(impl_->moment2);
-    stream.finish();
+    stream.submit_and_wait();
 }
 ArrayAdam::~ArrayAdam() = default;
-Array<float>& ArrayAdam::moment1() { return impl_->moment1; }
-Array<float>& ArrayAdam::moment2() { return impl_->moment2; }
+Array<float>& ArrayAdam::get_first_moments() { return impl_->moment1; }
+Array<float>& ArrayAdam::get_second_moments() { return impl_->moment2; }
 
-void ArrayAdam::step(Stream& stream, const Array<float>& values, const Array<float>& gradients, double rate,
-                     int step) {
+void ArrayAdam::record_adam_step(Stream& stream, const Array<float>& values, const Array<float>& gradients,
+                                 double learning_rate, int step_number) {
     Impl& a = *impl_;
     RELIDAR_ASSERT_LE(a.moment1.size(), values.size());
     RELIDAR_ASSERT_LE(a.moment1.size(), gradients.size());
@@ -164,12 +169,12 @@ void ArrayAdam::step(Stream& stream, const Array<float>& values, const Array<flo
          .bounds = {},
          .model_scale = {},
          .models = {},
-         .learning_rate = static_cast<float>(rate),
+         .learning_rate = static_cast<float>(learning_rate),
          .beta1 = static_cast<float>(a.options.beta1),
          .beta2 = static_cast<float>(a.options.beta2),
          .epsilon = static_cast<float>(a.options.epsilon),
-         .correction1 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta1, step))),
-         .correction2 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta2, step))),
+         .correction1 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta1, step_number))),
+         .correction2 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta2, step_number))),
          .first_scale = 1.0f,
          .block_scale = 1.0f,
          .n_models = 0,

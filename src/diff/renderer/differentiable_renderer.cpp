@@ -14,11 +14,11 @@ namespace relidar {
 namespace {
 
 /// Returns the maximum number of rays per batch.
-std::uint32_t get_max_rays(const Renderer& renderer) {
-    return static_cast<std::uint32_t>(renderer.rendered().rendered->size());
+std::uint32_t get_max_rays_per_batch(const Renderer& renderer) {
+    return static_cast<std::uint32_t>(renderer.get_last_rendered_batch().rendered->size());
 }
 
-struct Lane {
+struct UpstreamGradientField {
     const char* name;
     const std::vector<float>& values;
     float shared::RayGradient::*at;
@@ -29,7 +29,7 @@ struct Lane {
 std::vector<shared::RayGradient> make_ray_gradients(const RenderedGradients& gradients, std::size_t n_rays) {
     using shared::RayGradient;
 #define RELIDAR_LANE(name, built, value, input, slope, meaning) {#name, gradients.name, &RayGradient::name},
-    const Lane lanes[] = {RELIDAR_IMAGE_VALUES(RELIDAR_LANE)};
+    const UpstreamGradientField lanes[] = {RELIDAR_IMAGE_VALUES(RELIDAR_LANE)};
 #undef RELIDAR_LANE
     std::vector<RayGradient> result(n_rays);
     for (const auto& [name, values, at] : lanes) {
@@ -46,7 +46,7 @@ std::vector<shared::RayGradient> make_ray_gradients(const RenderedGradients& gra
 
 /// Downloads an array of gradients. If the gradients were not requested, the array is
 /// empty, and so is the result.
-std::vector<float> download_values(const Array<float>& array, std::size_t count) {
+std::vector<float> download_if_allocated(const Array<float>& array, std::size_t count) {
     return array.size() ? array.download(count) : std::vector<float>{};
 }
 
@@ -56,85 +56,89 @@ struct DifferentiableRenderer::Impl {
     Renderer renderer;
     GradientOptions options;
     BackwardPass backward;
-    std::optional<Gradients> gradients;  ///< no value while surfels are added or removed
+    std::optional<DeviceGradients> gradients;  ///< no value while surfels are added or removed
     Array<shared::RayGradient> upstream;
 
-    Impl(Device& device, const Scene& scene, const ImageModel& model, const RendererOptions& of_renderer,
-         const GradientOptions& of_gradients)
+    Impl(Device& device, const Scene& scene, const ImageFormationModel& model,
+         const RendererOptions& of_renderer, const GradientOptions& of_gradients)
         : renderer(device, scene, model, of_renderer),
           options(of_gradients),
-          backward(device, model, renderer.accel().proxy(), of_renderer.trace, of_gradients.sums),
+          backward(device, model, renderer.accel().get_bounding_shape(), of_renderer.trace,
+                   of_gradients.sums),
           upstream(device, of_renderer.n_rays, "loss gradients") {
-        make_gradients();
+        allocate_gradients();
     }
-    void make_gradients() {
-        gradients.emplace(renderer.stream().device(), renderer.scene(), options.wanted,
-                          get_max_rays(renderer));
+    void allocate_gradients() {
+        gradients.emplace(renderer.stream().device(), renderer.scene(), options.requested_gradients,
+                          get_max_rays_per_batch(renderer));
         gradients->zero_untouched = options.zero_untouched;
     }
 };
 
-DifferentiableRenderer::DifferentiableRenderer(Device& device, const Scene& scene, const ImageModel& model,
+DifferentiableRenderer::DifferentiableRenderer(Device& device, const Scene& scene,
+                                               const ImageFormationModel& model,
                                                const RendererOptions& options,
                                                const GradientOptions& gradients)
     : impl_(std::make_unique<Impl>(device, scene, model, options, gradients)) {}
 
 DifferentiableRenderer::~DifferentiableRenderer() { impl_->renderer.wait_for_device(); }
 
-RenderedBatch DifferentiableRenderer::batch() {
+RenderedBatch DifferentiableRenderer::get_last_rendered_batch() {
     Renderer& renderer = impl_->renderer;
     Device& device = renderer.stream().device();
-    const std::size_t n_rays = get_max_rays(renderer);
+    const std::size_t n_rays = get_max_rays_per_batch(renderer);
     if (impl_->upstream.size() < n_rays) {  // the maximum number of rays per batch has grown
-        renderer.stream().finish();
+        renderer.stream().submit_and_wait();
         impl_->upstream = Array<shared::RayGradient>(device, n_rays, "loss gradients");
-        if (impl_->options.wanted.rays) impl_->gradients->rays = {device, 6 * n_rays, "ray gradient"};
+        if (impl_->options.requested_gradients.rays)
+            impl_->gradients->rays = {device, 6 * n_rays, "ray gradient"};
     }
-    RenderedBatch result = renderer.rendered();
+    RenderedBatch result = renderer.get_last_rendered_batch();
     result.upstream = &impl_->upstream;
     return result;
 }
 
-void DifferentiableRenderer::record_backward() {
+void DifferentiableRenderer::record_backward_pass() {
     Renderer& renderer = impl_->renderer;
     impl_->backward.set_sh_degree(renderer.model().sh_degree);
     // Eq. 9 of the paper
-    impl_->backward.run(renderer.stream(), renderer.scene(), renderer.accel(), batch(),
-                        renderer.view_origin_m(), *impl_->gradients);
+    impl_->backward.record_backward_pass(renderer.stream(), renderer.scene(), renderer.accel(),
+                                         get_last_rendered_batch(), renderer.view_origin_m(),
+                                         *impl_->gradients);
 }
 
-HostGradients DifferentiableRenderer::backward(const RenderedGradients& d_rendered) {
-    const RenderedBatch last = batch();
+HostGradients DifferentiableRenderer::compute_gradients(const RenderedGradients& rendered_gradients) {
+    const RenderedBatch last = get_last_rendered_batch();
     const std::size_t n_rays = last.rays.n_rays;
     if (last.rays.rays == nullptr)
         throw UsageError("cannot compute gradients: nothing was rendered; call forward() first");
     Stream& stream = impl_->renderer.stream();
-    stream.finish();
-    impl_->upstream.upload(make_ray_gradients(d_rendered, n_rays));
-    record_backward();
-    stream.finish();
-    const Gradients& g = *impl_->gradients;
+    stream.submit_and_wait();
+    impl_->upstream.upload(make_ray_gradients(rendered_gradients, n_rays));
+    record_backward_pass();
+    stream.submit_and_wait();
+    const DeviceGradients& g = *impl_->gradients;
     return {g.surfels.download(), g.touched.download(impl_->renderer.scene().size()),
-            download_values(g.poses, g.poses.size()), download_values(g.sensor, g.sensor.size()),
-            download_values(g.rays, 6 * n_rays)};
+            download_if_allocated(g.poses, g.poses.size()), download_if_allocated(g.sensor, g.sensor.size()),
+            download_if_allocated(g.rays, 6 * n_rays)};
 }
 
-void DifferentiableRenderer::change_surfels(
-    const std::function<void(double other_allocation_bytes)>& change) {
+void DifferentiableRenderer::apply_surfel_change(
+    const std::function<void(double other_allocation_bytes)>& change_surfels) {
     Renderer& renderer = impl_->renderer;
     const Device& device = renderer.stream().device();
-    renderer.stream().finish();
+    renderer.stream().submit_and_wait();
     const std::uint64_t before = device.allocated_bytes();
-    renderer.release_accel();
+    renderer.release_acceleration_structure();
     impl_->gradients.reset();
-    change(double(before - device.allocated_bytes()) / std::max(renderer.scene().size(), 1u));
-    impl_->make_gradients();
-    renderer.make_accel();
+    change_surfels(double(before - device.allocated_bytes()) / std::max(renderer.scene().size(), 1u));
+    impl_->allocate_gradients();
+    renderer.create_acceleration_structure();
 }
 
 Renderer& DifferentiableRenderer::renderer() { return impl_->renderer; }
 const Renderer& DifferentiableRenderer::renderer() const { return impl_->renderer; }
-Gradients& DifferentiableRenderer::gradients() { return *impl_->gradients; }
+DeviceGradients& DifferentiableRenderer::gradients() { return *impl_->gradients; }
 BackwardPass& DifferentiableRenderer::backward_pass() { return impl_->backward; }
 
 }  // namespace relidar

@@ -39,7 +39,7 @@ Surfels make_surfel_ring() {
     return surfels;
 }
 
-WorldRays make_full_sphere_rays() {
+WorldRays make_rays_from_origin() {
     WorldRays rays;
     for (int i = 0; i < kRays; ++i) {
         const float angle = 6.2831853f * float(i) / kRays, up = 0.1f * float(i % 5 - 2);
@@ -51,73 +51,76 @@ WorldRays make_full_sphere_rays() {
 
 /// Renders the ring of surfels. If the state is `refitted`, moves the surfels by 0.2 m
 /// after the tree was built, so that it is refitted.
-Rendering render_surfel_ring(Device& device, const AccelOptions& accel, TreeState state) {
+RenderedRayValues render_surfel_ring(Device& device, const AccelOptions& accel_options,
+                                     AccelTreeState tree_state) {
     Surfels surfels = make_surfel_ring();
-    Renderer renderer(device, make_background_scene(surfels), {}, {.accel = accel});
-    renderer.place(glm::vec3(0.0f));
-    if (state == TreeState::refitted) {
+    Renderer renderer(device, make_background_scene(surfels), {}, {.accel = accel_options});
+    renderer.prepare_view(glm::vec3(0.0f));
+    if (tree_state == AccelTreeState::refitted) {
         for (std::size_t i = 0; i < surfels.mean.size(); ++i) surfels.mean[i].z += i % 2 == 0 ? 0.2f : -0.2f;
-        renderer.stream().finish();
-        renderer.upload(surfels);
-        renderer.place(glm::vec3(0.0f));
+        renderer.stream().submit_and_wait();
+        renderer.upload_surfels(surfels);
+        renderer.prepare_view(glm::vec3(0.0f));
     }
-    return renderer.forward(make_full_sphere_rays());
+    return renderer.render_rays(make_rays_from_origin());
 }
 
 /// Returns the largest subgroup size that gives correct results, except the driver's
 /// default size.
-/// @param wrong description of the wrong result with the default size
-int find_working_subgroup_size(const DeviceOptions& options, const Device& device, const std::string& wrong) {
+/// @param default_size_error description of the wrong result with the default size
+int find_working_subgroup_size(const DeviceOptions& options, const Device& device,
+                               const std::string& default_size_error) {
     const std::vector<int> sizes = list_subgroup_sizes(device);
     for (auto lanes = sizes.rbegin(); lanes != sizes.rend(); ++lanes) {
         if (*lanes == device.info().subgroup_size) continue;
-        const Trusting trusting(DeviceTrust{.subgroup_size = *lanes});
+        const ScopedDeviceTestResults trusting(DeviceTestResults{.subgroup_size = *lanes});
         Device other(options);
-        if (find_wrong_subgroups(other).empty()) return *lanes;
+        if (describe_subgroup_failure(other).empty()) return *lanes;
     }
     throw DeviceError(fmt::format(
         "cannot use {} ({}): subgroups of {} lanes give wrong results ({}), and no other size is right",
-        device.info().name, device.info().driver, device.info().subgroup_size, wrong));
+        device.info().name, device.info().driver, device.info().subgroup_size, default_size_error));
 }
 
 }  // namespace
 
-int count_wrong_rays(Device& device, TreeState state) {
+int count_wrongly_traced_rays(Device& device, AccelTreeState tree_state) {
     AccelOptions accel;
     // A test can force wrong hits here: the boxes are then smaller than their surfels.
-    if (gpu::has_fault("ray_query") && device.traversal() == Traversal::ray_query) accel.margin_scale = 0.3f;
-    const Rendering found = render_surfel_ring(device, accel, state);
-    const Forced forced(device, {.brute_force = true});
-    const Rendering expected = render_surfel_ring(device, {}, state);
+    if (gpu::is_fault_injected("ray_query") && device.traversal() == RayTracingBackend::ray_query)
+        accel.margin_scale = 0.3f;
+    const RenderedRayValues actual = render_surfel_ring(device, accel, tree_state);
+    const ForcedBehaviourScope forced(device, {.brute_force = true});
+    const RenderedRayValues expected = render_surfel_ring(device, {}, tree_state);
     int n_wrong = 0;
     for (std::size_t i = 0; i < kRays; ++i)
-        n_wrong += found.hits[i] != expected.hits[i] ||
-                   !(std::abs(found.depth[i] - expected.depth[i]) <= 1e-4f * (1.0f + expected.depth[i]));
+        n_wrong += actual.hits[i] != expected.hits[i] ||
+                   !(std::abs(actual.depth[i] - expected.depth[i]) <= 1e-4f * (1.0f + expected.depth[i]));
     return n_wrong;
 }
 
-DeviceTrust check_device_at_first_use(const DeviceOptions& options) {
-    const Trusting trusting(DeviceTrust{});
+DeviceTestResults check_device_at_first_use(const DeviceOptions& options) {
+    const ScopedDeviceTestResults trusting(DeviceTestResults{});
     Device device(options);
-    DeviceTrust trust;
-    if (device.info().float_atomics) trust.float_atomics = compute_sum_error(device, false) == 0.0;
-    trust.float_swaps = compute_sum_error(device, true) == 0.0;
+    DeviceTestResults trust;
+    if (device.info().float_atomics) trust.float_atomics = compute_atomic_sum_error(device, false) == 0.0;
+    trust.float_swaps = compute_atomic_sum_error(device, true) == 0.0;
     // Kernels rely on subgroups only if the device supports software traversal, so
     // subgroups are tested only then.
     if (device.info().software)
-        if (const std::string wrong = find_wrong_subgroups(device); !wrong.empty())
+        if (const std::string wrong = describe_subgroup_failure(device); !wrong.empty())
             trust.subgroup_size = find_working_subgroup_size(options, device, wrong);
-    if (device.traversal() != Traversal::ray_query) return trust;
+    if (device.traversal() != RayTracingBackend::ray_query) return trust;
     int n_wrong = 0;
     if (trust.subgroup_size == 0) {
-        n_wrong = count_wrong_rays(device);
+        n_wrong = count_wrongly_traced_rays(device);
     } else {
         // The renderer's other kernels also need the subgroup size that passed the test.
-        const Trusting trusting_size(trust);
+        const ScopedDeviceTestResults trusting_size(trust);
         Device other(options);
-        n_wrong = count_wrong_rays(other);
+        n_wrong = count_wrongly_traced_rays(other);
     }
-    trust.ray_query = n_wrong == 0 ? Trust::right : Trust::wrong;
+    trust.ray_query = n_wrong == 0 ? CheckVerdict::right : CheckVerdict::wrong;
     return trust;
 }
 

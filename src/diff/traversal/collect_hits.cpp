@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Submits the kernel diff/traversal/collect_hits, which writes all hits of each ray from
-// near to far, and downloads the hits.
+// Submits the kernel diff/traversal/collect_hits, which writes all hits of each ray
+// from near to far, and downloads the hits.
 #include "diff/traversal/collect_hits.hpp"
 
 #include <fmt/format.h>
@@ -12,40 +12,42 @@
 
 namespace relidar {
 
-CollectedHits collect_hits(Device& device, const PlacedScene& placed, const WorldRays& rays,
-                           std::uint32_t max_hits) {
+CollectedHits collect_ray_hits(Device& device, const PosedScene& placed_scene, const WorldRays& rays,
+                               std::uint32_t max_hits_per_ray) {
     Stream stream(device);
-    DeviceScene on_device(device, *placed.scene);
-    on_device.set_poses(placed.world_from_instance);
-    Accel accel(device, on_device, placed.accel);
+    DeviceScene on_device(device, *placed_scene.scene);
+    on_device.set_instance_poses(placed_scene.world_from_instance);
+    AccelerationStructure accel(device, on_device, placed_scene.accel);
     const Kernel<shared::CollectHitsParams> kernel(
-        device, "diff/traversal/collect_hits", get_traversal_variant(device),
-        make_trace_constants(device, accel.proxy(), placed.trace, placed.model));
+        device, "diff/traversal/collect_hits", get_traversal_kernel_variant(device),
+        make_trace_kernel_constants(device, accel.get_bounding_shape(), placed_scene.trace,
+                                    placed_scene.model));
     const std::size_t n = rays.size();
     const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(to_device_rays(rays)), "rays");
     const Array<std::uint32_t, shared::PassCapCount> pass_cap(device, std::vector<std::uint32_t>{0u},
                                                               "pass cap count");
     const Array<std::uint32_t, shared::HitCounts> counts(device, n, "hit counts");
-    const Array<std::uint32_t, shared::HitInstances> instance(device, n * max_hits, "hit instances");
-    const Array<std::uint32_t, shared::HitSurfels> surfel(device, n * max_hits, "hit surfels");
-    const Array<float, shared::HitDistances> t(device, n * max_hits, "hit distances");
-    on_device.activate(stream, placed.model, glm::vec3(0.0f));
-    accel.update(stream, on_device);
+    const Array<std::uint32_t, shared::HitInstances> instance(device, n * max_hits_per_ray, "hit instances");
+    const Array<std::uint32_t, shared::HitSurfels> surfel(device, n * max_hits_per_ray, "hit surfels");
+    const Array<float, shared::HitDistances> t(device, n * max_hits_per_ray, "hit distances");
+    on_device.compute_surfel_records(stream, placed_scene.model, glm::vec3(0.0f));
+    accel.update_bvh(stream, on_device);
     run(stream, kernel, n,
-        {.scene = make_trace_scene(on_device, accel, {&device_rays, 0, 1, static_cast<std::uint32_t>(n)},
-                                   placed.model, placed.trace, pass_cap.address()),
+        {.scene =
+             make_trace_scene_params(on_device, accel, {&device_rays, 0, 1, static_cast<std::uint32_t>(n)},
+                                     placed_scene.model, placed_scene.trace, pass_cap.address()),
          .counts = counts.address(),
          .t = t.address(),
          .instance = instance.address(),
          .surfel = surfel.address(),
-         .max_hits = max_hits});
-    stream.finish();
+         .max_hits = max_hits_per_ray});
+    stream.submit_and_wait();
     if (const std::uint32_t capped = pass_cap.download()[0])
         throw DeviceError(
             fmt::format("cannot collect the hits of {} rays: {} of them exceeded the maximum of {} traversal "
                         "passes or the traversal stack",
                         n, capped, RELIDAR_MAX_PASSES));
-    return {max_hits, counts.download(), t.download(), instance.download(), surfel.download()};
+    return {max_hits_per_ray, counts.download(), t.download(), instance.download(), surfel.download()};
 }
 
 }  // namespace relidar

@@ -15,25 +15,26 @@ namespace relidar {
 /// All hits of each ray, from near to far.
 struct CollectedHits {
     std::uint32_t max_hits = 0;
-    std::vector<std::uint32_t> counts;    ///< [n_rays] number of hits, may exceed max_hits
-    std::vector<float> t;                 ///< [n_rays, max_hits] distance of each hit in metres
-    std::vector<std::uint32_t> instance;  ///< [n_rays, max_hits] instance of each hit
-    std::vector<std::uint32_t> surfel;    ///< [n_rays, max_hits] surfel of each hit
+    std::vector<std::uint32_t> counts;    ///< [n_rays] number of hits, may exceed max_hits_per_ray
+    std::vector<float> t;                 ///< [n_rays, max_hits_per_ray] distance of each hit in metres
+    std::vector<std::uint32_t> instance;  ///< [n_rays, max_hits_per_ray] instance of each hit
+    std::vector<std::uint32_t> surfel;    ///< [n_rays, max_hits_per_ray] surfel of each hit
 };
 
 /// Scene, the poses of its instances, and tracing options.
-struct PlacedScene {
+struct PosedScene {
     const Scene* scene = nullptr;
     std::vector<InstancePose> world_from_instance;
-    ImageModel model;
+    ImageFormationModel model;
     AccelOptions accel;
     TraceOptions trace;
 };
 
 /// Returns all hits of each ray, from near to far.
-/// @param max_hits maximum number of stored hits per ray. Further hits are only counted
+/// @param max_hits_per_ray maximum number of stored hits per ray. Further hits are only
+/// counted
 /// @throws DeviceError if a ray has too many hits to be traced completely
-CollectedHits collect_hits(Device& device, const PlacedScene& placed, const WorldRays& rays,
-                           std::uint32_t max_hits);
+CollectedHits collect_ray_hits(Device& device, const PosedScene& placed_scene, const WorldRays& rays,
+                               std::uint32_t max_hits_per_ray);
 
 }  // namespace relidar

@@ -21,9 +21,9 @@ std::size_t count_trace_threads(const RayBatch& batch) {
     return (rows + 1) / 2 * ((std::size_t(batch.columns) + 15) / 16) * 32;
 }
 
-std::uint32_t recommend_kept_hits(std::uint32_t per_ray, std::uint64_t n_overfull) {
+std::uint32_t recommend_stored_hits_per_ray(std::uint32_t hits_per_ray, std::uint64_t n_overflowed_rays) {
     constexpr std::uint32_t kMost = 256;
-    return n_overfull > 0 ? std::max(per_ray, std::min(2 * per_ray, kMost)) : per_ray;
+    return n_overflowed_rays > 0 ? std::max(hits_per_ray, std::min(2 * hits_per_ray, kMost)) : hits_per_ray;
 }
 
 }  // namespace relidar

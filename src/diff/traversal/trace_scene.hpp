@@ -14,17 +14,17 @@ namespace relidar {
 
 /// Returns the parameters that tracing kernels need for a scene. The caller must add the
 /// rays.
-inline shared::TraceScene make_trace_scene(const DeviceScene& scene, const AccelAddresses& accel,
-                                           const ImageModel& model) {
+inline shared::TraceScene make_trace_scene_params(const DeviceScene& scene, const AccelAddresses& accel,
+                                                  const ImageFormationModel& model) {
     return {.tlas = accel.tlas,
             .proxy_reach = accel.proxy_reach,
             .moving = accel.moving,
             .model_radii = accel.model_radii,
             .bvh = accel.bvh,
             .rays = {},
-            .records = scene.records().address(),
-            .instances = scene.instances().address(),
-            .sh = scene.parameters().sh.address(),
+            .records = scene.get_surfel_records().address(),
+            .instances = scene.get_instance_table().address(),
+            .sh = scene.get_surfel_parameters().sh.address(),
             .pass_cap_count = {},
             .visits = {},
             .targets = {},
@@ -33,7 +33,7 @@ inline shared::TraceScene make_trace_scene(const DeviceScene& scene, const Accel
             .alpha_max = model.alpha_max,
             .transmittance_min = model.transmittance_min,
             .likelihood_scale_m = 1.0f,
-            .n_instances = static_cast<std::uint32_t>(scene.instances().size()),
+            .n_instances = static_cast<std::uint32_t>(scene.get_instance_table().size()),
             .n_moving = accel.n_moving,
             .sh_degree = static_cast<std::uint32_t>(model.sh_degree),
             .n_rays = 0,
@@ -42,11 +42,11 @@ inline shared::TraceScene make_trace_scene(const DeviceScene& scene, const Accel
             .columns = 0};
 }
 
-inline shared::TraceScene make_trace_scene(const DeviceScene& scene, const Accel& accel,
-                                           const RayBatch& batch, const ImageModel& model,
-                                           const TraceOptions& options,
-                                           Address<std::uint32_t, shared::PassCapCount> pass_cap_count) {
-    shared::TraceScene traced = make_trace_scene(scene, accel.addresses(), model);
+inline shared::TraceScene make_trace_scene_params(
+    const DeviceScene& scene, const AccelerationStructure& accel, const RayBatch& batch,
+    const ImageFormationModel& model, const TraceOptions& options,
+    Address<std::uint32_t, shared::PassCapCount> pass_cap_count) {
+    shared::TraceScene traced = make_trace_scene_params(scene, accel.get_device_addresses(), model);
     traced.rays = batch.rays->address();
     traced.pass_cap_count = pass_cap_count;
     traced.n_rays = batch.n_rays;
@@ -61,9 +61,9 @@ inline shared::TraceScene make_trace_scene(const DeviceScene& scene, const Accel
 }
 
 /// Returns the suffix of the kernel variant that uses the device's traversal method.
-inline KernelVariant get_traversal_variant(const Device& device) {
+inline KernelVariant get_traversal_kernel_variant(const Device& device) {
     if (must_test_every_surfel(device)) return KernelVariant("@brute_force");
-    return KernelVariant(device.traversal() == Traversal::software ? "@software_bvh" : "@ray_query");
+    return KernelVariant(device.traversal() == RayTracingBackend::software ? "@software_bvh" : "@ray_query");
 }
 
 /// Returns the value of the specialisation constant TOGETHER. 0 means that each ray
@@ -71,24 +71,28 @@ inline KernelVariant get_traversal_variant(const Device& device) {
 /// lanes can diverge. 1 means that all rays of a subgroup traverse the tree together. 2
 /// (CPU) also loads surfels cooperatively, because the lanes of a CPU are elements of one
 /// vector. Joint traversal is faster on lavapipe (docs/performance.md).
-inline std::uint32_t get_walk_constant(const Device& device, const TraceOptions& options) {
+inline std::uint32_t get_joint_traversal_constant(const Device& device, const TraceOptions& options) {
     const bool is_cpu = device.info().type == "CPU";
-    if (options.walk == Walk::automatic ? !is_cpu : options.walk == Walk::lane) return 0;
+    if (options.traversal_mode == BvhTraversalMode::automatic
+            ? !is_cpu
+            : options.traversal_mode == BvhTraversalMode::lane)
+        return 0;
     return is_cpu ? 2 : 1;
 }
 
 /// Returns the specialisation constants of the tracing kernels (shaders/diff/traversal).
-inline std::vector<Constant> make_trace_constants(const Device& device, Proxy proxy,
-                                                  const TraceOptions& options, const ImageModel& model) {
-    return {{ConstantId::CHUNK, static_cast<std::uint32_t>(options.chunk)},
-            {ConstantId::BOXES, proxy == Proxy::boxes ? 1u : 0u},
-            {ConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
-            {ConstantId::TOGETHER, get_walk_constant(device, options)},
-            {ConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
-            {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(model.primitive)},
-            {ConstantId::NORMAL, options.normals ? 1u : 0u},
-            {ConstantId::LIKELIHOOD, options.likelihood ? 1u : 0u},
-            {ConstantId::MODE, options.mode_gap_m ? 1u : 0u}};
+inline std::vector<SpecialisationConstant> make_trace_kernel_constants(const Device& device, ProxyShape proxy,
+                                                                       const TraceOptions& options,
+                                                                       const ImageFormationModel& model) {
+    return {{SpecialisationConstantId::CHUNK, static_cast<std::uint32_t>(options.chunk)},
+            {SpecialisationConstantId::BOXES, proxy == ProxyShape::boxes ? 1u : 0u},
+            {SpecialisationConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
+            {SpecialisationConstantId::TOGETHER, get_joint_traversal_constant(device, options)},
+            {SpecialisationConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
+            {SpecialisationConstantId::PRIMITIVE, static_cast<std::uint32_t>(model.primitive)},
+            {SpecialisationConstantId::NORMAL, options.normals ? 1u : 0u},
+            {SpecialisationConstantId::LIKELIHOOD, options.likelihood ? 1u : 0u},
+            {SpecialisationConstantId::MODE, options.mode_gap_m ? 1u : 0u}};
 }
 
 }  // namespace relidar

@@ -13,39 +13,42 @@ namespace {
 // Maximum distance between a point and the cell that defines its class.
 constexpr float kClassReach_m = 2.0f;
 
-std::uint64_t make_key(const ClassCell& cell) { return make_cell_key(glm::dvec3(cell.place), 1.0); }
+std::uint64_t make_class_cell_key(const SurfaceClassCell& cell) {
+    return compute_grid_cell_key(glm::dvec3(cell.grid_index), 1.0);
+}
 
-std::vector<glm::vec3> compute_cell_centres(const ClassMap& map) {
+std::vector<glm::vec3> compute_cell_centres(const SurfaceClassMap& map) {
     std::vector<glm::vec3> centres;
-    for (const ClassCell& cell : map) centres.emplace_back((glm::dvec3(cell.place) + 0.5) * kClassCell_m);
+    for (const SurfaceClassCell& cell : map)
+        centres.emplace_back((glm::dvec3(cell.grid_index) + 0.5) * kClassCell_m);
     return centres;
 }
 
 }  // namespace
 
-void add_classes(ClassMap& map, const ClassMap& other) {
-    std::unordered_set<std::uint64_t> places;
-    for (const ClassCell& cell : map) places.insert(make_key(cell));
-    for (const ClassCell& cell : other)
-        if (places.insert(make_key(cell)).second) map.push_back(cell);
+void merge_class_map(SurfaceClassMap& target_map, const SurfaceClassMap& source_map) {
+    std::unordered_set<std::uint64_t> occupied_cells;
+    for (const SurfaceClassCell& cell : target_map) occupied_cells.insert(make_class_cell_key(cell));
+    for (const SurfaceClassCell& cell : source_map)
+        if (occupied_cells.insert(make_class_cell_key(cell)).second) target_map.push_back(cell);
 }
 
-struct ClassFinder::Impl {
-    NearestPlace<float> centres;
+struct SurfaceClassLookup::Impl {
+    NearestPointFinder<float> centres;
     std::vector<SurfaceClass> classes;
 };
 
-ClassFinder::ClassFinder(const ClassMap& map)
-    : impl_(new Impl{NearestPlace<float>(compute_cell_centres(map)), {}}) {
-    for (const ClassCell& cell : map) impl_->classes.push_back(cell.surface);
+SurfaceClassLookup::SurfaceClassLookup(const SurfaceClassMap& map)
+    : impl_(new Impl{NearestPointFinder<float>(compute_cell_centres(map)), {}}) {
+    for (const SurfaceClassCell& cell : map) impl_->classes.push_back(cell.surface);
 }
 
-ClassFinder::~ClassFinder() = default;
+SurfaceClassLookup::~SurfaceClassLookup() = default;
 
-SurfaceClass ClassFinder::find(const glm::dvec3& point_m) const {
+SurfaceClass SurfaceClassLookup::find_nearest_class(const glm::dvec3& point_m) const {
     const glm::vec3 point(point_m);
     if (!std::isfinite(point.x + point.y + point.z)) return SurfaceClass::unknown;
-    const auto [cell, squared_m] = impl_->centres.find(point);
+    const auto [cell, squared_m] = impl_->centres.find_nearest_point(point);
     return squared_m <= kClassReach_m * kClassReach_m ? impl_->classes[cell] : SurfaceClass::unknown;
 }
 

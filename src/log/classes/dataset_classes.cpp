@@ -8,27 +8,27 @@ namespace relidar {
 namespace {
 
 /// Number of a class in a dataset, and relidar's class.
-struct NumberedClass {
+struct ClassNumberMapping {
     int number;
     SurfaceClass surface;
 };
 
 /// First characters of the name of a class in a dataset, and relidar's class.
-struct NamedClass {
+struct ClassPrefixMapping {
     std::string_view prefix;
     SurfaceClass surface;
 };
 
-SurfaceClass find_numbered_class(std::span<const NumberedClass> table, int number) {
-    const auto row = std::ranges::find(table, number, &NumberedClass::number);
-    return row == table.end() ? SurfaceClass::unknown : row->surface;
+SurfaceClass find_class_by_number(std::span<const ClassNumberMapping> class_table, int class_number) {
+    const auto row = std::ranges::find(class_table, class_number, &ClassNumberMapping::number);
+    return row == class_table.end() ? SurfaceClass::unknown : row->surface;
 }
 
 }  // namespace
 
-SurfaceClass convert_semantic_kitti_class(int label) {
+SurfaceClass convert_semantic_kitti_label(int label) {
     using enum SurfaceClass;
-    static constexpr NumberedClass kClasses[] = {
+    static constexpr ClassNumberMapping kClasses[] = {
         {10, vehicle},       // car
         {11, cyclist},       // bicycle
         {13, vehicle},       // bus
@@ -62,13 +62,13 @@ SurfaceClass convert_semantic_kitti_class(int label) {
         {258, vehicle},      // moving-truck
         {259, vehicle},      // moving-other-vehicle
     };
-    return find_numbered_class(kClasses, label);
+    return find_class_by_number(kClasses, label);
 }
 
 SurfaceClass convert_nuscenes_class(std::string_view category) {
     using enum SurfaceClass;
     // The first row with a matching prefix defines the class.
-    static constexpr NamedClass kClasses[] = {
+    static constexpr ClassPrefixMapping kClasses[] = {
         {"vehicle.ego", unknown},
         {"vehicle.bicycle", cyclist},
         {"vehicle.motorcycle", cyclist},
@@ -85,13 +85,13 @@ SurfaceClass convert_nuscenes_class(std::string_view category) {
         {"movable_object.", object},
     };
     const auto* row = std::ranges::find_if(
-        kClasses, [&](const NamedClass& named) { return category.starts_with(named.prefix); });
+        kClasses, [&](const ClassPrefixMapping& named) { return category.starts_with(named.prefix); });
     return row == std::end(kClasses) ? unknown : row->surface;
 }
 
-SurfaceClass convert_waymo_class(int type) {
+SurfaceClass convert_waymo_class(int class_number) {
     using enum SurfaceClass;
-    static constexpr NumberedClass kClasses[] = {
+    static constexpr ClassNumberMapping kClasses[] = {
         {1, vehicle},        // car
         {2, vehicle},        // truck
         {3, vehicle},        // bus
@@ -115,7 +115,7 @@ SurfaceClass convert_waymo_class(int type) {
         {21, terrain},       // walkable
         {22, sidewalk},      // sidewalk
     };
-    return find_numbered_class(kClasses, type);
+    return find_class_by_number(kClasses, class_number);
 }
 
 }  // namespace relidar

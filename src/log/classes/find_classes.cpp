@@ -16,11 +16,13 @@ namespace relidar {
 namespace {
 
 /// Returns the cells of the labelled returns of a frame that are not in a moving box.
-/// @param moving  moving boxes of the log
-std::vector<ClassCell> list_votes(const Sequence& sequence, const PoseTrack& world_from_sensor,
-                                  const std::vector<BoxTrack>& moving, const Frame& frame) {
+/// @param moving_boxes  moving boxes of the log
+std::vector<SurfaceClassCell> collect_class_votes(const LidarSequence& sequence,
+                                                  const PoseTrack& world_from_sensor,
+                                                  const std::vector<BoxTrack>& moving_boxes,
+                                                  const LidarFrame& frame) {
     const Scan& scan = frame.scan;
-    std::vector<ClassCell> votes;
+    std::vector<SurfaceClassCell> votes;
     for (std::size_t ray = 0; ray < scan.classes.size(); ++ray) {
         if (!(scan.range_m[ray] > 0.0f)) continue;
         const WorldRay world =
@@ -29,49 +31,51 @@ std::vector<ClassCell> list_votes(const Sequence& sequence, const PoseTrack& wor
             world.origin_m + double(compute_surface_return(sequence, frame, ray).range_m) * world.direction;
         const double time_s =
             frame.time_s + (sequence.rolling_shutter ? double(scan.rays.time_offset_s[ray]) : 0.0);
-        if (is_in_moving_box(moving, point_m, time_s, kMoverMargin_m)) continue;
+        if (is_in_moving_box(moving_boxes, point_m, time_s, kMoverMargin_m)) continue;
         votes.push_back({glm::ivec3(glm::floor(point_m / kClassCell_m)), scan.classes[ray]});
     }
     return votes;
 }
 
 /// Returns the class with most votes. In a tie, returns the class with the higher number.
-SurfaceClass choose_class(const std::array<std::uint32_t, kSurfaceClasses>& votes) {
+SurfaceClass choose_majority_class(const std::array<std::uint32_t, kSurfaceClasses>& votes_per_class) {
     std::size_t best = 0;
-    for (std::size_t k = 1; k < votes.size(); ++k)
-        if (votes[k] >= votes[best] && votes[k] > 0) best = k;
+    for (std::size_t k = 1; k < votes_per_class.size(); ++k)
+        if (votes_per_class[k] >= votes_per_class[best] && votes_per_class[k] > 0) best = k;
     return SurfaceClass(best);
 }
 
 }  // namespace
 
-ClassMap find_classes(const Sequence& sequence, const PoseTrack& world_from_vehicle,
-                      const std::vector<int>& positions) {
+SurfaceClassMap compute_class_map(const LidarSequence& sequence, const PoseTrack& world_from_vehicle,
+                                  const std::vector<int>& frame_indices) {
     std::vector<PoseTrack> world_from_sensor;
     for (const Lidar& lidar : sequence.lidars)
-        world_from_sensor.push_back(mount_on_track(world_from_vehicle, lidar.vehicle_from_sensor));
+        world_from_sensor.push_back(compute_mounted_track(world_from_vehicle, lidar.vehicle_from_sensor));
     std::vector<BoxTrack> moving = sequence.boxes;
     std::erase_if(moving, [](const BoxTrack& box) { return !box.is_moving(); });
-    std::vector<std::vector<ClassCell>> votes_of_frame(positions.size());
-    parallel_for(static_cast<int>(positions.size()), [&](int index) {
-        const Frame& frame = sequence.frames[std::size_t(positions[std::size_t(index)])];
+    std::vector<std::vector<SurfaceClassCell>> votes_of_frame(frame_indices.size());
+    parallel_for(static_cast<int>(frame_indices.size()), [&](int index) {
+        const LidarFrame& frame = sequence.frames[std::size_t(frame_indices[std::size_t(index)])];
         votes_of_frame[std::size_t(index)] =
-            list_votes(sequence, world_from_sensor[std::size_t(frame.lidar)], moving, frame);
+            collect_class_votes(sequence, world_from_sensor[std::size_t(frame.lidar)], moving, frame);
     });
-    std::vector<ClassCell> votes;
-    for (std::vector<ClassCell>& some : votes_of_frame) {
+    std::vector<SurfaceClassCell> votes;
+    for (std::vector<SurfaceClassCell>& some : votes_of_frame) {
         votes.insert(votes.end(), some.begin(), some.end());
         some = {};
     }
-    const CellNumbers cells = assign_cell_numbers(
-        votes.size(), [&](std::size_t vote) { return make_cell_key(glm::dvec3(votes[vote].place), 1.0); });
-    ClassMap map(cells.n_cells);
+    const ItemCellIndices cells = assign_cell_numbers(votes.size(), [&](std::size_t vote) {
+        return compute_grid_cell_key(glm::dvec3(votes[vote].grid_index), 1.0);
+    });
+    SurfaceClassMap map(cells.n_cells);
     std::vector<std::array<std::uint32_t, kSurfaceClasses>> counts(cells.n_cells);
     for (std::size_t i = 0; i < votes.size(); ++i) {
-        map[cells.of[i]].place = votes[i].place;
+        map[cells.of[i]].grid_index = votes[i].grid_index;
         ++counts[cells.of[i]][std::size_t(votes[i].surface)];
     }
-    for (std::size_t cell = 0; cell < map.size(); ++cell) map[cell].surface = choose_class(counts[cell]);
+    for (std::size_t cell = 0; cell < map.size(); ++cell)
+        map[cell].surface = choose_majority_class(counts[cell]);
     return map;
 }
 

@@ -10,25 +10,27 @@
 
 namespace relidar {
 
-/// Assigns each point to a firing (Points::firing). Sorts the firings by the mean head
-/// azimuth of their points. A sweep may be longer than one revolution, so two firings
-/// with the same azimuth stay separate.
+/// Assigns each point to a firing (LidarPoints::firing). Sorts the firings by the mean
+/// head azimuth of their points. A sweep may be longer than one revolution, so two
+/// firings with the same azimuth stay separate.
 ///
 /// Some firings have no points, for example where the vehicle blocks all beams. Their
 /// deviation from a constant rotation is interpolated between the neighbouring firings.
 /// At the end of the turn, adds firings without points until the circle, or the image of
 /// `sensor.columns`, is full. All rays of a firing without points are dropped rays.
 /// @param points  points with rings, at least one
-/// @param numbers  [points] firing number of each point; the numbers increase with time
-/// @param step_rad  azimuth step between firings at a constant rotation rate; negative
-/// for a head that rotates clockwise
-Sweep arrange_firings(Points& points, const std::vector<int>& numbers, const SpinningSensor& sensor,
-                      double step_rad);
+/// @param firing_numbers  [points] firing number of each point; the numbers increase with
+/// time
+/// @param azimuth_step_rad  azimuth step between firings at a constant rotation rate;
+/// negative for a head that rotates clockwise
+SweepFirings assign_points_to_firings(LidarPoints& points, const std::vector<int>& firing_numbers,
+                                      const SpinningSensor& sensor, double azimuth_step_rad);
 
 /// Sorts firings by the azimuth of the head, and assigns each point to its firing.
-/// @param numbers  [points] firing number of each point
-/// @param head_rad  azimuth of the head for each firing number, also for firings without
-/// points
-Sweep sort_firings(Points& points, const std::vector<int>& numbers, const std::map<int, double>& head_rad);
+/// @param firing_numbers  [points] firing number of each point
+/// @param head_azimuth_by_firing  azimuth of the head for each firing number, also for
+/// firings without points
+SweepFirings sort_firings_by_azimuth(LidarPoints& points, const std::vector<int>& firing_numbers,
+                                     const std::map<int, double>& head_azimuth_by_firing);
 
 }  // namespace relidar

@@ -9,35 +9,35 @@
 
 namespace relidar {
 
-bool BrokenScans::has(std::size_t index) const {
+bool ScanErrorCollector::is_scan_broken(std::size_t scan_index) const {
     const std::lock_guard guard(lock_);
-    return reasons_.contains(index);
+    return reasons_.contains(scan_index);
 }
 
-void BrokenScans::add(std::size_t index, const std::string& reason) {
+void ScanErrorCollector::add_broken_scan(std::size_t scan_index, const std::string& reason) {
     const std::lock_guard guard(lock_);
-    reasons_.try_emplace(index, reason);
+    reasons_.try_emplace(scan_index, reason);
 }
 
-void BrokenScans::add_broken_scan_notes(Sequence& sequence, std::size_t count) const {
-    if (!reasons_.empty() && reasons_.size() == count)
+void ScanErrorCollector::add_broken_scan_notes(LidarSequence& sequence, std::size_t n_scans) const {
+    if (!reasons_.empty() && reasons_.size() == n_scans)
         throw DataError(fmt::format("{}: all {} scans are broken; the first error is: {}", sequence.source,
-                                    count, reasons_.begin()->second));
+                                    n_scans, reasons_.begin()->second));
     for (const auto& [i, reason] : reasons_)
         sequence.notes.push_back(fmt::format("a broken scan is skipped: {}", reason));
 }
 
-void BrokenScans::leave_out(Sequence& sequence) const {
+void ScanErrorCollector::remove_broken_frames(LidarSequence& sequence) const {
     add_broken_scan_notes(sequence, sequence.frames.size());
     if (reasons_.empty()) return;
-    std::vector<Frame> kept;
+    std::vector<LidarFrame> remaining_frames;
     std::set<double> times_s;
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
         if (reasons_.contains(i)) continue;
         times_s.insert(sequence.frames[i].time_s);
-        kept.push_back(std::move(sequence.frames[i]));
+        remaining_frames.push_back(std::move(sequence.frames[i]));
     }
-    sequence.frames = std::move(kept);
+    sequence.frames = std::move(remaining_frames);
     const PoseTrack all = std::exchange(sequence.world_from_vehicle, {});
     for (std::size_t i = 0; i < all.time_s.size(); ++i) {
         if (!times_s.contains(all.time_s[i])) continue;

@@ -16,43 +16,43 @@ namespace relidar {
 
 /// Collects the errors of scans that cannot be read. The number of a scan is the index of
 /// its frame or of its file.
-class BrokenScans {
+class ScanErrorCollector {
 public:
-    explicit BrokenScans(bool skip) : skip_(skip) {}
+    explicit ScanErrorCollector(bool skip) : skip_(skip) {}
 
-    /// Calls `step`, which reads a part of scan `index`. If `step` throws, stores the
-    /// error and skips this scan in later calls. Several threads can call this function
-    /// at the same time.
+    /// Calls `read_scan_part`, which reads a part of scan `scan_index`. If
+    /// `read_scan_part` throws, stores the error and skips this scan in later calls.
+    /// Several threads can call this function at the same time.
     /// @throws DataError of the step, unless the user allows broken scans
     template <class Step>
-    void attempt(std::size_t index, const Step& step) {
-        if (has(index)) return;
+    void read_or_mark_broken(std::size_t scan_index, const Step& read_scan_part) {
+        if (is_scan_broken(scan_index)) return;
         try {
-            step();
+            read_scan_part();
         } catch (const DataError& error) {
-            if (!skip_) throw DataError(std::string(error.what()) + kWayOut);
-            add(index, error.what());
+            if (!skip_) throw DataError(std::string(error.what()) + kSkipBrokenHint);
+            add_broken_scan(scan_index, error.what());
         }
     }
 
-    bool has(std::size_t index) const;
-    /// Marks scan `index` as broken, even if the user does not allow broken scans. Used
-    /// for readable scans with missing points, because missing points would count as
+    bool is_scan_broken(std::size_t scan_index) const;
+    /// Marks scan `scan_index` as broken, even if the user does not allow broken scans.
+    /// Used for readable scans with missing points, because missing points would count as
     /// dropped rays.
-    void add(std::size_t index, const std::string& reason);
+    void add_broken_scan(std::size_t scan_index, const std::string& reason);
     std::size_t size() const { return reasons_.size(); }
 
     /// Adds a note for the user about each broken scan.
-    /// @param count  total number of scans
+    /// @param n_scans  total number of scans
     /// @throws DataError if all scans are broken
-    void add_broken_scan_notes(Sequence& sequence, std::size_t count) const;
+    void add_broken_scan_notes(LidarSequence& sequence, std::size_t n_scans) const;
     /// Removes the frames of broken scans, and poses that no other frame uses. Adds a
     /// note for the user about each broken scan. Scan numbers must be indices of frames.
     /// @throws DataError if all scans are broken
-    void leave_out(Sequence& sequence) const;
+    void remove_broken_frames(LidarSequence& sequence) const;
 
 private:
-    static constexpr const char* kWayOut = "; use dataset.skip_broken=true to skip broken scans";
+    static constexpr const char* kSkipBrokenHint = "; use dataset.skip_broken=true to skip broken scans";
 
     const bool skip_;
     mutable std::mutex lock_;

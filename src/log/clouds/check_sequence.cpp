@@ -31,43 +31,44 @@ constexpr double kBoxReach_m =
 constexpr double kLargestOrigin_m = 1000.0;
 constexpr double kWidestBeam_rad = 6.3;  // maximum divergence of a beam, as a full angle
 
-[[noreturn]] void fail(const std::string& location, const std::string& found_value,
+[[noreturn]] void fail(const std::string& error_location, const std::string& found_value,
                        const std::string& expected) {
-    throw DataError(fmt::format("{}: found {}, expected {}", location, found_value, expected));
+    throw DataError(fmt::format("{}: found {}, expected {}", error_location, found_value, expected));
 }
 
 bool is_finite(const glm::dvec3& vector) {
     return std::isfinite(vector.x) && std::isfinite(vector.y) && std::isfinite(vector.z);
 }
 
-void check_pose(const Pose& pose, const std::string& location) {
+void check_pose(const Pose& pose, const std::string& error_location) {
     const double largest =
         std::max({std::abs(pose.translation.x), std::abs(pose.translation.y), std::abs(pose.translation.z)});
     if (!is_finite(pose.translation) || largest > kFarthest_m)
-        fail(location,
+        fail(error_location,
              fmt::format("the position ({}, {}, {})", pose.translation.x, pose.translation.y,
                          pose.translation.z),
              fmt::format("coordinates of at most {} m from the origin of the world", kFarthest_m));
     if (!(std::abs(glm::length(pose.rotation) - 1.0) <= kUnit))
-        fail(location, fmt::format("a quaternion of length {}", glm::length(pose.rotation)), "length 1");
+        fail(error_location, fmt::format("a quaternion of length {}", glm::length(pose.rotation)),
+             "length 1");
 }
 
 /// Checks a track. Its times must increase, and each time must have one pose.
-void check_track(const PoseTrack& track, const std::string& location) {
+void check_pose_track(const PoseTrack& track, const std::string& error_location) {
     if (track.pose.empty() || track.pose.size() != track.time_s.size())
-        fail(location, fmt::format("{} poses and {} times", track.pose.size(), track.time_s.size()),
+        fail(error_location, fmt::format("{} poses and {} times", track.pose.size(), track.time_s.size()),
              "at least one pose, and as many times as poses");
     for (std::size_t k = 0; k < track.pose.size(); ++k) {
         const double before = k == 0 ? -INFINITY : track.time_s[k - 1];
         if (!std::isfinite(track.time_s[k]) || !(track.time_s[k] > before))
-            fail(fmt::format("{}, pose {}", location, k),
+            fail(fmt::format("{}, pose {}", error_location, k),
                  fmt::format("the time {} s after the time {} s", track.time_s[k], before),
                  "finite and increasing times");
-        check_pose(track.pose[k], fmt::format("{}, pose {}", location, k));
+        check_pose(track.pose[k], fmt::format("{}, pose {}", error_location, k));
     }
 }
 
-void check_lidars(const Sequence& sequence) {
+void check_lidars(const LidarSequence& sequence) {
     if (sequence.lidars.empty()) fail(sequence.name, "no LiDAR", "at least one LiDAR");
     std::set<std::string> names;
     for (const Lidar& lidar : sequence.lidars) {
@@ -86,13 +87,13 @@ void check_lidars(const Sequence& sequence) {
     }
 }
 
-void check_frame_times(const Sequence& sequence) {
+void check_frame_times(const LidarSequence& sequence) {
     const std::vector<double>& times = sequence.world_from_vehicle.time_s;
     if (sequence.frames.empty()) fail(sequence.name, "no frame", "at least one frame");
     std::set<std::pair<int, int>> numbers;
     std::size_t pose = 0;
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
-        const Frame& frame = sequence.frames[i];
+        const LidarFrame& frame = sequence.frames[i];
         const std::string where = fmt::format("{}: frame {}", sequence.name, frame.index);
         if (frame.lidar < 0 || std::size_t(frame.lidar) >= sequence.lidars.size())
             fail(where, fmt::format("the LiDAR index {}", frame.lidar),
@@ -100,7 +101,7 @@ void check_frame_times(const Sequence& sequence) {
         if (!numbers.insert({frame.lidar, frame.index}).second)
             fail(where, "a second frame with this number and this LiDAR", "each number once per LiDAR");
         if (i > 0) {
-            const Frame& before = sequence.frames[i - 1];
+            const LidarFrame& before = sequence.frames[i - 1];
             const double step_s = frame.time_s - before.time_s;
             if (!(step_s >= kLeastStep_s) && !(step_s == 0.0 && frame.lidar > before.lidar))
                 fail(where,
@@ -120,15 +121,15 @@ void check_frame_times(const Sequence& sequence) {
              fmt::format("{} poses, one for the time of each frame", pose + 1));
 }
 
-void check_sizes(const Scan& scan, const std::string& location) {
+void check_scan_array_sizes(const Scan& scan, const std::string& error_location) {
     const RayTable& rays = scan.rays;
     if (rays.rows < 0 || rays.columns < 0 || std::size_t(rays.rows) * std::size_t(rays.columns) > kMaxRays)
-        fail(location, fmt::format("{} rows and {} columns", rays.rows, rays.columns),
+        fail(error_location, fmt::format("{} rows and {} columns", rays.rows, rays.columns),
              fmt::format("at most {} rays", kMaxRays));
     const std::size_t n = std::size_t(rays.rows) * std::size_t(rays.columns);
     const auto check = [&](const char* field, std::size_t size) {
         if (size != n)
-            fail(fmt::format("{}, {}", location, field), fmt::format("{} entries", size),
+            fail(fmt::format("{}, {}", error_location, field), fmt::format("{} entries", size),
                  fmt::format("{} x {} entries", rays.rows, rays.columns));
     };
     check("rays.origin", rays.origin.size());
@@ -139,7 +140,7 @@ void check_sizes(const Scan& scan, const std::string& location) {
     check("range_m", scan.range_m.size());
     check("intensity", scan.intensity.size());
     if (!scan.classes.empty()) check("classes", scan.classes.size());
-    for (const SecondReturn& f : scan.second_returns) {
+    for (const AdditionalReturns& f : scan.second_returns) {
         check("second_returns.range_m", f.range_m.size());
         check("second_returns.intensity", f.intensity.size());
     }
@@ -147,16 +148,18 @@ void check_sizes(const Scan& scan, const std::string& location) {
 
 /// Returns the name of the invalid field of a return (range_m or intensity), or null if
 /// both are valid.
-const char* describe_wrong_return(float range_m, float intensity) {
+const char* find_invalid_return_field(float range_m, float intensity) {
     if (!(range_m >= 0.0f && range_m <= kFarthest_m)) return "range_m";
     if (!(intensity >= 0.0f && intensity <= (range_m > 0.0f ? 1.0f : 0.0f))) return "intensity";
     return nullptr;
 }
 
-void check_scan(const Scan& scan, std::size_t n_beams, const std::string& location) {
-    check_sizes(scan, location);
+void check_scan(const Scan& scan, std::size_t n_beams, const std::string& error_location) {
+    check_scan_array_sizes(scan, error_location);
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
-        const auto ray = [&](const char* field) { return fmt::format("{}, ray {}, {}", location, i, field); };
+        const auto ray = [&](const char* field) {
+            return fmt::format("{}, ray {}, {}", error_location, i, field);
+        };
         const glm::dvec3 origin(scan.rays.origin[i]), direction(scan.rays.direction[i]);
         if (!is_finite(origin) || glm::length(origin) > kLargestOrigin_m)
             fail(ray("rays.origin"), fmt::format("({}, {}, {})", origin.x, origin.y, origin.z),
@@ -169,15 +172,16 @@ void check_scan(const Scan& scan, std::size_t n_beams, const std::string& locati
         if (n_beams > 0 && scan.rays.channel[i] >= n_beams)
             fail(ray("rays.channel"), fmt::format("{}", scan.rays.channel[i]),
                  fmt::format("the index of one of {} beams", n_beams));
-        if (const double angle = scan.rays.compute_divergence(i); !(angle >= 0.0 && angle <= kWidestBeam_rad))
+        if (const double angle = scan.rays.get_beam_divergence_rad(i);
+            !(angle >= 0.0 && angle <= kWidestBeam_rad))
             fail(ray("divergence"), fmt::format("{}", angle),
                  fmt::format("an angle from 0 to {} rad", kWidestBeam_rad));
-        if (const char* field = describe_wrong_return(scan.range_m[i], scan.intensity[i]))
+        if (const char* field = find_invalid_return_field(scan.range_m[i], scan.intensity[i]))
             fail(ray(field),
                  fmt::format("a range of {} m and an intensity of {}", scan.range_m[i], scan.intensity[i]),
                  "a range above 0 m and an intensity from 0 to 1, or both 0 for a dropped ray");
-        for (const SecondReturn& f : scan.second_returns)
-            if (describe_wrong_return(f.range_m[i], f.intensity[i]) ||
+        for (const AdditionalReturns& f : scan.second_returns)
+            if (find_invalid_return_field(f.range_m[i], f.intensity[i]) ||
                 (scan.range_m[i] == 0.0f && f.range_m[i] != 0.0f))
                 fail(ray("second return"),
                      fmt::format("a second return with range {} m and intensity {} after a first return at "
@@ -187,7 +191,7 @@ void check_scan(const Scan& scan, std::size_t n_beams, const std::string& locati
     }
 }
 
-void check_boxes(const Sequence& sequence) {
+void check_boxes(const LidarSequence& sequence) {
     std::set<std::string> ids;
     for (const BoxTrack& box : sequence.boxes) {
         const std::string where = fmt::format("{}: box '{}'", sequence.name, box.id);
@@ -196,13 +200,14 @@ void check_boxes(const Sequence& sequence) {
         if (!is_finite(box.size_m) || !(std::min({box.size_m.x, box.size_m.y, box.size_m.z}) > 0.0))
             fail(where, fmt::format("the box size {} x {} x {} m", box.size_m.x, box.size_m.y, box.size_m.z),
                  "a length, a width and a height above 0 m");
-        check_track(box.world_from_box, where);
+        check_pose_track(box.world_from_box, where);
         for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
             const double t_s = box.world_from_box.time_s[k];
             // Skips labels with a time before the first frame or after the last frame.
-            if (!sequence.world_from_vehicle.covers(t_s)) continue;
-            const double distance_m = glm::distance(box.world_from_box.pose[k].translation,
-                                                    sequence.world_from_vehicle.at(t_s).translation);
+            if (!sequence.world_from_vehicle.contains_time(t_s)) continue;
+            const double distance_m =
+                glm::distance(box.world_from_box.pose[k].translation,
+                              sequence.world_from_vehicle.interpolate_pose(t_s).translation);
             if (distance_m > kBoxReach_m)
                 fail(fmt::format("{}, pose {}", where, k),
                      fmt::format("a distance of {:.0f} m from the vehicle", distance_m),
@@ -213,47 +218,48 @@ void check_boxes(const Sequence& sequence) {
 }
 
 /// Two consecutive frames whose time step is much longer than usual.
-struct Gap {
-    const Frame *before, *after;
-    double step_s() const { return after->time_s - before->time_s; }
+struct FrameGap {
+    const LidarFrame *before, *after;
+    double get_duration_s() const { return after->time_s - before->time_s; }
 };
 
 }  // namespace
 
-void check_gaps(Sequence& sequence) {
+void check_time_gaps(LidarSequence& sequence) {
     constexpr double kGap_s = 1.0, kJump_s = 60.0, kUsualSteps = 10.0;
-    std::vector<Gap> steps;
+    std::vector<FrameGap> steps;
     for (std::size_t i = 1; i < sequence.frames.size(); ++i)
-        if (const Gap step{&sequence.frames[i - 1], &sequence.frames[i]}; step.step_s() > 0.0)
+        if (const FrameGap step{&sequence.frames[i - 1], &sequence.frames[i]}; step.get_duration_s() > 0.0)
             steps.push_back(step);
     if (steps.empty()) return;
-    std::vector<Gap> sorted = steps;
-    std::ranges::sort(sorted, {}, &Gap::step_s);
-    const double usual_s = sorted[(sorted.size() - 1) / 2].step_s();
-    std::erase_if(steps,
-                  [&](const Gap& gap) { return gap.step_s() <= std::max(kGap_s, kUsualSteps * usual_s); });
+    std::vector<FrameGap> sorted = steps;
+    std::ranges::sort(sorted, {}, &FrameGap::get_duration_s);
+    const double usual_s = sorted[(sorted.size() - 1) / 2].get_duration_s();
+    std::erase_if(steps, [&](const FrameGap& gap) {
+        return gap.get_duration_s() <= std::max(kGap_s, kUsualSteps * usual_s);
+    });
     if (steps.empty()) return;
-    const Gap longest = *std::ranges::max_element(steps, {}, &Gap::step_s);
+    const FrameGap longest = *std::ranges::max_element(steps, {}, &FrameGap::get_duration_s);
     const int before = longest.before->index, after = longest.after->index;
-    if (longest.step_s() > kJump_s)
+    if (longest.get_duration_s() > kJump_s)
         fail(fmt::format("{}: frame {}", sequence.name, after),
              fmt::format("the time {} s, which is {:.1f} s after frame {}", longest.after->time_s,
-                         longest.step_s(), before),
+                         longest.get_duration_s(), before),
              fmt::format("a step of at most {} s (the median step is {:.3g} s); use --frames to read only "
                          "the frames on one side of the gap",
                          kJump_s, usual_s));
-    sequence.notes.push_back(
-        fmt::format("the times of the frames have {} gap{}; the longest is {:.1f} s, between frames {} and "
-                    "{} (the median step is {:.3g} s); poses in gaps are interpolated",
-                    steps.size(), steps.size() > 1 ? "s" : "", longest.step_s(), before, after, usual_s));
+    sequence.notes.push_back(fmt::format(
+        "the times of the frames have {} gap{}; the longest is {:.1f} s, between frames {} and "
+        "{} (the median step is {:.3g} s); poses in gaps are interpolated",
+        steps.size(), steps.size() > 1 ? "s" : "", longest.get_duration_s(), before, after, usual_s));
 }
 
-void check_sequence(const Sequence& sequence) {
+void check_sequence(const LidarSequence& sequence) {
     check_lidars(sequence);
-    check_track(sequence.world_from_vehicle, sequence.name + ": the vehicle");
+    check_pose_track(sequence.world_from_vehicle, sequence.name + ": the vehicle");
     check_frame_times(sequence);
     parallel_for(static_cast<int>(sequence.frames.size()), [&](int index) {
-        const Frame& frame = sequence.frames[std::size_t(index)];
+        const LidarFrame& frame = sequence.frames[std::size_t(index)];
         check_scan(frame.scan, sequence.get_lidar(frame).sensor.beams.size(),
                    fmt::format("{}: frame {}", sequence.name, frame.index));
     });

@@ -28,13 +28,13 @@ struct TimeRange {
 
 /// Returns the times of the first and the last point of each cloud. Skips clouds without
 /// point times.
-std::vector<TimeRange> list_time_ranges(const std::vector<folder::PointTable>& clouds,
-                                        const std::vector<double>& stamps_s) {
+std::vector<TimeRange> list_point_time_ranges(const std::vector<folder::PointTable>& clouds,
+                                              const std::vector<double>& cloud_stamps_s) {
     std::vector<TimeRange> ranges;
     for (std::size_t c = 0; c < clouds.size(); ++c) {
-        TimeRange range{INFINITY, -INFINITY, stamps_s[c]};
-        if (const folder::FieldValues* times = clouds[c].find(folder::PointValue::time))
-            times->visit([&](const auto& time_at) {
+        TimeRange range{INFINITY, -INFINITY, cloud_stamps_s[c]};
+        if (const folder::PointFieldView* times = clouds[c].find_field(folder::PointAttribute::time))
+            times->visit_with_value_reader([&](const auto& time_at) {
                 for (std::size_t i = 0; i < clouds[c].n; ++i)
                     if (const auto t = double(time_at(i)); std::isfinite(t))
                         range.first = std::min(range.first, t), range.last = std::max(range.last, t);
@@ -44,40 +44,42 @@ std::vector<TimeRange> list_time_ranges(const std::vector<folder::PointTable>& c
     return ranges;
 }
 
-TimeZero find_time_zero(const std::vector<TimeRange>& ranges, double unit_s) {
-    const auto all = [&](auto test) { return std::ranges::all_of(ranges, test); };
-    const auto is_near = [&](double first, double second) {
+PointTimeReference estimate_time_zero(const std::vector<TimeRange>& time_ranges, double time_unit_s) {
+    const auto all = [&](auto test) { return std::ranges::all_of(time_ranges, test); };
+    const auto are_times_close = [&](double first, double second) {
         return std::abs(first - second) <= kBesideStamp_s;
     };
     if (all([&](const TimeRange& r) {
-            return is_near(r.first * unit_s, 0.0) && is_near(r.last * unit_s, 0.0);
+            return are_times_close(r.first * time_unit_s, 0.0) && are_times_close(r.last * time_unit_s, 0.0);
         }))
-        return TimeZero::stamp;
+        return PointTimeReference::stamp;
     if (all([&](const TimeRange& r) {
-            return is_near(r.first * unit_s, r.stamp_s) && is_near(r.last * unit_s, r.stamp_s);
+            return are_times_close(r.first * time_unit_s, r.stamp_s) &&
+                   are_times_close(r.last * time_unit_s, r.stamp_s);
         }))
-        return TimeZero::epoch;
-    return TimeZero::sensor_clock;
+        return PointTimeReference::epoch;
+    return PointTimeReference::sensor_clock;
 }
 
-void find_time_unit(CloudUnits& units, const std::vector<TimeRange>& ranges, double step_s) {
-    if (ranges.empty()) return;
+void estimate_time_unit(PointCloudUnits& units, const std::vector<TimeRange>& time_ranges,
+                        double cloud_interval_s) {
+    if (time_ranges.empty()) return;
     std::vector<double> spans;
-    for (const TimeRange& r : ranges) spans.push_back(r.last - r.first);
+    for (const TimeRange& r : time_ranges) spans.push_back(r.last - r.first);
     std::ranges::sort(spans);
     const double span = spans[spans.size() / 2];
     units.is_deskewed = spans.back() == 0.0;
     for (const TimeUnit& unit : kTimeUnits) {
-        const double turns = span * unit.seconds / step_s;
+        const double turns = span * unit.seconds / cloud_interval_s;
         if (!(turns >= kLeastSpan && turns <= kMostSpan)) continue;
-        units.zero = find_time_zero(ranges, unit.seconds);
+        units.zero = estimate_time_zero(time_ranges, unit.seconds);
         units.time_unit_s = unit.seconds;
         units.about = fmt::format(
             "times of points are read in {}, {}; a cloud lasts {:.1f} ms from its first to "
             "its last point",
             unit.name,
-            units.zero == TimeZero::stamp ? "relative to the stamp"
-            : units.zero == TimeZero::epoch
+            units.zero == PointTimeReference::stamp ? "relative to the stamp"
+            : units.zero == PointTimeReference::epoch
                 ? "in the same clock as the stamps"
                 : "in the clock of the sensor, whose first time in a cloud is set to the "
                   "stamp",
@@ -90,16 +92,16 @@ void find_time_unit(CloudUnits& units, const std::vector<TimeRange>& ranges, dou
                       : fmt::format(
                             "times of points are ignored: a cloud spans {:.4g} of an unknown unit, clouds "
                             "are {:.3g} s apart, and no unit of time fits both",
-                            span, step_s);
+                            span, cloud_interval_s);
 }
 
 }  // namespace
 
-CloudUnits find_units(const std::vector<folder::PointTable>& clouds, const std::vector<double>& stamps_s,
-                      double step_s) {
-    CloudUnits units;
-    find_time_unit(units, list_time_ranges(clouds, stamps_s), step_s);
-    units.meaning = folder::find_meaning(clouds);
+PointCloudUnits estimate_cloud_units(const std::vector<folder::PointTable>& clouds,
+                                     const std::vector<double>& cloud_stamps_s, double cloud_interval_s) {
+    PointCloudUnits units;
+    estimate_time_unit(units, list_point_time_ranges(clouds, cloud_stamps_s), cloud_interval_s);
+    units.meaning = folder::interpret_point_fields(clouds);
     return units;
 }
 

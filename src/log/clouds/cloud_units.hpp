@@ -11,7 +11,7 @@
 namespace relidar::bag {
 
 /// Reference time of the point times in a cloud: the moment at which they are 0.
-enum class TimeZero {
+enum class PointTimeReference {
     none,   ///< unknown, because the points have no usable times
     stamp,  ///< offsets from the cloud's stamp
     epoch,  ///< zero of the clock that also gives the message stamps
@@ -20,21 +20,21 @@ enum class TimeZero {
     sensor_clock
 };
 
-struct CloudUnits {
-    TimeZero zero = TimeZero::none;
+struct PointCloudUnits {
+    PointTimeReference zero = PointTimeReference::none;
     double time_unit_s = 1.0;
     /// True if all points of a cloud have the same time, because the points were
     /// motion-compensated to this time.
     bool is_deskewed = false;
-    folder::PointMeaning meaning;
+    folder::PointFieldSemantics meaning;
     std::string about;  ///< text about the point times for the notes of the log
 };
 
 /// Estimates the units of point times and intensities from some clouds.
 /// @param clouds  some clouds of the topic
-/// @param stamps_s  [clouds] time stamp of each cloud in seconds
-/// @param step_s  time between clouds in seconds
-CloudUnits find_units(const std::vector<folder::PointTable>& clouds, const std::vector<double>& stamps_s,
-                      double step_s);
+/// @param cloud_stamps_s  [clouds] time stamp of each cloud in seconds
+/// @param cloud_interval_s  time between clouds in seconds
+PointCloudUnits estimate_cloud_units(const std::vector<folder::PointTable>& clouds,
+                                     const std::vector<double>& cloud_stamps_s, double cloud_interval_s);
 
 }  // namespace relidar::bag

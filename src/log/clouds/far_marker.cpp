@@ -20,26 +20,28 @@ constexpr double kLeastShare = 0.005, kMostShare = 0.95;
 constexpr std::size_t kFewest = 64;     // minimum number of returns that have the largest range
 constexpr std::size_t kFewestRows = 2;  // minimum number of beams with a return at the largest range
 
-float round_range(float range_m) { return kRound_m * std::round(range_m / kRound_m); }
-bool is_same_range(float first, float second) { return std::abs(first - second) <= kSameRange * second; }
+float round_range_to_half_metre(float range_m) { return kRound_m * std::round(range_m / kRound_m); }
+bool are_ranges_nearly_equal(float first_range_m, float second_range_m) {
+    return std::abs(first_range_m - second_range_m) <= kSameRange * second_range_m;
+}
 
 /// The returns of a LiDAR at its largest range. They may be dropped rays.
-struct FarReturns {
+struct MaxRangeReturns {
     float range_m = 0.0f;
     std::size_t n = 0, n_all = 0;
     std::set<std::uint16_t> rows;
 };
 
-FarReturns find_max_range_returns(const Sequence& sequence, int lidar) {
-    FarReturns far;
-    for (const Frame& frame : sequence.frames)
-        if (frame.lidar == lidar)
+MaxRangeReturns find_max_range_returns(const LidarSequence& sequence, int lidar_index) {
+    MaxRangeReturns far;
+    for (const LidarFrame& frame : sequence.frames)
+        if (frame.lidar == lidar_index)
             for (const float range_m : frame.scan.range_m) far.range_m = std::max(far.range_m, range_m);
-    for (const Frame& frame : sequence.frames) {
-        if (frame.lidar != lidar) continue;
+    for (const LidarFrame& frame : sequence.frames) {
+        if (frame.lidar != lidar_index) continue;
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             far.n_all += frame.scan.range_m[i] > 0.0f;
-            if (!is_same_range(frame.scan.range_m[i], far.range_m)) continue;
+            if (!are_ranges_nearly_equal(frame.scan.range_m[i], far.range_m)) continue;
             ++far.n;
             far.rows.insert(frame.scan.rays.channel[i]);
         }
@@ -47,26 +49,30 @@ FarReturns find_max_range_returns(const Sequence& sequence, int lidar) {
     return far;
 }
 
-bool is_dropped_ray_marker(const FarReturns& far) {
-    const double share = double(far.n) / double(std::max<std::size_t>(far.n_all, 1));
-    return far.n >= kFewest && far.rows.size() >= kFewestRows && share >= kLeastShare &&
-           share <= kMostShare && is_same_range(far.range_m, round_range(far.range_m));
+bool is_max_range_drop_marker(const MaxRangeReturns& max_range_returns) {
+    const double share =
+        double(max_range_returns.n) / double(std::max<std::size_t>(max_range_returns.n_all, 1));
+    return max_range_returns.n >= kFewest && max_range_returns.rows.size() >= kFewestRows &&
+           share >= kLeastShare && share <= kMostShare &&
+           are_ranges_nearly_equal(max_range_returns.range_m,
+                                   round_range_to_half_metre(max_range_returns.range_m));
 }
 
 }  // namespace
 
-void drop_max_range_markers(Sequence& sequence) {
+void drop_fake_max_range_returns(LidarSequence& sequence) {
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
-        const FarReturns far = find_max_range_returns(sequence, int(l));
-        if (!is_dropped_ray_marker(far)) continue;
-        for (Frame& frame : sequence.frames)
+        const MaxRangeReturns far = find_max_range_returns(sequence, int(l));
+        if (!is_max_range_drop_marker(far)) continue;
+        for (LidarFrame& frame : sequence.frames)
             if (frame.lidar == int(l))
-                drop_outside_limits(frame.scan, {0.0, double(far.range_m) * (1.0 - double(kSameRange))});
+                remove_returns_outside_limits(frame.scan,
+                                              {0.0, double(far.range_m) * (1.0 - double(kSameRange))});
         const std::string& name = sequence.lidars[l].name;
         sequence.notes.push_back(fmt::format(
             "range{}: {} of {} points have exactly the largest range, {} m, and are read as rays without "
             "return",
-            name.empty() ? "" : " of " + name, far.n, far.n_all, round_range(far.range_m)));
+            name.empty() ? "" : " of " + name, far.n, far.n_all, round_range_to_half_metre(far.range_m)));
     }
 }
 

@@ -11,6 +11,6 @@ namespace relidar {
 /// returns into dropped rays and adds a note to the log. Real ranges have noise. So the
 /// largest range of the log is such a mark if many returns have exactly this range, it is
 /// a multiple of half a metre, and other returns are nearer.
-void drop_max_range_markers(Sequence& sequence);
+void drop_fake_max_range_returns(LidarSequence& sequence);
 
 }  // namespace relidar

@@ -17,7 +17,7 @@ namespace {
 constexpr double kBack_rad = 3.0 * kPi / 180.0;
 // Minimum share of azimuth steps with the same sign, if the points of a file are in the
 // order of rotation.
-constexpr double kMostlyOneWay = 0.9;
+constexpr double kMinSameSignFraction = 0.9;
 // The search for the start of the rings uses only every fourth point.
 constexpr std::size_t kStride = 4;
 constexpr std::size_t kFewestRings = 4, kMostOrderedRings = 256;
@@ -35,7 +35,7 @@ double compute_point_elevation(const glm::vec3& point) {
 
 /// Returns the direction of rotation: 1 if the azimuth increases from point to point, -1
 /// if it decreases. Returns nothing if the points are not in the order of rotation.
-std::optional<double> estimate_direction(const Points& points) {
+std::optional<double> estimate_rotation_direction(const LidarPoints& points) {
     std::size_t n_up = 0, n_down = 0;
     for (std::size_t i = 1; i < points.size(); ++i) {
         const double step = std::remainder(
@@ -43,18 +43,18 @@ std::optional<double> estimate_direction(const Points& points) {
             2.0 * kPi);
         n_up += step > 0.0, n_down += step < 0.0;
     }
-    const double least = kMostlyOneWay * double(points.size());
+    const double least = kMinSameSignFraction * double(points.size());
     if (double(n_up) > least) return 1.0;
     if (double(n_down) > least) return -1.0;
     return std::nullopt;
 }
 
 /// Returns the unwrapped azimuth of each point, counted from the start of the file.
-std::vector<double> unwrap_azimuths_of_points(const Points& points, double turning) {
+std::vector<double> unwrap_point_azimuths(const LidarPoints& points, double rotation_sign) {
     std::vector<double> turned;
     turned.reserve(points.size());
     for (std::size_t i = 0; i < points.size(); ++i) {
-        const double azimuth = turning * compute_point_azimuth(points.position_m[i]);
+        const double azimuth = rotation_sign * compute_point_azimuth(points.position_m[i]);
         if (i == 0) {
             turned.push_back(azimuth);
             continue;
@@ -67,35 +67,38 @@ std::vector<double> unwrap_azimuths_of_points(const Points& points, double turni
 }
 
 /// Returns the ring of each point. A ring is one full turn of the azimuth, and ring 0
-/// starts at the azimuth `first_rad`.
-std::vector<std::uint16_t> compute_turn_numbers(const std::vector<double>& turned, double first_rad) {
-    std::vector<std::uint16_t> turns;
-    turns.reserve(turned.size());
-    double first_turn = INFINITY;
-    for (const double t : turned)
-        first_turn = std::min(first_turn, std::floor((t - first_rad) / (2.0 * kPi)));
+/// starts at the azimuth `start_azimuth_rad`.
+std::vector<std::uint16_t> compute_revolution_numbers(const std::vector<double>& unwrapped_azimuths_rad,
+                                                      double start_azimuth_rad) {
+    std::vector<std::uint16_t> revolution_numbers;
+    revolution_numbers.reserve(unwrapped_azimuths_rad.size());
+    double first_revolution = INFINITY;
+    for (const double t : unwrapped_azimuths_rad)
+        first_revolution = std::min(first_revolution, std::floor((t - start_azimuth_rad) / (2.0 * kPi)));
     int last = 0;
-    for (const double t : turned) {
+    for (const double t : unwrapped_azimuths_rad) {
         // With rounding errors, the first point of a ring may seem to be in the previous
         // ring. Therefore ring numbers never decrease.
-        last = std::max(last, int(std::floor((t - first_rad) / (2.0 * kPi)) - first_turn));
-        turns.push_back(std::uint16_t(std::min(last, int(kMostOrderedRings))));
+        last = std::max(last, int(std::floor((t - start_azimuth_rad) / (2.0 * kPi)) - first_revolution));
+        revolution_numbers.push_back(std::uint16_t(std::min(last, int(kMostOrderedRings))));
     }
-    return turns;
+    return revolution_numbers;
 }
 
 /// Returns the median elevation of each ring. Uses only the farther half of its points.
 /// Near points are less accurate, because a beam does not start exactly at the sensor
 /// origin.
-std::vector<double> compute_ring_elevations(const Points& points, const std::vector<std::uint16_t>& ring) {
-    std::vector<std::vector<std::pair<float, double>>> seen;  // range and elevation
+std::vector<double> compute_median_ring_elevations(const LidarPoints& points,
+                                                   const std::vector<std::uint16_t>& ring_of_point) {
+    std::vector<std::vector<std::pair<float, double>>> samples_by_ring;  // range and elevation
     for (std::size_t i = 0; i < points.size(); ++i) {
-        if (ring[i] >= seen.size()) seen.resize(std::size_t(ring[i]) + 1);
-        seen[ring[i]].emplace_back(glm::length(points.position_m[i]),
-                                   compute_point_elevation(points.position_m[i]));
+        if (ring_of_point[i] >= samples_by_ring.size())
+            samples_by_ring.resize(std::size_t(ring_of_point[i]) + 1);
+        samples_by_ring[ring_of_point[i]].emplace_back(glm::length(points.position_m[i]),
+                                                       compute_point_elevation(points.position_m[i]));
     }
     std::vector<double> elevations;
-    for (auto& points_of_ring : seen) {
+    for (auto& points_of_ring : samples_by_ring) {
         if (points_of_ring.empty()) {
             elevations.push_back(NAN);
             continue;
@@ -110,93 +113,99 @@ std::vector<double> compute_ring_elevations(const Points& points, const std::vec
 }
 
 /// Returns the median difference between the elevation of a point and of its ring.
-double compute_median_ring_deviation(const Points& points, const std::vector<std::uint16_t>& ring,
-                                     const std::vector<double>& elevations) {
+double compute_median_ring_elevation_error(const LidarPoints& points,
+                                           const std::vector<std::uint16_t>& ring_of_point,
+                                           const std::vector<double>& ring_elevations_rad) {
     std::vector<double> off;
     off.reserve(points.size());
     for (std::size_t i = 0; i < points.size(); ++i)
-        off.push_back(std::abs(compute_point_elevation(points.position_m[i]) - elevations[ring[i]]));
+        off.push_back(
+            std::abs(compute_point_elevation(points.position_m[i]) - ring_elevations_rad[ring_of_point[i]]));
     return compute_median(off);
 }
 
 /// Returns the mean difference between the elevation of a point and of its ring. Unlike
 /// the median, the mean increases if only a few points are in a wrong ring.
-double compute_mean_ring_deviation(const Points& points, const std::vector<std::uint16_t>& ring,
-                                   const std::vector<double>& elevations) {
+double compute_mean_ring_elevation_error(const LidarPoints& points,
+                                         const std::vector<std::uint16_t>& ring_of_point,
+                                         const std::vector<double>& ring_elevations_rad) {
     double sum = 0.0;
     for (std::size_t i = 0; i < points.size(); ++i)
-        sum += std::abs(compute_point_elevation(points.position_m[i]) - elevations[ring[i]]);
+        sum +=
+            std::abs(compute_point_elevation(points.position_m[i]) - ring_elevations_rad[ring_of_point[i]]);
     return sum / double(points.size());
 }
 
 /// Returns the azimuth at which the rings of a file begin. Tests many azimuths and
 /// selects the one with the smallest deviation of points from their rings.
-double find_first_azimuth(const Points& points, const std::vector<double>& turned) {
-    Points some;
+double find_ring_start_azimuth(const LidarPoints& points, const std::vector<double>& unwrapped_azimuths_rad) {
+    LidarPoints some;
     std::vector<double> some_turned;
     for (std::size_t i = 0; i < points.size(); i += kStride) {
         some.position_m.push_back(points.position_m[i]);
-        some_turned.push_back(turned[i]);
+        some_turned.push_back(unwrapped_azimuths_rad[i]);
     }
     const auto spread = [&](double first_rad) {
-        const std::vector<std::uint16_t> ring = compute_turn_numbers(some_turned, first_rad);
-        return compute_mean_ring_deviation(some, ring, compute_ring_elevations(some, ring));
+        const std::vector<std::uint16_t> ring = compute_revolution_numbers(some_turned, first_rad);
+        return compute_mean_ring_elevation_error(some, ring, compute_median_ring_elevations(some, ring));
     };
     double least = INFINITY, best_rad = 0.0;
     for (const int step_deg : {10, 1}) {
         const double middle_rad = step_deg == 10 ? 0.0 : best_rad;
         const int reach = step_deg == 10 ? 18 : 9;
         for (int k = -reach; k <= reach; ++k) {
-            const double tried_rad = middle_rad + k * step_deg * kPi / 180.0, off = spread(tried_rad);
-            if (off < least) least = off, best_rad = tried_rad;
+            const double candidate_rad = middle_rad + k * step_deg * kPi / 180.0, off = spread(candidate_rad);
+            if (off < least) least = off, best_rad = candidate_rad;
         }
     }
     return best_rad;
 }
 
 /// Returns true if the rings are sorted by elevation and clearly separated.
-bool are_rings_separated(const Points& points, const std::vector<std::uint16_t>& ring,
-                         const std::vector<double>& elevations) {
-    if (elevations.size() < kFewestRings || elevations.size() > kMostOrderedRings) return false;
+bool are_rings_separated(const LidarPoints& points, const std::vector<std::uint16_t>& ring_of_point,
+                         const std::vector<double>& ring_elevations_rad) {
+    if (ring_elevations_rad.size() < kFewestRings || ring_elevations_rad.size() > kMostOrderedRings)
+        return false;
     std::vector<double> steps;
     std::size_t n_up = 0, n_down = 0;
-    for (std::size_t r = 1; r < elevations.size(); ++r) {
-        const double step = elevations[r] - elevations[r - 1];
+    for (std::size_t r = 1; r < ring_elevations_rad.size(); ++r) {
+        const double step = ring_elevations_rad[r] - ring_elevations_rad[r - 1];
         n_up += step > 0.0, n_down += step < 0.0;
         if (std::isfinite(step)) steps.push_back(std::abs(step));
     }
-    if (steps.empty() || double(std::max(n_up, n_down)) < kSorted * double(elevations.size() - 1))
+    if (steps.empty() || double(std::max(n_up, n_down)) < kSorted * double(ring_elevations_rad.size() - 1))
         return false;
-    return compute_median_ring_deviation(points, ring, elevations) < kInRing * compute_median(steps);
+    return compute_median_ring_elevation_error(points, ring_of_point, ring_elevations_rad) <
+           kInRing * compute_median(steps);
 }
 
 }  // namespace
 
-FileOrder::FileOrder(const std::vector<Points>& scans) {
-    const auto fullest = std::ranges::max_element(scans, {}, &Points::size);
+RingOrderDetector::RingOrderDetector(const std::vector<LidarPoints>& scans) {
+    const auto fullest = std::ranges::max_element(scans, {}, &LidarPoints::size);
     if (fullest == scans.end()) return;
-    const std::optional<double> turning = estimate_direction(*fullest);
+    const std::optional<double> turning = estimate_rotation_direction(*fullest);
     if (!turning) return;
     turning_ = *turning;
-    const std::vector<double> turned = unwrap_azimuths_of_points(*fullest, turning_);
+    const std::vector<double> turned = unwrap_point_azimuths(*fullest, turning_);
     if (turned.back() - turned.front() < 2.0 * kPi * double(kFewestRings - 1)) return;
-    first_azimuth_rad_ = find_first_azimuth(*fullest, turned);
-    for (const Points& scan : scans) {
-        if (estimate_direction(scan) != turning) continue;
+    first_azimuth_rad_ = find_ring_start_azimuth(*fullest, turned);
+    for (const LidarPoints& scan : scans) {
+        if (estimate_rotation_direction(scan) != turning) continue;
         const std::vector<std::uint16_t> ring =
-            compute_turn_numbers(unwrap_azimuths_of_points(scan, turning_), first_azimuth_rad_);
-        std::vector<double> elevations = compute_ring_elevations(scan, ring);
+            compute_revolution_numbers(unwrap_point_azimuths(scan, turning_), first_azimuth_rad_);
+        std::vector<double> elevations = compute_median_ring_elevations(scan, ring);
         // Uses the scan with the most rings, because every beam has returns in this scan.
         if (elevations.size() > elevation_rad_.size() && are_rings_separated(scan, ring, elevations))
             elevation_rad_ = std::move(elevations);
     }
 }
 
-void FileOrder::assign_ring_numbers(Points& points) const {
+void RingOrderDetector::assign_ring_numbers(LidarPoints& points) const {
     points.ring.clear();
     if (points.size() == 0) return;
-    points.ring = compute_turn_numbers(unwrap_azimuths_of_points(points, turning_), first_azimuth_rad_);
-    const std::vector<double> elevations = compute_ring_elevations(points, points.ring);
+    points.ring = compute_revolution_numbers(unwrap_point_azimuths(points, turning_), first_azimuth_rad_);
+    const std::vector<double> elevations = compute_median_ring_elevations(points, points.ring);
     if (elevations.size() == n_rings()) return;
     std::vector<std::uint16_t> nearest;
     for (const double elevation : elevations) {

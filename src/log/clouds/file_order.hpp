@@ -13,19 +13,19 @@
 namespace relidar::folder {
 
 /// Detects ring numbers from the order in which the files of a LiDAR store the points.
-class FileOrder {
+class RingOrderDetector {
 public:
     /// Tests whether the files store their points one ring after another.
     /// @param scans  some scans of the LiDAR
-    explicit FileOrder(const std::vector<Points>& scans);
+    explicit RingOrderDetector(const std::vector<LidarPoints>& scans);
     /// Returns true if the files store points one ring after another, with at least 4
     /// rings.
-    bool has_ring_numbers() const { return !elevation_rad_.empty(); }
+    bool is_stored_ring_by_ring() const { return !elevation_rad_.empty(); }
     std::size_t n_rings() const { return elevation_rad_.size(); }
     /// Sets the ring of each point. Ring 0 is the first ring in the files. If rings are
     /// missing in a scan, each of its rings gets the number of the ring with the nearest
     /// elevation.
-    void assign_ring_numbers(Points& points) const;
+    void assign_ring_numbers(LidarPoints& points) const;
 
 private:
     double first_azimuth_rad_ = 0.0;     ///< azimuth at which each ring begins

@@ -23,7 +23,7 @@ constexpr double kLeastStep_rad = 2e-4;  // minimum azimuth step between two fir
 constexpr double kLargestStep_rad = 0.2;
 // Numbers of columns that differ from the first estimate by at most this share are
 // tested.
-constexpr double kTried = 0.03;
+constexpr double kColumnSearchMargin = 0.03;
 // The azimuths are on a regular grid if |S_r|, summed over the rings and divided by the
 // number of points, is above this value.
 constexpr double kCoherent = 0.5;
@@ -35,21 +35,21 @@ constexpr std::size_t kMostRings = 4096;
 
 double compute_azimuth(const glm::vec3& point) { return std::atan2(double(point.y), double(point.x)); }
 
-double interpolate_quantile(std::vector<double>& values, double share) {
-    const auto at = values.begin() + std::ptrdiff_t(share * double(values.size() - 1));
+double select_quantile(std::vector<double>& values, double fraction) {
+    const auto at = values.begin() + std::ptrdiff_t(fraction * double(values.size() - 1));
     std::nth_element(values.begin(), at, values.end());
     return *at;
 }
 
 /// Points of one ring, without second returns: their indices and azimuths.
-struct Ring {
+struct RingPoints {
     std::vector<std::size_t> point;
     std::vector<double> azimuth_rad;
 };
-using Rings = std::vector<Ring>;
+using RingPointLists = std::vector<RingPoints>;
 
-Rings group_points_by_ring(const Points& scan, std::size_t n_rings) {
-    Rings rings(n_rings);
+RingPointLists group_points_by_ring(const LidarPoints& scan, std::size_t n_rings) {
+    RingPointLists rings(n_rings);
     for (std::size_t i = 0; i < scan.size(); ++i) {
         if (!scan.return_number.empty() && scan.return_number[i] != 1) continue;
         rings[scan.ring[i]].point.push_back(i);
@@ -61,27 +61,28 @@ Rings group_points_by_ring(const Points& scan, std::size_t n_rings) {
 /// Returns the median elevation of each ring, or nothing for a ring without points. Uses
 /// only the farther half of the points. Near points are less accurate, because a beam
 /// does not start exactly at the sensor origin.
-std::vector<std::optional<double>> estimate_elevations(const std::vector<Points>& scans,
-                                                       std::size_t n_rings) {
-    struct Seen {
+std::vector<std::optional<double>> estimate_ring_elevations(const std::vector<LidarPoints>& scans,
+                                                            std::size_t n_rings) {
+    struct RangeElevation {
         double range_m, elevation_rad;
     };
-    std::vector<std::vector<Seen>> seen(n_rings);
-    for (const Points& scan : scans)
+    std::vector<std::vector<RangeElevation>> samples_by_ring(n_rings);
+    for (const LidarPoints& scan : scans)
         for (std::size_t i = 0; i < scan.size(); ++i) {
             const glm::dvec3 p(scan.position_m[i]);
-            seen[scan.ring[i]].push_back({glm::length(p), std::atan2(p.z, std::hypot(p.x, p.y))});
+            samples_by_ring[scan.ring[i]].push_back({glm::length(p), std::atan2(p.z, std::hypot(p.x, p.y))});
         }
     std::vector<std::optional<double>> elevations(n_rings);
     for (std::size_t r = 0; r < n_rings; ++r) {
-        if (seen[r].empty()) continue;
-        const auto half = seen[r].begin() + std::ptrdiff_t(seen[r].size() / 2);
-        std::nth_element(seen[r].begin(), half, seen[r].end(), [](const Seen& first, const Seen& second) {
-            return first.range_m < second.range_m;
-        });
+        if (samples_by_ring[r].empty()) continue;
+        const auto half = samples_by_ring[r].begin() + std::ptrdiff_t(samples_by_ring[r].size() / 2);
+        std::nth_element(samples_by_ring[r].begin(), half, samples_by_ring[r].end(),
+                         [](const RangeElevation& first, const RangeElevation& second) {
+                             return first.range_m < second.range_m;
+                         });
         std::vector<double> far;
-        for (auto s = half; s != seen[r].end(); ++s) far.push_back(s->elevation_rad);
-        elevations[r] = interpolate_quantile(far, 0.5);
+        for (auto s = half; s != samples_by_ring[r].end(); ++s) far.push_back(s->elevation_rad);
+        elevations[r] = select_quantile(far, 0.5);
     }
     return elevations;
 }
@@ -89,9 +90,9 @@ std::vector<std::optional<double>> estimate_elevations(const std::vector<Points>
 /// Estimates the number of columns per revolution from the azimuth steps between
 /// neighbouring points of a ring. Uses the lower quartile of the steps, because steps
 /// across dropped rays are longer.
-int estimate_column_count(const Points& scan, const Rings& rings) {
+int estimate_column_count(const LidarPoints& scan, const RingPointLists& rings) {
     std::vector<double> steps;
-    for (const Ring& ring : rings) {
+    for (const RingPoints& ring : rings) {
         std::vector<double> azimuths = ring.azimuth_rad;
         std::sort(azimuths.begin(), azimuths.end());
         for (std::size_t i = 1; i < azimuths.size(); ++i)
@@ -104,29 +105,30 @@ int estimate_column_count(const Points& scan, const Rings& rings) {
             fmt::format("cannot fit a spinning LiDAR to {} points in {} rings: only {} azimuth "
                         "steps between neighbouring points are usable, expected at least {}",
                         scan.size(), rings.size(), steps.size(), kFewestSteps));
-    return int(std::lround(2.0 * kPi / interpolate_quantile(steps, 0.25)));
+    return int(std::lround(2.0 * kPi / select_quantile(steps, 0.25)));
 }
 
 /// Returns S_r(N), the sum of exp(i N azimuth) over the points of ring r, for each ring.
 /// |S_r| is large if the azimuths are on a grid of N columns.
-std::vector<std::complex<double>> compute_column_phases(const Rings& rings, int columns) {
+std::vector<std::complex<double>> compute_azimuth_phase_sums(const RingPointLists& rings, int n_columns) {
     std::vector<std::complex<double>> sums;
-    for (const Ring& ring : rings) {
+    for (const RingPoints& ring : rings) {
         std::complex<double> sum = 0.0;
-        for (const double azimuth : ring.azimuth_rad) sum += std::polar(1.0, columns * azimuth);
+        for (const double azimuth : ring.azimuth_rad) sum += std::polar(1.0, n_columns * azimuth);
         sums.push_back(sum);
     }
     return sums;
 }
 
-/// Returns the sum of |S_r(N)| over all rings r, for `count` consecutive numbers of
-/// columns N, starting with `first`.
-std::vector<double> compute_phase_lengths(const Rings& rings, int first, std::size_t count) {
-    std::vector<double> lengths(count, 0.0);
-    for (const Ring& ring : rings) {
+/// Returns the sum of |S_r(N)| over all rings r, for `n_column_counts` consecutive
+/// numbers of columns N, starting with `first_column_count`.
+std::vector<double> compute_phase_coherences(const RingPointLists& rings, int first_column_count,
+                                             std::size_t n_column_counts) {
+    std::vector<double> lengths(n_column_counts, 0.0);
+    for (const RingPoints& ring : rings) {
         std::vector<std::complex<double>> turned, step;
         for (const double azimuth : ring.azimuth_rad) {
-            turned.push_back(std::polar(1.0, first * azimuth));
+            turned.push_back(std::polar(1.0, first_column_count * azimuth));
             step.push_back(std::polar(1.0, azimuth));
         }
         for (double& length : lengths) {
@@ -141,30 +143,30 @@ std::vector<double> compute_phase_lengths(const Rings& rings, int first, std::si
     return lengths;
 }
 
-struct Lattice {
+struct FiringColumnGrid {
     int columns = 0;
     /// [rings] azimuth offset of each ring, at most half an azimuth step
     std::vector<double> offset_rad;
 };
 
-Lattice find_lattice(const Points& scan, const Rings& rings) {
-    Lattice lattice{estimate_column_count(scan, rings), std::vector<double>(rings.size(), 0.0)};
-    const int reach = std::max(1, int(kTried * lattice.columns)),
+FiringColumnGrid estimate_azimuth_grid(const LidarPoints& scan, const RingPointLists& rings) {
+    FiringColumnGrid lattice{estimate_column_count(scan, rings), std::vector<double>(rings.size(), 0.0)};
+    const int reach = std::max(1, int(kColumnSearchMargin * lattice.columns)),
               first = std::max(1, lattice.columns - reach);
     const std::vector<double> lengths =
-        compute_phase_lengths(rings, first, std::size_t(lattice.columns + reach + 1 - first));
+        compute_phase_coherences(rings, first, std::size_t(lattice.columns + reach + 1 - first));
     const auto best = std::ranges::max_element(lengths);
     if (*best <= kCoherent * double(scan.size())) {
         // A ring has at most one first return per column. Therefore the fullest ring
         // gives the number of columns.
         std::size_t most = 0;
-        for (const Ring& ring : rings) most = std::max(most, ring.point.size());
+        for (const RingPoints& ring : rings) most = std::max(most, ring.point.size());
         lattice.columns = std::clamp(int(std::min<std::size_t>(most, kMaxRays)), lattice.columns,
                                      int(kMostColumns * lattice.columns));
         return lattice;
     }
     lattice.columns = first + int(best - lengths.begin());
-    const std::vector<std::complex<double>> sums = compute_column_phases(rings, lattice.columns);
+    const std::vector<std::complex<double>> sums = compute_azimuth_phase_sums(rings, lattice.columns);
     const std::complex<double> common = std::accumulate(sums.begin(), sums.end(), std::complex<double>(0.0));
     for (std::size_t r = 0; r < rings.size(); ++r)
         lattice.offset_rad[r] =
@@ -174,10 +176,10 @@ Lattice find_lattice(const Points& scan, const Rings& rings) {
 
 /// Estimates the rotation rate of the LiDAR's head in radians per second, positive if
 /// counterclockwise. Returns nothing if the points have no times.
-std::optional<double> estimate_turning_rate(const Points& scan, const Rings& rings) {
+std::optional<double> estimate_rotation_rate(const LidarPoints& scan, const RingPointLists& rings) {
     if (scan.time_offset_s.empty()) return std::nullopt;
     double turned = 0.0, passed_s = 0.0;
-    for (const Ring& ring : rings) {
+    for (const RingPoints& ring : rings) {
         const auto time_of = [&](std::size_t index) { return scan.time_offset_s[ring.point[index]]; };
         std::vector<std::size_t> order(ring.point.size());
         std::iota(order.begin(), order.end(), std::size_t(0));
@@ -197,10 +199,10 @@ std::optional<double> estimate_turning_rate(const Points& scan, const Rings& rin
 
 }  // namespace
 
-FittedSensor fit_sensor(const std::vector<Points>& scans, double period_s) {
+FittedSensor fit_sensor(const std::vector<LidarPoints>& scans, double period_s) {
     std::size_t n_rings = 0;
-    const Points* fullest = nullptr;
-    for (const Points& scan : scans) {
+    const LidarPoints* fullest = nullptr;
+    for (const LidarPoints& scan : scans) {
         if (scan.ring.size() != scan.size())
             throw UsageError(
                 fmt::format("cannot fit a spinning LiDAR: found {} ring numbers for {} points, expected "
@@ -218,9 +220,9 @@ FittedSensor fit_sensor(const std::vector<Points>& scans, double period_s) {
             fmt::format("cannot fit a spinning LiDAR: a point has ring {}, expected a number "
                         "below {}",
                         n_rings - 1, kMostRings));
-    const Rings rings = group_points_by_ring(*fullest, n_rings);
-    const Lattice lattice = find_lattice(*fullest, rings);
-    const std::vector<std::optional<double>> elevations = estimate_elevations(scans, n_rings);
+    const RingPointLists rings = group_points_by_ring(*fullest, n_rings);
+    const FiringColumnGrid lattice = estimate_azimuth_grid(*fullest, rings);
+    const std::vector<std::optional<double>> elevations = estimate_ring_elevations(scans, n_rings);
 
     std::vector<std::size_t> order;  // ring numbers, sorted from the highest to the lowest ring
     for (std::size_t r = 0; r < n_rings; ++r)
@@ -235,7 +237,7 @@ FittedSensor fit_sensor(const std::vector<Points>& scans, double period_s) {
         sensor.beams.push_back(
             {.elevation_rad = *elevations[r], .azimuth_offset_rad = lattice.offset_rad[r]});
     }
-    const std::optional<double> rate = estimate_turning_rate(*fullest, rings);
+    const std::optional<double> rate = estimate_rotation_rate(*fullest, rings);
     sensor.columns = lattice.columns;
     sensor.first_azimuth_rad = kPi - kPi / lattice.columns;
     sensor.period_s = rate ? 2.0 * kPi / std::abs(*rate) : period_s;

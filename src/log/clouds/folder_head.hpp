@@ -24,7 +24,7 @@ inline constexpr int kVersion = 1;
 inline constexpr std::size_t kLongestName = 200, kLongestText = 10000, kLongestPath = 255;
 
 /// Units and meaning of the point values in scan files.
-struct PointUnits {
+struct PointFileUnits {
     /// Names of the columns in .bin and .npy files. Empty means x y z intensity.
     std::vector<std::string> columns;
     /// File value of the intensity 1. If not set, intensities are not scaled, and values
@@ -44,7 +44,7 @@ struct PointUnits {
 };
 
 /// A LiDAR that sequence.json describes.
-struct HeadLidar {
+struct SequenceHeaderLidar {
     Lidar lidar;
     bool has_beams = false;  ///< true if the beams are known, from a list or from the name of the sensor
     bool spins = true;       ///< true if the LiDAR rotates; unknown beams can then be estimated from points
@@ -54,31 +54,31 @@ struct HeadLidar {
     bool lowest_first = false;  ///< true if ring 0 of the scan files is the lowest beam
     /// Duration of a sweep in seconds, for points without times. 0: uses the time between
     /// frames.
-    double turn_s = 0.0;
+    double sweep_duration_s = 0.0;
     std::string scans;  ///< folder with the scan files; used if sequence.json does not list frames
 };
 
-struct HeadFrame {
+struct SequenceHeaderFrame {
     int number = 0;
     double time_s = 0.0;
     int lidar = 0;
     std::filesystem::path scan;
 };
 
-struct Head {
+struct SequenceHeader {
     std::string name, conventions;
     std::vector<std::string> notes;
-    std::vector<HeadLidar> lidars;
-    std::vector<HeadFrame> frames;  ///< all frames of the log, sorted by time and LiDAR
+    std::vector<SequenceHeaderLidar> lidars;
+    std::vector<SequenceHeaderFrame> frames;  ///< all frames of the log, sorted by time and LiDAR
     bool motion_compensated = false;
-    PointUnits units;
+    PointFileUnits units;
     std::optional<glm::dvec3> world_offset_m;
 };
 
 /// Reads sequence.json, which describes a log in a plain folder. If the file does not
 /// list the scans, lists the files in the scan folders.
-/// @param max_range_m  maximum range of sensors for which the file contains none
-Head read_head(const std::filesystem::path& folder, double max_range_m);
+/// @param default_max_range_m  maximum range of sensors for which the file contains none
+SequenceHeader read_log_description(const std::filesystem::path& log_folder, double default_max_range_m);
 
 /// Reads the vehicle pose of each frame. Returns nothing if the file does not exist. The
 /// file has one of these formats:
@@ -87,24 +87,27 @@ Head read_head(const std::filesystem::path& folder, double max_range_m);
 /// - 7 numbers per line: time_s x y z roll pitch yaw
 ///
 /// Poses with times are interpolated at the times of the frames. If the vehicle then does
-/// not drive forward, tests other meanings of the numbers (see choose_pose_reading()).
-/// @param read_pairs  reads pairs of scans that confirm a meaning; may be null
-std::optional<std::vector<Pose>> read_poses(const std::filesystem::path& file,
-                                            const std::vector<HeadFrame>& frames, const ReadPairs& read_pairs,
-                                            std::vector<std::string>& notes);
+/// not drive forward, tests other meanings of the numbers (see
+/// choose_pose_interpretation()).
+/// @param read_scan_pairs  reads pairs of scans that confirm a meaning; may be null
+std::optional<std::vector<Pose>> read_frame_poses(const std::filesystem::path& pose_file,
+                                                  const std::vector<SequenceHeaderFrame>& frames,
+                                                  const OverlapScanPairReader& read_scan_pairs,
+                                                  std::vector<std::string>& notes);
 
 /// Reads labelled boxes from boxes.json. Returns no boxes if the file does not exist.
 /// Ignores labels outside the time of the loaded frames.
-/// @param frames  loaded frames
+/// @param loaded_frames  loaded frames
 /// @param all_frames  all frames of the log, because labels can refer to frames by number
-std::vector<BoxTrack> read_boxes(const std::filesystem::path& file, const std::vector<HeadFrame>& frames,
-                                 const std::vector<HeadFrame>& all_frames);
+std::vector<BoxTrack> read_box_tracks(const std::filesystem::path& box_file,
+                                      const std::vector<SequenceHeaderFrame>& loaded_frames,
+                                      const std::vector<SequenceHeaderFrame>& all_frames);
 
 /// Reads the scans of all frames, which must already have poses. Estimates unknown beams
 /// from the points. Undoes motion compensation only if the log has poses
 /// (options.poses_file is not kNoPoses).
-/// @param files  [frames] scan file of each frame
-void read_scans(Sequence& sequence, const Head& head, const std::vector<std::filesystem::path>& files,
-                const DatasetOptions& options);
+/// @param scan_files  [frames] scan file of each frame
+void read_scans(LidarSequence& sequence, const SequenceHeader& head,
+                const std::vector<std::filesystem::path>& scan_files, const DatasetOptions& options);
 
 }  // namespace relidar::folder

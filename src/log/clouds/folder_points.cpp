@@ -26,21 +26,23 @@ constexpr float kOneRay = 1e-6f;
 
 /// Returns true if a return is the strongest of its ray. The argument is Nebula's
 /// ReturnType: 3 strongest, 6 identical, 9 and 10 strongest and first or last.
-bool is_strongest(double type) { return type == 3.0 || type == 6.0 || type == 9.0 || type == 10.0; }
+bool is_strongest_return_type(double return_type) {
+    return return_type == 3.0 || return_type == 6.0 || return_type == 9.0 || return_type == 10.0;
+}
 
 /// Returns true if the values of a field are the distances of the points from the sensor,
 /// in any unit. A field with a similar name can contain something else, such as the
 /// distance from a plane.
-/// @param marked  points whose value is no range
-bool are_ranges(const FieldValues& ranges, const std::vector<glm::vec3>& points,
-                const std::vector<char>& marked) {
+/// @param is_no_return  points whose value is no range
+bool are_ranges_consistent(const PointFieldView& ranges, const std::vector<glm::vec3>& points,
+                           const std::vector<char>& is_no_return) {
     constexpr std::size_t kMostCompared = 2000;
     constexpr double kTolerance = 0.05, kFewest = 0.9;
     std::vector<double> ratios;
     const std::size_t step = std::max<std::size_t>(1, points.size() / kMostCompared);
     for (std::size_t i = 0; i < points.size(); i += step)
         if (const double distance_m = glm::length(glm::dvec3(points[i]));
-            !marked[i] && std::isfinite(distance_m) && distance_m > 0.0)
+            !is_no_return[i] && std::isfinite(distance_m) && distance_m > 0.0)
             ratios.push_back(ranges[i] / distance_m);
     if (ratios.empty()) return false;
     const double unit = compute_median(ratios);
@@ -52,69 +54,74 @@ bool are_ranges(const FieldValues& ranges, const std::vector<glm::vec3>& points,
 /// Returns for each point whether its field `range` says that the ray has no return.
 /// Returns an empty array if the field does not exist or contains no ranges.
 std::vector<char> flag_no_return_points(const PointTable& table, const std::vector<glm::vec3>& points) {
-    const FieldValues* ranges = table.find(PointValue::range);
+    const PointFieldView* ranges = table.find_field(PointAttribute::range);
     std::vector<char> marked;
     if (!ranges) return marked;
     marked.resize(table.n);
-    ranges->visit([&](const auto& range_at) {
-        for (std::size_t i = 0; i < table.n; ++i) marked[i] = !is_return_range(double(range_at(i)));
+    ranges->visit_with_value_reader([&](const auto& range_at) {
+        for (std::size_t i = 0; i < table.n; ++i) marked[i] = !is_valid_return_range(double(range_at(i)));
     });
-    if (!are_ranges(*ranges, points, marked)) marked.clear();
+    if (!are_ranges_consistent(*ranges, points, marked)) marked.clear();
     return marked;
 }
 
 /// Returns the indices and positions of all points that are returns, not dropped rays.
-std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> find_returns(
-    const PointTable& table, const std::array<const FieldValues*, 3>& xyz, const PointUnits& units) {
+std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> select_return_points(
+    const PointTable& table, const std::array<const PointFieldView*, 3>& xyz_fields,
+    const PointFileUnits& units) {
     std::vector<glm::vec3> all(table.n);
     for (int axis = 0; axis < 3; ++axis)
-        xyz[std::size_t(axis)]->visit([&](const auto& value_at) {
+        xyz_fields[std::size_t(axis)]->visit_with_value_reader([&](const auto& value_at) {
             for (std::size_t i = 0; i < table.n; ++i) all[i][axis] = float(value_at(i));
         });
     const std::vector<char> marked = flag_no_return_points(table, all);
     std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> returns;
     returns.first.reserve(table.n);
     for (std::size_t i = 0; i < table.n; ++i)
-        if (is_return(all[i]) && all[i] != units.no_return && (marked.empty() || !marked[i]))
+        if (is_valid_return_point(all[i]) && all[i] != units.no_return && (marked.empty() || !marked[i]))
             returns.first.push_back(std::uint32_t(i));
     for (const std::uint32_t i : returns.first) returns.second.push_back(all[i]);
     return returns;
 }
 
 /// Converts values of a point file to the units of a scan, for selected points.
-struct Conversion {
-    std::vector<std::uint32_t> kept;
+struct PointFieldConverter {
+    std::vector<std::uint32_t> selected_indices;
     const std::string& where;
 
-    /// Converts a field: calls set(k, of_value(value)) for the k-th selected point.
-    /// @throws DataError of of_value, with the number of the point added to the message
+    /// Converts a field: calls set(k, convert_value(value)) for the k-th selected point.
+    /// @throws DataError of convert_value, with the number of the point added to the
+    /// message
     template <class OfValue, class Set>
-    void convert_each(const FieldValues& field, const OfValue& of_value, const Set& set) const {
-        field.visit([&](const auto& value_at) {
+    void convert_each_value(const PointFieldView& field, const OfValue& convert_value,
+                            const Set& store_value) const {
+        field.visit_with_value_reader([&](const auto& value_at) {
             std::size_t k = 0;
             try {
-                for (; k < kept.size(); ++k) set(k, of_value(double(value_at(kept[k]))));
+                for (; k < selected_indices.size(); ++k)
+                    store_value(k, convert_value(double(value_at(selected_indices[k]))));
             } catch (const DataError& error) {
-                throw DataError(fmt::format("{}: point {}{}", where, kept[k], error.what()));
+                throw DataError(fmt::format("{}: point {}{}", where, selected_indices[k], error.what()));
             }
         });
     }
     /// Fills an array with the converted values of the selected points. Does nothing if
     /// the field does not exist.
     template <class T, class OfValue>
-    void to(std::vector<T>& values, const FieldValues* field, const OfValue& of_value) const {
+    void convert_field_into(std::vector<T>& values, const PointFieldView* field,
+                            const OfValue& convert_value) const {
         if (!field) return;
-        values.resize(kept.size());
-        convert_each(*field, of_value, [&](std::size_t index, T value) { values[index] = value; });
+        values.resize(selected_indices.size());
+        convert_each_value(*field, convert_value, [&](std::size_t index, T value) { values[index] = value; });
     }
 };
 
 /// Returns the number that a file uses for first returns: 1 if the file counts from 1,
 /// otherwise 0. Every file has first returns, so this is the smallest number.
-double find_first_return_number(const FieldValues& number, std::size_t count) {
-    double least = number[0];
-    number.visit([&](const auto& number_at) {
-        for (std::size_t i = 1; i < count; ++i)
+double find_first_return_number(const PointFieldView& return_numbers, std::size_t n_points) {
+    double least = return_numbers[0];
+    return_numbers.visit_with_value_reader([&](const auto& number_at) {
+        for (std::size_t i = 1; i < n_points; ++i)
             if (const auto value = double(number_at(i)); value < least) least = value;
     });
     return least == 1.0 ? 1.0 : 0.0;
@@ -131,8 +138,8 @@ void reorder_values(std::vector<T>& values, const std::vector<std::size_t>& orde
 
 /// Sets the return number of each point. Points with the same ring, time and direction
 /// are returns of one ray. The strongest of them becomes the first return.
-/// @param type  [points] return type of each point
-void number_returns(Points& points, const std::vector<double>& type) {
+/// @param return_types  [points] return type of each point
+void assign_return_numbers(LidarPoints& points, const std::vector<double>& return_types) {
     const std::size_t n = points.size();
     std::vector<std::size_t> order(n);
     std::iota(order.begin(), order.end(), std::size_t(0));
@@ -140,7 +147,7 @@ void number_returns(Points& points, const std::vector<double>& type) {
         return std::pair(points.ring[index], points.time_offset_s[index]);
     };
     const auto strength = [&](std::size_t index) {
-        return std::pair(is_strongest(type[index]), points.intensity[index]);
+        return std::pair(is_strongest_return_type(return_types[index]), points.intensity[index]);
     };
     std::stable_sort(order.begin(), order.end(), [&](std::size_t first, std::size_t second) {
         return ray(first) != ray(second) ? ray(first) < ray(second) : strength(first) > strength(second);
@@ -160,53 +167,57 @@ void number_returns(Points& points, const std::vector<double>& type) {
     reorder_values(points.return_number, order);
 }
 
-std::uint8_t convert_return_number(double number, const std::string& location) {
-    if (!(number >= 0.0 && number < 8.0))
+std::uint8_t convert_return_number(double file_value, const std::string& error_location) {
+    if (!(file_value >= 0.0 && file_value < 8.0))
         throw DataError(fmt::format("{}: the return number is {}, expected 0 (the strongest return) to 7",
-                                    location, number));
-    return std::uint8_t(number);
+                                    error_location, file_value));
+    return std::uint8_t(file_value);
 }
 
 }  // namespace
 
-Points make_points(const PointTable& table, const PointUnits& units, double time_s,
-                   const std::string& location) {
-    const auto *x = table.find(PointValue::x), *y = table.find(PointValue::y), *z = table.find(PointValue::z);
+LidarPoints convert_table_to_points(const PointTable& table, const PointFileUnits& units, double frame_time_s,
+                                    const std::string& error_location) {
+    const auto *x = table.find_field(PointAttribute::x), *y = table.find_field(PointAttribute::y),
+               *z = table.find_field(PointAttribute::z);
     if (!x || !y || !z)
-        throw DataError(fmt::format("{}: the field {} is missing, expected x, y and z", location,
+        throw DataError(fmt::format("{}: the field {} is missing, expected x, y and z", error_location,
                                     !x   ? "x"
                                     : !y ? "y"
                                          : "z"));
-    Points points;
-    Conversion convert{{}, location};
-    std::tie(convert.kept, points.position_m) = find_returns(table, {x, y, z}, units);
-    for (std::size_t k = 0; k < convert.kept.size(); ++k) {
+    LidarPoints points;
+    PointFieldConverter convert{{}, error_location};
+    std::tie(convert.selected_indices, points.position_m) = select_return_points(table, {x, y, z}, units);
+    for (std::size_t k = 0; k < convert.selected_indices.size(); ++k) {
         const glm::vec3 p = glm::abs(points.position_m[k]);
         if (std::max({p.x, p.y, p.z}) <= kFarthestCoordinate_m) continue;
-        const std::size_t i = convert.kept[k];
+        const std::size_t i = convert.selected_indices[k];
         throw DataError(fmt::format("{}: point {} is ({}, {}, {}), expected coordinates of at most {} m",
-                                    location, i, (*x)[i], (*y)[i], (*z)[i], kFarthestCoordinate_m));
+                                    error_location, i, (*x)[i], (*y)[i], (*z)[i], kFarthestCoordinate_m));
     }
     const std::string of_point;  // Conversion adds the point's number
-    const auto* intensity = table.find(units.intensity_field);
-    if (!intensity) intensity = table.find(PointValue::intensity);
-    if (!intensity) points.intensity.assign(convert.kept.size(), 0.0f);
-    convert.to(points.intensity, intensity,
-               [&](double value) { return convert_intensity(value, units, of_point); });
-    convert.to(points.ring, table.find(PointValue::ring),
-               [&](double value) { return convert_ring_number(value, of_point); });
-    convert.to(points.time_offset_s, table.find(PointValue::time),
-               [&](double value) { return convert_time_offset(value, units, time_s, of_point); });
-    const auto *number = table.find(PointValue::return_number), *type = table.find(PointValue::return_type);
+    const auto* intensity = table.find_field(units.intensity_field);
+    if (!intensity) intensity = table.find_field(PointAttribute::intensity);
+    if (!intensity) points.intensity.assign(convert.selected_indices.size(), 0.0f);
+    convert.convert_field_into(points.intensity, intensity, [&](double value) {
+        return normalise_file_intensity(value, units, of_point);
+    });
+    convert.convert_field_into(points.ring, table.find_field(PointAttribute::ring),
+                               [&](double value) { return convert_ring_number(value, of_point); });
+    convert.convert_field_into(
+        points.time_offset_s, table.find_field(PointAttribute::time),
+        [&](double value) { return convert_time_offset(value, units, frame_time_s, of_point); });
+    const auto *number = table.find_field(PointAttribute::return_number),
+               *type = table.find_field(PointAttribute::return_type);
     if (number) {
         const double first = find_first_return_number(*number, table.n);
-        convert.to(points.return_number, number, [&](double value) {
+        convert.convert_field_into(points.return_number, number, [&](double value) {
             return std::uint8_t(1 + convert_return_number(value - first, of_point));
         });
     } else if (type && !points.ring.empty() && !points.time_offset_s.empty()) {
         std::vector<double> types;
-        convert.to(types, type, [](double value) { return value; });
-        number_returns(points, types);
+        convert.convert_field_into(types, type, [](double value) { return value; });
+        assign_return_numbers(points, types);
     }
     return points;
 }

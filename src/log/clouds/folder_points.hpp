@@ -13,31 +13,32 @@
 namespace relidar::folder {
 
 /// Converts a table of points to relidar's units. Finds the meaning of each field by its
-/// name (see find_value_of_field()). If the table has Nebula's field return_type, points
+/// name (see find_field_meaning()). If the table has Nebula's field return_type, points
 /// with the same ring, time and direction become returns of one ray. Omits rays without a
-/// return: points that is_return() rejects, and points at the position units.no_return.
-/// @param time_s  time that is subtracted from absolute point times
+/// return: points that is_valid_return_point() rejects, and points at the position
+/// units.no_return.
+/// @param frame_time_s  time that is subtracted from absolute point times
 /// @throws DataError with the number of the invalid point
-Points make_points(const PointTable& table, const PointUnits& units, double time_s,
-                   const std::string& location);
+LidarPoints convert_table_to_points(const PointTable& table, const PointFileUnits& units, double frame_time_s,
+                                    const std::string& error_location);
 
 /// Provides the scan of each frame, from files of a folder or from messages of a bag.
 /// Several threads can call the functions at the same time.
-class ScanSource {
+class ScanProvider {
 public:
-    virtual ~ScanSource() = default;
-    virtual std::string name(std::size_t frame) const = 0;  ///< name for error messages
+    virtual ~ScanProvider() = default;
+    virtual std::string get_frame_name(std::size_t frame_index) const = 0;  ///< name for error messages
     /// Returns true if the scan of the frame is stored as points, false if it is stored
     /// as rays.
-    virtual bool has_points(std::size_t frame) const = 0;
-    virtual Points points(std::size_t frame) const = 0;
-    virtual Scan rays(std::size_t frame) const = 0;
+    virtual bool is_stored_as_points(std::size_t frame_index) const = 0;
+    virtual LidarPoints read_points_of_frame(std::size_t frame_index) const = 0;
+    virtual Scan read_rays_of_frame(std::size_t frame_index) const = 0;
 };
 
 /// Reads the scans of all frames, which must already have poses. Estimates unknown beams
 /// from the points. Undoes motion compensation only if the log has poses
 /// (options.poses_file is not kNoPoses).
-void read_scans(Sequence& sequence, const Head& head, const ScanSource& source,
+void read_scans(LidarSequence& sequence, const SequenceHeader& head, const ScanProvider& source,
                 const DatasetOptions& options);
 
 }  // namespace relidar::folder

@@ -12,7 +12,8 @@
 
 namespace relidar {
 
-Pose make_rigid_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const std::string& location) {
+Pose make_rigid_pose(const glm::dmat3& rotation, const glm::dvec3& translation,
+                     const std::string& error_location) {
     const glm::dmat3 excess = glm::transpose(rotation) * rotation - glm::dmat3(1.0);
     double worst = 0.0;
     for (int c = 0; c < 3; ++c) {
@@ -22,37 +23,38 @@ Pose make_rigid_pose(const glm::dmat3& rotation, const glm::dvec3& translation, 
         throw DataError(fmt::format(
             "{}: the 3x3 block is not a rotation: R^T R differs from the identity by {:.3g} and the "
             "determinant is {:.3g}, expected an orthonormal matrix within 0.001",
-            location, worst, glm::determinant(rotation)));
+            error_location, worst, glm::determinant(rotation)));
     }
     return {glm::normalize(glm::quat_cast(rotation)), translation};
 }
 
-Frame& add_frame(Sequence& sequence, int index, double time_s, const Pose& world_from_vehicle, int lidar) {
+LidarFrame& add_frame(LidarSequence& sequence, int frame_number, double time_s,
+                      const Pose& world_from_vehicle, int lidar_index) {
     PoseTrack& track = sequence.world_from_vehicle;
     if (track.time_s.empty() || track.time_s.back() != time_s) {
         track.time_s.push_back(time_s);
         track.pose.push_back(world_from_vehicle);
     }
-    return sequence.frames.emplace_back(Frame{index, time_s, {}, lidar});
+    return sequence.frames.emplace_back(LidarFrame{frame_number, time_s, {}, lidar_index});
 }
 
-void recentre_sequence(Sequence& sequence) {
+void recentre_sequence(LidarSequence& sequence) {
     const std::vector<Pose>& poses = sequence.world_from_vehicle.pose;
     if (!poses.empty()) recentre_sequence(sequence, poses[poses.size() / 2].translation);
 }
 
-void recentre_sequence(Sequence& sequence, glm::dvec3 origin_m) {
-    sequence.world_offset_m += origin_m;
-    for (Pose& pose : sequence.world_from_vehicle.pose) pose.translation -= origin_m;
+void recentre_sequence(LidarSequence& sequence, glm::dvec3 new_origin_m) {
+    sequence.world_offset_m += new_origin_m;
+    for (Pose& pose : sequence.world_from_vehicle.pose) pose.translation -= new_origin_m;
     for (BoxTrack& box : sequence.boxes)
-        for (Pose& pose : box.world_from_box.pose) pose.translation -= origin_m;
+        for (Pose& pose : box.world_from_box.pose) pose.translation -= new_origin_m;
 }
 
 std::vector<BoxTrack> build_tracks(const std::vector<BoxLabel>& labels) {
     std::vector<BoxTrack> tracks;
-    std::unordered_map<std::string, std::size_t> place;
+    std::unordered_map<std::string, std::size_t> track_index_of_id;
     for (const BoxLabel& label : labels) {
-        const auto [known, is_new] = place.try_emplace(label.id, tracks.size());
+        const auto [known, is_new] = track_index_of_id.try_emplace(label.id, tracks.size());
         if (is_new) tracks.push_back({label.id, label.category, label.size_m, {}});
         PoseTrack& track = tracks[known->second].world_from_box;
         track.time_s.push_back(label.time_s);

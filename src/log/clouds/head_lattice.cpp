@@ -10,33 +10,34 @@
 
 namespace relidar {
 
-double HeadLattice::tick_rad() const { return 2.0 * kPi / n_ticks; }
+double EncoderTickGrid::compute_tick_step_rad() const { return 2.0 * kPi / n_ticks; }
 
-int HeadLattice::tick(double head_azimuth_rad) const {
-    const long t = std::lround((head_azimuth_rad - zero_rad) / tick_rad()) % n_ticks;
+int EncoderTickGrid::find_nearest_tick(double head_azimuth_rad) const {
+    const long t = std::lround((head_azimuth_rad - zero_rad) / compute_tick_step_rad()) % n_ticks;
     return static_cast<int>(t < 0 ? t + n_ticks : t);
 }
 
-double HeadLattice::compute_azimuth(int tick) const {
-    return std::remainder(zero_rad + tick * tick_rad(), 2.0 * kPi);
+double EncoderTickGrid::compute_tick_azimuth_rad(int tick) const {
+    return std::remainder(zero_rad + tick * compute_tick_step_rad(), 2.0 * kPi);
 }
 
-Sweep make_uniform_sweep(const Points& points, const SpinningSensor& sensor) {
-    Sweep sweep{{sensor.columns, 0.0}, {}};
-    const std::vector<BeamGeometry> beams = make_beam_geometries(sensor.beams);
-    const BeamGeometry ideal((Beam()));
+SweepFirings fit_uniform_sweep(const LidarPoints& points, const SpinningSensor& sensor) {
+    SweepFirings sweep{{sensor.columns, 0.0}, {}};
+    const std::vector<BeamRayGenerator> beams = make_beam_geometries(sensor.beams);
+    const BeamRayGenerator ideal((Beam()));
     // The phase of this sum is the mean offset of the head azimuths from a grid at
     // azimuth 0.
     std::complex<double> sum = 0.0;
     for (std::size_t i = 0; i < points.size(); ++i) {
-        const BeamGeometry& beam = points.ring[i] < beams.size() ? beams[points.ring[i]] : ideal;
+        const BeamRayGenerator& beam = points.ring[i] < beams.size() ? beams[points.ring[i]] : ideal;
         sum += std::polar(1.0, sensor.columns * beam.compute_head_azimuth(glm::dvec3(points.position_m[i])));
     }
     sweep.lattice.zero_rad = std::arg(sum) / sensor.columns;
     // Lists the grid steps of one revolution in clockwise order, starting near the
     // azimuth +pi.
-    int last = sweep.lattice.tick(kPi);
-    if (sweep.lattice.compute_azimuth(last) < 0.0) last = (last + sensor.columns - 1) % sensor.columns;
+    int last = sweep.lattice.find_nearest_tick(kPi);
+    if (sweep.lattice.compute_tick_azimuth_rad(last) < 0.0)
+        last = (last + sensor.columns - 1) % sensor.columns;
     for (int i = 0; i < sensor.columns; ++i)
         sweep.firings.push_back((last - i + sensor.columns) % sensor.columns);
     return sweep;

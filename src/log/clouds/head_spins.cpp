@@ -26,7 +26,7 @@ double compute_elevation(const glm::vec3& point) {
 }
 
 /// Returns the spread of the elevations within a ring, as the median over all rings.
-double compute_ring_spread(const Points& scan) {
+double compute_ring_elevation_spread(const LidarPoints& scan) {
     std::vector<std::vector<std::pair<float, double>>> rings;  // range and elevation
     for (std::size_t i = 0; i < scan.size(); ++i) {
         if (scan.ring[i] >= rings.size()) rings.resize(std::size_t(scan.ring[i]) + 1);
@@ -48,18 +48,18 @@ double compute_ring_spread(const Points& scan) {
 }
 
 /// Returns the widest azimuth range in which no scan has a point.
-double compute_widest_gap(const std::vector<Points>& scans) {
+double compute_widest_azimuth_gap(const std::vector<LidarPoints>& scans) {
     constexpr std::size_t kBins = 360;
-    std::array<bool, kBins> seen{};
-    for (const Points& scan : scans)
+    std::array<bool, kBins> is_bin_occupied{};
+    for (const LidarPoints& scan : scans)
         for (const glm::vec3& p : scan.position_m)
-            seen[std::size_t((std::atan2(double(p.y), double(p.x)) / (2.0 * kPi) + 0.5) * kBins) % kBins] =
-                true;
+            is_bin_occupied[std::size_t((std::atan2(double(p.y), double(p.x)) / (2.0 * kPi) + 0.5) * kBins) %
+                            kBins] = true;
     std::size_t widest = 0, run = 0;
     // Visits the bins twice, because a gap without points may cross the end of the
     // circle.
     for (std::size_t b = 0; b < 2 * kBins; ++b) {
-        run = seen[b % kBins] ? 0 : run + 1;
+        run = is_bin_occupied[b % kBins] ? 0 : run + 1;
         widest = std::max(widest, std::min(run, kBins));
     }
     return 2.0 * kPi * double(widest) / double(kBins);
@@ -67,25 +67,25 @@ double compute_widest_gap(const std::vector<Points>& scans) {
 
 }  // namespace
 
-std::string explain_missing_head(const std::vector<Points>& scans, const SpinningSensor& fitted,
-                                 double step_s) {
-    const auto fullest = std::ranges::max_element(scans, {}, &Points::size);
+std::string explain_why_not_spinning(const std::vector<LidarPoints>& scans,
+                                     const SpinningSensor& fitted_sensor, double frame_interval_s) {
+    const auto fullest = std::ranges::max_element(scans, {}, &LidarPoints::size);
     if (fullest == scans.end()) return "";
-    if (const double spread = compute_ring_spread(*fullest); spread > kMostSpread_rad)
+    if (const double spread = compute_ring_elevation_spread(*fullest); spread > kMostSpread_rad)
         return fmt::format(
             "the points of one ring differ in elevation by {:.1f} degrees, probably because clouds of "
             "several LiDARs were merged",
             spread * 180.0 / kPi);
-    const double gap = compute_widest_gap(scans);
+    const double gap = compute_widest_azimuth_gap(scans);
     if (gap < kLeastGap_rad) return "";
     const std::string window =
         fmt::format("all points are within {:.0f} degrees of azimuth", 360.0 - gap * 180.0 / kPi);
     if (fullest->time_offset_s.empty()) return "";
-    if (std::abs(fitted.period_s - step_s) < kOtherPeriod * step_s) return "";
+    if (std::abs(fitted_sensor.period_s - frame_interval_s) < kOtherPeriod * frame_interval_s) return "";
     return fmt::format(
         "{}, and the times of the points give a turn of {:.3f} s, but scans are {:.3f} s "
         "apart",
-        window, fitted.period_s, step_s);
+        window, fitted_sensor.period_s, frame_interval_s);
 }
 
 }  // namespace relidar

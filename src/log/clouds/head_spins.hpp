@@ -15,9 +15,9 @@ namespace relidar {
 /// elevation. A sweep takes the time of a full revolution, even if the field of view is
 /// limited.
 /// @param scans  some scans, with rings
-/// @param fitted  sensor that was fitted to these scans
-/// @param step_s  time between scans in seconds
-std::string explain_missing_head(const std::vector<Points>& scans, const SpinningSensor& fitted,
-                                 double step_s);
+/// @param fitted_sensor  sensor that was fitted to these scans
+/// @param frame_interval_s  time between scans in seconds
+std::string explain_why_not_spinning(const std::vector<LidarPoints>& scans,
+                                     const SpinningSensor& fitted_sensor, double frame_interval_s);
 
 }  // namespace relidar

@@ -10,10 +10,11 @@
 
 namespace relidar {
 
-ChosenSequence choose_sequence(const DatasetOptions& options, std::span<const BenchmarkSequence> parts) {
-    const auto part = std::find_if(parts.begin(), parts.end(),
+RequestedDriveFrames resolve_benchmark_sequence(const DatasetOptions& options,
+                                                std::span<const BenchmarkSequence> benchmark_sequences) {
+    const auto part = std::find_if(benchmark_sequences.begin(), benchmark_sequences.end(),
                                    [&](const BenchmarkSequence& p) { return options.sequence == p.name; });
-    if (part == parts.end()) return {options.sequence, options.frames};
+    if (part == benchmark_sequences.end()) return {options.sequence, options.frames};
     const int begin = std::max(options.frames.begin, part->first);
     const int end = options.frames.end < 0 ? part->last + 1 : std::min(options.frames.end, part->last + 1);
     if (begin >= end)

@@ -37,7 +37,7 @@ inline constexpr BenchmarkSequence kWaymoBenchmark[] = {
 };
 
 /// Drive and frames that the user requested.
-struct ChosenSequence {
+struct RequestedDriveFrames {
     /// name of the drive (a recording of the dataset) that the user requested directly,
     /// or as part of a sequence of the paper
     std::string drive;
@@ -50,6 +50,7 @@ struct ChosenSequence {
 };
 /// Returns the drive (a recording of the dataset) and the frames that the user requested.
 /// @throws UsageError if the requested frames do not overlap the sequence of the paper
-ChosenSequence choose_sequence(const DatasetOptions& options, std::span<const BenchmarkSequence> parts);
+RequestedDriveFrames resolve_benchmark_sequence(const DatasetOptions& options,
+                                                std::span<const BenchmarkSequence> benchmark_sequences);
 
 }  // namespace relidar

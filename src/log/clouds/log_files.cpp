@@ -22,23 +22,23 @@ namespace {
 // the file has another number type or byte order.
 constexpr double kFarthestReturn_m = 1e4;
 
-std::vector<SurfaceClass> read_classes(const fs::path& file, std::size_t n_points) {
-    const std::string bytes = read_file(file);
+std::vector<SurfaceClass> read_semantic_kitti_classes(const fs::path& label_file, std::size_t n_points) {
+    const std::string bytes = read_file(label_file);
     if (bytes.size() != 4 * n_points)
         throw DataError(fmt::format("{} has {} bytes, expected 4 bytes for each of the {} points of the scan",
-                                    file.string(), bytes.size(), n_points));
+                                    label_file.string(), bytes.size(), n_points));
     std::vector<SurfaceClass> classes;
     for (std::size_t i = 0; i < n_points; ++i) {
         std::uint32_t label;
         std::memcpy(&label, bytes.data() + 4 * i, sizeof label);
-        classes.push_back(convert_semantic_kitti_class(int(label & 0xFFFFu)));
+        classes.push_back(convert_semantic_kitti_label(int(label & 0xFFFFu)));
     }
     return classes;
 }
 
 }  // namespace
 
-std::string describe_unknown_folder(const fs::path& folder, const std::string& marker) {
+std::string suggest_dataset_folder(const fs::path& folder, const std::string& expected_subfolder) {
     std::error_code failed;
     const auto has = [&](const char* name) { return fs::exists(folder / name, failed); };
     if ((has("velodyne") && (has("times.txt") || has("calib.txt"))) || has("sequences"))
@@ -46,7 +46,7 @@ std::string describe_unknown_folder(const fs::path& folder, const std::string& m
                "file calib.txt, or the KITTI raw drive from which the sequence was made";
     for (fs::path up = fs::canonical(folder, failed).parent_path(); !failed && up.has_relative_path();
          up = up.parent_path()) {
-        if (fs::exists(up / marker, failed))
+        if (fs::exists(up / expected_subfolder, failed))
             return fmt::format("the folder is inside a dataset; use the folder of the dataset, {}",
                                up.string());
     }
@@ -54,7 +54,7 @@ std::string describe_unknown_folder(const fs::path& folder, const std::string& m
     std::size_t n = 0;
     for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end;
          entry.increment(failed)) {
-        if (!fs::exists(entry->path() / marker, failed)) continue;
+        if (!fs::exists(entry->path() / expected_subfolder, failed)) continue;
         const std::string name = entry->path().filename().string();
         if (n++ == 0 || name < first) first = name;
     }
@@ -65,27 +65,30 @@ std::string describe_unknown_folder(const fs::path& folder, const std::string& m
                         n, n == 1 ? "" : "s", (folder / first).string());
 }
 
-std::string format_frame_gaps(const fs::path& folder, const std::vector<int>& frames, bool allow_missing) {
+std::string describe_missing_scans(const fs::path& folder, const std::vector<int>& frame_numbers,
+                                   bool allow_missing) {
     constexpr std::size_t kShown = 5;
-    const std::size_t n = static_cast<std::size_t>(frames.back() - frames.front() + 1) - frames.size();
+    const std::size_t n =
+        static_cast<std::size_t>(frame_numbers.back() - frame_numbers.front() + 1) - frame_numbers.size();
     if (n == 0) return "";
     std::vector<int> shown;
-    for (std::size_t i = 1; i < frames.size(); ++i) {
-        for (int frame = frames[i - 1] + 1; frame < frames[i] && shown.size() < kShown; ++frame)
+    for (std::size_t i = 1; i < frame_numbers.size(); ++i) {
+        for (int frame = frame_numbers[i - 1] + 1; frame < frame_numbers[i] && shown.size() < kShown; ++frame)
             shown.push_back(frame);
     }
-    const std::string gaps = fmt::format("{} of the scans {} to {} are missing ({}{})", n, frames.front(),
-                                         frames.back(), fmt::join(shown, ", "), n > kShown ? ", ..." : "");
+    const std::string gaps =
+        fmt::format("{} of the scans {} to {} are missing ({}{})", n, frame_numbers.front(),
+                    frame_numbers.back(), fmt::join(shown, ", "), n > kShown ? ", ..." : "");
     if (!allow_missing) throw DataError(fmt::format("{}: {}, expected all scans", folder.string(), gaps));
     return gaps;
 }
 
-std::vector<int> list_scans(const fs::path& folder, int begin, int end) {
-    check_folder(folder, "KITTI raw scans with names like 0000000000.bin");
+std::vector<int> list_scan_numbers(const fs::path& folder, int begin_number, int end_number) {
+    check_is_folder(folder, "KITTI raw scans with names like 0000000000.bin");
     std::vector<int> all, frames;
     bool text_scans = false;
-    for (const fs::path& file : list_folder(folder)) {
-        const auto number = parse_file_number(file.stem().string());
+    for (const fs::path& file : list_folder_entries(folder)) {
+        const auto number = parse_file_stem_as_number(file.stem().string());
         if (file.extension() == ".bin" && number) all.push_back(*number);
         else if (file.extension() == ".bin" &&
                  file.stem().string().find_first_not_of("0123456789") == std::string::npos)
@@ -107,25 +110,26 @@ std::vector<int> list_scans(const fs::path& folder, int begin, int end) {
                         folder.string()));
     std::sort(all.begin(), all.end());
     std::copy_if(all.begin(), all.end(), std::back_inserter(frames),
-                 [&](int f) { return f >= begin && (end < 0 || f < end); });
+                 [&](int f) { return f >= begin_number && (end_number < 0 || f < end_number); });
     if (frames.empty()) {
-        throw UsageError(fmt::format("frames {}:{} select no scan of {}, expected numbers in [{}, {}]", begin,
-                                     end < 0 ? "" : std::to_string(end), folder.string(), all.front(),
-                                     all.back()));
+        throw UsageError(fmt::format("frames {}:{} select no scan of {}, expected numbers in [{}, {}]",
+                                     begin_number, end_number < 0 ? "" : std::to_string(end_number),
+                                     folder.string(), all.front(), all.back()));
     }
     return frames;
 }
 
-ScanPoints read_scan(const fs::path& file, const fs::path& labels) {
-    const std::string bytes = read_file(file);
+ScanPoints read_kitti_scan_points(const fs::path& scan_file, const fs::path& label_file) {
+    const std::string bytes = read_file(scan_file);
     static_assert(sizeof(glm::vec4) == 16);
     if (bytes.empty())
-        throw DataError(fmt::format("{}: the file is empty, expected points of 16 bytes", file.string()));
+        throw DataError(
+            fmt::format("{}: the file is empty, expected points of 16 bytes", scan_file.string()));
     if (bytes.size() % 16 != 0) {
         throw DataError(
             fmt::format("{}: the file is truncated: it has {} bytes, which are {} points of 16 bytes and "
                         "{} more bytes",
-                        file.string(), bytes.size(), bytes.size() / 16, bytes.size() % 16));
+                        scan_file.string(), bytes.size(), bytes.size() / 16, bytes.size() % 16));
     }
     ScanPoints scan;
     std::vector<glm::vec4>& points = scan.points;
@@ -134,16 +138,17 @@ ScanPoints read_scan(const fs::path& file, const fs::path& labels) {
     for (std::size_t i = 0; i < points.size(); ++i) {
         const glm::vec4& p = points[i];
         const double largest = std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
-        if (!is_return(p) || (std::isfinite(p.w) && largest <= kFarthestReturn_m)) continue;
+        if (!is_valid_return_point(p) || (std::isfinite(p.w) && largest <= kFarthestReturn_m)) continue;
         throw DataError(
             fmt::format("{}: point {} is ({}, {}, {}) with intensity {}, expected finite values and "
                         "coordinates of at most {} m",
-                        file.string(), i, p.x, p.y, p.z, p.w, kFarthestReturn_m));
+                        scan_file.string(), i, p.x, p.y, p.z, p.w, kFarthestReturn_m));
     }
-    if (!labels.empty() && does_path_exist(labels)) scan.classes = read_classes(labels, points.size());
+    if (!label_file.empty() && does_path_exist(label_file))
+        scan.classes = read_semantic_kitti_classes(label_file, points.size());
     std::size_t n = 0;
     for (std::size_t i = 0; i < points.size(); ++i) {
-        if (!is_return(points[i])) continue;
+        if (!is_valid_return_point(points[i])) continue;
         if (!scan.classes.empty()) scan.classes[n] = scan.classes[i];
         points[n++] = points[i];
     }

@@ -8,25 +8,26 @@
 
 namespace relidar {
 
-double compute_median_step_s(std::vector<double> times_s) {
-    if (times_s.size() < 2) return 0.1;
-    std::ranges::sort(times_s);
+double compute_median_interval_s(std::vector<double> sweep_times_s) {
+    if (sweep_times_s.size() < 2) return 0.1;
+    std::ranges::sort(sweep_times_s);
     std::vector<double> steps;
-    for (std::size_t i = 1; i < times_s.size(); ++i) steps.push_back(times_s[i] - times_s[i - 1]);
+    for (std::size_t i = 1; i < sweep_times_s.size(); ++i)
+        steps.push_back(sweep_times_s[i] - sweep_times_s[i - 1]);
     const double step_s = compute_median(std::move(steps));
     return step_s > 1e-3 ? step_s : 0.1;
 }
 
-std::vector<std::optional<std::size_t>> match_sweeps(const std::vector<double>& main_s,
-                                                     const std::vector<double>& other_s,
-                                                     double max_difference_s) {
-    std::vector<std::optional<std::size_t>> beside(main_s.size());
-    for (std::size_t i = 0; i < other_s.size(); ++i) {
+std::vector<std::optional<std::size_t>> match_sweeps_by_time(const std::vector<double>& main_times_s,
+                                                             const std::vector<double>& other_times_s,
+                                                             double max_difference_s) {
+    std::vector<std::optional<std::size_t>> beside(main_times_s.size());
+    for (std::size_t i = 0; i < other_times_s.size(); ++i) {
         const auto distance_s = [&](std::size_t index, std::size_t other) {
-            return std::abs(other_s[other] - main_s[index]);
+            return std::abs(other_times_s[other] - main_times_s[index]);
         };
-        const auto after = std::ranges::lower_bound(main_s, other_s[i]);
-        std::size_t k = std::min(std::size_t(after - main_s.begin()), main_s.size() - 1);
+        const auto after = std::ranges::lower_bound(main_times_s, other_times_s[i]);
+        std::size_t k = std::min(std::size_t(after - main_times_s.begin()), main_times_s.size() - 1);
         if (k > 0 && distance_s(k - 1, i) < distance_s(k, i)) --k;
         if (distance_s(k, i) <= max_difference_s &&
             (!beside[k] || distance_s(k, i) < distance_s(k, *beside[k])))

@@ -10,17 +10,17 @@ namespace relidar {
 
 /// Returns the median time between two consecutive sweeps of a LiDAR. Returns 0.1 s if
 /// there is only one sweep.
-double compute_median_step_s(std::vector<double> times_s);
+double compute_median_interval_s(std::vector<double> sweep_times_s);
 
 /// Assigns sweeps of another LiDAR to the sweeps of the main LiDAR. Each sweep of the
 /// main LiDAR gets the sweep with the nearest time. No sweep is assigned twice. The
 /// sweeps of the main LiDAR define the frame numbers.
-/// @param main_s  [sweeps] times of the main LiDAR, ascending, at least one
-/// @param other_s  times of the other LiDAR in any order
+/// @param main_times_s  [sweeps] times of the main LiDAR, ascending, at least one
+/// @param other_times_s  times of the other LiDAR in any order
 /// @param max_difference_s  maximum time difference
-/// @return [sweeps] indices in other_s; empty if no sweep is near enough
-std::vector<std::optional<std::size_t>> match_sweeps(const std::vector<double>& main_s,
-                                                     const std::vector<double>& other_s,
-                                                     double max_difference_s);
+/// @return [sweeps] indices in other_times_s; empty if no sweep is near enough
+std::vector<std::optional<std::size_t>> match_sweeps_by_time(const std::vector<double>& main_times_s,
+                                                             const std::vector<double>& other_times_s,
+                                                             double max_difference_s);
 
 }  // namespace relidar

@@ -11,12 +11,12 @@
 namespace relidar {
 namespace {
 
-struct OtherFormat {
+struct UnsupportedPointFormat {
     const char* ending;
     const char* what;
     const char* tool;
 };
-constexpr OtherFormat kOtherFormats[] = {
+constexpr UnsupportedPointFormat kOtherFormats[] = {
     {".laz", "a LAZ file", "convert it with 'pdal translate IN.laz OUT.las'"},
     {".e57", "an E57 file", "convert it with 'pdal translate IN.e57 OUT.ply'"},
     {".pts", "a PTS file", "save it as PLY with CloudCompare"},
@@ -48,16 +48,16 @@ std::string describe_unsupported_format(const std::filesystem::path& file) {
     std::string ending = file.extension().string();
     std::ranges::transform(ending, ending.begin(),
                            [](unsigned char character) { return char(std::tolower(character)); });
-    for (const OtherFormat& format : kOtherFormats)
+    for (const UnsupportedPointFormat& format : kOtherFormats)
         if (ending == format.ending)
             return fmt::format("{}, which relidar cannot read; {}", format.what, format.tool);
     return "";
 }
 
-std::string describe_other_files(const std::filesystem::path& folder) {
+std::string describe_unsupported_file_in(const std::filesystem::path& folder) {
     std::error_code failed;
     if (!std::filesystem::is_directory(folder, failed)) return "";
-    for (const std::filesystem::path& file : list_folder(folder))
+    for (const std::filesystem::path& file : list_folder_entries(folder))
         if (const std::string about = describe_unsupported_format(file); !about.empty())
             return fmt::format("{} is {}", file.filename().string(), about);
     return "";

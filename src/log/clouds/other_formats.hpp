@@ -14,6 +14,6 @@ std::string describe_unsupported_format(const std::filesystem::path& file);
 
 /// Returns a text about the first file of a folder whose format relidar knows but cannot
 /// read. Returns an empty string if the folder has no such file.
-std::string describe_other_files(const std::filesystem::path& folder);
+std::string describe_unsupported_file_in(const std::filesystem::path& folder);
 
 }  // namespace relidar

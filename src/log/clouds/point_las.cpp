@@ -38,25 +38,25 @@ struct LasHeader {
     std::uint64_t n = 0;                ///< number of points
     std::array<double, 3> scale{}, offset_m{};
 
-    bool is_long() const { return format >= kFirstLongFormat; }
-    bool has_time() const { return is_long() || format == 1 || format >= 3; }
-    std::size_t time_at() const { return is_long() ? 22 : 20; }
-    std::size_t least_record() const { return time_at() + (has_time() ? 8 : 0); }
+    bool has_extended_format() const { return format >= kFirstLongFormat; }
+    bool has_gps_time() const { return has_extended_format() || format == 1 || format >= 3; }
+    std::size_t get_time_offset_bytes() const { return has_extended_format() ? 22 : 20; }
+    std::size_t get_min_record_bytes() const { return get_time_offset_bytes() + (has_gps_time() ? 8 : 0); }
 };
 
-LasHeader read_header(std::string_view bytes, const std::string& location) {
+LasHeader parse_las_header(std::string_view bytes, const std::string& error_location) {
     if (bytes.size() < kHeaderBytes || !bytes.starts_with("LASF"))
-        throw DataError(
-            fmt::format("{}: {} bytes, expected a LAS file, which begins with LASF", location, bytes.size()));
+        throw DataError(fmt::format("{}: {} bytes, expected a LAS file, which begins with LASF",
+                                    error_location, bytes.size()));
     LasHeader header;
     header.format = read_unaligned<std::uint8_t>(bytes, kFormatAt);
     if (header.format >= kPacked)
         throw DataError(fmt::format(
             "{}: found compressed points (LAZ), expected LAS; 'laszip IN.laz OUT.las' unpacks them",
-            location));
+            error_location));
     if (header.format > kMostFormat)
         throw DataError(
-            fmt::format("{}: point format {}, expected 0 to {}", location, header.format, kMostFormat));
+            fmt::format("{}: point format {}, expected 0 to {}", error_location, header.format, kMostFormat));
     header.begin = read_unaligned<std::uint32_t>(bytes, kPointsAt);
     header.record = read_unaligned<std::uint16_t>(bytes, kRecordAt);
     header.n = read_unaligned<std::uint32_t>(bytes, kCountAt);
@@ -66,33 +66,34 @@ LasHeader read_header(std::string_view bytes, const std::string& location) {
         header.scale[axis] = read_unaligned<double>(bytes, kScaleAt + 8 * axis);
         header.offset_m[axis] = read_unaligned<double>(bytes, kOffsetAt + 8 * axis);
     }
-    if (header.record < header.least_record() || header.begin > bytes.size() ||
+    if (header.record < header.get_min_record_bytes() || header.begin > bytes.size() ||
         header.n > (bytes.size() - header.begin) / header.record)
         throw DataError(fmt::format("{}: truncated: {} bytes, expected {} points of {} bytes from byte {}",
-                                    location, bytes.size(), header.n, header.record, header.begin));
+                                    error_location, bytes.size(), header.n, header.record, header.begin));
     return header;
 }
 
 /// Rejects maps and survey data. A scan has its sensor at the origin, so its points are
 /// near the origin. They need not surround the origin, because some sensors only look
 /// forward.
-void check_is_scan(const std::array<std::vector<double>, 3>& position_m, const std::string& location) {
+void check_points_near_origin(const std::array<std::vector<double>, 3>& coordinates_m,
+                              const std::string& error_location) {
     for (std::size_t axis = 0; axis < 2; ++axis) {
-        const auto [least, most] = std::ranges::minmax(position_m[axis]);
+        const auto [least, most] = std::ranges::minmax(coordinates_m[axis]);
         if (least <= kMostAway_m && most >= -kMostAway_m) continue;
         throw DataError(fmt::format(
             "{}: {} is from {:.6g} to {:.6g} m, so the points are a map or in survey coordinates; expected "
             "one scan with the sensor at the origin",
-            location, axis == 0 ? "x" : "y", least, most));
+            error_location, axis == 0 ? "x" : "y", least, most));
     }
 }
 
 }  // namespace
 
-PointTable read_las(const SharedBytes& file, const std::string& location) {
-    const LasHeader header = read_header(file.bytes, location);
+PointTable parse_las_points(const SharedBytes& file, const std::string& error_location) {
+    const LasHeader header = parse_las_header(file.bytes, error_location);
     const auto n = std::size_t(header.n);
-    check_count(n, location);
+    check_number_of_points(n, error_location);
     const char* points = file.bytes.data() + header.begin;
     std::array<std::vector<double>, 3> position_m;
     std::vector<std::uint8_t> return_numbers(n);
@@ -103,23 +104,23 @@ PointTable read_las(const SharedBytes& file, const std::string& location) {
             position_m[axis][i] =
                 header.scale[axis] * read_unaligned<std::int32_t>(point, 4 * axis) + header.offset_m[axis];
         // a ray keeps at most 8 returns
-        return_numbers[i] = std::uint8_t(std::min(point[14] & (header.is_long() ? 15 : 7), 8));
+        return_numbers[i] = std::uint8_t(std::min(point[14] & (header.has_extended_format() ? 15 : 7), 8));
     }
-    check_is_scan(position_m, location);
+    check_points_near_origin(position_m, error_location);
     PointTable table(n);
-    table.keep(file.memory);
+    table.keep_memory_alive(file.memory);
     const char* names[] = {"x", "y", "z"};
     for (std::size_t axis = 0; axis < 3; ++axis)
-        table.add(names[axis], NumberType::f8, std::move(position_m[axis]), location);
-    table.add("intensity", {NumberType::u2, points + 12, header.record}, location);
+        table.add_value_field(names[axis], ScalarType::f8, std::move(position_m[axis]), error_location);
+    table.add_value_field("intensity", {ScalarType::u2, points + 12, header.record}, error_location);
     // Some programs write 0 for all return numbers.
     if (std::ranges::any_of(return_numbers, [](std::uint8_t number) { return number > 1; }))
-        table.add("return_number", NumberType::u1, std::move(return_numbers), location);
-    if (!header.has_time()) return table;
-    const FieldValues times(NumberType::f8, points + header.time_at(), header.record);
+        table.add_value_field("return_number", ScalarType::u1, std::move(return_numbers), error_location);
+    if (!header.has_gps_time()) return table;
+    const PointFieldView times(ScalarType::f8, points + header.get_time_offset_bytes(), header.record);
     bool is_constant = true;  // some programs write the time 0 for all points
     for (std::size_t i = 1; i < n; ++i) is_constant = is_constant && times[i] == times[0];
-    if (!is_constant) table.add("time", times, location);
+    if (!is_constant) table.add_value_field("time", times, error_location);
     return table;
 }
 

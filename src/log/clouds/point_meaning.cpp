@@ -25,62 +25,66 @@ constexpr std::size_t kFewestMarked = 16;
 constexpr std::size_t kLooks = 1024;  // maximum number of points in which repeated positions are searched
 
 template <class Use>
-void for_each_value(const FieldValues& field, std::size_t count, const Use& use) {
-    field.visit([&](const auto& value_at) {
-        for (std::size_t i = 0; i < count; ++i) use(double(value_at(i)));
+void for_each_value(const PointFieldView& field, std::size_t count, const Use& visit_value) {
+    field.visit_with_value_reader([&](const auto& value_at) {
+        for (std::size_t i = 0; i < count; ++i) visit_value(double(value_at(i)));
     });
 }
 
-bool is_zero(const std::vector<PointTable>& clouds, const std::string& field) {
+bool is_field_all_zero(const std::vector<PointTable>& clouds, const std::string& field_name) {
     bool is_zero = true;
     for (const PointTable& cloud : clouds)
-        if (const FieldValues* values = cloud.find(field))
+        if (const PointFieldView* values = cloud.find_field(field_name))
             for_each_value(*values, cloud.n, [&](double value) { is_zero = is_zero && !(value != 0.0); });
     return is_zero;
 }
 
 /// Selects the field that contains the intensities: the first candidate with a value that
 /// is not 0.
-void choose_intensity(const std::vector<PointTable>& clouds, PointMeaning& meaning) {
-    const std::vector<std::string> names = clouds[0].names(PointValue::intensity);
+void choose_intensity_field(const std::vector<PointTable>& clouds, PointFieldSemantics& meaning) {
+    const std::vector<std::string> names = clouds[0].list_field_names(PointAttribute::intensity);
     if (names.empty()) return;
-    const auto used =
-        std::ranges::find_if(names, [&](const std::string& name) { return !is_zero(clouds, name); });
+    const auto used = std::ranges::find_if(
+        names, [&](const std::string& name) { return !is_field_all_zero(clouds, name); });
     meaning.intensity_field = used == names.end() ? names[0] : *used;
     const bool is_usual = meaning.intensity_field == "intensity" || meaning.intensity_field == "reflectivity";
     if (used == names.end())
         meaning.notes.push_back(
-            fmt::format("the intensity field '{}' is 0 for all points", make_excerpt(names[0])));
+            fmt::format("the intensity field '{}' is 0 for all points", shorten_for_error_message(names[0])));
     else if (used != names.begin())
         meaning.notes.push_back(
             fmt::format("intensities are read from the field '{}', because '{}' is 0 for all points",
-                        make_excerpt(*used), make_excerpt(names[0])));
+                        shorten_for_error_message(*used), shorten_for_error_message(names[0])));
     else if (!is_usual)
-        meaning.notes.push_back(fmt::format("intensities are read from the field '{}'", make_excerpt(*used)));
+        meaning.notes.push_back(
+            fmt::format("intensities are read from the field '{}'", shorten_for_error_message(*used)));
 }
 
-void list_unread(const std::vector<PointTable>& clouds, PointMeaning& meaning) {
+void add_note_on_unread_fields(const std::vector<PointTable>& clouds, PointFieldSemantics& meaning) {
     std::set<std::string> unread;
     for (const PointTable& cloud : clouds)
-        for (const std::string& name : cloud.unread) unread.insert(make_excerpt(name));
+        for (const std::string& name : cloud.unread) unread.insert(shorten_for_error_message(name));
     if (unread.empty()) return;
-    meaning.notes.push_back(
-        fmt::format("fields of the points that are not read: {} (intensities: {})", fmt::join(unread, ", "),
-                    meaning.intensity_field.empty() ? "none, because no field has a known name of "
-                                                      "intensities"
-                                                    : "'" + make_excerpt(meaning.intensity_field) + "'"));
+    meaning.notes.push_back(fmt::format(
+        "fields of the points that are not read: {} (intensities: {})", fmt::join(unread, ", "),
+        meaning.intensity_field.empty() ? "none, because no field has a known name of "
+                                          "intensities"
+                                        : "'" + shorten_for_error_message(meaning.intensity_field) + "'"));
 }
 
 /// Returns the position that so many points share exactly that it marks dropped rays.
 /// Returns nothing if there is no such position.
 std::optional<glm::vec3> find_repeated_position(const PointTable& cloud) {
-    const std::array<const FieldValues*, 3> xyz = {cloud.find(PointValue::x), cloud.find(PointValue::y),
-                                                   cloud.find(PointValue::z)};
+    const std::array<const PointFieldView*, 3> xyz = {cloud.find_field(PointAttribute::x),
+                                                      cloud.find_field(PointAttribute::y),
+                                                      cloud.find_field(PointAttribute::z)};
     if (!xyz[0] || !xyz[1] || !xyz[2]) return std::nullopt;
     const auto point = [&](std::size_t index) {
         return std::array{float((*xyz[0])[index]), float((*xyz[1])[index]), float((*xyz[2])[index])};
     };
-    const auto is_real = [](const std::array<float, 3>& p) { return is_return(glm::vec3(p[0], p[1], p[2])); };
+    const auto is_real = [](const std::array<float, 3>& p) {
+        return is_valid_return_point(glm::vec3(p[0], p[1], p[2]));
+    };
     std::vector<std::array<float, 3>> some;
     const std::size_t n = std::min(kLooks, cloud.n);
     for (std::size_t k = 0; k < n; ++k)
@@ -101,7 +105,7 @@ std::optional<glm::vec3> find_repeated_position(const PointTable& cloud) {
 
 }  // namespace
 
-IntensityScale find_scale(std::vector<double>& intensities) {
+IntensityScale estimate_intensity_scale(std::vector<double>& intensities) {
     std::erase_if(intensities, [](double value) { return !std::isfinite(value); });
     if (intensities.empty()) return {};
     const auto [lowest, highest] = std::ranges::minmax(intensities);
@@ -123,18 +127,18 @@ IntensityScale find_scale(std::vector<double>& intensities) {
     return scale;
 }
 
-PointMeaning find_meaning(const std::vector<PointTable>& clouds) {
-    PointMeaning meaning;
-    if (clouds.empty()) return meaning;
-    choose_intensity(clouds, meaning);
-    list_unread(clouds, meaning);
+PointFieldSemantics interpret_point_fields(const std::vector<PointTable>& sample_clouds) {
+    PointFieldSemantics meaning;
+    if (sample_clouds.empty()) return meaning;
+    choose_intensity_field(sample_clouds, meaning);
+    add_note_on_unread_fields(sample_clouds, meaning);
     std::vector<double> intensities;
-    for (const PointTable& cloud : clouds)
-        if (const FieldValues* values = cloud.find(meaning.intensity_field))
+    for (const PointTable& cloud : sample_clouds)
+        if (const PointFieldView* values = cloud.find_field(meaning.intensity_field))
             for_each_value(*values, cloud.n, [&](double value) { intensities.push_back(value); });
-    meaning.scale = find_scale(intensities);
+    meaning.scale = estimate_intensity_scale(intensities);
     if (!meaning.scale.about.empty()) meaning.notes.push_back(meaning.scale.about);
-    for (const PointTable& cloud : clouds)
+    for (const PointTable& cloud : sample_clouds)
         if (!meaning.no_return) meaning.no_return = find_repeated_position(cloud);
     if (meaning.no_return)
         meaning.notes.push_back(

@@ -21,10 +21,10 @@ struct IntensityScale {
 };
 /// Estimates the maximum of the intensity scale: 1, or 255, or a value that only a few
 /// intensities exceed. Changes the order of the values.
-IntensityScale find_scale(std::vector<double>& intensities);
+IntensityScale estimate_intensity_scale(std::vector<double>& intensities);
 
 /// Meaning of the point values of a LiDAR.
-struct PointMeaning {
+struct PointFieldSemantics {
     std::string intensity_field;  ///< name of the field that contains the intensities; may be empty
     IntensityScale scale;
     /// Points at exactly this position are rays without a return, in addition to points
@@ -34,7 +34,7 @@ struct PointMeaning {
 };
 /// Finds out which field contains intensities, how they are scaled, and how dropped rays
 /// are marked.
-/// @param clouds  some clouds of the LiDAR
-PointMeaning find_meaning(const std::vector<PointTable>& clouds);
+/// @param sample_clouds  some clouds of the LiDAR
+PointFieldSemantics interpret_point_fields(const std::vector<PointTable>& sample_clouds);
 
 }  // namespace relidar::folder

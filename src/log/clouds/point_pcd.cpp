@@ -37,37 +37,38 @@ std::vector<std::string> split_words(std::string_view line) {
     return words;
 }
 
-std::vector<double> parse_number_words(const std::vector<std::string>& words, const std::string& location) {
+std::vector<double> parse_numbers_after_keyword(const std::vector<std::string>& words,
+                                                const std::string& error_location) {
     std::vector<double> numbers;
     for (std::size_t i = 1; i < words.size(); ++i) {
         const auto number = parse_number(words[i]);
         if (!number || !(*number >= 0.0 && *number <= 1e9) || *number != double(std::int64_t(*number)))
-            throw DataError(fmt::format("{}: found {} '{}', expected a whole number", location, words[0],
-                                        make_excerpt(words[i])));
+            throw DataError(fmt::format("{}: found {} '{}', expected a whole number", error_location,
+                                        words[0], shorten_for_error_message(words[i])));
         numbers.push_back(*number);
     }
     if (numbers.empty())
         throw DataError(
-            fmt::format("{}: the line {} has no number, expected at least one", location, words[0]));
+            fmt::format("{}: the line {} has no number, expected at least one", error_location, words[0]));
     return numbers;
 }
 
-PcdHeader parse_pcd_header(std::string_view bytes, const std::string& location) {
+PcdHeader parse_pcd_header(std::string_view bytes, const std::string& error_location) {
     PcdHeader header;
     while (header.data.empty()) {
         const std::size_t end = bytes.find('\n', header.length);
         if (end == std::string_view::npos)
-            throw DataError(
-                fmt::format("{}: the line DATA is missing, expected the header of a PCD file", location));
+            throw DataError(fmt::format("{}: the line DATA is missing, expected the header of a PCD file",
+                                        error_location));
         const std::vector<std::string> words = split_words(bytes.substr(header.length, end - header.length));
         header.length = end + 1;
         if (words.empty() || words[0].front() == '#') continue;
         if (words[0] == "FIELDS") header.names.assign(words.begin() + 1, words.end());
-        else if (words[0] == "SIZE") header.sizes = parse_number_words(words, location);
-        else if (words[0] == "COUNT") header.counts = parse_number_words(words, location);
-        else if (words[0] == "WIDTH") header.width = parse_number_words(words, location)[0];
-        else if (words[0] == "HEIGHT") header.height = parse_number_words(words, location)[0];
-        else if (words[0] == "POINTS") header.points = parse_number_words(words, location)[0];
+        else if (words[0] == "SIZE") header.sizes = parse_numbers_after_keyword(words, error_location);
+        else if (words[0] == "COUNT") header.counts = parse_numbers_after_keyword(words, error_location);
+        else if (words[0] == "WIDTH") header.width = parse_numbers_after_keyword(words, error_location)[0];
+        else if (words[0] == "HEIGHT") header.height = parse_numbers_after_keyword(words, error_location)[0];
+        else if (words[0] == "POINTS") header.points = parse_numbers_after_keyword(words, error_location)[0];
         else if (words[0] == "TYPE")
             for (std::size_t i = 1; i < words.size(); ++i) header.types += words[i].front();
         else if (words[0] == "DATA") header.data = words.size() == 2 ? words[1] : "?";
@@ -75,59 +76,61 @@ PcdHeader parse_pcd_header(std::string_view bytes, const std::string& location) 
             throw DataError(
                 fmt::format("{}: found a line that starts with '{}', expected the header of a "
                             "PCD file",
-                            location, make_excerpt(words[0])));
+                            error_location, shorten_for_error_message(words[0])));
     }
     if (header.points < 0.0) header.points = header.width * header.height;
     if (header.counts.empty()) header.counts.assign(header.names.size(), 1.0);
     return header;
 }
 
-std::vector<PointField> list_fields(const PcdHeader& header, const std::string& location) {
+std::vector<PointField> list_pcd_fields(const PcdHeader& header, const std::string& error_location) {
     const std::size_t n = header.names.size();
     if (n == 0 || n > kMostPcdFields || header.sizes.size() != n || header.types.size() != n ||
         header.counts.size() != n)
-        throw DataError(fmt::format(
-            "{}: found {} FIELDS, {} SIZE, {} TYPE and {} COUNT, expected the same "
-            "number of each, 1 to {}",
-            location, n, header.sizes.size(), header.types.size(), header.counts.size(), kMostPcdFields));
+        throw DataError(
+            fmt::format("{}: found {} FIELDS, {} SIZE, {} TYPE and {} COUNT, expected the same "
+                        "number of each, 1 to {}",
+                        error_location, n, header.sizes.size(), header.types.size(), header.counts.size(),
+                        kMostPcdFields));
     std::vector<PointField> fields;
     double record = 0.0;
     for (std::size_t i = 0; i < n; ++i) {
         if (header.counts[i] < 1.0)
-            throw DataError(fmt::format("{}: COUNT of the field '{}' is 0, expected at least 1", location,
-                                        make_excerpt(header.names[i])));
+            throw DataError(fmt::format("{}: COUNT of the field '{}' is 0, expected at least 1",
+                                        error_location, shorten_for_error_message(header.names[i])));
         record += header.sizes[i] * header.counts[i];
         fields.push_back(
             {header.names[i], header.types[i], std::size_t(header.sizes[i]), std::size_t(header.counts[i])});
     }
     if (record > double(kMostBytes))
         throw DataError(fmt::format("{}: a point has {} bytes (SIZE and COUNT), expected at most {}",
-                                    location, record, kMostBytes));
+                                    error_location, record, kMostBytes));
     return fields;
 }
 
-[[noreturn]] void throw_packed_error(const std::string& location) {
+[[noreturn]] void throw_damaged_lzf_error(const std::string& error_location) {
     throw DataError(fmt::format(
-        "{}: the compressed data is damaged, expected LZF data of the size in the file", location));
+        "{}: the compressed data is damaged, expected LZF data of the size in the file", error_location));
 }
 
 /// Decompresses LZF data. A byte b below 32 precedes b + 1 literal bytes. A larger byte
 /// starts a reference of two or three bytes with the length and distance of earlier
 /// output.
-std::string unpack_lzf(std::string_view packed, std::size_t size, const std::string& location) {
+std::string decompress_lzf(std::string_view compressed_data, std::size_t decompressed_size,
+                           const std::string& error_location) {
     std::string out;
-    out.reserve(size);
+    out.reserve(decompressed_size);
     std::size_t at = 0;
     const auto next = [&] {
-        return at < packed.size() ? std::size_t(static_cast<unsigned char>(packed[at++]))
-                                  : (throw_packed_error(location), 0);
+        return at < compressed_data.size() ? std::size_t(static_cast<unsigned char>(compressed_data[at++]))
+                                           : (throw_damaged_lzf_error(error_location), 0);
     };
-    while (at < packed.size()) {
+    while (at < compressed_data.size()) {
         const std::size_t control = next();
         if (control < 32) {
-            if (control + 1 > packed.size() - at || control + 1 > size - out.size())
-                throw_packed_error(location);
-            out.append(packed.substr(at, control + 1));
+            if (control + 1 > compressed_data.size() - at || control + 1 > decompressed_size - out.size())
+                throw_damaged_lzf_error(error_location);
+            out.append(compressed_data.substr(at, control + 1));
             at += control + 1;
             continue;
         }
@@ -135,49 +138,52 @@ std::string unpack_lzf(std::string_view packed, std::size_t size, const std::str
         if (length == 7) length += next();
         length += 2;
         const std::size_t back = ((control & 31) << 8) + next() + 1;
-        if (back > out.size() || length > size - out.size()) throw_packed_error(location);
+        if (back > out.size() || length > decompressed_size - out.size())
+            throw_damaged_lzf_error(error_location);
         // Copies byte by byte, because a reference may include bytes that it writes
         // itself.
         for (std::size_t i = 0; i < length; ++i) out += out[out.size() - back];
     }
-    if (out.size() != size) throw_packed_error(location);
+    if (out.size() != decompressed_size) throw_damaged_lzf_error(error_location);
     return out;
 }
 
-/// Decompresses the points of a PCD file. `data` contains the compressed size, the
-/// decompressed size, and LZF data. The result stores one field after another.
-std::string decompress_pcd_points(std::string_view data, const std::string& location) {
-    if (data.size() < 8)
+/// Decompresses the points of a PCD file. `compressed_data` contains the compressed size,
+/// the decompressed size, and LZF data. The result stores one field after another.
+std::string decompress_pcd_points(std::string_view compressed_data, const std::string& error_location) {
+    if (compressed_data.size() < 8)
         throw DataError(
             fmt::format("{}: the file is truncated: found {} bytes after the header, expected "
                         "at least 8 with the sizes of the data",
-                        location, data.size()));
+                        error_location, compressed_data.size()));
     std::uint32_t packed = 0, size = 0;
-    std::memcpy(&packed, data.data(), 4);
-    std::memcpy(&size, data.data() + 4, 4);
-    data.remove_prefix(8);
-    if (packed > data.size() || size / kMostExpansion > packed)
+    std::memcpy(&packed, compressed_data.data(), 4);
+    std::memcpy(&size, compressed_data.data() + 4, 4);
+    compressed_data.remove_prefix(8);
+    if (packed > compressed_data.size() || size / kMostExpansion > packed)
         throw DataError(
             fmt::format("{}: found sizes of {} compressed and {} unpacked bytes, but the file has {} bytes "
                         "of compressed data",
-                        location, packed, size, data.size()));
-    return unpack_lzf(data.substr(0, packed), size, location);
+                        error_location, packed, size, compressed_data.size()));
+    return decompress_lzf(compressed_data.substr(0, packed), size, error_location);
 }
 
 }  // namespace
 
-PointTable read_pcd(const SharedBytes& file, const std::string& location) {
-    const PcdHeader header = parse_pcd_header(file.bytes, location);
-    const std::vector<PointField> fields = list_fields(header, location);
+PointTable parse_pcd_points(const SharedBytes& file, const std::string& error_location) {
+    const PcdHeader header = parse_pcd_header(file.bytes, error_location);
+    const std::vector<PointField> fields = list_pcd_fields(header, error_location);
     const std::string_view data = file.bytes.substr(header.length);
     const std::size_t n = std::size_t(header.points);
-    if (header.data == "ascii") return read_lines(data, fields, n, location);
-    if (header.data == "binary") return read_packed(file.with(data), fields, n, Packing::by_point, location);
+    if (header.data == "ascii") return parse_point_lines(data, fields, n, error_location);
+    if (header.data == "binary")
+        return make_table_of_binary_points(file.make_shared_subview(data), fields, n,
+                                           PointMemoryLayout::by_point, error_location);
     if (header.data == "binary_compressed")
-        return read_packed(share_bytes(decompress_pcd_points(data, location)), fields, n, Packing::by_field,
-                           location);
-    throw DataError(fmt::format("{}: found DATA '{}', expected ascii, binary or binary_compressed", location,
-                                make_excerpt(header.data)));
+        return make_table_of_binary_points(move_to_shared_bytes(decompress_pcd_points(data, error_location)),
+                                           fields, n, PointMemoryLayout::by_field, error_location);
+    throw DataError(fmt::format("{}: found DATA '{}', expected ascii, binary or binary_compressed",
+                                error_location, shorten_for_error_message(header.data)));
 }
 
 }  // namespace relidar::folder

@@ -16,22 +16,23 @@ namespace {
 
 constexpr std::size_t kMostPlyFields = 1024;
 
-PointField make_ply_field(const std::string& type, const std::string& name, const std::string& where) {
-    struct Row {
+PointField make_ply_field(const std::string& type_name, const std::string& name,
+                          const std::string& error_location) {
+    struct PlyScalarType {
         const char *name, *other;
         char kind;
         std::size_t size;
     };
-    static constexpr Row kTypes[] = {{"float", "float32", 'F', 4}, {"double", "float64", 'F', 8},
-                                     {"char", "int8", 'I', 1},     {"short", "int16", 'I', 2},
-                                     {"int", "int32", 'I', 4},     {"uchar", "uint8", 'U', 1},
-                                     {"ushort", "uint16", 'U', 2}, {"uint", "uint32", 'U', 4}};
-    for (const Row& row : kTypes)
-        if (type == row.name || type == row.other) return {name, row.kind, row.size};
+    static constexpr PlyScalarType kTypes[] = {{"float", "float32", 'F', 4}, {"double", "float64", 'F', 8},
+                                               {"char", "int8", 'I', 1},     {"short", "int16", 'I', 2},
+                                               {"int", "int32", 'I', 4},     {"uchar", "uint8", 'U', 1},
+                                               {"ushort", "uint16", 'U', 2}, {"uint", "uint32", 'U', 4}};
+    for (const PlyScalarType& row : kTypes)
+        if (type_name == row.name || type_name == row.other) return {name, row.kind, row.size};
     throw DataError(
         fmt::format("{}: the property '{}' has the type '{}', expected a number type (lists "
                     "are not supported)",
-                    where, make_excerpt(name), make_excerpt(type)));
+                    error_location, shorten_for_error_message(name), shorten_for_error_message(type_name)));
 }
 
 struct PlyHeader {
@@ -41,7 +42,8 @@ struct PlyHeader {
     std::size_t length = 0;  ///< bytes of the header
 };
 
-void parse_line(const std::string& line, PlyHeader& header, int& elements, const std::string& location) {
+void parse_ply_header_line(const std::string& line, PlyHeader& header, int& n_elements,
+                           const std::string& error_location) {
     std::istringstream words(line);
     std::string keyword, a, b;
     words >> keyword >> a >> b;
@@ -49,47 +51,49 @@ void parse_line(const std::string& line, PlyHeader& header, int& elements, const
         header.format = a;
     } else if (keyword == "element") {
         const auto n = parse_number(b);
-        if (++elements == 1 && (a != "vertex" || !n || !(*n >= 0.0 && *n <= 1e9)))
+        if (++n_elements == 1 && (a != "vertex" || !n || !(*n >= 0.0 && *n <= 1e9)))
             throw DataError(fmt::format("{}: found '{}', expected 'element vertex N' as the first element",
-                                        location, make_excerpt(line)));
-        if (elements == 1) header.n = std::size_t(*n);
-    } else if (keyword == "property" && elements == 1) {
+                                        error_location, shorten_for_error_message(line)));
+        if (n_elements == 1) header.n = std::size_t(*n);
+    } else if (keyword == "property" && n_elements == 1) {
         if (header.fields.size() >= kMostPlyFields)
             throw DataError(fmt::format("{}: found more than {} properties of a vertex, expected fewer",
-                                        location, kMostPlyFields));
-        header.fields.push_back(make_ply_field(a, b, location));
+                                        error_location, kMostPlyFields));
+        header.fields.push_back(make_ply_field(a, b, error_location));
     }
 }
 
-PlyHeader parse_ply_header(std::string_view bytes, const std::string& location) {
+PlyHeader parse_ply_header(std::string_view bytes, const std::string& error_location) {
     PlyHeader header;
     int elements = 0;
     if (!bytes.starts_with("ply"))
-        throw DataError(fmt::format("{}: the file does not begin with 'ply', expected a PLY file", location));
+        throw DataError(
+            fmt::format("{}: the file does not begin with 'ply', expected a PLY file", error_location));
     for (std::string_view line; line != "end_header";) {
         const std::size_t end = bytes.find('\n', header.length);
         if (end == std::string_view::npos)
             throw DataError(
                 fmt::format("{}: the line end_header is missing, expected the header of a PLY "
                             "file",
-                            location));
+                            error_location));
         line = trim_spaces(bytes.substr(header.length, end - header.length));
         header.length = end + 1;
-        parse_line(std::string(line), header, elements, location);
+        parse_ply_header_line(std::string(line), header, elements, error_location);
     }
     return header;
 }
 
 }  // namespace
 
-PointTable read_ply(const SharedBytes& file, const std::string& location) {
-    const PlyHeader header = parse_ply_header(file.bytes, location);
+PointTable parse_ply_points(const SharedBytes& file, const std::string& error_location) {
+    const PlyHeader header = parse_ply_header(file.bytes, error_location);
     const std::string_view data = file.bytes.substr(header.length);
-    if (header.format == "ascii") return read_lines(data, header.fields, header.n, location);
+    if (header.format == "ascii") return parse_point_lines(data, header.fields, header.n, error_location);
     if (header.format == "binary_little_endian")
-        return read_packed(file.with(data), header.fields, header.n, Packing::by_point, location);
-    throw DataError(fmt::format("{}: found the format '{}', expected ascii or binary_little_endian", location,
-                                make_excerpt(header.format)));
+        return make_table_of_binary_points(file.make_shared_subview(data), header.fields, header.n,
+                                           PointMemoryLayout::by_point, error_location);
+    throw DataError(fmt::format("{}: found the format '{}', expected ascii or binary_little_endian",
+                                error_location, shorten_for_error_message(header.format)));
 }
 
 }  // namespace relidar::folder

@@ -23,43 +23,43 @@ namespace fs = std::filesystem;
 
 constexpr std::size_t kMostPoints = std::size_t(1) << 24;  // maximum number of points of a scan
 
-struct FieldName {
+struct PointFieldName {
     std::string_view name;
-    PointValue value;
+    PointAttribute value;
 };
 /// Field names in lower case and their meanings. If a file has several fields with the
 /// same meaning, the name that is listed first is used.
-constexpr FieldName kFieldNames[] = {
-    {"x", PointValue::x},
-    {"y", PointValue::y},
-    {"z", PointValue::z},
-    {"intensity", PointValue::intensity},
-    {"intensities", PointValue::intensity},
-    {"i", PointValue::intensity},
-    {"reflectivity", PointValue::intensity},
-    {"reflectance", PointValue::intensity},
-    {"remission", PointValue::intensity},
-    {"amplitude", PointValue::intensity},
-    {"signal", PointValue::intensity},
-    {"ring", PointValue::ring},
-    {"rings", PointValue::ring},
-    {"channel", PointValue::ring},
-    {"line", PointValue::ring},
-    {"ring_id", PointValue::ring},
-    {"laser_id", PointValue::ring},
-    {"laser_number", PointValue::ring},
-    {"beam", PointValue::ring},
-    {"beam_id", PointValue::ring},
-    {"time", PointValue::time},
-    {"t", PointValue::time},
-    {"timestamp", PointValue::time},
-    {"time_stamp", PointValue::time},
-    {"offset_time", PointValue::time},
-    {"return", PointValue::return_number},
-    {"return_number", PointValue::return_number},
-    {"return_type", PointValue::return_type},
-    {"range", PointValue::range},
-    {"distance", PointValue::range},
+constexpr PointFieldName kFieldNames[] = {
+    {"x", PointAttribute::x},
+    {"y", PointAttribute::y},
+    {"z", PointAttribute::z},
+    {"intensity", PointAttribute::intensity},
+    {"intensities", PointAttribute::intensity},
+    {"i", PointAttribute::intensity},
+    {"reflectivity", PointAttribute::intensity},
+    {"reflectance", PointAttribute::intensity},
+    {"remission", PointAttribute::intensity},
+    {"amplitude", PointAttribute::intensity},
+    {"signal", PointAttribute::intensity},
+    {"ring", PointAttribute::ring},
+    {"rings", PointAttribute::ring},
+    {"channel", PointAttribute::ring},
+    {"line", PointAttribute::ring},
+    {"ring_id", PointAttribute::ring},
+    {"laser_id", PointAttribute::ring},
+    {"laser_number", PointAttribute::ring},
+    {"beam", PointAttribute::ring},
+    {"beam_id", PointAttribute::ring},
+    {"time", PointAttribute::time},
+    {"t", PointAttribute::time},
+    {"timestamp", PointAttribute::time},
+    {"time_stamp", PointAttribute::time},
+    {"offset_time", PointAttribute::time},
+    {"return", PointAttribute::return_number},
+    {"return_number", PointAttribute::return_number},
+    {"return_type", PointAttribute::return_type},
+    {"range", PointAttribute::range},
+    {"distance", PointAttribute::range},
 };
 constexpr std::size_t kNotRead = std::size(kFieldNames);
 
@@ -68,15 +68,15 @@ constexpr std::string_view kPrefixes[] = {"scalar_",     "points_", "point_", "p
                                           "coordinate_", "coord_",  "xyz_",   "vertex_",   "lidar_"};
 
 /// Returns the index of a field name in kFieldNames, or kNotRead if the name is unknown.
-std::size_t find_field_index(std::string_view name) {
-    const auto* const row = std::ranges::find(kFieldNames, name, &FieldName::name);
+std::size_t find_exact_field_index(std::string_view field_name) {
+    const auto* const row = std::ranges::find(kFieldNames, field_name, &PointFieldName::name);
     return std::size_t(row - std::begin(kFieldNames));
 }
 
 /// Returns the index of a field in kFieldNames, or kNotRead if the field is unknown.
 /// Ignores upper case and prefixes of its name.
-std::size_t find_row_of_field(std::string_view field) {
-    std::string name(trim_spaces(field));
+std::size_t find_field_index_ignoring_case(std::string_view field_name) {
+    std::string name(trim_spaces(field_name));
     std::ranges::transform(name, name.begin(),
                            [](unsigned char character) { return char(std::tolower(character)); });
     // VeloView and ParaView store x, y and z as elements 0, 1 and 2 of a vector.
@@ -86,90 +86,95 @@ std::size_t find_row_of_field(std::string_view field) {
     std::string_view rest = name;
     rest.remove_prefix(std::min(rest.find_last_of("./:") + 1, rest.size()));
     for (const std::string_view prefix : kPrefixes)
-        if (rest.starts_with(prefix) && find_field_index(rest) == kNotRead) rest.remove_prefix(prefix.size());
-    return find_field_index(rest);
+        if (rest.starts_with(prefix) && find_exact_field_index(rest) == kNotRead)
+            rest.remove_prefix(prefix.size());
+    return find_exact_field_index(rest);
 }
 
-struct NumberTypeRow {
+struct ScalarTypeEntry {
     char kind;
     std::size_t size;
-    NumberType type;
+    ScalarType type;
     std::string_view numpy;  ///< code of the number type in .npy files, for example "f4"
 };
-constexpr NumberTypeRow kNumberTypes[] = {{'F', 4, NumberType::f4, "f4"}, {'F', 8, NumberType::f8, "f8"},
-                                          {'I', 1, NumberType::i1, "i1"}, {'I', 2, NumberType::i2, "i2"},
-                                          {'I', 4, NumberType::i4, "i4"}, {'I', 8, NumberType::i8, "i8"},
-                                          {'U', 1, NumberType::u1, "u1"}, {'U', 2, NumberType::u2, "u2"},
-                                          {'U', 4, NumberType::u4, "u4"}, {'U', 8, NumberType::u8, "u8"}};
+constexpr ScalarTypeEntry kNumberTypes[] = {{'F', 4, ScalarType::f4, "f4"}, {'F', 8, ScalarType::f8, "f8"},
+                                            {'I', 1, ScalarType::i1, "i1"}, {'I', 2, ScalarType::i2, "i2"},
+                                            {'I', 4, ScalarType::i4, "i4"}, {'I', 8, ScalarType::i8, "i8"},
+                                            {'U', 1, ScalarType::u1, "u1"}, {'U', 2, ScalarType::u2, "u2"},
+                                            {'U', 4, ScalarType::u4, "u4"}, {'U', 8, ScalarType::u8, "u8"}};
 
-NumberType parse_point_type(const PointField& field, const std::string& location) {
-    for (const NumberTypeRow& row : kNumberTypes)
+ScalarType get_field_number_type(const PointField& field, const std::string& error_location) {
+    for (const ScalarTypeEntry& row : kNumberTypes)
         if (row.kind == field.kind && row.size == field.size) return row.type;
-    throw DataError(fmt::format(
-        "{}: the field '{}' has the type {}{}, expected F4, F8, or I or U with 1, 2, 4 or 8 "
-        "bytes",
-        location, make_excerpt(field.name), make_excerpt(std::string(1, field.kind)), field.size));
+    throw DataError(
+        fmt::format("{}: the field '{}' has the type {}{}, expected F4, F8, or I or U with 1, 2, 4 or 8 "
+                    "bytes",
+                    error_location, shorten_for_error_message(field.name),
+                    shorten_for_error_message(std::string(1, field.kind)), field.size));
 }
 
-PointTable read_bin(const fs::path& file, const std::vector<std::string>& columns) {
-    const SharedBytes data = share_bytes(read_file(file));
+PointTable read_float32_points(const fs::path& bin_file, const std::vector<std::string>& column_names) {
+    const SharedBytes data = move_to_shared_bytes(read_file(bin_file));
     const std::size_t n_bytes = data.bytes.size();
     std::vector<PointField> fields;
-    for (const std::string& column : columns) fields.push_back({column, 'F', sizeof(float)});
+    for (const std::string& column : column_names) fields.push_back({column, 'F', sizeof(float)});
     const std::size_t record = fields.size() * sizeof(float);
     if (n_bytes % record != 0)
         throw DataError(
             fmt::format("{}: found {} bytes, expected a multiple of {} bytes for points of {} float32 "
                         "values (\"columns\" in sequence.json)",
-                        file.string(), n_bytes, record, fields.size()));
-    PointTable table = read_packed(data, fields, n_bytes / record, Packing::by_point, file.string());
+                        bin_file.string(), n_bytes, record, fields.size()));
+    PointTable table = make_table_of_binary_points(data, fields, n_bytes / record,
+                                                   PointMemoryLayout::by_point, bin_file.string());
     // read_head() already reports unread columns, so they are not listed again.
     table.unread.clear();
     return table;
 }
 
-PointTable read_npy_points(const fs::path& file, const std::vector<std::string>& columns) {
-    if (const SharedBytes bytes = share_bytes(read_file(file)); is_structured_npy(bytes.bytes))
-        return read_structured_npy(bytes, file.string());
+PointTable read_npy_points(const fs::path& file, const std::vector<std::string>& column_names) {
+    if (const SharedBytes bytes = move_to_shared_bytes(read_file(file)); is_structured_npy(bytes.bytes))
+        return parse_structured_npy_points(bytes, file.string());
     NamedArray array = read_npy(file);
-    if (array.shape.size() != 2 || array.shape[1] != columns.size())
+    if (array.shape.size() != 2 || array.shape[1] != column_names.size())
         throw DataError(fmt::format(
             "{}: found an array of {} dimensions{}, expected the shape [points, {}] (\"columns\" in "
             "sequence.json)",
             file.string(), array.shape.size(),
             array.shape.empty() ? "" : fmt::format(", whose last dimension is {}", array.shape.back()),
-            columns.size()));
-    check_count(array.shape[0], file.string());
-    const auto* known = std::ranges::find(kNumberTypes, array.dtype, &NumberTypeRow::numpy);
-    if (known == std::end(kNumberTypes) || array.bytes.size() != array.count() * known->size) {
-        const std::vector<double> values = array.as_double();
+            column_names.size()));
+    check_number_of_points(array.shape[0], file.string());
+    const auto* type_row = std::ranges::find(kNumberTypes, array.dtype, &ScalarTypeEntry::numpy);
+    if (type_row == std::end(kNumberTypes) || array.bytes.size() != array.count_elements() * type_row->size) {
+        const std::vector<double> values = array.convert_to_doubles();
         array = make_array(array.name, array.shape, values.data(), values.size());
-        known = std::ranges::find(kNumberTypes, NumberType::f8, &NumberTypeRow::type);
+        type_row = std::ranges::find(kNumberTypes, ScalarType::f8, &ScalarTypeEntry::type);
     }
     const auto memory = std::make_shared<const std::vector<std::byte>>(std::move(array.bytes));
     PointTable table(array.shape[0]);
-    table.keep(memory);
+    table.keep_memory_alive(memory);
     const auto* first = reinterpret_cast<const char*>(memory->data());
-    for (std::size_t c = 0; c < columns.size(); ++c)
-        if (is_point_field(columns[c]))
-            table.add(columns[c], {known->type, first + c * known->size, columns.size() * known->size},
-                      file.string());
+    for (std::size_t c = 0; c < column_names.size(); ++c)
+        if (is_known_point_field(column_names[c]))
+            table.add_value_field(
+                column_names[c],
+                {type_row->type, first + c * type_row->size, column_names.size() * type_row->size},
+                file.string());
     return table;
 }
 
 }  // namespace
 
-std::optional<PointValue> find_value_of_field(std::string_view name) {
-    const std::size_t row = find_row_of_field(name);
+std::optional<PointAttribute> find_field_meaning(std::string_view field_name) {
+    const std::size_t row = find_field_index_ignoring_case(field_name);
     return row == kNotRead ? std::nullopt : std::optional(kFieldNames[row].value);
 }
 
-std::vector<std::string> PointTable::names(PointValue value) const {
+std::vector<std::string> PointTable::list_field_names(PointAttribute meaning) const {
     // If names differ only in spelling, the one that equals the listed name is first.
     std::vector<std::tuple<std::size_t, bool, std::string>> ranked;
     for (const auto& [name, values] : fields_) {
-        const std::size_t row = find_row_of_field(name);
-        if (row != kNotRead && kFieldNames[row].value == value)
+        const std::size_t row = find_field_index_ignoring_case(name);
+        if (row != kNotRead && kFieldNames[row].value == meaning)
             ranked.emplace_back(row, name != kFieldNames[row].name, name);
     }
     std::ranges::sort(ranked);
@@ -178,56 +183,61 @@ std::vector<std::string> PointTable::names(PointValue value) const {
     return names;
 }
 
-void check_count(std::size_t count, const std::string& location) {
-    if (count == 0 || count > kMostPoints)
-        throw DataError(fmt::format("{}: found {} points, expected 1 to {}", location, count, kMostPoints));
+void check_number_of_points(std::size_t n_points, const std::string& error_location) {
+    if (n_points == 0 || n_points > kMostPoints)
+        throw DataError(
+            fmt::format("{}: found {} points, expected 1 to {}", error_location, n_points, kMostPoints));
 }
 
-const FieldValues* PointTable::find(const std::string& name) const {
-    const auto at = fields_.find(name);
+const PointFieldView* PointTable::find_field(const std::string& field_name) const {
+    const auto at = fields_.find(field_name);
     return at == fields_.end() ? nullptr : &at->second;
 }
 
-const FieldValues* PointTable::find(PointValue value) const {
-    const std::vector<std::string> all = names(value);
-    return all.empty() ? nullptr : find(all[0]);
+const PointFieldView* PointTable::find_field(PointAttribute meaning) const {
+    const std::vector<std::string> all = list_field_names(meaning);
+    return all.empty() ? nullptr : find_field(all[0]);
 }
 
-void PointTable::add(const std::string& name, const FieldValues& values, const std::string& location) {
-    if (!fields_.emplace(name, values).second)
-        throw DataError(fmt::format("{}: the field '{}' occurs twice, expected it once", location, name));
+void PointTable::add_value_field(const std::string& field_name, const PointFieldView& values,
+                                 const std::string& error_location) {
+    if (!fields_.emplace(field_name, values).second)
+        throw DataError(
+            fmt::format("{}: the field '{}' occurs twice, expected it once", error_location, field_name));
 }
 
-void PointTable::remove(PointValue value) {
-    std::erase_if(fields_, [&](const auto& field) { return find_value_of_field(field.first) == value; });
+void PointTable::remove_fields(PointAttribute meaning) {
+    std::erase_if(fields_, [&](const auto& field) { return find_field_meaning(field.first) == meaning; });
 }
 
-PointTable read_packed(const SharedBytes& data, const std::vector<PointField>& fields, std::size_t count,
-                       Packing packing, const std::string& location) {
-    check_count(count, location);
+PointTable make_table_of_binary_points(const SharedBytes& data, const std::vector<PointField>& fields,
+                                       std::size_t n_points, PointMemoryLayout packing,
+                                       const std::string& error_location) {
+    check_number_of_points(n_points, error_location);
     std::size_t record = 0;
     for (const PointField& field : fields) {
         if (field.size == 0 || field.count == 0)
             throw DataError(fmt::format("{}: field '{}' has no values, expected at least one per point",
-                                        location, make_excerpt(field.name)));
+                                        error_location, shorten_for_error_message(field.name)));
         record += field.size * field.count;
     }
-    if (data.bytes.size() / count < record)
+    if (data.bytes.size() / n_points < record)
         throw DataError(
             fmt::format("{}: the file is truncated: found {} bytes of points, expected {} "
                         "points of {} bytes",
-                        location, data.bytes.size(), count, record));
-    PointTable table(count);
-    table.keep(data.memory);
+                        error_location, data.bytes.size(), n_points, record));
+    PointTable table(n_points);
+    table.keep_memory_alive(data.memory);
     std::size_t before = 0;  // number of bytes of the previous fields in a point
     for (const PointField& field : fields) {
         const std::size_t width = field.size * field.count;
-        if (is_point_field(field.name)) {
-            const char* first = data.bytes.data() + (packing == Packing::by_point ? before : before * count);
-            table.add(
-                field.name,
-                {parse_point_type(field, location), first, packing == Packing::by_point ? record : width},
-                location);
+        if (is_known_point_field(field.name)) {
+            const char* first =
+                data.bytes.data() + (packing == PointMemoryLayout::by_point ? before : before * n_points);
+            table.add_value_field(field.name,
+                                  {get_field_number_type(field, error_location), first,
+                                   packing == PointMemoryLayout::by_point ? record : width},
+                                  error_location);
         } else if (field.name != kPadding) {
             table.unread.push_back(field.name);
         }
@@ -236,36 +246,38 @@ PointTable read_packed(const SharedBytes& data, const std::vector<PointField>& f
     return table;
 }
 
-PointTable read_lines(std::string_view text, const std::vector<PointField>& fields, std::size_t n,
-                      const std::string& where) {
-    check_count(n, where);
-    if (n > text.size())
+PointTable parse_point_lines(std::string_view text, const std::vector<PointField>& fields,
+                             std::size_t n_points, const std::string& error_location) {
+    check_number_of_points(n_points, error_location);
+    if (n_points > text.size())
         throw DataError(fmt::format("{}: the file is truncated: found {} bytes of text, expected {} points",
-                                    where, text.size(), n));
+                                    error_location, text.size(), n_points));
     struct Column {
-        std::size_t place;  ///< index in the line
+        std::size_t index_in_line;  ///< index in the line
         const std::string& name;
         std::vector<double> values;
     };
-    std::vector<Column> kept;
+    std::vector<Column> point_columns;
     std::size_t width = 0;
     for (const PointField& field : fields) {
-        if (is_point_field(field.name)) kept.push_back({width, field.name, std::vector<double>(n)});
+        if (is_known_point_field(field.name))
+            point_columns.push_back({width, field.name, std::vector<double>(n_points)});
         width += field.count;
     }
-    for (std::size_t i = 0; i < n; ++i) {
+    for (std::size_t i = 0; i < n_points; ++i) {
         const std::size_t end = std::min(text.find('\n'), text.size());
         const auto numbers = parse_numbers(text.substr(0, end));
         if (!numbers || numbers->size() != width)
-            throw DataError(fmt::format("{}: point {} is '{}', expected {} numbers", where, i,
-                                        make_excerpt(text.substr(0, end)), width));
-        for (Column& column : kept) column.values[i] = (*numbers)[column.place];
+            throw DataError(fmt::format("{}: point {} is '{}', expected {} numbers", error_location, i,
+                                        shorten_for_error_message(text.substr(0, end)), width));
+        for (Column& column : point_columns) column.values[i] = (*numbers)[column.index_in_line];
         text.remove_prefix(std::min(end + 1, text.size()));
     }
-    PointTable table(n);
+    PointTable table(n_points);
     for (const PointField& field : fields)
-        if (!is_point_field(field.name) && field.name != kPadding) table.unread.push_back(field.name);
-    for (Column& column : kept) table.add(column.name, NumberType::f8, std::move(column.values), where);
+        if (!is_known_point_field(field.name) && field.name != kPadding) table.unread.push_back(field.name);
+    for (Column& column : point_columns)
+        table.add_value_field(column.name, ScalarType::f8, std::move(column.values), error_location);
     return table;
 }
 
@@ -281,39 +293,40 @@ namespace {
 
 /// Returns true if the header of a PCD or PLY file says that relidar wrote
 /// motion-compensated points or points in the world frame.
-bool is_marked_deskewed(std::string_view bytes) {
+bool is_header_marked_deskewed(std::string_view file_bytes) {
     constexpr std::size_t kHeader = 4096;  // number of bytes at the start of the file that are searched
-    const std::string_view header = bytes.substr(0, kHeader);
+    const std::string_view header = file_bytes.substr(0, kHeader);
     return header.find(" points_in sensor at time_s") != header.npos ||
            header.find(" points_in world") != header.npos;
 }
 
-PointTable read_with_header(const fs::path& file,
-                            PointTable (*read)(const SharedBytes& bytes, const std::string& where)) {
-    const SharedBytes bytes = share_bytes(read_text(file));
-    PointTable table = read(bytes, file.string());
-    table.is_deskewed = is_marked_deskewed(bytes.bytes);
+PointTable read_point_file_with_header(const fs::path& file,
+                                       PointTable (*parse_points)(const SharedBytes& bytes,
+                                                                  const std::string& where)) {
+    const SharedBytes bytes = move_to_shared_bytes(read_text_file(file));
+    PointTable table = parse_points(bytes, file.string());
+    table.is_deskewed = is_header_marked_deskewed(bytes.bytes);
     return table;
 }
 
 }  // namespace
 
-PointTable read_point_file(const fs::path& file, const std::vector<std::string>& columns) {
+PointTable read_point_file(const fs::path& file, const std::vector<std::string>& column_names) {
     static const std::vector<std::string> kKitti = {"x", "y", "z", "intensity"};
     const std::string ending = file.extension().string();
-    if (ending == ".bin") return read_bin(file, columns.empty() ? kKitti : columns);
-    if (ending == ".npy") return read_npy_points(file, columns.empty() ? kKitti : columns);
-    if (ending == ".pcd") return read_with_header(file, read_pcd);
-    if (ending == ".ply") return read_with_header(file, read_ply);
-    if (ending == ".las") return read_las(share_bytes(read_file(file)), file.string());
+    if (ending == ".bin") return read_float32_points(file, column_names.empty() ? kKitti : column_names);
+    if (ending == ".npy") return read_npy_points(file, column_names.empty() ? kKitti : column_names);
+    if (ending == ".pcd") return read_point_file_with_header(file, parse_pcd_points);
+    if (ending == ".ply") return read_point_file_with_header(file, parse_ply_points);
+    if (ending == ".las") return parse_las_points(move_to_shared_bytes(read_file(file)), file.string());
     if (ending == ".csv" || ending == ".xyz")
-        return read_text_points(share_bytes(read_file(file)), columns, file.string());
+        return parse_text_points(move_to_shared_bytes(read_file(file)), column_names, file.string());
     if (const std::string other = describe_unsupported_format(file); !other.empty())
         throw DataError(fmt::format("{}: {}", file.string(), other));
     throw DataError(
         fmt::format("{}: found the file name ending '{}', expected .npz, .exr, .pcd, .ply, .bin, .npy, "
                     ".las, .csv or .xyz",
-                    file.string(), make_excerpt(ending)));
+                    file.string(), shorten_for_error_message(ending)));
 }
 
 }  // namespace relidar::folder

@@ -21,23 +21,25 @@
 namespace relidar::folder {
 
 /// Meaning of a point field that relidar reads.
-enum class PointValue { x, y, z, intensity, ring, time, return_number, return_type, range };
+enum class PointAttribute { x, y, z, intensity, ring, time, return_number, return_type, range };
 
 /// Returns the meaning of a field by its name. Ignores upper case and prefixes such as
 /// "scalar_". Returns nothing for fields that relidar does not read, such as colours and
 /// normals.
-std::optional<PointValue> find_value_of_field(std::string_view name);
-inline bool is_point_field(std::string_view name) { return find_value_of_field(name).has_value(); }
+std::optional<PointAttribute> find_field_meaning(std::string_view field_name);
+inline bool is_known_point_field(std::string_view field_name) {
+    return find_field_meaning(field_name).has_value();
+}
 
-enum class NumberType : std::uint8_t { f4, f8, i1, i2, i4, i8, u1, u2, u4, u8 };
+enum class ScalarType : std::uint8_t { f4, f8, i1, i2, i4, i8, u1, u2, u4, u8 };
 
 /// View of the values of one field for all points of a cloud. The values stay in the
 /// number type of the file.
-class FieldValues {
+class PointFieldView {
     // Defined before its uses, because older clang versions cannot deduce the return type
     // otherwise.
     template <class T>
-    auto reader() const {
+    auto make_value_reader() const {
         return [first = first_, step = step_](std::size_t index) {
             T value;
             std::memcpy(&value, first + index * step, sizeof value);
@@ -49,47 +51,48 @@ public:
     /// Creates a view of values in memory.
     /// @param first  address of the value of point 0
     /// @param step  number of bytes between the values of two consecutive points
-    FieldValues(NumberType type, const char* first, std::size_t step)
+    PointFieldView(ScalarType type, const char* first, std::size_t step)
         : first_(first), step_(step), type_(type) {}
 
     /// Calls use(value_at) with a function that returns the value of point i as
     /// value_at(i), in the number type of the file.
     template <class Use>
-    void visit(const Use& use) const {
+    void visit_with_value_reader(const Use& visitor) const {
         switch (type_) {
-            case NumberType::f4:
-                return use(reader<float>());
-            case NumberType::f8:
-                return use(reader<double>());
-            case NumberType::i1:
-                return use(reader<std::int8_t>());
-            case NumberType::i2:
-                return use(reader<std::int16_t>());
-            case NumberType::i4:
-                return use(reader<std::int32_t>());
-            case NumberType::i8:
-                return use(reader<std::int64_t>());
-            case NumberType::u1:
-                return use(reader<std::uint8_t>());
-            case NumberType::u2:
-                return use(reader<std::uint16_t>());
-            case NumberType::u4:
-                return use(reader<std::uint32_t>());
-            case NumberType::u8:
-                return use(reader<std::uint64_t>());
+            case ScalarType::f4:
+                return visitor(make_value_reader<float>());
+            case ScalarType::f8:
+                return visitor(make_value_reader<double>());
+            case ScalarType::i1:
+                return visitor(make_value_reader<std::int8_t>());
+            case ScalarType::i2:
+                return visitor(make_value_reader<std::int16_t>());
+            case ScalarType::i4:
+                return visitor(make_value_reader<std::int32_t>());
+            case ScalarType::i8:
+                return visitor(make_value_reader<std::int64_t>());
+            case ScalarType::u1:
+                return visitor(make_value_reader<std::uint8_t>());
+            case ScalarType::u2:
+                return visitor(make_value_reader<std::uint16_t>());
+            case ScalarType::u4:
+                return visitor(make_value_reader<std::uint32_t>());
+            case ScalarType::u8:
+                return visitor(make_value_reader<std::uint64_t>());
         }
     }
-    /// Returns the value of one point. To read many values, use visit(), which is faster.
+    /// Returns the value of one point. To read many values, use
+    /// visit_with_value_reader(), which is faster.
     double operator[](std::size_t index) const {
         double value = 0.0;
-        visit([&](const auto& value_at) { value = double(value_at(index)); });
+        visit_with_value_reader([&](const auto& value_at) { value = double(value_at(index)); });
         return value;
     }
 
 private:
     const char* first_;
     std::size_t step_;
-    NumberType type_;
+    ScalarType type_;
 };
 
 /// A point cloud, stored as one array of values per field. Copies of a table share the
@@ -106,28 +109,31 @@ public:
 
     /// Returns the field with a meaning such as "intensity", or nullptr if no field has
     /// it. If several fields have it, the order of the known field names decides.
-    const FieldValues* find(PointValue value) const;
+    const PointFieldView* find_field(PointAttribute meaning) const;
     /// Returns the field with a name, or nullptr if the table has no such field.
-    const FieldValues* find(const std::string& name) const;
-    /// Returns the names of all fields with a meaning such as "intensity". find() returns
-    /// the field with the first of these names.
-    std::vector<std::string> names(PointValue value) const;
+    const PointFieldView* find_field(const std::string& field_name) const;
+    /// Returns the names of all fields with a meaning such as "intensity". find_field()
+    /// returns the field with the first of these names.
+    std::vector<std::string> list_field_names(PointAttribute meaning) const;
     /// Adds a field to the table.
-    /// @param location  name of the file, for error messages
+    /// @param error_location  name of the file, for error messages
     /// @throws DataError if the field already exists
-    void add(const std::string& name, const FieldValues& values, const std::string& location);
+    void add_value_field(const std::string& field_name, const PointFieldView& values,
+                         const std::string& error_location);
     template <class T>
-    void add(const std::string& name, NumberType type, std::vector<T> values, const std::string& location) {
+    void add_value_field(const std::string& field_name, ScalarType type, std::vector<T> values,
+                         const std::string& error_location) {
         const auto memory = std::make_shared<const std::vector<T>>(std::move(values));
-        keep(memory);
-        add(name, {type, reinterpret_cast<const char*>(memory->data()), sizeof(T)}, location);
+        keep_memory_alive(memory);
+        add_value_field(field_name, {type, reinterpret_cast<const char*>(memory->data()), sizeof(T)},
+                        error_location);
     }
-    void remove(PointValue value);
+    void remove_fields(PointAttribute meaning);
     /// Keeps the memory of field values allocated as long as the table exists.
-    void keep(std::shared_ptr<const void> memory) { memory_.push_back(std::move(memory)); }
+    void keep_memory_alive(std::shared_ptr<const void> memory) { memory_.push_back(std::move(memory)); }
 
 private:
-    std::map<std::string, FieldValues> fields_;
+    std::map<std::string, PointFieldView> fields_;
     std::vector<std::shared_ptr<const void>> memory_;
 };
 
@@ -143,21 +149,22 @@ struct PointField {
 };
 
 /// Order in which the values of n points are stored in memory.
-enum class Packing {
+enum class PointMemoryLayout {
     by_point,  ///< one record per point
     by_field   ///< all values of the first field, followed by all values of the second field, and so on
 };
 
 /// Checks the number of points of a file.
 /// @throws DataError if there are no points, or too many for one scan
-void check_count(std::size_t count, const std::string& location);
+void check_number_of_points(std::size_t n_points, const std::string& error_location);
 /// Returns a table of binary little-endian numbers, without copying them.
 /// @throws DataError if a number type does not exist or if the data is too short
-PointTable read_packed(const SharedBytes& data, const std::vector<PointField>& fields, std::size_t count,
-                       Packing packing, const std::string& location);
-/// Parses `count` lines of numbers that are separated by blanks, one line per point.
-PointTable read_lines(std::string_view text, const std::vector<PointField>& fields, std::size_t count,
-                      const std::string& location);
+PointTable make_table_of_binary_points(const SharedBytes& data, const std::vector<PointField>& fields,
+                                       std::size_t n_points, PointMemoryLayout packing,
+                                       const std::string& error_location);
+/// Parses `n_points` lines of numbers that are separated by blanks, one line per point.
+PointTable parse_point_lines(std::string_view text, const std::vector<PointField>& fields,
+                             std::size_t n_points, const std::string& error_location);
 
 /// Returns true if a file has the extension of a supported point cloud format.
 bool is_point_file(const std::filesystem::path& file);
@@ -165,26 +172,27 @@ bool is_point_file(const std::filesystem::path& file);
 /// ray.
 bool is_image_file(const std::filesystem::path& file);
 /// Reads the points of a file. The extension of the file defines its format.
-/// @param columns  names of the columns in .bin and .npy files; empty: x y z intensity
+/// @param column_names  names of the columns in .bin and .npy files; empty: x y z
+/// intensity
 /// @throws DataError with the name of the file
-PointTable read_point_file(const std::filesystem::path& file, const std::vector<std::string>& columns);
+PointTable read_point_file(const std::filesystem::path& file, const std::vector<std::string>& column_names);
 
 /// Reads a LAS file that contains a single scan.
 /// @throws DataError if the points are far from the origin, where the sensor of a scan is
-PointTable read_las(const SharedBytes& file, const std::string& location);
+PointTable parse_las_points(const SharedBytes& file, const std::string& error_location);
 /// Reads a PCD or PLY file. The header of the file describes the fields.
-PointTable read_pcd(const SharedBytes& file, const std::string& location);
-PointTable read_ply(const SharedBytes& file, const std::string& location);
+PointTable parse_pcd_points(const SharedBytes& file, const std::string& error_location);
+PointTable parse_ply_points(const SharedBytes& file, const std::string& error_location);
 
 /// Reads lines of numbers that are separated by blanks, commas or semicolons. The first
 /// line may contain the names of the fields.
-/// @param columns  names of the fields if the file has no header. If empty, the fields
-/// are x y z, or x y z intensity.
-PointTable read_text_points(const SharedBytes& file, const std::vector<std::string>& columns,
-                            const std::string& location);
+/// @param column_names  names of the fields if the file has no header. If empty, the
+/// fields are x y z, or x y z intensity.
+PointTable parse_text_points(const SharedBytes& file, const std::vector<std::string>& column_names,
+                             const std::string& error_location);
 
 /// Returns true if the bytes are a .npy file whose elements have named fields.
 bool is_structured_npy(std::string_view bytes);
-PointTable read_structured_npy(const SharedBytes& file, const std::string& location);
+PointTable parse_structured_npy_points(const SharedBytes& file, const std::string& error_location);
 
 }  // namespace relidar::folder

@@ -18,7 +18,7 @@ namespace {
 constexpr std::size_t kMostTextFields = 1024;
 constexpr std::size_t kNpyPrefix = 8;  // size of the magic string and the version of a .npy file
 
-std::vector<PointField> split_names(std::string_view line) {
+std::vector<PointField> parse_field_name_line(std::string_view line) {
     std::vector<PointField> fields;
     for (line = trim_spaces(line); !line.empty(); line = trim_spaces(line)) {
         const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
@@ -37,52 +37,56 @@ std::vector<PointField> make_named_fields(const std::vector<std::string>& names)
 }
 
 /// Returns the fields of a text file that has no header.
-/// @param count  number of values per line
-std::vector<PointField> make_default_fields(std::size_t count, const std::vector<std::string>& columns,
-                                            const std::string& location) {
-    if (columns.size() == count) return make_named_fields(columns);
-    if (columns.empty() && count == 3) return make_named_fields({"x", "y", "z"});
-    if (columns.empty() && count == 4) return make_named_fields({"x", "y", "z", "intensity"});
+/// @param n_values_per_line  number of values per line
+std::vector<PointField> make_default_fields(std::size_t n_values_per_line,
+                                            const std::vector<std::string>& column_names,
+                                            const std::string& error_location) {
+    if (column_names.size() == n_values_per_line) return make_named_fields(column_names);
+    if (column_names.empty() && n_values_per_line == 3) return make_named_fields({"x", "y", "z"});
+    if (column_names.empty() && n_values_per_line == 4)
+        return make_named_fields({"x", "y", "z", "intensity"});
     throw DataError(
         fmt::format("{}: found {} numbers per line and no header, expected names in the first line, or "
                     "\"columns\" in sequence.json",
-                    location, count));
+                    error_location, n_values_per_line));
 }
 
 /// Parses the list of fields in the header of a structured numpy array: [('x', '<f4'),
 /// ...].
-class FieldList {
+class NumpyFieldListParser {
 public:
-    FieldList(std::string_view text, const std::string& location) : text_(text), where_(location) {}
+    NumpyFieldListParser(std::string_view text, const std::string& location)
+        : text_(text), where_(location) {}
 
-    std::vector<PointField> parse() {
+    std::vector<PointField> parse_field_list() {
         std::vector<PointField> fields;
         expect('[');
         while (!accept(']')) {
             expect('(');
-            const std::string name = quoted();
+            const std::string name = parse_quoted_text();
             expect(',');
-            fields.push_back(parse_numpy_field(name, quoted()));
-            if (accept(',') && peek('(')) fields.back().count *= shape();
+            fields.push_back(parse_numpy_field(name, parse_quoted_text()));
+            if (accept(',') && skip_blanks_and_peek('(')) fields.back().count *= parse_shape_product();
             expect(')');
-            if (!accept(',') && !peek(']')) fail();
+            if (!accept(',') && !skip_blanks_and_peek(']')) fail();
             if (fields.size() > kMostTextFields) fail();
         }
         return fields;
     }
     /// Parses the shape of a field, which is a tuple of numbers. Returns their product.
-    std::size_t shape() {
+    std::size_t parse_shape_product() {
         std::size_t n = 1;
         expect('(');
         while (!accept(')')) {
             std::size_t value = 0, n_digits = 0;
-            for (peek(' '); !text_.empty() && text_[0] >= '0' && text_[0] <= '9'; ++n_digits) {
+            for (skip_blanks_and_peek(' '); !text_.empty() && text_[0] >= '0' && text_[0] <= '9';
+                 ++n_digits) {
                 value = 10 * value + std::size_t(text_[0] - '0');
                 text_.remove_prefix(1);
             }
             if (n_digits == 0 || n_digits > 8) fail();
             n *= value;
-            if (n > std::size_t(1) << 32 || (!accept(',') && !peek(')'))) fail();
+            if (n > std::size_t(1) << 32 || (!accept(',') && !skip_blanks_and_peek(')'))) fail();
         }
         return n;
     }
@@ -94,19 +98,19 @@ private:
     [[noreturn]] void fail() const {
         throw DataError(fmt::format("{}: the npy header is malformed, expected fields of numbers", where_));
     }
-    bool peek(char character) {
+    bool skip_blanks_and_peek(char expected) {
         while (!text_.empty() && (text_[0] == ' ' || text_[0] == '\n')) text_.remove_prefix(1);
-        return !text_.empty() && text_[0] == character;
+        return !text_.empty() && text_[0] == expected;
     }
-    bool accept(char character) {
-        if (!peek(character)) return false;
+    bool accept(char expected) {
+        if (!skip_blanks_and_peek(expected)) return false;
         text_.remove_prefix(1);
         return true;
     }
-    void expect(char character) {
-        if (!accept(character)) fail();
+    void expect(char expected) {
+        if (!accept(expected)) fail();
     }
-    std::string quoted() {
+    std::string parse_quoted_text() {
         expect('\'');
         const std::size_t end = std::min(text_.find('\''), text_.size());
         const std::string text(text_.substr(0, end));
@@ -116,22 +120,24 @@ private:
     }
     /// Converts a numpy type such as '<f4' to a field. Fields without a name, or with the
     /// type 'V', contain no data.
-    PointField parse_numpy_field(const std::string& name, const std::string& type) const {
-        const auto size = parse_number(std::string_view(type).substr(std::min<std::size_t>(2, type.size())));
-        if (type.size() < 3 || !size || !(*size >= 1.0 && *size <= 65536.0)) fail();
-        if (type[0] == '>')
+    PointField parse_numpy_field(const std::string& field_name, const std::string& type_code) const {
+        const auto size =
+            parse_number(std::string_view(type_code).substr(std::min<std::size_t>(2, type_code.size())));
+        if (type_code.size() < 3 || !size || !(*size >= 1.0 && *size <= 65536.0)) fail();
+        if (type_code[0] == '>')
             throw DataError(fmt::format("{}: the field '{}' is big-endian, expected little-endian", where_,
-                                        make_excerpt(name)));
-        if (type[1] == 'V' || name.empty()) return {std::string(kPadding), 'U', 1, std::size_t(*size)};
-        const char kind = type[1] == 'f' ? 'F' : type[1] == 'i' ? 'I' : 'U';
-        return {name, kind, std::size_t(*size)};
+                                        shorten_for_error_message(field_name)));
+        if (type_code[1] == 'V' || field_name.empty())
+            return {std::string(kPadding), 'U', 1, std::size_t(*size)};
+        const char kind = type_code[1] == 'f' ? 'F' : type_code[1] == 'i' ? 'I' : 'U';
+        return {field_name, kind, std::size_t(*size)};
     }
 };
 
 }  // namespace
 
-PointTable read_text_points(const SharedBytes& file, const std::vector<std::string>& columns,
-                            const std::string& location) {
+PointTable parse_text_points(const SharedBytes& file, const std::vector<std::string>& column_names,
+                             const std::string& error_location) {
     std::string text(file.bytes);
     std::ranges::replace_if(
         text,
@@ -145,18 +151,18 @@ PointTable read_text_points(const SharedBytes& file, const std::vector<std::stri
     std::vector<PointField> fields;
     if (const auto numbers = parse_numbers(first_line()); numbers && numbers->size() == 1) skip_line();
     if (const auto numbers = parse_numbers(first_line()); numbers) {
-        fields = make_default_fields(numbers->size(), columns, location);
+        fields = make_default_fields(numbers->size(), column_names, error_location);
     } else {
         std::string_view names = trim_spaces(first_line());
         names.remove_prefix(std::min(names.find_first_not_of("#/ "), names.size()));
-        fields = split_names(names);
+        fields = parse_field_name_line(names);
         skip_line();
     }
     if (fields.size() > kMostTextFields)
-        throw DataError(fmt::format("{}: found {} fields, expected at most {}", location, fields.size(),
+        throw DataError(fmt::format("{}: found {} fields, expected at most {}", error_location, fields.size(),
                                     kMostTextFields));
     const auto n = rest.empty() ? 0 : std::size_t(std::ranges::count(rest, '\n')) + 1;
-    return read_lines(rest, fields, n, location);
+    return parse_point_lines(rest, fields, n, error_location);
 }
 
 bool is_structured_npy(std::string_view bytes) {
@@ -166,23 +172,27 @@ bool is_structured_npy(std::string_view bytes) {
            trim_spaces(header.substr(at + 8)).starts_with('[');
 }
 
-PointTable read_structured_npy(const SharedBytes& file, const std::string& location) {
+PointTable parse_structured_npy_points(const SharedBytes& file, const std::string& error_location) {
     const std::string_view bytes = file.bytes;
     const std::size_t n_length = bytes.size() > kNpyPrefix && bytes[6] == 1 ? 2 : 4;
     if (bytes.size() < kNpyPrefix + n_length)
-        throw DataError(fmt::format("{}: the npy header is truncated", location));
+        throw DataError(fmt::format("{}: the npy header is truncated", error_location));
     std::uint32_t length = 0;
     std::memcpy(&length, bytes.data() + kNpyPrefix, n_length);
     const std::size_t start = kNpyPrefix + n_length;
     if (length > bytes.size() - start)
-        throw DataError(fmt::format("{}: the npy header is truncated", location));
+        throw DataError(fmt::format("{}: the npy header is truncated", error_location));
     const std::string_view header = bytes.substr(start, length);
     const std::size_t fields_at = header.find("'descr':"), shape_at = header.find("'shape':");
     if (fields_at == header.npos || shape_at == header.npos)
-        throw DataError(fmt::format("{}: the npy header has no descr or no shape, expected both", location));
-    const std::vector<PointField> fields = FieldList(header.substr(fields_at + 8), location).parse();
-    const std::size_t n = FieldList(header.substr(shape_at + 8), location).shape();
-    return read_packed(file.with(bytes.substr(start + length)), fields, n, Packing::by_point, location);
+        throw DataError(
+            fmt::format("{}: the npy header has no descr or no shape, expected both", error_location));
+    const std::vector<PointField> fields =
+        NumpyFieldListParser(header.substr(fields_at + 8), error_location).parse_field_list();
+    const std::size_t n =
+        NumpyFieldListParser(header.substr(shape_at + 8), error_location).parse_shape_product();
+    return make_table_of_binary_points(file.make_shared_subview(bytes.substr(start + length)), fields, n,
+                                       PointMemoryLayout::by_point, error_location);
 }
 
 }  // namespace relidar::folder

@@ -23,17 +23,19 @@ constexpr double kMoreForward = 0.3, kMoreOverlap = 0.02;
 // Minimum number of motions between poses for estimating the driving direction.
 constexpr std::size_t kFewestSteps = 3;
 constexpr double kCell_m = 0.5;  // edge length of the cells in which the overlap of scans is counted
-constexpr float kNear_m = 3.0f, kFar_m = 40.0f;  // only points in this interval of ranges are compared
+constexpr float kMinComparedRange_m = 3.0f,
+                kMaxComparedRange_m = 40.0f;  // only points in this interval of ranges are compared
 
-bool is_compared(const glm::vec3& point_m) {
+bool is_in_compared_range(const glm::vec3& point_m) {
     const float range_m = glm::length(point_m);
-    return range_m > kNear_m && range_m < kFar_m;
+    return range_m > kMinComparedRange_m && range_m < kMaxComparedRange_m;
 }
 
 constexpr std::size_t kPairs = 5;  // number of pairs of scans that are compared
 
 /// Converts the returns of a frame to points in the vehicle frame.
-std::vector<glm::vec3> vehicle_points(const Sequence& sequence, const Frame& frame) {
+std::vector<glm::vec3> compute_points_in_vehicle_frame(const LidarSequence& sequence,
+                                                       const LidarFrame& frame) {
     const Pose& mounting = sequence.get_lidar(frame).vehicle_from_sensor;
     const RayTable& rays = frame.scan.rays;
     std::vector<glm::vec3> points_m;
@@ -44,65 +46,68 @@ std::vector<glm::vec3> vehicle_points(const Sequence& sequence, const Frame& fra
 }
 
 /// Selects pairs of consecutive scans of the first LiDAR, evenly spread over the log.
-ScanPairs format_pairs(const Sequence& sequence) {
-    std::vector<const Frame*> frames;
-    for (const Frame& frame : sequence.frames)
+OverlapScanPairs select_scan_pairs(const LidarSequence& sequence) {
+    std::vector<const LidarFrame*> frames;
+    for (const LidarFrame& frame : sequence.frames)
         if (frame.lidar == 0 && frame.scan.count_returns() > 0) frames.push_back(&frame);
-    ScanPairs pairs;
+    OverlapScanPairs pairs;
     const std::size_t n = frames.empty() ? 0 : std::min(kPairs, frames.size() - 1);
     for (std::size_t k = 0; k < n; ++k) {
         const std::size_t i = k * (frames.size() - 1) / n;
-        pairs.add(frames[i]->time_s, vehicle_points(sequence, *frames[i]), frames[i + 1]->time_s,
-                  vehicle_points(sequence, *frames[i + 1]));
+        pairs.add_scan_pair(frames[i]->time_s, compute_points_in_vehicle_frame(sequence, *frames[i]),
+                            frames[i + 1]->time_s, compute_points_in_vehicle_frame(sequence, *frames[i + 1]));
     }
     return pairs;
 }
 
 }  // namespace
 
-void ScanPairs::add(double first_s, std::vector<glm::vec3> first_m, double second_s,
-                    std::vector<glm::vec3> second_m) {
-    std::erase_if(first_m, [](const glm::vec3& point) { return !is_compared(point); });
-    std::erase_if(second_m, [](const glm::vec3& point) { return !is_compared(point); });
-    if (!first_m.empty() && !second_m.empty())
-        pairs_.push_back({first_s, second_s, std::move(first_m), std::move(second_m)});
+void OverlapScanPairs::add_scan_pair(double first_time_s, std::vector<glm::vec3> first_points_m,
+                                     double second_time_s, std::vector<glm::vec3> second_points_m) {
+    std::erase_if(first_points_m, [](const glm::vec3& point) { return !is_in_compared_range(point); });
+    std::erase_if(second_points_m, [](const glm::vec3& point) { return !is_in_compared_range(point); });
+    if (!first_points_m.empty() && !second_points_m.empty())
+        pairs_.push_back(
+            {first_time_s, second_time_s, std::move(first_points_m), std::move(second_points_m)});
 }
 
-double ScanPairs::compute_overlap(const PoseTrack& world_from_vehicle) const {
+double OverlapScanPairs::compute_scan_overlap(const PoseTrack& world_from_vehicle) const {
     double sum = 0.0;
-    for (const Pair& pair : pairs_) {
-        const Pose first_from_second =
-            inverse(world_from_vehicle.at(pair.first_s)) * world_from_vehicle.at(pair.second_s);
+    for (const OverlapScanPair& pair : pairs_) {
+        const Pose first_from_second = inverse(world_from_vehicle.interpolate_pose(pair.first_s)) *
+                                       world_from_vehicle.interpolate_pose(pair.second_s);
         std::unordered_set<std::uint64_t> cells;
-        for (const glm::vec3& p : pair.first_m) cells.insert(make_cell_key(glm::dvec3(p), kCell_m));
+        for (const glm::vec3& p : pair.first_m) cells.insert(compute_grid_cell_key(glm::dvec3(p), kCell_m));
         std::size_t n = 0;
         for (const glm::vec3& p : pair.second_m)
-            n += cells.contains(make_cell_key(first_from_second * glm::dvec3(p), kCell_m));
+            n += cells.contains(compute_grid_cell_key(first_from_second * glm::dvec3(p), kCell_m));
         sum += double(n) / double(pair.second_m.size());
     }
     return pairs_.empty() ? 0.0 : sum / double(pairs_.size());
 }
 
-std::size_t choose_pose_reading(const std::vector<PoseReading>& readings, const ReadPairs& read_pairs,
-                                const std::string& location, std::vector<std::string>& notes) {
+std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& interpretations,
+                                       const OverlapScanPairReader& read_scan_pairs,
+                                       const std::string& error_location, std::vector<std::string>& notes) {
     std::vector<double> forward;
-    for (const PoseReading& reading : readings) {
-        const stamped::Driving driving = stamped::estimate_driving_direction(reading.world_from_vehicle);
+    for (const PoseInterpretation& reading : interpretations) {
+        const stamped::DrivingDirection driving =
+            stamped::estimate_driving_direction(reading.world_from_vehicle);
         forward.push_back(driving.n_steps < kFewestSteps ? 0.0 : driving.mean.x);
     }
     const auto is_possible = [&](std::size_t index) {
         return forward[index] >= kForward && forward[index] >= forward[0] + kMoreForward;
     };
     std::size_t n_possible = 0;
-    for (std::size_t k = 1; k < readings.size(); ++k) n_possible += is_possible(k);
+    for (std::size_t k = 1; k < interpretations.size(); ++k) n_possible += is_possible(k);
     if (n_possible == 0) return 0;
-    const ScanPairs scans = read_pairs ? read_pairs() : ScanPairs();
+    const OverlapScanPairs scans = read_scan_pairs ? read_scan_pairs() : OverlapScanPairs();
     std::size_t best = 0;
-    double best_overlap = scans.compute_overlap(readings[0].world_from_vehicle) + kMoreOverlap;
-    for (std::size_t k = 1; k < readings.size(); ++k) {
+    double best_overlap = scans.compute_scan_overlap(interpretations[0].world_from_vehicle) + kMoreOverlap;
+    for (std::size_t k = 1; k < interpretations.size(); ++k) {
         if (!is_possible(k)) continue;
-        if (scans.empty() && (readings[k].needs_scans || best > 0)) continue;
-        const double overlap = scans.compute_overlap(readings[k].world_from_vehicle);
+        if (scans.empty() && (interpretations[k].needs_scans || best > 0)) continue;
+        const double overlap = scans.compute_scan_overlap(interpretations[k].world_from_vehicle);
         if (!scans.empty() && overlap <= best_overlap) continue;
         best = k;
         best_overlap = overlap;
@@ -111,21 +116,23 @@ std::size_t choose_pose_reading(const std::vector<PoseReading>& readings, const 
         notes.push_back(
             fmt::format("{}: poses are read as {}, because then {:.2f} m of each metre of driving are "
                         "forward, but only {:.2f} m if poses are read as {}",
-                        location, readings[best].about, forward[best], forward[0], readings[0].about));
+                        error_location, interpretations[best].about, forward[best], forward[0],
+                        interpretations[0].about));
     return best;
 }
 
-void correct_inverse_poses(Sequence& sequence) {
+void invert_poses_if_inverted(LidarSequence& sequence) {
     if (!sequence.has_poses) return;
     PoseTrack invert_track = sequence.world_from_vehicle;
     for (Pose& pose : invert_track.pose) {
         pose.translation += sequence.world_offset_m;
         pose = inverse(pose);
     }
-    const std::vector<PoseReading> readings = {{"world-from-sensor poses", sequence.world_from_vehicle},
-                                               {"sensor-from-world poses", std::move(invert_track), true}};
-    const auto read_pairs = [&] { return format_pairs(sequence); };
-    if (choose_pose_reading(readings, read_pairs, sequence.source, sequence.notes) == 0) return;
+    const std::vector<PoseInterpretation> readings = {
+        {"world-from-sensor poses", sequence.world_from_vehicle},
+        {"sensor-from-world poses", std::move(invert_track), true}};
+    const auto read_pairs = [&] { return select_scan_pairs(sequence); };
+    if (choose_pose_interpretation(readings, read_pairs, sequence.source, sequence.notes) == 0) return;
     set_vehicle_poses(sequence, readings[1].world_from_vehicle);
     sequence.world_offset_m = glm::dvec3(0.0);
     recentre_sequence(sequence);

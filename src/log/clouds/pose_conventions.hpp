@@ -14,7 +14,7 @@
 namespace relidar::folder {
 
 /// One meaning of the numbers in a pose file.
-struct PoseReading {
+struct PoseInterpretation {
     std::string about;             ///< description for notes
     PoseTrack world_from_vehicle;  ///< poses according to this meaning
     /// True if scans must confirm this interpretation of the pose file. The motion alone
@@ -23,40 +23,41 @@ struct PoseReading {
 };
 
 /// Pairs of scans. Their overlap shows which interpretation of a pose file is right.
-class ScanPairs {
+class OverlapScanPairs {
 public:
     /// Adds a pair of scans from the same LiDAR.
     /// @param points_m  positions in the vehicle frame
-    void add(double first_s, std::vector<glm::vec3> first_m, double second_s,
-             std::vector<glm::vec3> second_m);
+    void add_scan_pair(double first_time_s, std::vector<glm::vec3> first_points_m, double second_time_s,
+                       std::vector<glm::vec3> second_points_m);
     bool empty() const { return pairs_.empty(); }
     /// Returns how well the scans overlap with the given poses: the share of points of
     /// the second scan that are in a grid cell with a point of the first scan.
-    double compute_overlap(const PoseTrack& world_from_vehicle) const;
+    double compute_scan_overlap(const PoseTrack& world_from_vehicle) const;
 
 private:
-    struct Pair {
+    struct OverlapScanPair {
         double first_s, second_s;
         std::vector<glm::vec3> first_m, second_m;
     };
-    std::vector<Pair> pairs_;
+    std::vector<OverlapScanPair> pairs_;
 };
 
-using ReadPairs = std::function<ScanPairs()>;
+using OverlapScanPairReader = std::function<OverlapScanPairs()>;
 
 /// Returns the index of the meaning that fits the motion of the vehicle and the scans
 /// best. Returns 0, the documented meaning, unless another meaning is clearly better. In
 /// this case, also adds a note.
-/// @param readings  possible meanings, at least one
-/// @param read_pairs  reads pairs of scans; called only if the motion contradicts the
-/// documented meaning; may be null
-/// @param location  name of the file, for the note
-std::size_t choose_pose_reading(const std::vector<PoseReading>& readings, const ReadPairs& read_pairs,
-                                const std::string& location, std::vector<std::string>& notes);
+/// @param interpretations  possible meanings, at least one
+/// @param read_scan_pairs  reads pairs of scans; called only if the motion contradicts
+/// the documented meaning; may be null
+/// @param error_location  name of the file, for the note
+std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& interpretations,
+                                       const OverlapScanPairReader& read_scan_pairs,
+                                       const std::string& error_location, std::vector<std::string>& notes);
 
 /// Inverts the poses of a log if they are probably sensor-from-world poses, and adds a
 /// note for the user. With the inverse, the vehicle must drive forward and consecutive
 /// scans must overlap better. The scans of the log must have been read.
-void correct_inverse_poses(Sequence& sequence);
+void invert_poses_if_inverted(LidarSequence& sequence);
 
 }  // namespace relidar::folder

@@ -37,40 +37,44 @@ double compute_elevation(const glm::dvec3& vector) {
 /// Returns elevations of points in ascending order. Uses only the farther half of the
 /// points in each degree of elevation. Near points are less accurate, because beams do
 /// not start exactly at the sensor origin.
-std::vector<double> collect_far_elevations(const std::vector<Points>& scans) {
-    struct Seen {
+std::vector<double> collect_sorted_far_elevations(const std::vector<LidarPoints>& scans) {
+    struct PointRangeElevation {
         float range_m;
         double elevation_rad;
     };
-    std::vector<std::vector<Seen>> seen(181);  // points by degree of elevation
-    for (const Points& scan : scans)
+    std::vector<std::vector<PointRangeElevation>> samples_by_degree(181);  // points by degree of elevation
+    for (const LidarPoints& scan : scans)
         for (const glm::vec3& p : scan.position_m) {
             const double elevation = compute_elevation(glm::dvec3(p));
-            seen[std::size_t((elevation / kPi + 0.5) * 180.0)].push_back({glm::length(p), elevation});
+            samples_by_degree[std::size_t((elevation / kPi + 0.5) * 180.0)].push_back(
+                {glm::length(p), elevation});
         }
     std::vector<double> elevations;
-    for (std::vector<Seen>& degree : seen) {
+    for (std::vector<PointRangeElevation>& degree : samples_by_degree) {
         const auto half = degree.begin() + std::ptrdiff_t(degree.size() / 2);
-        std::nth_element(degree.begin(), half, degree.end(), [](const Seen& first, const Seen& second) {
-            return first.range_m < second.range_m;
-        });
+        std::nth_element(degree.begin(), half, degree.end(),
+                         [](const PointRangeElevation& first, const PointRangeElevation& second) {
+                             return first.range_m < second.range_m;
+                         });
         for (auto s = half; s != degree.end(); ++s) elevations.push_back(s->elevation_rad);
     }
     std::sort(elevations.begin(), elevations.end());
     return elevations;
 }
 
-struct Band {
+struct RingBand {
     int first, last;       ///< first and last bin
     double elevation_rad;  ///< median elevation of the band
 };
 
-/// Returns the groups of consecutive bins with at least `min_count` points each. Gaps of
-/// up to kLeastGap bins do not split a group.
-std::vector<Band> group_elevation_bins(const std::vector<int>& count, double min_count) {
-    std::vector<Band> bands;
-    for (int b = 0; b < int(count.size()); ++b) {
-        if (count[std::size_t(b)] == 0 || count[std::size_t(b)] < min_count) continue;
+/// Returns the groups of consecutive bins with at least `min_points_per_bin` points each.
+/// Gaps of up to kLeastGap bins do not split a group.
+std::vector<RingBand> group_filled_elevation_bins(const std::vector<int>& points_per_bin,
+                                                  double min_points_per_bin) {
+    std::vector<RingBand> bands;
+    for (int b = 0; b < int(points_per_bin.size()); ++b) {
+        if (points_per_bin[std::size_t(b)] == 0 || points_per_bin[std::size_t(b)] < min_points_per_bin)
+            continue;
         if (bands.empty() || b - bands.back().last > kLeastGap) bands.push_back({b, b, 0.0});
         bands.back().last = b;
     }
@@ -80,32 +84,34 @@ std::vector<Band> group_elevation_bins(const std::vector<int>& count, double min
 /// Adds bands with few points, which belong to beams with few returns. Such a band is
 /// narrow, and its distance from the previous band is nearly the usual distance there.
 /// Stray points have no such regular distances.
-/// @param groups  groups of all bins with points, in the order of the search
-/// @param bands  bands with enough points, in the same order
-std::vector<Band> add_weak_bands(const std::vector<Band>& groups, const std::vector<Band>& bands) {
+/// @param candidate_bands  groups of all bins with points, in the order of the search
+/// @param strong_bands  bands with enough points, in the same order
+std::vector<RingBand> add_weak_bands(const std::vector<RingBand>& candidate_bands,
+                                     const std::vector<RingBand>& strong_bands) {
     constexpr double kNearest = 0.75, kFarthest = 1.35;  // distances, relative to the usual distance
     constexpr int kWidestWeak = 2;
-    std::vector<Band> complete;
+    std::vector<RingBand> complete;
     double usual = 0.0;       // distance between the last two bands
     bool is_regular = false;  // false after a group of stray points, until the next band
-    const auto distance = [](const Band& first, const Band& second) {
+    const auto distance = [](const RingBand& first, const RingBand& second) {
         return 0.5 * std::abs(double(second.first + second.last) - double(first.first + first.last));
     };
-    const auto add = [&](const Band& band) {
+    const auto add = [&](const RingBand& band) {
         if (!complete.empty()) usual = distance(complete.back(), band);
         is_regular = complete.size() > 0;
         complete.push_back(band);
     };
     std::size_t next = 0;
-    for (const Band& group : groups) {
+    for (const RingBand& group : candidate_bands) {
         const std::size_t first = next;
-        while (next < bands.size() && bands[next].first >= group.first && bands[next].last <= group.last)
-            add(bands[next++]);
+        while (next < strong_bands.size() && strong_bands[next].first >= group.first &&
+               strong_bands[next].last <= group.last)
+            add(strong_bands[next++]);
         if (next > first || !is_regular) continue;
         const double apart = distance(complete.back(), group);
         is_regular = apart > kNearest * usual && apart < kFarthest * usual &&
                      group.last - group.first <= kWidestWeak &&
-                     (next == bands.size() || distance(group, bands[next]) > kNearest * usual);
+                     (next == strong_bands.size() || distance(group, strong_bands[next]) > kNearest * usual);
         if (is_regular) add(group);
     }
     return complete;
@@ -113,37 +119,38 @@ std::vector<Band> add_weak_bands(const std::vector<Band>& groups, const std::vec
 
 /// Returns the bands in the histogram of elevations. A band is a group of filled bins and
 /// contains the points of one beam.
-std::vector<Band> find_bands(const std::vector<double>& elevations) {
+std::vector<RingBand> find_elevation_bands(const std::vector<double>& sorted_elevations_rad) {
     const int n_bins = int(kPi / kBin_rad) + 1;
     const auto bin = [](double elevation) { return int((elevation + kPi / 2) / kBin_rad); };
     std::vector<int> count(std::size_t(n_bins) + 1, 0);
-    for (const double e : elevations) ++count[std::size_t(bin(e))];
+    for (const double e : sorted_elevations_rad) ++count[std::size_t(bin(e))];
     std::vector<int> full;
     std::copy_if(count.begin(), count.end(), std::back_inserter(full), [](int c) { return c > 0; });
     if (full.empty()) return {};
     std::nth_element(full.begin(), full.begin() + std::ptrdiff_t(full.size() * 9 / 10), full.end());
     const double least = kStray * full[full.size() * 9 / 10];
-    std::vector<Band> groups = group_elevation_bins(count, 1.0), bands = group_elevation_bins(count, least);
+    std::vector<RingBand> groups = group_filled_elevation_bins(count, 1.0),
+                          bands = group_filled_elevation_bins(count, least);
     for (int pass = 0; pass < 2; ++pass) {  // upward, then downward
         bands = add_weak_bands(groups, bands);
         std::ranges::reverse(groups);
         std::ranges::reverse(bands);
     }
-    for (Band& band : bands) {
-        const auto begin = std::partition_point(elevations.begin(), elevations.end(),
+    for (RingBand& band : bands) {
+        const auto begin = std::partition_point(sorted_elevations_rad.begin(), sorted_elevations_rad.end(),
                                                 [&](double e) { return bin(e) < band.first; });
-        const auto end =
-            std::partition_point(begin, elevations.end(), [&](double e) { return bin(e) <= band.last; });
+        const auto end = std::partition_point(begin, sorted_elevations_rad.end(),
+                                              [&](double e) { return bin(e) <= band.last; });
         band.elevation_rad = *(begin + (end - begin) / 2);
     }
     return bands;
 }
 
 /// Returns true if every band is narrow compared with its distance from the next band.
-bool are_separate(const std::vector<Band>& bands) {
+bool are_bands_separated(const std::vector<RingBand>& bands) {
     for (std::size_t i = 0; i + 1 < bands.size(); ++i) {
         const double apart = (bands[i + 1].elevation_rad - bands[i].elevation_rad) / kBin_rad;
-        for (const Band& band : {bands[i], bands[i + 1]})
+        for (const RingBand& band : {bands[i], bands[i + 1]})
             if (band.last - band.first > kWidest * apart) return false;
     }
     return true;
@@ -151,16 +158,16 @@ bool are_separate(const std::vector<Band>& bands) {
 
 }  // namespace
 
-std::vector<Beam> find_beams(const std::vector<Points>& scans) {
-    const std::vector<Band> bands = find_bands(collect_far_elevations(scans));
-    if (bands.size() < kFewestBands || !are_separate(bands)) return {};
+std::vector<Beam> estimate_beams(const std::vector<LidarPoints>& scans) {
+    const std::vector<RingBand> bands = find_elevation_bands(collect_sorted_far_elevations(scans));
+    if (bands.size() < kFewestBands || !are_bands_separated(bands)) return {};
     std::vector<Beam> beams;
     for (auto band = bands.rbegin(); band != bands.rend(); ++band)
         beams.push_back({.elevation_rad = band->elevation_rad});
     return beams;
 }
 
-void recover_rings(Points& points, const std::vector<Beam>& beams) {
+void assign_points_to_rings(LidarPoints& points, const std::vector<Beam>& beams) {
     if (beams.empty() || beams.size() > kNoBeam)
         throw UsageError(
             "cannot compute the rings of points: found no beam or too many beams, expected 1 "
@@ -170,19 +177,19 @@ void recover_rings(Points& points, const std::vector<Beam>& beams) {
     const auto elevation = [&](std::uint16_t index) { return beams[index].elevation_rad; };
     std::stable_sort(rising.begin(), rising.end(),
                      [&](auto first, auto second) { return elevation(first) < elevation(second); });
-    const std::vector<BeamGeometry> geometry = make_beam_geometries(beams);
+    const std::vector<BeamRayGenerator> geometry = make_beam_geometries(beams);
     points.ring.clear();
     for (const glm::vec3& point : points.position_m) {
         const glm::dvec3 p(point);
-        const double seen = compute_elevation(p);
-        const auto nearest =
-            std::partition_point(rising.begin(), rising.end(), [&](auto k) { return elevation(k) < seen; });
+        const double point_elevation_rad = compute_elevation(p);
+        const auto nearest = std::partition_point(rising.begin(), rising.end(),
+                                                  [&](auto k) { return elevation(k) < point_elevation_rad; });
         const auto begin = nearest - std::min(kReach, nearest - rising.begin()),
                    end = nearest + std::min(kReach, rising.end() - nearest);
         std::uint16_t best = *begin;
         double least = INFINITY;
         for (auto k = begin; k != end; ++k) {
-            const glm::dvec3 origin = geometry[*k].ray(geometry[*k].compute_head_azimuth(p)).origin_m;
+            const glm::dvec3 origin = geometry[*k].compute_ray(geometry[*k].compute_head_azimuth(p)).origin_m;
             const double miss = std::abs(compute_elevation(p - origin) - elevation(*k));
             if (miss < least) least = miss, best = *k;
         }

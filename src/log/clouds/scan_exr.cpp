@@ -19,45 +19,45 @@ constexpr const char* kAxes[] = {".x", ".y", ".z"};
 
 /// Combines the channels x, y and z of an image into one array of vectors. Does nothing
 /// if all three are missing. Throws an error if only some are missing.
-void add_vectors(const ExrImage& image, const std::string& channel, const std::string& name,
-                 const std::string& location, std::vector<NamedArray>& arrays) {
+void add_vector_array(const ExrImage& image, const std::string& channel_prefix, const std::string& array_name,
+                      const std::string& error_location, std::vector<NamedArray>& arrays) {
     const std::vector<float>* axis[3] = {};
-    std::size_t n_found = 0;
+    std::size_t n_axes_found = 0;
     for (std::size_t k = 0; k < 3; ++k) {
-        const auto found = image.channels.find(channel + kAxes[k]);
-        if (found == image.channels.end()) continue;
-        axis[k] = &found->second;
-        ++n_found;
+        const auto axis_channel = image.channels.find(channel_prefix + kAxes[k]);
+        if (axis_channel == image.channels.end()) continue;
+        axis[k] = &axis_channel->second;
+        ++n_axes_found;
     }
-    if (n_found == 0) return;
-    if (n_found < 3)
+    if (n_axes_found == 0) return;
+    if (n_axes_found < 3)
         throw DataError(
             fmt::format("{}: found only {} of the channels {}.x, .y and .z, expected all three "
                         "or none",
-                        location, n_found, channel));
+                        error_location, n_axes_found, channel_prefix));
     std::vector<float> values;
     values.reserve(axis[0]->size() * 3);
     for (std::size_t i = 0; i < axis[0]->size(); ++i)
         for (const std::vector<float>* of : axis) values.push_back((*of)[i]);
-    arrays.push_back(make_array(name, {std::size_t(image.rows), std::size_t(image.columns), 3}, values.data(),
-                                values.size()));
+    arrays.push_back(make_array(array_name, {std::size_t(image.rows), std::size_t(image.columns), 3},
+                                values.data(), values.size()));
 }
 
-std::vector<NamedArray> list_arrays(const ExrImage& image, const std::string& location) {
+std::vector<NamedArray> convert_channels_to_arrays(const ExrImage& image, const std::string& error_location) {
     if (!image.channels.contains("range")) {
         std::vector<std::string> names;
         for (const auto& [name, values] : image.channels)
-            if (names.size() < 8) names.push_back(make_excerpt(name));
-        throw DataError(fmt::format("{}: the channel 'range' is missing; found the channels {}", location,
-                                    fmt::join(names, ", ")));
+            if (names.size() < 8) names.push_back(shorten_for_error_message(name));
+        throw DataError(fmt::format("{}: the channel 'range' is missing; found the channels {}",
+                                    error_location, fmt::join(names, ", ")));
     }
     std::vector<NamedArray> arrays;
     for (const auto& [name, values] : image.channels)
         if (name.find('.') == std::string::npos)
             arrays.push_back(make_array(name, {std::size_t(image.rows), std::size_t(image.columns)},
                                         values.data(), values.size()));
-    add_vectors(image, "direction", "directions", location, arrays);
-    add_vectors(image, "origin", "origin", location, arrays);
+    add_vector_array(image, "direction", "directions", error_location, arrays);
+    add_vector_array(image, "origin", "origin", error_location, arrays);
     // frame of the points, which relidar writes into the metadata of rendered images
     const auto frame = image.notes.find("points_in");
     const bool moved = frame != image.notes.end() &&
@@ -69,25 +69,25 @@ std::vector<NamedArray> list_arrays(const ExrImage& image, const std::string& lo
 
 /// Sets the unknown beams of a LiDAR from the sensor name in the image. Accepts only
 /// built-in sensors, because with other names an image could make relidar read any file.
-Lidar complete_lidar(Lidar lidar, const ExrImage& image) {
+Lidar complete_sensor_from_image(Lidar lidar, const ExrImage& image) {
     const auto note = image.notes.find("sensor");
     if (note == image.notes.end() || !lidar.sensor.beams.empty() || lidar.pattern) return lidar;
     if (!find_built_in_sensor(note->second.substr(0, note->second.rfind(':')))) return lidar;
     const SensorModel model = find_sensor(note->second);
     if (const auto* spinning = std::get_if<SpinningSensor>(&model.pattern)) lidar.sensor = *spinning;
-    else lidar.pattern = get_fixed_pattern(model);
+    else lidar.pattern = get_non_spinning_pattern(model);
     return lidar;
 }
 
 }  // namespace
 
-Scan read_scan_exr(const std::filesystem::path& file, const ImageSource& source) {
+Scan read_scan_exr(const std::filesystem::path& file, const ScanImageContext& source) {
     const ExrImage image = read_exr(file);
     const std::string where = file.string();
-    std::vector<NamedArray> arrays = list_arrays(image, where);
-    if (find_array(arrays, "directions")) return make_scan_from_images(where, std::move(arrays), source);
-    const Lidar lidar = complete_lidar(source.lidar, image);
-    return make_scan_from_images(where, std::move(arrays),
+    std::vector<NamedArray> arrays = convert_channels_to_arrays(image, where);
+    if (find_array(arrays, "directions")) return make_scan_from_arrays(where, std::move(arrays), source);
+    const Lidar lidar = complete_sensor_from_image(source.lidar, image);
+    return make_scan_from_arrays(where, std::move(arrays),
                                  {source.head, source.of_head, lidar, source.time_s});
 }
 

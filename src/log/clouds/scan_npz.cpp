@@ -19,12 +19,12 @@ constexpr double kLongestOffset_s = 10.0;
 constexpr std::size_t kMostReturns = 8;
 
 /// The named arrays of a scan file. Each array must have one entry per ray of the image.
-class Arrays {
+class ScanNpzArrays {
 public:
-    Arrays(const std::string& location, std::vector<NamedArray> arrays)
+    ScanNpzArrays(const std::string& location, std::vector<NamedArray> arrays)
         : where_(location), arrays_(std::move(arrays)) {
-        const std::vector<std::size_t>& shape = at("range").shape;
-        if (shape.empty() || shape.size() > 2 || at("range").count() > kMaxRays)
+        const std::vector<std::size_t>& shape = get_required_array("range").shape;
+        if (shape.empty() || shape.size() > 2 || get_required_array("range").count_elements() > kMaxRays)
             throw DataError(
                 fmt::format("{}: the array range has the shape [{}], expected [rows, columns] or [rays] "
                             "with at most {} rays",
@@ -34,83 +34,90 @@ public:
     }
     std::size_t rows = 0, columns = 0;
 
-    const NamedArray* find(const std::string& name) const { return find_array(arrays_, name); }
-    const NamedArray& at(const std::string& name) const {
-        if (const NamedArray* array = find(name)) return *array;
-        throw DataError(fmt::format("{}: the array '{}' is missing", where_, name));
+    const NamedArray* find_optional_array(const std::string& array_name) const {
+        return find_array(arrays_, array_name);
+    }
+    const NamedArray& get_required_array(const std::string& array_name) const {
+        if (const NamedArray* array = find_optional_array(array_name)) return *array;
+        throw DataError(fmt::format("{}: the array '{}' is missing", where_, array_name));
     }
     /// Returns the value of an array that contains a single number.
-    double number(const std::string& name) const {
-        if (at(name).count() != 1)
+    double get_single_number(const std::string& array_name) const {
+        if (get_required_array(array_name).count_elements() != 1)
             throw DataError(fmt::format("{}: the array {} has the shape [{}], expected one number", where_,
-                                        name, fmt::join(at(name).shape, ", ")));
-        return at(name).as_double()[0];
+                                        array_name, fmt::join(get_required_array(array_name).shape, ", ")));
+        return get_required_array(array_name).convert_to_doubles()[0];
     }
     /// Returns the values of an array with one number per ray.
     /// @param default_value  value of all rays if the file does not contain the array
-    std::vector<double> image(const std::string& name, double default_value) const {
-        return find(name) ? values(name, 1) : std::vector<double>(rows * columns, default_value);
+    std::vector<double> get_ray_values_or(const std::string& array_name, double default_value) const {
+        return find_optional_array(array_name) ? get_ray_values(array_name, 1)
+                                               : std::vector<double>(rows * columns, default_value);
     }
-    /// Returns the values of an array with `width` numbers per ray.
+    /// Returns the values of an array with `n_values_per_ray` numbers per ray.
     /// @throws DataError if the file does not contain the array
-    std::vector<double> values(const std::string& name, std::size_t width) const {
-        if (at(name).count() != rows * columns * width)
-            throw DataError(fmt::format("{}: the array {} has the shape [{}], expected {} x {} x {} values",
-                                        where_, name, fmt::join(at(name).shape, ", "), rows, columns, width));
-        return at(name).as_double();
+    std::vector<double> get_ray_values(const std::string& array_name, std::size_t n_values_per_ray) const {
+        if (get_required_array(array_name).count_elements() != rows * columns * n_values_per_ray)
+            throw DataError(fmt::format(
+                "{}: the array {} has the shape [{}], expected {} x {} x {} values", where_, array_name,
+                fmt::join(get_required_array(array_name).shape, ", "), rows, columns, n_values_per_ray));
+        return get_required_array(array_name).convert_to_doubles();
     }
-    std::vector<glm::vec3> vectors(const std::string& name) const {
-        const std::vector<double> v = values(name, 3);
+    std::vector<glm::vec3> get_ray_vectors(const std::string& array_name) const {
+        const std::vector<double> v = get_ray_values(array_name, 3);
         std::vector<glm::vec3> vectors;
         for (std::size_t i = 0; i < v.size(); i += 3) vectors.emplace_back(v[i], v[i + 1], v[i + 2]);
         return vectors;
     }
-    std::string ray(const char* name, std::size_t index) const {
-        return fmt::format("{}: {} of ray {}", where_, name, index);
+    std::string format_ray_location(const char* array_name, std::size_t ray_index) const {
+        return fmt::format("{}: {} of ray {}", where_, array_name, ray_index);
     }
-    const std::string& where() const { return where_; }
+    const std::string& get_location() const { return where_; }
 
 private:
     std::string where_;
     std::vector<NamedArray> arrays_;
 };
 
-std::vector<float> read_ranges(const Arrays& arrays, const std::string& name) {
-    const std::vector<double> found = arrays.values(name, 1), drop = arrays.image("drop_prob", 0.0);
+std::vector<float> read_ranges(const ScanNpzArrays& arrays, const std::string& array_name) {
+    const std::vector<double> file_ranges_m = arrays.get_ray_values(array_name, 1),
+                              drop = arrays.get_ray_values_or("drop_prob", 0.0);
     std::vector<float> range_m;
-    for (std::size_t i = 0; i < found.size(); ++i) {
-        const bool has_return = is_return_range(found[i]) && drop[i] < 0.5;
-        if (has_return && found[i] > 1e6)
+    for (std::size_t i = 0; i < file_ranges_m.size(); ++i) {
+        const bool has_return = is_valid_return_range(file_ranges_m[i]) && drop[i] < 0.5;
+        if (has_return && file_ranges_m[i] > 1e6)
             throw DataError(
                 fmt::format("{} is {}, expected a range in metres, or 0 for a ray without "
                             "return",
-                            arrays.ray(name.c_str(), i), found[i]));
-        range_m.push_back(has_return ? float(found[i]) : 0.0f);
+                            arrays.format_ray_location(array_name.c_str(), i), file_ranges_m[i]));
+        range_m.push_back(has_return ? float(file_ranges_m[i]) : 0.0f);
     }
     return range_m;
 }
 
-std::vector<float> read_intensities(const Arrays& arrays, const std::string& name,
-                                    const std::vector<float>& range_m, const PointUnits& units) {
-    const std::vector<double> found = arrays.image(name, 0.0);
+std::vector<float> read_intensities(const ScanNpzArrays& arrays, const std::string& array_name,
+                                    const std::vector<float>& range_m, const PointFileUnits& units) {
+    const std::vector<double> file_intensities = arrays.get_ray_values_or(array_name, 0.0);
     std::vector<float> intensity;
-    for (std::size_t i = 0; i < found.size(); ++i)
-        intensity.push_back(
-            range_m[i] > 0.0f ? convert_intensity(found[i], units, arrays.ray(name.c_str(), i)) : 0.0f);
+    for (std::size_t i = 0; i < file_intensities.size(); ++i)
+        intensity.push_back(range_m[i] > 0.0f
+                                ? normalise_file_intensity(file_intensities[i], units,
+                                                           arrays.format_ray_location(array_name.c_str(), i))
+                                : 0.0f);
     return intensity;
 }
 
 /// Returns the classes of the returns: the values of the channel `class`. Returns an
 /// empty array if the file does not contain the channel.
-std::vector<SurfaceClass> read_classes(const Arrays& arrays, const std::vector<float>& range_m) {
+std::vector<SurfaceClass> read_ray_classes(const ScanNpzArrays& arrays, const std::vector<float>& range_m) {
     std::vector<SurfaceClass> classes;
-    if (!arrays.find("class")) return classes;
-    const std::vector<double> numbers = arrays.values("class", 1);
+    if (!arrays.find_optional_array("class")) return classes;
+    const std::vector<double> numbers = arrays.get_ray_values("class", 1);
     for (std::size_t i = 0; i < numbers.size(); ++i) {
         const double number = range_m[i] > 0.0f ? numbers[i] : 0.0;
         if (!(number >= 0.0 && number < double(kSurfaceClasses)) || number != std::floor(number))
-            throw DataError(fmt::format("{} is {}, expected a whole number below {}", arrays.ray("class", i),
-                                        number, kSurfaceClasses));
+            throw DataError(fmt::format("{} is {}, expected a whole number below {}",
+                                        arrays.format_ray_location("class", i), number, kSurfaceClasses));
         classes.push_back(SurfaceClass(int(number)));
     }
     return classes;
@@ -118,29 +125,30 @@ std::vector<SurfaceClass> read_classes(const Arrays& arrays, const std::vector<f
 
 /// Returns the rays of the sensor model. Used for images that do not contain ray
 /// directions.
-RayTable make_sensor_rays(const Arrays& arrays, const ImageSource& source) {
+RayTable make_rays_of_sensor(const ScanNpzArrays& arrays, const ScanImageContext& source) {
     RayTable rays = make_nominal_rays(source.lidar, source.time_s);
     if (rays.size() == 0)
         throw DataError(fmt::format(
             "{}: the array of ray directions is missing; add it, or set the sensor of the LiDAR in "
             "sequence.json",
-            arrays.where()));
+            arrays.get_location()));
     if (std::size_t(rays.rows) != arrays.rows || std::size_t(rays.columns) != arrays.columns)
         throw DataError(fmt::format(
             "{}: the array range has {} x {} values and there are no directions, expected {} x {} values "
             "like the sensor of the LiDAR",
-            arrays.where(), arrays.rows, arrays.columns, rays.rows, rays.columns));
+            arrays.get_location(), arrays.rows, arrays.columns, rays.rows, rays.columns));
     return rays;
 }
 
 /// Reverses the order of the image rows. Used for files in which row 0 is the lowest
 /// beam, because row 0 is the highest beam in relidar.
-void flip_rows(std::vector<NamedArray>& arrays, std::size_t rows) {
+void reverse_image_rows(std::vector<NamedArray>& arrays, std::size_t n_rows) {
     for (NamedArray& array : arrays) {
-        const std::size_t row =
-            rows > 0 && array.shape.size() >= 2 && array.shape[0] == rows ? array.bytes.size() / rows : 0;
+        const std::size_t row = n_rows > 0 && array.shape.size() >= 2 && array.shape[0] == n_rows
+                                    ? array.bytes.size() / n_rows
+                                    : 0;
         std::vector<std::byte> flipped;
-        for (std::size_t i = rows; row > 0 && i-- > 0;) {
+        for (std::size_t i = n_rows; row > 0 && i-- > 0;) {
             const auto begin = array.bytes.begin() + std::ptrdiff_t(i * row);
             flipped.insert(flipped.end(), begin, begin + std::ptrdiff_t(row));
         }
@@ -149,35 +157,36 @@ void flip_rows(std::vector<NamedArray>& arrays, std::size_t rows) {
 }
 
 /// Reads the times, rings and divergences of the rays, if the file contains them.
-void read_stored_fields(const Arrays& arrays, const ImageSource& source, RayTable& rays) {
-    const PointUnits& units = source.head.units;
+void read_optional_ray_fields(const ScanNpzArrays& arrays, const ScanImageContext& source, RayTable& rays) {
+    const PointFileUnits& units = source.head.units;
     const std::size_t n = rays.size();
-    if (arrays.find("time")) {
-        const std::vector<double> time = arrays.values("time", 1);
+    if (arrays.find_optional_array("time")) {
+        const std::vector<double> time = arrays.get_ray_values("time", 1);
         for (std::size_t i = 0; i < n; ++i)
-            rays.time_offset_s[i] = convert_time_offset(time[i], units, source.time_s, arrays.ray("time", i));
+            rays.time_offset_s[i] =
+                convert_time_offset(time[i], units, source.time_s, arrays.format_ray_location("time", i));
     }
-    if (arrays.find("ring")) {
-        const std::vector<double> ring = arrays.values("ring", 1);
+    if (arrays.find_optional_array("ring")) {
+        const std::vector<double> ring = arrays.get_ray_values("ring", 1);
         for (std::size_t i = 0; i < n; ++i)
-            rays.channel[i] = convert_ring_number(ring[i], arrays.ray("ring", i));
+            rays.channel[i] = convert_ring_number(ring[i], arrays.format_ray_location("ring", i));
     }
-    if (arrays.find("divergence_rad")) {
-        rays.divergence_rad = static_cast<float>(arrays.number("divergence_rad"));
+    if (arrays.find_optional_array("divergence_rad")) {
+        rays.divergence_rad = static_cast<float>(arrays.get_single_number("divergence_rad"));
         rays.ray_divergence_rad.clear();
     }
-    if (arrays.find("divergence")) {
-        const std::vector<double> angles = arrays.values("divergence", 1);
+    if (arrays.find_optional_array("divergence")) {
+        const std::vector<double> angles = arrays.get_ray_values("divergence", 1);
         rays.ray_divergence_rad.assign(angles.begin(), angles.end());
     }
 }
 
-RayTable make_rays_of_scan(const Arrays& arrays) {
+RayTable make_rays_from_arrays(const ScanNpzArrays& arrays) {
     RayTable rays;
     rays.rows = int(arrays.rows);
     rays.columns = int(arrays.columns);
-    rays.direction = to_scan_array(arrays.vectors("directions"));
-    if (arrays.find("origin")) rays.origin = to_scan_array(arrays.vectors("origin"));
+    rays.direction = to_scan_array(arrays.get_ray_vectors("directions"));
+    if (arrays.find_optional_array("origin")) rays.origin = to_scan_array(arrays.get_ray_vectors("origin"));
     else rays.origin.assign(rays.direction.size(), glm::vec3(0.0f));
     rays.time_offset_s.assign(rays.size(), 0.0f);
     for (std::size_t i = 0; i < rays.size(); ++i) rays.channel.push_back(std::uint16_t(i / arrays.columns));
@@ -186,70 +195,74 @@ RayTable make_rays_of_scan(const Arrays& arrays) {
 
 }  // namespace
 
-void check_deskewed(bool is_deskewed, const Head& head, const std::string& location) {
+void check_deskew_is_declared(bool is_deskewed, const SequenceHeader& head,
+                              const std::string& error_location) {
     if (is_deskewed && !head.motion_compensated)
         throw DataError(
             fmt::format("{}: the rays are motion-compensated or in the world frame, expected rays that "
                         "start at the sensor at their own times; render without --deskew and --frame "
                         "world, or set \"motion_compensated\": true",
-                        location));
+                        error_location));
 }
 
-float convert_intensity(double value, const PointUnits& units, const std::string& location) {
-    if (!std::isfinite(value))
-        throw DataError(fmt::format("{}: the intensity is {}, expected a finite number", location, value));
-    if (units.intensity_max) return float(std::clamp(value / *units.intensity_max, 0.0, 1.0));
-    if (value < 0.0 || value > 1.0)
+float normalise_file_intensity(double file_value, const PointFileUnits& units,
+                               const std::string& error_location) {
+    if (!std::isfinite(file_value))
+        throw DataError(
+            fmt::format("{}: the intensity is {}, expected a finite number", error_location, file_value));
+    if (units.intensity_max) return float(std::clamp(file_value / *units.intensity_max, 0.0, 1.0));
+    if (file_value < 0.0 || file_value > 1.0)
         throw DataError(
             fmt::format("{}: the intensity is {}, expected 0 to 1, or \"intensity_max\" in "
                         "sequence.json",
-                        location, value));
-    return float(value);
+                        error_location, file_value));
+    return float(file_value);
 }
 
-float convert_time_offset(double value, const PointUnits& units, double frame_time_s,
-                          const std::string& location) {
+float convert_time_offset(double file_value, const PointFileUnits& units, double frame_time_s,
+                          const std::string& error_location) {
     const double offset_s =
-        (value - units.time_zero) * units.time_unit_s - (units.absolute_times ? frame_time_s : 0.0);
+        (file_value - units.time_zero) * units.time_unit_s - (units.absolute_times ? frame_time_s : 0.0);
     if (!(std::abs(offset_s) <= kLongestOffset_s))
         throw DataError(
             fmt::format("{}: the time {} is {} s away from the time of the frame, expected at most {} s; "
                         "\"time_unit\" and \"point_times\" in sequence.json define the meaning of times",
-                        location, value, offset_s, kLongestOffset_s));
+                        error_location, file_value, offset_s, kLongestOffset_s));
     return float(offset_s);
 }
 
-std::uint16_t convert_ring_number(double value, const std::string& location) {
-    if (!(value >= 0.0 && value < kNoBeam) || value != std::floor(value))
-        throw DataError(
-            fmt::format("{}: the ring is {}, expected a whole number below {}", location, value, kNoBeam));
-    return std::uint16_t(value);
+std::uint16_t convert_ring_number(double file_value, const std::string& error_location) {
+    if (!(file_value >= 0.0 && file_value < kNoBeam) || file_value != std::floor(file_value))
+        throw DataError(fmt::format("{}: the ring is {}, expected a whole number below {}", error_location,
+                                    file_value, kNoBeam));
+    return std::uint16_t(file_value);
 }
 
-Scan make_scan_from_images(const std::string& location, std::vector<NamedArray> stored_arrays,
-                           const ImageSource& source) {
-    const Head& head = source.head;
+Scan make_scan_from_arrays(const std::string& error_location, std::vector<NamedArray> stored_arrays,
+                           const ScanImageContext& source) {
+    const SequenceHeader& head = source.head;
     const bool has_rays = find_array(stored_arrays, "directions") != nullptr;
     const NamedArray* range = find_array(stored_arrays, "range");
     if (!has_rays && source.of_head.lowest_first && range && range->shape.size() == 2)
-        flip_rows(stored_arrays, range->shape[0]);
-    const Arrays arrays(location, std::move(stored_arrays));
-    const NamedArray* deskewed = arrays.find("deskewed");
-    check_deskewed(deskewed && deskewed->count() == 1 && deskewed->as_float()[0] != 0.0f, head,
-                   arrays.where());
+        reverse_image_rows(stored_arrays, range->shape[0]);
+    const ScanNpzArrays arrays(error_location, std::move(stored_arrays));
+    const NamedArray* deskewed = arrays.find_optional_array("deskewed");
+    check_deskew_is_declared(
+        deskewed && deskewed->count_elements() == 1 && deskewed->convert_to_floats()[0] != 0.0f, head,
+        arrays.get_location());
     Scan scan;
-    scan.rays = has_rays ? make_rays_of_scan(arrays) : make_sensor_rays(arrays, source);
-    read_stored_fields(arrays, source, scan.rays);
+    scan.rays = has_rays ? make_rays_from_arrays(arrays) : make_rays_of_sensor(arrays, source);
+    read_optional_ray_fields(arrays, source, scan.rays);
     // A rendered file contains a median and a mean range. The mean can be between two
     // surfaces, so the median is used.
     const std::vector<float> range_m =
-        read_ranges(arrays, arrays.find("median_range") ? "median_range" : "range");
+        read_ranges(arrays, arrays.find_optional_array("median_range") ? "median_range" : "range");
     scan.range_m = to_scan_array(range_m);
     scan.intensity = to_scan_array(read_intensities(arrays, "intensity", range_m, head.units));
-    scan.classes = to_scan_array(read_classes(arrays, range_m));
-    for (std::size_t number = 2; number <= kMostReturns && arrays.find(fmt::format("range_{}", number));
-         ++number) {
-        SecondReturn echo{read_ranges(arrays, fmt::format("range_{}", number)), {}};
+    scan.classes = to_scan_array(read_ray_classes(arrays, range_m));
+    for (std::size_t number = 2;
+         number <= kMostReturns && arrays.find_optional_array(fmt::format("range_{}", number)); ++number) {
+        AdditionalReturns echo{read_ranges(arrays, fmt::format("range_{}", number)), {}};
         echo.intensity =
             read_intensities(arrays, fmt::format("intensity_{}", number), echo.range_m, head.units);
         scan.second_returns.push_back(std::move(echo));
@@ -257,8 +270,8 @@ Scan make_scan_from_images(const std::string& location, std::vector<NamedArray> 
     return scan;
 }
 
-Scan read_scan_npz(const std::filesystem::path& file, const ImageSource& source) {
-    return make_scan_from_images(file.string(), read_npz(file), source);
+Scan read_scan_npz(const std::filesystem::path& file, const ScanImageContext& source) {
+    return make_scan_from_arrays(file.string(), read_npz(file), source);
 }
 
 void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool motion_compensated) {

@@ -15,9 +15,9 @@ namespace relidar::folder {
 
 /// Known properties of the LiDAR and the frame of an image file. Used for values that the
 /// file does not contain.
-struct ImageSource {
-    const Head& head;
-    const HeadLidar& of_head;  ///< the LiDAR as described in sequence.json
+struct ScanImageContext {
+    const SequenceHeader& head;
+    const SequenceHeaderLidar& of_head;  ///< the LiDAR as described in sequence.json
     /// LiDAR with all known properties. It defines the rays if the file has no ray
     /// directions.
     const Lidar& lidar;
@@ -26,17 +26,17 @@ struct ImageSource {
 
 /// Reads a scan from an npz file.
 /// @throws DataError if the file is damaged, an array is missing, or array sizes differ
-Scan read_scan_npz(const std::filesystem::path& file, const ImageSource& source);
+Scan read_scan_npz(const std::filesystem::path& file, const ScanImageContext& source);
 /// Reads a scan from an EXR image. The channels are range, median_range, intensity,
 /// drop_prob, time, ring, range_2, intensity_2 and so on, and x, y and z of the direction
 /// and of the origin.
 /// @throws DataError if the file is damaged, a channel is missing, or channel sizes
 /// differ
-Scan read_scan_exr(const std::filesystem::path& file, const ImageSource& source);
+Scan read_scan_exr(const std::filesystem::path& file, const ScanImageContext& source);
 /// Creates a scan from the named arrays of an npz or EXR file.
-/// @param location  name of the file, for error messages
-Scan make_scan_from_images(const std::string& location, std::vector<NamedArray> arrays,
-                           const ImageSource& source);
+/// @param error_location  name of the file, for error messages
+Scan make_scan_from_arrays(const std::string& error_location, std::vector<NamedArray> arrays,
+                           const ScanImageContext& source);
 
 /// Writes a scan to an npz file without loss. In a motion-compensated scan, all rays get
 /// the time 0.
@@ -46,18 +46,20 @@ void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool mo
 /// @param is_deskewed  true if the points of the scan file are motion-compensated
 /// (deskewed) or in the world frame
 /// @throws DataError if only the scan file contains motion-compensated points
-void check_deskewed(bool is_deskewed, const Head& head, const std::string& location);
+void check_deskew_is_declared(bool is_deskewed, const SequenceHeader& head,
+                              const std::string& error_location);
 
 /// Scales an intensity from a file to the range 0 to 1.
 /// @throws DataError if it is not a number, or if it is outside 0 to 1 and sequence.json
 /// contains no maximum intensity
-float convert_intensity(double value, const PointUnits& units, const std::string& location);
+float normalise_file_intensity(double file_value, const PointFileUnits& units,
+                               const std::string& error_location);
 /// Converts a point time from a file to seconds relative to the time of the frame.
 /// @throws DataError if the result is longer than any sweep can be
-float convert_time_offset(double value, const PointUnits& units, double frame_time_s,
-                          const std::string& location);
+float convert_time_offset(double file_value, const PointFileUnits& units, double frame_time_s,
+                          const std::string& error_location);
 /// Converts a ring number from a file to an integer.
 /// @throws DataError if the number is not a valid beam number
-std::uint16_t convert_ring_number(double value, const std::string& location);
+std::uint16_t convert_ring_number(double file_value, const std::string& error_location);
 
 }  // namespace relidar::folder

@@ -24,21 +24,21 @@ constexpr int kMostTicks = 1 << 16;     // maximum number of azimuth steps per s
 constexpr double kLeastRange_m = 1e-3;  // A point nearer to the origin has no defined direction.
 
 /// [rings x firings] index of the point that is assigned to each ray; kEmpty: no return
-struct ImageCells {
+struct RayPointIndices {
     std::size_t n_firings;
     std::vector<int> point;
 
-    int& at(std::size_t ring, std::size_t firing) { return point[ring * n_firings + firing]; }
+    int& get_point_index(std::size_t ring, std::size_t firing) { return point[ring * n_firings + firing]; }
 };
 
 /// Returns the return number of a point, from 0: 0 is the first return of a ray.
-std::size_t get_ring_number(const Points& points, std::size_t point) {
-    return points.return_number.empty() ? 0 : std::size_t(points.return_number[point]) - 1;
+std::size_t get_return_index(const LidarPoints& points, std::size_t point_index) {
+    return points.return_number.empty() ? 0 : std::size_t(points.return_number[point_index]) - 1;
 }
 
 /// Checks that all arrays have one entry per point and that the ring numbers are valid.
 /// @param n_beams  number of beams; 0 if rings are not needed
-void check_points(const Points& points, std::size_t n_beams) {
+void check_points(const LidarPoints& points, std::size_t n_beams) {
     const auto check = [&](const char* field, std::size_t count, bool may_be_empty) {
         if (count != points.size() && !(may_be_empty && count == 0))
             throw UsageError(
@@ -57,7 +57,7 @@ void check_points(const Points& points, std::size_t n_beams) {
                 fmt::format("cannot make a scan: point {} has ring {}, expected the index of "
                             "one of {} beams",
                             i, points.ring[i], n_beams));
-        if (get_ring_number(points, i) >= kMostReturns)
+        if (get_return_index(points, i) >= kMostReturns)
             throw UsageError(
                 fmt::format("cannot make a scan: point {} has return number {}, expected 1 to "
                             "{}",
@@ -66,10 +66,10 @@ void check_points(const Points& points, std::size_t n_beams) {
 }
 
 /// Returns, for each azimuth step of the head, the index of the nearest firing.
-std::vector<int> find_nearest_firing_of_ticks(const std::vector<int>& firings, int n_ticks) {
+std::vector<int> find_nearest_firing_per_tick(const std::vector<int>& firing_ticks, int n_ticks) {
     std::vector<int> nearest(static_cast<std::size_t>(n_ticks), kEmpty);
-    for (std::size_t f = 0; f < firings.size(); ++f)
-        nearest[static_cast<std::size_t>(firings[f])] = static_cast<int>(f);
+    for (std::size_t f = 0; f < firing_ticks.size(); ++f)
+        nearest[static_cast<std::size_t>(firing_ticks[f])] = static_cast<int>(f);
     std::vector<int> filled = nearest;
     for (int t = 0; t < n_ticks; ++t) {
         for (int d = 1; filled[static_cast<std::size_t>(t)] == kEmpty && d < n_ticks; ++d) {
@@ -83,116 +83,119 @@ std::vector<int> find_nearest_firing_of_ticks(const std::vector<int>& firings, i
 
 /// Returns the firing that fills each column of a scan. If the sweep has fewer firings
 /// than columns, some firings fill several columns.
-std::vector<int> fill_columns(const Sweep& sweep, int columns) {
+std::vector<int> assign_firings_to_columns(const SweepFirings& sweep, int n_columns) {
     const std::size_t n = sweep.firings.size();
     std::vector<int> repeat(n, 1);
-    int spare = columns - static_cast<int>(n);
-    const double step = 2.0 * kPi / columns;
-    for (std::size_t f = 0; f + 1 < n && spare > 0; ++f) {
-        const double gap = sweep.lattice.compute_azimuth(sweep.firings[f]) -
-                           sweep.lattice.compute_azimuth(sweep.firings[f + 1]);
-        const int missing = std::min(static_cast<int>(std::lround(gap / step)) - 1, spare);
-        if (missing > 0) repeat[f] += missing, spare -= missing;
+    int n_extra_columns = n_columns - static_cast<int>(n);
+    const double step = 2.0 * kPi / n_columns;
+    for (std::size_t f = 0; f + 1 < n && n_extra_columns > 0; ++f) {
+        const double gap = sweep.lattice.compute_tick_azimuth_rad(sweep.firings[f]) -
+                           sweep.lattice.compute_tick_azimuth_rad(sweep.firings[f + 1]);
+        const int missing = std::min(static_cast<int>(std::lround(gap / step)) - 1, n_extra_columns);
+        if (missing > 0) repeat[f] += missing, n_extra_columns -= missing;
     }
-    repeat.back() += std::max(spare, 0);
+    repeat.back() += std::max(n_extra_columns, 0);
     std::vector<int> slot;
     for (std::size_t f = 0; f < n; ++f)
         slot.insert(slot.end(), static_cast<std::size_t>(repeat[f]), static_cast<int>(f));
-    slot.resize(static_cast<std::size_t>(columns));
+    slot.resize(static_cast<std::size_t>(n_columns));
     return slot;
 }
 
 /// Assigns the points of a sweep to rays. First, second and later returns are stored in
 /// separate images.
-class Assignment {
+class PointToRayAssignment {
 public:
     /// Assigns all points to the rays of a sweep.
-    /// @param head_rad  [points] azimuth of the head at the time of the point
-    Assignment(const Points& points, const SpinningSensor& sensor, const Sweep& sweep,
-               const std::vector<double>& head_rad)
+    /// @param head_azimuth_rad  [points] azimuth of the head at the time of the point
+    PointToRayAssignment(const LidarPoints& points, const SpinningSensor& sensor, const SweepFirings& sweep,
+                         const std::vector<double>& head_rad)
         : points_(points), sensor_(sensor), sweep_(sweep), head_rad_(head_rad) {
         firing_of.reserve(points.size());
         if (points.firing.empty())
-            nearest_ = find_nearest_firing_of_ticks(sweep.firings, sweep.lattice.n_ticks);
-        cells_of(0);
-        for (std::size_t i = 0; i < points.size(); ++i) add(i);
-        for (std::size_t i = 0; i < points.size(); ++i) add_beyond(i);
+            nearest_ = find_nearest_firing_per_tick(sweep.firings, sweep.lattice.n_ticks);
+        get_cells_of_return(0);
+        for (std::size_t i = 0; i < points.size(); ++i) assign_point_to_ray(i);
+        for (std::size_t i = 0; i < points.size(); ++i) assign_point_beyond_max_range(i);
     }
-    std::vector<ImageCells> by_return;
+    std::vector<RayPointIndices> by_return;
     /// [points] firing of each point; kEmpty if the range of the point is outside the
     /// sensor's limits
     std::vector<int> firing_of;
 
 private:
-    const Points& points_;
+    const LidarPoints& points_;
     const SpinningSensor& sensor_;
-    const Sweep& sweep_;
+    const SweepFirings& sweep_;
     const std::vector<double>& head_rad_;
     /// [azimuth steps] index of the nearest firing, for points without firing numbers
     std::vector<int> nearest_;
 
-    float compute_range(int point) const {
-        return glm::length(points_.position_m[static_cast<std::size_t>(point)]);
+    float compute_point_range(int point_index) const {
+        return glm::length(points_.position_m[static_cast<std::size_t>(point_index)]);
     }
 
-    ImageCells& cells_of(std::size_t number) {
-        while (by_return.size() <= number)
+    RayPointIndices& get_cells_of_return(std::size_t return_index) {
+        while (by_return.size() <= return_index)
             by_return.push_back({sweep_.firings.size(),
                                  std::vector<int>(sensor_.beams.size() * sweep_.firings.size(), kEmpty)});
-        return by_return[number];
+        return by_return[return_index];
     }
 
-    std::size_t find_nearest_firing(std::size_t index) const {
-        return static_cast<std::size_t>(nearest_[std::size_t(sweep_.lattice.tick(head_rad_[index]))]);
+    std::size_t find_nearest_firing(std::size_t point_index) const {
+        return static_cast<std::size_t>(
+            nearest_[std::size_t(sweep_.lattice.find_nearest_tick(head_rad_[point_index]))]);
     }
 
-    void add(std::size_t index) {
-        const std::size_t ring = points_.ring[index], n = sweep_.firings.size(),
-                          number = get_ring_number(points_, index);
-        const double range = compute_range(static_cast<int>(index));
+    void assign_point_to_ray(std::size_t point_index) {
+        const std::size_t ring = points_.ring[point_index], n = sweep_.firings.size(),
+                          number = get_return_index(points_, point_index);
+        const double range = compute_point_range(static_cast<int>(point_index));
         firing_of.push_back(kEmpty);
         if (range > sensor_.max_range_m || range < kLeastRange_m) return;
         const std::size_t firing =
-            points_.firing.empty() ? find_nearest_firing(index) : points_.firing[index];
+            points_.firing.empty() ? find_nearest_firing(point_index) : points_.firing[point_index];
         firing_of.back() = static_cast<int>(firing);
-        ImageCells& cells = cells_of(number);
-        int point = static_cast<int>(index);
+        RayPointIndices& cells = get_cells_of_return(number);
+        int point = static_cast<int>(point_index);
         for (const std::size_t f : {firing, (firing + 1) % n, (firing + n - 1) % n}) {
             // Second returns keep their firing, because they must be on the ray of their
             // first return.
-            if (cells.at(ring, f) != kEmpty || (number > 0 && f != firing)) continue;
-            std::swap(cells.at(ring, f), point);
+            if (cells.get_point_index(ring, f) != kEmpty || (number > 0 && f != firing)) continue;
+            std::swap(cells.get_point_index(ring, f), point);
             break;
         }
-        if (point != kEmpty && range < compute_range(cells.at(ring, firing))) cells.at(ring, firing) = point;
+        if (point != kEmpty && range < compute_point_range(cells.get_point_index(ring, firing)))
+            cells.get_point_index(ring, firing) = point;
     }
 
     /// Assigns a point beyond the maximum range of the sensor to its ray, unless the ray
     /// already has a point.
-    void add_beyond(std::size_t index) {
-        if (!(double(compute_range(static_cast<int>(index))) > sensor_.max_range_m)) return;
+    void assign_point_beyond_max_range(std::size_t point_index) {
+        if (!(double(compute_point_range(static_cast<int>(point_index))) > sensor_.max_range_m)) return;
         const std::size_t firing =
-            points_.firing.empty() ? find_nearest_firing(index) : points_.firing[index];
-        int& point = cells_of(get_ring_number(points_, index)).at(points_.ring[index], firing);
-        if (point == kEmpty) point = static_cast<int>(index);
+            points_.firing.empty() ? find_nearest_firing(point_index) : points_.firing[point_index];
+        int& point = get_cells_of_return(get_return_index(points_, point_index))
+                         .get_point_index(points_.ring[point_index], firing);
+        if (point == kEmpty) point = static_cast<int>(point_index);
     }
 };
 
 /// Returns the mean time of the points of each firing. For a firing without points,
 /// extrapolates from the nearest firing with points at the rotation rate of the head.
-std::vector<double> compute_firing_times(const Points& points, const SpinningSensor& sensor,
-                                         const Sweep& sweep, const std::vector<int>& firing_of) {
+std::vector<double> compute_firing_times(const LidarPoints& points, const SpinningSensor& sensor,
+                                         const SweepFirings& sweep, const std::vector<int>& firing_of_point) {
     const std::size_t n = sweep.firings.size();
     const auto turning_time = [&](double azimuth_rad) {
         return (sensor.clockwise ? -azimuth_rad : azimuth_rad) / (2.0 * kPi) * sensor.period_s;
     };
     std::vector<double> time_s(n), sum(n, 0.0), count(n, 0.0);
     for (std::size_t f = 0; f < n; ++f)
-        time_s[f] = turning_time(sweep.lattice.compute_azimuth(sweep.firings[f]));
+        time_s[f] = turning_time(sweep.lattice.compute_tick_azimuth_rad(sweep.firings[f]));
     for (std::size_t i = 0; i < points.time_offset_s.size(); ++i)
-        if (firing_of[i] != kEmpty)
-            sum[std::size_t(firing_of[i])] += double(points.time_offset_s[i]),
-                count[std::size_t(firing_of[i])] += 1.0;
+        if (firing_of_point[i] != kEmpty)
+            sum[std::size_t(firing_of_point[i])] += double(points.time_offset_s[i]),
+                count[std::size_t(firing_of_point[i])] += 1.0;
     std::vector<double> measured = time_s;
     for (std::size_t f = 0; f < n; ++f) {
         // nearest firing with points, before or after firing f
@@ -202,15 +205,15 @@ std::vector<double> compute_firing_times(const Points& points, const SpinningSen
             else if (f >= d) from = f - d;
         }
         if (count[from] == 0.0) return time_s;
-        const double step = std::remainder(sweep.lattice.compute_azimuth(sweep.firings[f]) -
-                                               sweep.lattice.compute_azimuth(sweep.firings[from]),
+        const double step = std::remainder(sweep.lattice.compute_tick_azimuth_rad(sweep.firings[f]) -
+                                               sweep.lattice.compute_tick_azimuth_rad(sweep.firings[from]),
                                            2.0 * kPi);
         measured[f] = sum[from] / count[from] + turning_time(step);
     }
     return measured;
 }
 
-void resize(Scan& scan, int rows, int columns, std::size_t n_second_returns, bool has_classes) {
+void resize_scan_arrays(Scan& scan, int rows, int columns, std::size_t n_second_returns, bool has_classes) {
     const std::size_t n = static_cast<std::size_t>(rows) * static_cast<std::size_t>(columns);
     scan.rays.rows = rows;
     scan.rays.columns = columns;
@@ -226,8 +229,8 @@ void resize(Scan& scan, int rows, int columns, std::size_t n_second_returns, boo
 
 /// Marks a ray as dropped. Its origin and direction are those of the ideal beam; its
 /// range stays 0.
-void set_dropped(Scan& scan, std::size_t ray, const BeamGeometry& beam, double head_rad) {
-    const BeamRay model = beam.ray(head_rad);
+void set_dropped_ray(Scan& scan, std::size_t ray, const BeamRayGenerator& beam, double head_azimuth_rad) {
+    const BeamRay model = beam.compute_ray(head_azimuth_rad);
     scan.rays.origin[ray] = glm::vec3(model.origin_m);
     scan.rays.direction[ray] = glm::vec3(model.direction);
 }
@@ -235,34 +238,34 @@ void set_dropped(Scan& scan, std::size_t ray, const BeamGeometry& beam, double h
 /// Sets the direction and range of a ray with a return. The direction is from the beam's
 /// origin to the point. If the point is too close to the origin, returns false and sets
 /// nothing.
-/// @param head_rad  azimuth of the head at the time of the point. It gives the exact
-/// origin even if the firings have only regular azimuth steps.
-bool set_returned(Scan& scan, std::size_t ray, const BeamGeometry& beam, double head_rad,
-                  const Points& points, std::size_t index) {
-    const glm::dvec3 p(points.position_m[index]);
-    const glm::dvec3 origin = beam.ray(head_rad).origin_m;
+/// @param head_azimuth_rad  azimuth of the head at the time of the point. It gives the
+/// exact origin even if the firings have only regular azimuth steps.
+bool set_ray_with_return(Scan& scan, std::size_t ray, const BeamRayGenerator& beam, double head_azimuth_rad,
+                         const LidarPoints& points, std::size_t point_index) {
+    const glm::dvec3 p(points.position_m[point_index]);
+    const glm::dvec3 origin = beam.compute_ray(head_azimuth_rad).origin_m;
     const double range = glm::length(p - origin);
     if (!(range > kLeastRange_m)) return false;
     scan.rays.origin[ray] = glm::vec3(origin);
     scan.rays.direction[ray] = glm::vec3((p - origin) / range);
     scan.range_m[ray] = static_cast<float>(range);
-    scan.intensity[ray] = glm::clamp(points.intensity[index], 0.0f, 1.0f);
-    if (!points.time_offset_s.empty()) scan.rays.time_offset_s[ray] = points.time_offset_s[index];
-    if (!points.classes.empty()) scan.classes[ray] = points.classes[index];
+    scan.intensity[ray] = glm::clamp(points.intensity[point_index], 0.0f, 1.0f);
+    if (!points.time_offset_s.empty()) scan.rays.time_offset_s[ray] = points.time_offset_s[point_index];
+    if (!points.classes.empty()) scan.classes[ray] = points.classes[point_index];
     return true;
 }
 
 /// Adds a second or later return of a ray, if the ray has a first return.
-void set_second_return(Scan& scan, std::size_t ray, const Points& points, std::size_t index) {
+void set_second_return(Scan& scan, std::size_t ray, const LidarPoints& points, std::size_t point_index) {
     if (scan.range_m[ray] == 0.0f) return;
-    SecondReturn& echo = scan.second_returns[get_ring_number(points, index) - 1];
-    echo.range_m[ray] = glm::distance(points.position_m[index], scan.rays.origin[ray]);
-    echo.intensity[ray] = glm::clamp(points.intensity[index], 0.0f, 1.0f);
+    AdditionalReturns& echo = scan.second_returns[get_return_index(points, point_index) - 1];
+    echo.range_m[ray] = glm::distance(points.position_m[point_index], scan.rays.origin[ray]);
+    echo.intensity[ray] = glm::clamp(points.intensity[point_index], 0.0f, 1.0f);
 }
 
 }  // namespace
 
-Scan make_spinning_scan(const Points& points, const SpinningSensor& sensor, const Sweep& sweep) {
+Scan make_spinning_scan(const LidarPoints& points, const SpinningSensor& sensor, const SweepFirings& sweep) {
     check_points(points, sensor.beams.size());
     if (sensor.columns < 1 || sensor.beams.size() * std::size_t(sensor.columns) > kMaxRays ||
         sweep.lattice.n_ticks > kMostTicks)
@@ -281,19 +284,19 @@ Scan make_spinning_scan(const Points& points, const SpinningSensor& sensor, cons
                 fmt::format("cannot make a scan: a point has firing {}, expected the index of "
                             "one of {} firings",
                             firing, sweep.firings.size()));
-    const std::vector<BeamGeometry> beams = make_beam_geometries(sensor.beams);
+    const std::vector<BeamRayGenerator> beams = make_beam_geometries(sensor.beams);
     std::vector<double> head_rad(points.size());
     for (std::size_t i = 0; i < points.size(); ++i)
         head_rad[i] = beams[points.ring[i]].compute_head_azimuth(glm::dvec3(points.position_m[i]));
-    Assignment assigned(points, sensor, sweep, head_rad);
+    PointToRayAssignment assigned(points, sensor, sweep, head_rad);
     const std::vector<double> times = compute_firing_times(points, sensor, sweep, assigned.firing_of);
-    const std::vector<int> slot = fill_columns(sweep, sensor.columns);
+    const std::vector<int> slot = assign_firings_to_columns(sweep, sensor.columns);
     std::vector<double> firing_rad;
-    for (const int tick : sweep.firings) firing_rad.push_back(sweep.lattice.compute_azimuth(tick));
+    for (const int tick : sweep.firings) firing_rad.push_back(sweep.lattice.compute_tick_azimuth_rad(tick));
     const int columns = sensor.columns;
     Scan scan;
-    resize(scan, static_cast<int>(sensor.beams.size()), columns, assigned.by_return.size() - 1,
-           !points.classes.empty());
+    resize_scan_arrays(scan, static_cast<int>(sensor.beams.size()), columns, assigned.by_return.size() - 1,
+                       !points.classes.empty());
     scan.rays.divergence_rad = static_cast<float>(sensor.divergence_rad);
     std::size_t at = 0;
     for (std::size_t ring = 0; ring < sensor.beams.size(); ++ring) {
@@ -303,19 +306,19 @@ Scan make_spinning_scan(const Points& points, const SpinningSensor& sensor, cons
                 slot[static_cast<std::size_t>(((column + shift) % columns + columns) % columns)]);
             scan.rays.time_offset_s[at] = static_cast<float>(times[firing]);
             scan.rays.channel[at] = static_cast<std::uint16_t>(ring);
-            const int first = assigned.by_return[0].at(ring, firing);
-            if (first == kEmpty || !set_returned(scan, at, beams[ring], head_rad[std::size_t(first)], points,
-                                                 std::size_t(first)))
-                set_dropped(scan, at, beams[ring], firing_rad[firing]);
+            const int first = assigned.by_return[0].get_point_index(ring, firing);
+            if (first == kEmpty || !set_ray_with_return(scan, at, beams[ring], head_rad[std::size_t(first)],
+                                                        points, std::size_t(first)))
+                set_dropped_ray(scan, at, beams[ring], firing_rad[firing]);
             for (std::size_t number = 1; number < assigned.by_return.size(); ++number)
-                if (const int i = assigned.by_return[number].at(ring, firing); i != kEmpty)
+                if (const int i = assigned.by_return[number].get_point_index(ring, firing); i != kEmpty)
                     set_second_return(scan, at, points, std::size_t(i));
         }
     }
     return scan;
 }
 
-Scan make_unordered_scan(const Points& points) {
+Scan make_unordered_scan(const LidarPoints& points) {
     check_points(points, 0);
     std::vector<std::size_t> first;  // [rays] index of the point that is the first return of each ray
     std::size_t n_second_returns = 0;
@@ -323,12 +326,12 @@ Scan make_unordered_scan(const Points& points) {
         throw UsageError(
             fmt::format("cannot make a scan: found {} points, expected at most {}", points.size(), kMaxRays));
     for (std::size_t i = 0; i < points.size(); ++i) {
-        n_second_returns = std::max(n_second_returns, get_ring_number(points, i));
-        if (get_ring_number(points, i) == 0 && glm::length(points.position_m[i]) > float(kLeastRange_m))
+        n_second_returns = std::max(n_second_returns, get_return_index(points, i));
+        if (get_return_index(points, i) == 0 && glm::length(points.position_m[i]) > float(kLeastRange_m))
             first.push_back(i);
     }
     Scan scan;
-    resize(scan, 1, static_cast<int>(first.size()), n_second_returns, !points.classes.empty());
+    resize_scan_arrays(scan, 1, static_cast<int>(first.size()), n_second_returns, !points.classes.empty());
     for (std::size_t at = 0; at < first.size(); ++at) {
         const std::size_t i = first[at];
         const float range = glm::length(points.position_m[i]);
@@ -338,16 +341,17 @@ Scan make_unordered_scan(const Points& points) {
         scan.range_m[at] = range;
         scan.intensity[at] = glm::clamp(points.intensity[i], 0.0f, 1.0f);
         if (!points.classes.empty()) scan.classes[at] = points.classes[i];
-        for (std::size_t k = i + 1; k < points.size() && get_ring_number(points, k) > 0; ++k)
+        for (std::size_t k = i + 1; k < points.size() && get_return_index(points, k) > 0; ++k)
             set_second_return(scan, at, points, k);
     }
     return scan;
 }
 
-void undo_motion_compensation(Points& points, const PoseTrack& world_from_sensor, double time_s) {
-    const Pose world_from_reference = world_from_sensor.at(time_s);
+void undo_motion_compensation(LidarPoints& points, const PoseTrack& world_from_sensor, double time_s) {
+    const Pose world_from_reference = world_from_sensor.interpolate_pose(time_s);
     for (std::size_t i = 0; i < points.size(); ++i) {
-        const Pose world_from_firing = world_from_sensor.at(time_s + double(points.time_offset_s[i]));
+        const Pose world_from_firing =
+            world_from_sensor.interpolate_pose(time_s + double(points.time_offset_s[i]));
         points.position_m[i] =
             glm::vec3(inverse(world_from_firing) * (world_from_reference * glm::dvec3(points.position_m[i])));
     }

@@ -31,7 +31,7 @@ constexpr double kLongestStep_s = 1.0;
 constexpr std::size_t kSamples = 6;  // number of scans for estimates
 // The points fit the nominal beams if their median distance from the beams is below this
 // share of the beam spacing. For another LiDAR, this share is about 0.25.
-constexpr double kNearBeam = 0.15;
+constexpr double kMaxBeamMisfit = 0.15;
 // A pose at almost the requested time is used without interpolation. This tolerance is
 // relative to the time between poses.
 constexpr double kSameTime = 1e-6;
@@ -40,82 +40,88 @@ constexpr double kLargestCoordinate_m = 1e8;
 
 /// Parses a time stamp in a table. Some programs write time stamps with a fraction or an
 /// exponent.
-std::optional<std::int64_t> parse_stamp_cell(std::string_view cell) {
-    if (const auto whole = parse_timestamp_ns(cell)) return whole;
+std::optional<std::int64_t> parse_timestamp_cell(std::string_view cell) {
+    if (const auto integer_stamp = parse_integer_timestamp(cell)) return integer_stamp;
     const std::optional<double> number = parse_number(cell);
     if (!number || !(*number >= 0.0 && *number < 9e18)) return std::nullopt;
     return std::int64_t(std::llround(*number));
 }
 
-StampedRow parse_row(const std::vector<std::string_view>& cells, std::size_t n_values,
-                     const std::string& location) {
-    StampedRow row{0, {}, location};
-    const std::optional<std::int64_t> stamp = parse_stamp_cell(cells[0]);
+StampedPoseRow parse_stamped_row(const std::vector<std::string_view>& cells, std::size_t n_values,
+                                 const std::string& error_location) {
+    StampedPoseRow row{0, {}, error_location};
+    const std::optional<std::int64_t> stamp = parse_timestamp_cell(cells[0]);
     if (!stamp)
-        throw DataError(fmt::format("{}: found '{}', expected a time", location, make_excerpt(cells[0])));
+        throw DataError(fmt::format("{}: found '{}', expected a time", error_location,
+                                    shorten_for_error_message(cells[0])));
     row.stamp = *stamp;
     if (cells.size() < n_values + 1)
-        throw DataError(fmt::format("{}: found {} cells, expected a time and {} numbers", location,
+        throw DataError(fmt::format("{}: found {} cells, expected a time and {} numbers", error_location,
                                     cells.size(), n_values));
     for (std::size_t c = 1; c <= n_values; ++c) {
         const std::optional<double> number = parse_number(cells[c]);
         if (!number || !(std::abs(*number) <= kLargestCoordinate_m))
-            throw DataError(fmt::format("{}: cell {} is '{}', expected a number of at most {:g}", location,
-                                        c + 1, make_excerpt(cells[c]), kLargestCoordinate_m));
+            throw DataError(fmt::format("{}: cell {} is '{}', expected a number of at most {:g}",
+                                        error_location, c + 1, shorten_for_error_message(cells[c]),
+                                        kLargestCoordinate_m));
         row.values.push_back(*number);
     }
     return row;
 }
 
-std::optional<Pose> pose_at(const StampedLog& log, double time_s) {
+std::optional<Pose> find_pose_at_time(const StampedLog& log, double time_s) {
     const PoseTrack& track = log.world_from_vehicle;
-    if (!track.covers(time_s - log.reach_s) || !track.covers(time_s + log.reach_s)) return std::nullopt;
-    const TrackPosition place = track.place(time_s);
-    const bool is_one = place.s < kSameTime || place.s > 1.0 - kSameTime;
-    if (!is_one && track.time_s[place.left + 1] - track.time_s[place.left] > log.most_gap_s)
+    if (!track.contains_time(time_s - log.reach_s) || !track.contains_time(time_s + log.reach_s))
         return std::nullopt;
-    return track.at(time_s);
+    const TrackInterpolation track_position = track.find_pose_segment(time_s);
+    const bool is_one = track_position.s < kSameTime || track_position.s > 1.0 - kSameTime;
+    if (!is_one && track.time_s[track_position.left + 1] - track.time_s[track_position.left] > log.most_gap_s)
+        return std::nullopt;
+    return track.interpolate_pose(time_s);
 }
 
 /// Reads point files. Adds missing values such as rings, and rotates the points to
 /// relidar's axes.
-class StampedPoints : public folder::ScanSource {
+class StampedScanProvider : public folder::ScanProvider {
 public:
-    StampedPoints(const Sequence& sequence, const std::vector<fs::path>& files, const PointFormat& format)
+    StampedScanProvider(const LidarSequence& sequence, const std::vector<fs::path>& files,
+                        const PointFileFormat& format)
         : sequence_(sequence), files_(files), format_(format) {}
 
-    std::string name(std::size_t index) const override { return files_[index].string(); }
-    bool has_points(std::size_t) const override { return true; }
-    Points points(std::size_t index) const override {
+    std::string get_frame_name(std::size_t index) const override { return files_[index].string(); }
+    bool is_stored_as_points(std::size_t) const override { return true; }
+    LidarPoints read_points_of_frame(std::size_t index) const override {
         folder::PointTable table = folder::read_point_file(files_[index], format_.units.columns);
-        if (format_.complete) format_.complete(table, name(index));
-        Points points =
-            folder::make_points(table, format_.units, sequence_.frames[index].time_s, name(index));
+        if (format_.complete) format_.complete(table, get_frame_name(index));
+        LidarPoints points = folder::convert_table_to_points(
+            table, format_.units, sequence_.frames[index].time_s, get_frame_name(index));
         const double c = std::cos(format_.turned_rad), s = std::sin(format_.turned_rad);
         for (glm::vec3& p : points.position_m) {
-            const glm::dvec3 own(p);
-            p = glm::vec3(c * own.x - s * own.y, s * own.x + c * own.y, own.z);
+            const glm::dvec3 point_in_file_axes(p);
+            p = glm::vec3(c * point_in_file_axes.x - s * point_in_file_axes.y,
+                          s * point_in_file_axes.x + c * point_in_file_axes.y, point_in_file_axes.z);
         }
-        if (!format_.beams.empty()) recover_rings(points, format_.beams);
+        if (!format_.beams.empty()) assign_points_to_rings(points, format_.beams);
         return points;
     }
-    Scan rays(std::size_t index) const override {
-        throw DataError(fmt::format("{}: the scan has no points, expected at least one", name(index)));
+    Scan read_rays_of_frame(std::size_t index) const override {
+        throw DataError(
+            fmt::format("{}: the scan has no points, expected at least one", get_frame_name(index)));
     }
 
 private:
-    const Sequence& sequence_;
+    const LidarSequence& sequence_;
     const std::vector<fs::path>& files_;
-    const PointFormat& format_;
+    const PointFileFormat& format_;
 };
 
 /// Reads the points of a few scans. Skips scans that cannot be read.
-std::vector<Points> sample_points(const StampedPoints& source, std::size_t n_scans) {
-    std::vector<Points> samples;
+std::vector<LidarPoints> read_sample_scans(const StampedScanProvider& source, std::size_t n_scans) {
+    std::vector<LidarPoints> samples;
     const std::size_t n = std::min(kSamples, n_scans);
     for (std::size_t k = 0; k < n; ++k) {
         try {
-            samples.push_back(source.points(k * n_scans / n));
+            samples.push_back(source.read_points_of_frame(k * n_scans / n));
             if (samples.back().size() == 0) samples.pop_back();
         } catch (const DataError&) {
             continue;  // the error is reported when the scan is read
@@ -126,13 +132,13 @@ std::vector<Points> sample_points(const StampedPoints& source, std::size_t n_sca
 
 /// Returns true if the elevations of most points are close to those of the nominal beams,
 /// compared with the spacing of the beams. Returns false for points of another LiDAR.
-bool are_points_near_beams(const std::vector<Points>& samples, const FittedSensor& fit) {
-    const std::vector<Beam>& beams = fit.sensor.beams;
+bool are_points_near_beams(const std::vector<LidarPoints>& sample_scans, const FittedSensor& fitted_sensor) {
+    const std::vector<Beam>& beams = fitted_sensor.sensor.beams;
     // angle between each point and its beam, divided by the angle to the next beam
     std::vector<double> off;
-    for (const Points& scan : samples)
+    for (const LidarPoints& scan : sample_scans)
         for (std::size_t i = 0; i < scan.size(); ++i) {
-            const std::size_t b = fit.beam_of_ring[scan.ring[i]];
+            const std::size_t b = fitted_sensor.beam_of_ring[scan.ring[i]];
             double apart = INFINITY;
             // b - 1 is a very large, invalid index if b is 0
             for (const std::size_t next : {b - 1, b + 1})
@@ -141,21 +147,22 @@ bool are_points_near_beams(const std::vector<Points>& samples, const FittedSenso
             const glm::dvec3 p(scan.position_m[i]);
             off.push_back(std::abs(std::atan2(p.z, std::hypot(p.x, p.y)) - beams[b].elevation_rad) / apart);
         }
-    return compute_median(std::move(off)) < kNearBeam;
+    return compute_median(std::move(off)) < kMaxBeamMisfit;
 }
 
 /// Fits the nominal beams to the points. Returns nothing if the points come from another
 /// LiDAR, or if their azimuths are not on a regular grid, for example after motion
 /// compensation.
-std::optional<SpinningSensor> fit_nominal(const std::vector<Points>& samples, const PointFormat& format) {
-    if (samples.empty()) return std::nullopt;
+std::optional<SpinningSensor> fit_nominal_sensor(const std::vector<LidarPoints>& sample_scans,
+                                                 const PointFileFormat& format) {
+    if (sample_scans.empty()) return std::nullopt;
     FittedSensor fit;
     try {
-        fit = fit_sensor(samples, format.turn_s);
+        fit = fit_sensor(sample_scans, format.sweep_duration_s);
     } catch (const DataError&) {
         return std::nullopt;
     }
-    if (!are_points_near_beams(samples, fit)) return std::nullopt;
+    if (!are_points_near_beams(sample_scans, fit)) return std::nullopt;
     const double step = 2.0 * kPi / fit.sensor.columns;
     std::vector<Beam> beams = format.beams;
     std::complex<double> sum = 0.0;
@@ -164,13 +171,13 @@ std::optional<SpinningSensor> fit_nominal(const std::vector<Points>& samples, co
     for (const bool is_second : {false, true})
         for (std::size_t r = 0; r < std::min(beams.size(), fit.beam_of_ring.size()); ++r) {
             if (fit.beam_of_ring[r] == kNoBeam) continue;
-            const Beam& found = fit.sensor.beams[fit.beam_of_ring[r]];
-            const double beside = found.azimuth_offset_rad - format.beams[r].azimuth_offset_rad;
+            const Beam& fitted_beam = fit.sensor.beams[fit.beam_of_ring[r]];
+            const double beside = fitted_beam.azimuth_offset_rad - format.beams[r].azimuth_offset_rad;
             if (!is_second) sum += std::polar(1.0, fit.sensor.columns * beside);
             else
                 beams[r].azimuth_offset_rad +=
                     std::remainder(beside - std::arg(sum) / fit.sensor.columns, step);
-            beams[r].elevation_rad = found.elevation_rad;
+            beams[r].elevation_rad = fitted_beam.elevation_rad;
         }
     fit.sensor.beams = std::move(beams);
     return fit.sensor;
@@ -178,17 +185,18 @@ std::optional<SpinningSensor> fit_nominal(const std::vector<Points>& samples, co
 
 }  // namespace
 
-std::optional<std::int64_t> parse_timestamp_ns(std::string_view text) {
+std::optional<std::int64_t> parse_integer_timestamp(std::string_view text) {
     std::int64_t stamp = 0;
     const auto [end, failed] = std::from_chars(text.data(), text.data() + text.size(), stamp);
     if (failed != std::errc() || end != text.data() + text.size() || stamp < 0) return std::nullopt;
     return stamp;
 }
 
-std::vector<StampedScan> list_scans(const fs::path& folder) {
-    std::vector<StampedScan> scans;
-    for (const fs::path& file : list_folder(folder))
-        if (const auto stamp = parse_timestamp_ns(file.stem().string()); stamp && file.extension() == ".bin")
+std::vector<StampedScanFile> list_stamped_scans(const fs::path& folder) {
+    std::vector<StampedScanFile> scans;
+    for (const fs::path& file : list_folder_entries(folder))
+        if (const auto stamp = parse_integer_timestamp(file.stem().string());
+            stamp && file.extension() == ".bin")
             scans.push_back({0, *stamp, file});
     if (scans.empty())
         throw DataError(
@@ -196,19 +204,20 @@ std::vector<StampedScan> list_scans(const fs::path& folder) {
                         "1598990189106857.bin",
                         folder.string()));
     // Sorts by the number, because sorting by name would put "10" before "9".
-    std::ranges::sort(scans, {}, &StampedScan::stamp);
+    std::ranges::sort(scans, {}, &StampedScanFile::stamp);
     for (std::size_t i = 0; i < scans.size(); ++i) scans[i].number = int(i);
     return scans;
 }
 
-std::vector<StampedRow> read_rows(const fs::path& file, std::size_t n_values) {
-    const std::vector<std::string> lines = split_lines(read_text(file));
-    std::vector<StampedRow> rows;
+std::vector<StampedPoseRow> read_stamped_rows(const fs::path& file, std::size_t min_values_per_row) {
+    const std::vector<std::string> lines = split_lines(read_text_file(file));
+    std::vector<StampedPoseRow> rows;
     for (std::size_t l = 0; l < lines.size(); ++l) {
         if (trim_spaces(lines[l]).empty()) continue;
         const std::vector<std::string_view> cells = split_csv_cells(lines[l]);
         if (l == 0 && !parse_number(cells[0])) continue;  // skips a first line with column names
-        StampedRow row = parse_row(cells, n_values, fmt::format("{} line {}", file.string(), l + 1));
+        StampedPoseRow row =
+            parse_stamped_row(cells, min_values_per_row, fmt::format("{} line {}", file.string(), l + 1));
         if (!rows.empty() && row.stamp == rows.back().stamp) continue;
         if (!rows.empty() && row.stamp < rows.back().stamp)
             throw DataError(fmt::format("{}: found the time {} after {}, expected increasing times",
@@ -217,26 +226,26 @@ std::vector<StampedRow> read_rows(const fs::path& file, std::size_t n_values) {
     }
     if (rows.empty())
         throw DataError(fmt::format("{}: no pose was found, expected lines with a time and {} numbers",
-                                    file.string(), n_values));
+                                    file.string(), min_values_per_row));
     return rows;
 }
 
-Driving estimate_driving_direction(const PoseTrack& world_from_rider) {
-    const std::vector<Pose>& poses = world_from_rider.pose;
-    Driving driving;
+DrivingDirection estimate_driving_direction(const PoseTrack& world_from_sensor) {
+    const std::vector<Pose>& poses = world_from_sensor.pose;
+    DrivingDirection driving;
     double rises = 0.0;
     for (std::size_t from = 0, to = 1; to < poses.size(); ++to) {
         const glm::dvec3 step = poses[to].translation - poses[from].translation;
-        const bool is_late = world_from_rider.time_s[to] - world_from_rider.time_s[from] > kLongestStep_s;
+        const bool is_late = world_from_sensor.time_s[to] - world_from_sensor.time_s[from] > kLongestStep_s;
         if (!is_late && glm::length(step) < kStep_m) continue;
         // In a curve, the motion has different directions in the first and the last
         // sensor frame. Their mean is used.
         if (!is_late) {
             const glm::dvec3 d = glm::normalize(step);
-            const glm::dvec3 seen =
+            const glm::dvec3 direction_in_sensor =
                 0.5 * (glm::conjugate(poses[from].rotation) * d + glm::conjugate(poses[to].rotation) * d);
-            driving.mean += seen;
-            rises += seen.z * seen.z;
+            driving.mean += direction_in_sensor;
+            rises += direction_in_sensor.z * direction_in_sensor.z;
             ++driving.n_steps;
         }
         from = to;
@@ -248,23 +257,24 @@ Driving estimate_driving_direction(const PoseTrack& world_from_rider) {
     return driving;
 }
 
-void warn_unless_facing_forward(std::vector<std::string>& notes, double forward) {
+void add_note_unless_driving_forward(std::vector<std::string>& notes, double forward_fraction) {
     constexpr double kMostlyForward = 0.9;
-    if (forward < kMostlyForward)
+    if (forward_fraction < kMostlyForward)
         notes.push_back(
             fmt::format("poses: the vehicle drives forward only {:.2f} m per metre on average, expected "
                         "nearly 1; use dataset.poses=none to estimate the poses from the scans",
-                        forward));
+                        forward_fraction));
 }
 
-std::vector<fs::path> add_frames(Sequence& sequence, const StampedLog& log, const DatasetOptions& options) {
+std::vector<fs::path> add_requested_frames(LidarSequence& sequence, const StampedLog& log,
+                                           const DatasetOptions& options) {
     const FrameRange& range = options.frames;
     std::vector<fs::path> files;
-    std::vector<const StampedScan*> without;
-    for (const StampedScan& scan : log.scans) {
+    std::vector<const StampedScanFile*> without;
+    for (const StampedScanFile& scan : log.scans) {
         if (scan.number < range.begin || (range.end >= 0 && scan.number >= range.end)) continue;
-        const double time_s = log.seconds(scan.stamp);
-        const std::optional<Pose> pose = options.poses_file.empty() ? pose_at(log, time_s) : Pose{};
+        const double time_s = log.convert_stamp_to_seconds(scan.stamp);
+        const std::optional<Pose> pose = options.poses_file.empty() ? find_pose_at_time(log, time_s) : Pose{};
         if (!pose) {
             without.push_back(&scan);
             continue;
@@ -282,34 +292,35 @@ std::vector<fs::path> add_frames(Sequence& sequence, const StampedLog& log, cons
             "which are {:.3f} to {:.3f} s",
             log.poses_file.string(), log.world_from_vehicle.time_s.front(),
             log.world_from_vehicle.time_s.back(), without.front()->number, without.back()->number,
-            log.seconds(without.front()->stamp), log.seconds(without.back()->stamp)));
+            log.convert_stamp_to_seconds(without.front()->stamp),
+            log.convert_stamp_to_seconds(without.back()->stamp)));
     if (!without.empty())
         sequence.notes.push_back(fmt::format(
             "{} of {} scans are skipped (the first is frame {}, the last frame {}), because {} has no "
             "poses near their times",
             without.size(), without.size() + files.size(), without.front()->number, without.back()->number,
             log.poses_file.filename().string()));
-    kitti::use_pose_file(sequence, options.poses_file);
+    kitti::replace_vehicle_poses_from_file(sequence, options.poses_file);
     recentre_sequence(sequence);
     return files;
 }
 
-void check_poses(const fs::path& file, const DatasetOptions& options) {
-    if (!options.poses_file.empty() || does_path_exist(file)) return;
+void check_pose_file_exists(const fs::path& pose_file, const DatasetOptions& options) {
+    if (!options.poses_file.empty() || does_path_exist(pose_file)) return;
     throw DataError(
         fmt::format("{}: no such file; expected poses; use dataset.poses=FILE to name another file, or "
                     "dataset.poses=none to estimate the poses from the scans",
-                    file.string()));
+                    pose_file.string()));
 }
 
-void read_points(Sequence& sequence, const std::vector<fs::path>& files, PointFormat format,
-                 const DatasetOptions& options) {
-    const StampedPoints source(sequence, files, format);
+void read_scans_of_frames(LidarSequence& sequence, const std::vector<fs::path>& scan_files,
+                          PointFileFormat format, const DatasetOptions& options) {
+    const StampedScanProvider source(sequence, scan_files, format);
     SpinningSensor& sensor = sequence.lidars[0].sensor;
-    folder::Head head;
-    folder::HeadLidar& of_head = head.lidars.emplace_back();
+    folder::SequenceHeader head;
+    folder::SequenceHeaderLidar& of_head = head.lidars.emplace_back();
     if (!format.beams.empty()) {
-        if (auto fitted = fit_nominal(sample_points(source, files.size()), format)) {
+        if (auto fitted = fit_nominal_sensor(read_sample_scans(source, scan_files.size()), format)) {
             fitted->name = sensor.name;
             fitted->max_range_m = sensor.max_range_m;
             sensor = std::move(*fitted);
@@ -328,21 +339,22 @@ void read_points(Sequence& sequence, const std::vector<fs::path>& files, PointFo
     head.units = format.units;
     of_head.lidar = sequence.lidars[0];
     of_head.is_guessed = true;
-    of_head.turn_s = format.turn_s;
+    of_head.sweep_duration_s = format.sweep_duration_s;
     folder::read_scans(sequence, head, source, options);
 }
 
-Brightness find_brightness(const std::vector<fs::path>& files, const std::vector<std::string>& columns) {
+DatasetIntensityScale estimate_max_intensity(const std::vector<fs::path>& scan_files,
+                                             const std::vector<std::string>& column_names) {
     std::vector<folder::PointTable> samples;
-    const std::size_t n = std::min(kSamples, files.size());
+    const std::size_t n = std::min(kSamples, scan_files.size());
     for (std::size_t k = 0; k < n; ++k) {
         try {
-            samples.push_back(folder::read_point_file(files[k * files.size() / n], columns));
+            samples.push_back(folder::read_point_file(scan_files[k * scan_files.size() / n], column_names));
         } catch (const DataError&) {
             continue;  // the error is reported when the scan is read
         }
     }
-    const folder::IntensityScale scale = folder::find_meaning(samples).scale;
+    const folder::IntensityScale scale = folder::interpret_point_fields(samples).scale;
     return {scale.max, scale.about};
 }
 

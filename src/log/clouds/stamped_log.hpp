@@ -19,57 +19,60 @@
 namespace relidar::stamped {
 
 /// A scan file of the log and its time stamp.
-struct StampedScan {
+struct StampedScanFile {
     int number = 0;          ///< number of the scan's frame
     std::int64_t stamp = 0;  ///< time of the scan in the unit of the dataset
     std::filesystem::path file;
 };
 /// Parses a time stamp of digits only, for example from a file name. Returns nothing for
 /// other texts.
-std::optional<std::int64_t> parse_timestamp_ns(std::string_view text);
+std::optional<std::int64_t> parse_integer_timestamp(std::string_view text);
 /// Lists the scan files of a folder, sorted by time and numbered from 0. The name of a
 /// file is its time stamp with the extension .bin.
 /// @throws DataError if the folder contains no such file
-std::vector<StampedScan> list_scans(const std::filesystem::path& folder);
+std::vector<StampedScanFile> list_stamped_scans(const std::filesystem::path& folder);
 
 /// One line of a table of poses.
-struct StampedRow {
+struct StampedPoseRow {
     std::int64_t stamp = 0;
     std::vector<double> values;  ///< the numbers after the time stamp; all are finite
     std::string where;           ///< name of the file and line number, for error messages
 };
 /// Reads a CSV table whose lines contain a time stamp and numbers. Skips a header line,
 /// and repeated lines with the same time stamp.
-/// @param n_values  minimum number of values per line
+/// @param min_values_per_row  minimum number of values per line
 /// @throws DataError with file and line, also if time stamps decrease
-std::vector<StampedRow> read_rows(const std::filesystem::path& file, std::size_t n_values);
+std::vector<StampedPoseRow> read_stamped_rows(const std::filesystem::path& file,
+                                              std::size_t min_values_per_row);
 
 /// Direction in which a vehicle drives, measured in the frame of its sensor.
-struct Driving {
+struct DrivingDirection {
     /// Mean of the unit vectors between consecutive positions. Its length is 1 if the
     /// direction never changes, and 0 if the vehicle does not move.
     glm::dvec3 mean{0.0};
     double rise_spread = 0.0;  ///< standard deviation of the z components of the unit vectors
     std::size_t n_steps = 0;   ///< number of position changes of at least one metre
 };
-Driving estimate_driving_direction(const PoseTrack& world_from_rider);
+DrivingDirection estimate_driving_direction(const PoseTrack& world_from_sensor);
 /// Adds a warning to the notes if the vehicle does not seem to drive forward.
-/// @param forward  forward component of the mean driving direction, at most 1
-void warn_unless_facing_forward(std::vector<std::string>& notes, double forward);
+/// @param forward_fraction  forward component of the mean driving direction, at most 1
+void add_note_unless_driving_forward(std::vector<std::string>& notes, double forward_fraction);
 
 /// The scan files of a log with their time stamps, and the poses of the log. Does not
 /// contain the points.
 struct StampedLog {
-    double unit_s = 1.0;               ///< unit of the time stamps in seconds
-    std::vector<StampedScan> scans;    ///< all scans of the log; the time of the first scan is 0 s
-    PoseTrack world_from_vehicle;      ///< poses with separate times
-    std::filesystem::path poses_file;  ///< file of the poses
+    double unit_s = 1.0;                 ///< unit of the time stamps in seconds
+    std::vector<StampedScanFile> scans;  ///< all scans of the log; the time of the first scan is 0 s
+    PoseTrack world_from_vehicle;        ///< poses with separate times
+    std::filesystem::path poses_file;    ///< file of the poses
     /// Maximum time in seconds between two poses for interpolation.
     double most_gap_s = 0.0;
     /// A scan is used only if poses are known this many seconds before and after it.
     double reach_s = 0.0;
 
-    double seconds(std::int64_t stamp) const { return double(stamp - scans[0].stamp) * unit_s; }
+    double convert_stamp_to_seconds(std::int64_t stamp) const {
+        return double(stamp - scans[0].stamp) * unit_s;
+    }
 };
 /// Adds the scans of the requested range to the log as frames. Moves the origin of the
 /// world to the log. The poses are read from the dataset or from
@@ -77,18 +80,18 @@ struct StampedLog {
 /// @return files of the scans
 /// @throws UsageError if the range contains no scan
 /// @throws DataError if no scan in the range has a pose
-std::vector<std::filesystem::path> add_frames(Sequence& sequence, const StampedLog& log,
-                                              const DatasetOptions& options);
+std::vector<std::filesystem::path> add_requested_frames(LidarSequence& sequence, const StampedLog& log,
+                                                        const DatasetOptions& options);
 
 /// Checks that the log has a pose file, or that the user selects another source of poses.
 /// @throws DataError if there are no poses
-void check_poses(const std::filesystem::path& file, const DatasetOptions& options);
+void check_pose_file_exists(const std::filesystem::path& pose_file, const DatasetOptions& options);
 
 /// Format of the files that contain the points of a LiDAR.
-struct PointFormat {
-    folder::PointUnits units;
-    double turn_s = 0.1;      ///< duration of a sweep in seconds; used if the points have no times
-    double turned_rad = 0.0;  ///< rotation about z from the axes in the files to relidar's axes
+struct PointFileFormat {
+    folder::PointFileUnits units;
+    double sweep_duration_s = 0.1;  ///< duration of a sweep in seconds; used if the points have no times
+    double turned_rad = 0.0;        ///< rotation about z from the axes in the files to relidar's axes
     /// Nominal beams of the LiDAR, for files without ring numbers. Each point belongs to
     /// the nearest beam. Elevations are fitted to the points, azimuth offsets only within
     /// one azimuth step. If the points come from another LiDAR, its beams are estimated
@@ -100,19 +103,19 @@ struct PointFormat {
     std::function<void(folder::PointTable&, const std::string& where)> complete = {};
 };
 /// Reads the scans of all frames. Fits the beams of the sensor to the points.
-/// @param files  [frames] scan file of each frame
-void read_points(Sequence& sequence, const std::vector<std::filesystem::path>& files, PointFormat format,
-                 const DatasetOptions& options);
+/// @param scan_files  [frames] scan file of each frame
+void read_scans_of_frames(LidarSequence& sequence, const std::vector<std::filesystem::path>& scan_files,
+                          PointFileFormat format, const DatasetOptions& options);
 
 /// Scale of the intensities in a dataset: the file value that becomes 1. It is 1 or 255
 /// if no intensity is larger. Otherwise only few intensities exceed it.
-struct Brightness {
+struct DatasetIntensityScale {
     double most = 1.0;
     std::string about;  ///< text for a note, used if larger intensities are clamped to 1
 };
 /// Estimates the file value that becomes the intensity 1.
-/// @param files  scan files. Reads only some of them, and skips unreadable files
-Brightness find_brightness(const std::vector<std::filesystem::path>& files,
-                           const std::vector<std::string>& columns);
+/// @param scan_files  scan files. Reads only some of them, and skips unreadable files
+DatasetIntensityScale estimate_max_intensity(const std::vector<std::filesystem::path>& scan_files,
+                                             const std::vector<std::string>& column_names);
 
 }  // namespace relidar::stamped

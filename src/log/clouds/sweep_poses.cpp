@@ -22,7 +22,7 @@ constexpr double kReach_m = 50.0;
 
 /// Returns the maximum distance by which a pose correction moves points up to kReach_m
 /// from the sensor.
-double measure_correction(const Pose& correction) {
+double compute_max_displacement_m(const Pose& correction) {
     const double sine =
         glm::length(glm::dvec3(correction.rotation.x, correction.rotation.y, correction.rotation.z));
     return glm::length(correction.translation) + kReach_m * 2.0 * std::asin(std::min(sine, 1.0));
@@ -31,33 +31,35 @@ double measure_correction(const Pose& correction) {
 /// Computes the pose corrections during one sweep. They move rays from the true sensor
 /// pose to the pose that is interpolated between frames. Times are relative to the time
 /// of the frame.
-PoseTrack compute_corrections(const Sequence& sequence, const Frame& frame,
-                              const PoseAt& world_from_vehicle) {
+PoseTrack compute_pose_corrections(const LidarSequence& sequence, const LidarFrame& frame,
+                                   const PoseLookup& find_vehicle_pose) {
     const Pose& mounted = sequence.get_lidar(frame).vehicle_from_sensor;
     const auto [first, last] = std::ranges::minmax(frame.scan.rays.time_offset_s);
     const int n = 1 + static_cast<int>(std::ceil(double(last - first) / kStep_s));
     PoseTrack track;
     for (int k = 0; k <= n; ++k) {
         const double offset_s = double(first) + double(last - first) * k / n, t_s = frame.time_s + offset_s;
-        const std::optional<Pose> own = world_from_vehicle(t_s);
-        if (!own || (!track.time_s.empty() && offset_s <= track.time_s.back())) continue;
+        const std::optional<Pose> vehicle_pose = find_vehicle_pose(t_s);
+        if (!vehicle_pose || (!track.time_s.empty() && offset_s <= track.time_s.back())) continue;
         track.time_s.push_back(offset_s);
-        track.pose.push_back(inverse(sequence.world_from_vehicle.at(t_s, mounted)) * (*own * mounted));
+        track.pose.push_back(inverse(sequence.world_from_vehicle.interpolate_mounted_pose(t_s, mounted)) *
+                             (*vehicle_pose * mounted));
     }
     return track;
 }
 
 /// Applies pose corrections to the origins and directions of all rays of a frame.
 /// @return maximum distance in metres by which a point is moved
-double correct_frame_rays(Frame& frame, const PoseTrack& corrections) {
+double correct_frame_rays(LidarFrame& frame, const PoseTrack& pose_corrections) {
     double farthest_m = 0.0;
-    for (const Pose& pose : corrections.pose) farthest_m = std::max(farthest_m, measure_correction(pose));
+    for (const Pose& pose : pose_corrections.pose)
+        farthest_m = std::max(farthest_m, compute_max_displacement_m(pose));
     if (farthest_m < kLeast_m) return 0.0;
     RayTable& rays = frame.scan.rays;
     for (std::size_t i = 0; i < rays.size(); ++i) {
-        const double t_s =
-            std::clamp(double(rays.time_offset_s[i]), corrections.time_s.front(), corrections.time_s.back());
-        const Pose pose = corrections.at(t_s);
+        const double t_s = std::clamp(double(rays.time_offset_s[i]), pose_corrections.time_s.front(),
+                                      pose_corrections.time_s.back());
+        const Pose pose = pose_corrections.interpolate_pose(t_s);
         rays.origin[i] = glm::vec3(pose * glm::dvec3(rays.origin[i]));
         rays.direction[i] = glm::vec3(glm::normalize(pose.rotation * glm::dvec3(rays.direction[i])));
     }
@@ -66,13 +68,13 @@ double correct_frame_rays(Frame& frame, const PoseTrack& corrections) {
 
 }  // namespace
 
-std::string correct_ray_motion(Sequence& sequence, const PoseAt& world_from_vehicle) {
+std::string correct_rays_for_vehicle_motion(LidarSequence& sequence, const PoseLookup& find_vehicle_pose) {
     if (!sequence.rolling_shutter) return "";
     std::vector<double> moved_m(sequence.frames.size(), 0.0);
     parallel_for(static_cast<int>(sequence.frames.size()), [&](int index) {
-        Frame& frame = sequence.frames[std::size_t(index)];
+        LidarFrame& frame = sequence.frames[std::size_t(index)];
         if (frame.scan.rays.size() == 0) return;
-        const PoseTrack track = compute_corrections(sequence, frame, world_from_vehicle);
+        const PoseTrack track = compute_pose_corrections(sequence, frame, find_vehicle_pose);
         if (!track.pose.empty()) moved_m[std::size_t(index)] = correct_frame_rays(frame, track);
     });
     const auto n = std::ranges::count_if(moved_m, [](double m) { return m > 0.0; });

@@ -17,16 +17,17 @@ constexpr double kShortest_rad = 1e-5, kLongest_rad = 0.2;
 
 /// Returns the share of azimuth steps within a ring that are not much longer than the
 /// median step.
-double compute_regular_share(const Points& scan) {
-    std::vector<std::pair<std::uint16_t, double>> places;  // ring and azimuth
+double compute_regular_step_fraction(const LidarPoints& scan) {
+    std::vector<std::pair<std::uint16_t, double>> rings_and_azimuths;  // ring and azimuth
     for (std::size_t i = 0; i < scan.size(); ++i)
-        places.emplace_back(scan.ring[i],
-                            std::atan2(double(scan.position_m[i].y), double(scan.position_m[i].x)));
-    std::ranges::sort(places);
+        rings_and_azimuths.emplace_back(
+            scan.ring[i], std::atan2(double(scan.position_m[i].y), double(scan.position_m[i].x)));
+    std::ranges::sort(rings_and_azimuths);
     std::vector<double> steps;
-    for (std::size_t i = 1; i < places.size(); ++i) {
-        const double step = places[i].second - places[i - 1].second;
-        if (places[i].first == places[i - 1].first && step > kShortest_rad && step < kLongest_rad)
+    for (std::size_t i = 1; i < rings_and_azimuths.size(); ++i) {
+        const double step = rings_and_azimuths[i].second - rings_and_azimuths[i - 1].second;
+        if (rings_and_azimuths[i].first == rings_and_azimuths[i - 1].first && step > kShortest_rad &&
+            step < kLongest_rad)
             steps.push_back(step);
     }
     if (steps.empty()) return 1.0;
@@ -37,16 +38,18 @@ double compute_regular_share(const Points& scan) {
 
 }  // namespace
 
-std::string explain_thinning(const std::vector<Points>& scans, const SpinningSensor& fitted) {
-    const auto fullest = std::ranges::max_element(scans, {}, &Points::size);
+std::string explain_removed_points(const std::vector<LidarPoints>& scans,
+                                   const SpinningSensor& fitted_sensor) {
+    const auto fullest = std::ranges::max_element(scans, {}, &LidarPoints::size);
     if (fullest == scans.end()) return "";
-    const double filled = double(fullest->size()) / (double(fitted.beams.size()) * fitted.columns);
+    const double filled =
+        double(fullest->size()) / (double(fitted_sensor.beams.size()) * fitted_sensor.columns);
     if (filled < kFewFilled)
         return fmt::format(
             "the points fill only {:.0f} % of the rays of {} beams and {} columns, so "
             "points were probably removed from the cloud",
-            100.0 * filled, fitted.beams.size(), fitted.columns);
-    if (const double share = compute_regular_share(*fullest); share < kFewRegular)
+            100.0 * filled, fitted_sensor.beams.size(), fitted_sensor.columns);
+    if (const double share = compute_regular_step_fraction(*fullest); share < kFewRegular)
         return fmt::format(
             "only {:.0f} % of the azimuth steps between points are regular, so points were "
             "probably removed from the cloud",

@@ -14,7 +14,8 @@ namespace relidar {
 /// empty string for complete scans. In a complete ring, most azimuth steps between
 /// neighbouring points are equal.
 /// @param scans  some scans with rings; the rings may have been estimated
-/// @param fitted  sensor that was fitted to these scans
-std::string explain_thinning(const std::vector<Points>& scans, const SpinningSensor& fitted);
+/// @param fitted_sensor  sensor that was fitted to these scans
+std::string explain_removed_points(const std::vector<LidarPoints>& scans,
+                                   const SpinningSensor& fitted_sensor);
 
 }  // namespace relidar

@@ -13,41 +13,44 @@ namespace relidar {
 namespace {
 
 /// A ray in the world frame, and the length up to which it has observed the space.
-struct Look {
+struct ObservedRaySegment {
     WorldRay ray;
     double length_m = 0.0;  ///< length of the observed path; 0 if the ray gives no information
 
-    glm::dvec3 end_m() const { return ray.origin_m + length_m * ray.direction; }
+    glm::dvec3 get_path_end_m() const { return ray.origin_m + length_m * ray.direction; }
 };
 
 /// Returns the length of the observed path for each ray of one firing, highest beam
 /// first. A dropped ray has observed space only if there is a return below it. The length
 /// of its path is then the smaller of two ranges: the next return above and the next
 /// return below. If there is no return above, the length is max_range_m.
-/// @param range_m [rows] ranges of the returns, 0 if the ray was dropped
-std::vector<double> compute_observed_length_m(const std::vector<double>& range_m, double max_range_m) {
-    const std::size_t n = range_m.size();
+/// @param ranges_m [rows] ranges of the returns, 0 if the ray was dropped
+std::vector<double> compute_observed_lengths_m(const std::vector<double>& ranges_m, double max_range_m) {
+    const std::size_t n = ranges_m.size();
     std::vector<double> above(n, 0.0), result(n, 0.0);  // range of the nearest return above each row
     for (std::size_t row = 1; row < n; ++row)
-        above[row] = range_m[row - 1] > 0.0 ? range_m[row - 1] : above[row - 1];
+        above[row] = ranges_m[row - 1] > 0.0 ? ranges_m[row - 1] : above[row - 1];
     double below = 0.0;
     for (std::size_t row = n; row-- > 0;) {
-        if (range_m[row] > 0.0) below = result[row] = range_m[row];
+        if (ranges_m[row] > 0.0) below = result[row] = ranges_m[row];
         else if (below > 0.0) result[row] = above[row] > 0.0 ? std::min(above[row], below) : max_range_m;
     }
     return result;
 }
 
 /// Marks the space between two neighbouring rays as observed.
-void add_space_between_rays(Coverage& coverage, const Look& first, const Look& second) {
-    const double length_m = std::min(first.length_m, second.length_m);
-    const int n = static_cast<int>(length_m * glm::distance(first.ray.direction, second.ray.direction) /
-                                   Coverage::kCell_m);
+void add_space_between_rays(ObservedVoxelSet& coverage, const ObservedRaySegment& first_ray,
+                            const ObservedRaySegment& second_ray) {
+    const double length_m = std::min(first_ray.length_m, second_ray.length_m);
+    const int n =
+        static_cast<int>(length_m * glm::distance(first_ray.ray.direction, second_ray.ray.direction) /
+                         ObservedVoxelSet::kCell_m);
     for (int k = 1; k <= n; ++k) {
         const double s = double(k) / (n + 1);
-        const glm::dvec3 origin_m = glm::mix(first.ray.origin_m, second.ray.origin_m, s);
-        coverage.add(origin_m, origin_m + length_m * glm::normalize(glm::mix(first.ray.direction,
-                                                                             second.ray.direction, s)));
+        const glm::dvec3 origin_m = glm::mix(first_ray.ray.origin_m, second_ray.ray.origin_m, s);
+        coverage.add_segment(origin_m,
+                             origin_m + length_m * glm::normalize(glm::mix(first_ray.ray.direction,
+                                                                           second_ray.ray.direction, s)));
     }
 }
 
@@ -55,29 +58,29 @@ void add_space_between_rays(Coverage& coverage, const Look& first, const Look& s
 /// between cross the same cells.
 std::size_t choose_column_step(const Lidar& lidar, double max_range_m) {
     const double step_m =
-        lidar.sensor.columns > 0 ? 2.0 * kPi / lidar.sensor.columns * max_range_m : Coverage::kCell_m;
-    return static_cast<std::size_t>(std::clamp(Coverage::kCell_m / step_m, 1.0, 16.0));
+        lidar.sensor.columns > 0 ? 2.0 * kPi / lidar.sensor.columns * max_range_m : ObservedVoxelSet::kCell_m;
+    return static_cast<std::size_t>(std::clamp(ObservedVoxelSet::kCell_m / step_m, 1.0, 16.0));
 }
 
-Coverage compute_coverage(const Sequence& sequence, const PoseTrack& world_from_sensor, const Frame& frame,
-                          double max_range_m) {
-    Coverage coverage;
+ObservedVoxelSet compute_frame_coverage(const LidarSequence& sequence, const PoseTrack& world_from_sensor,
+                                        const LidarFrame& frame, double max_range_m) {
+    ObservedVoxelSet coverage;
     const Scan& scan = frame.scan;
     const std::size_t columns = std::size_t(std::max(scan.rays.columns, 1)),
                       rows = scan.range_m.size() / columns;
     const std::size_t step = rows > 1 ? choose_column_step(sequence.get_lidar(frame), max_range_m) : 1;
     std::vector<double> range_m(rows);
-    std::vector<Look> looks(rows);
+    std::vector<ObservedRaySegment> looks(rows);
     for (std::size_t column = 0; column < columns; column += step) {
         for (std::size_t row = 0; row < rows; ++row)
             range_m[row] = std::min(double(scan.range_m[row * columns + column]), max_range_m);
-        const std::vector<double> length_m = compute_observed_length_m(range_m, max_range_m);
+        const std::vector<double> length_m = compute_observed_lengths_m(range_m, max_range_m);
         for (std::size_t row = 0; row < rows; ++row) {
             looks[row].length_m = length_m[row];
             if (!(length_m[row] > 0.0)) continue;
             looks[row].ray = make_world_ray(world_from_sensor, frame.time_s, scan.rays,
                                             row * columns + column, sequence.rolling_shutter);
-            coverage.add(looks[row].ray.origin_m, looks[row].end_m());
+            coverage.add_segment(looks[row].ray.origin_m, looks[row].get_path_end_m());
             if (row > 0 && looks[row - 1].length_m > 0.0)
                 add_space_between_rays(coverage, looks[row - 1], looks[row]);
         }
@@ -87,19 +90,19 @@ Coverage compute_coverage(const Sequence& sequence, const PoseTrack& world_from_
 
 }  // namespace
 
-Coverage find_coverage(const Sequence& sequence, const PoseTrack& world_from_vehicle,
-                       const std::vector<int>& positions, double max_range_m) {
+ObservedVoxelSet compute_observed_coverage(const LidarSequence& sequence, const PoseTrack& world_from_vehicle,
+                                           const std::vector<int>& frame_indices, double max_range_m) {
     std::vector<PoseTrack> world_from_sensor;
     for (const Lidar& lidar : sequence.lidars)
-        world_from_sensor.push_back(mount_on_track(world_from_vehicle, lidar.vehicle_from_sensor));
-    Coverage all;
+        world_from_sensor.push_back(compute_mounted_track(world_from_vehicle, lidar.vehicle_from_sensor));
+    ObservedVoxelSet all;
     std::mutex mutex;
-    parallel_for(static_cast<int>(positions.size()), [&](int index) {
-        const Frame& frame = sequence.frames[std::size_t(positions[std::size_t(index)])];
-        const Coverage one =
-            compute_coverage(sequence, world_from_sensor[std::size_t(frame.lidar)], frame, max_range_m);
+    parallel_for(static_cast<int>(frame_indices.size()), [&](int index) {
+        const LidarFrame& frame = sequence.frames[std::size_t(frame_indices[std::size_t(index)])];
+        const ObservedVoxelSet one =
+            compute_frame_coverage(sequence, world_from_sensor[std::size_t(frame.lidar)], frame, max_range_m);
         const std::lock_guard lock(mutex);
-        all.add(one);
+        all.add_coverage(one);
     });
     return all;
 }

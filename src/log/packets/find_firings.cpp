@@ -15,14 +15,14 @@
 namespace relidar::packets {
 namespace {
 
-constexpr double kLeastTurn = 0.05;  // minimum part of a turn that a scan must cover
+constexpr double kMinRevolutionFraction = 0.05;  // minimum part of a turn that a scan must cover
 constexpr double kSameFiring_us = 1.0;
 constexpr double kFar_m = 1e4;  // distance at which the direction of a ray without a return is evaluated
 
 /// For each firing (all lasers at one azimuth) of a scan, finds the ray of each ring.
-class FiringImage {
+class FiringRayTable {
 public:
-    FiringImage(const Scan& scan, const SpinningSensor& sensor) : columns_(scan.rays.columns) {
+    FiringRayTable(const Scan& scan, const SpinningSensor& sensor) : columns_(scan.rays.columns) {
         if (scan.rays.rows != int(sensor.beams.size()) || columns_ < 1)
             throw UsageError(fmt::format(
                 "cannot write packets of {}: the scan has {} rows, expected one row for each of the {} "
@@ -32,7 +32,7 @@ public:
     }
     std::size_t n_rings() const { return shift_.size(); }
     int n_firings() const { return columns_; }
-    std::size_t ray(std::size_t ring, int firing) const {
+    std::size_t get_ray_index(std::size_t ring, int firing) const {
         const int column = ((firing - shift_[ring]) % columns_ + columns_) % columns_;
         return ring * std::size_t(columns_) + std::size_t(column);
     }
@@ -45,14 +45,15 @@ private:
 /// Measures how well the delays of the lasers fit a scan. For each firing, computes the
 /// range of the times of its returns without these delays. Returns the sum of the ranges;
 /// 0 is a perfect fit.
-double compute_time_spread(const Scan& scan, const FiringImage& image, const std::vector<double>& offset_us) {
+double compute_firing_time_spread_us(const Scan& scan, const FiringRayTable& image,
+                                     const std::vector<double>& beam_delays_us) {
     double sum_us = 0.0;
     for (int firing = 0; firing < image.n_firings(); ++firing) {
         double first = INFINITY, last = -INFINITY;
         for (std::size_t ring = 0; ring < image.n_rings(); ++ring) {
-            const std::size_t ray = image.ray(ring, firing);
+            const std::size_t ray = image.get_ray_index(ring, firing);
             if (scan.range_m[ray] <= 0.0f) continue;
-            const double time_us = 1e6 * double(scan.rays.time_offset_s[ray]) - offset_us[ring];
+            const double time_us = 1e6 * double(scan.rays.time_offset_s[ray]) - beam_delays_us[ring];
             first = std::min(first, time_us), last = std::max(last, time_us);
         }
         if (last > first) sum_us += last - first;
@@ -63,13 +64,14 @@ double compute_time_spread(const Scan& scan, const FiringImage& image, const std
 /// Computes the time and the azimuth of a firing as the mean over its rays. Uses only
 /// rays with a return, because their directions are measured. If there is none, uses all
 /// rays.
-FiredColumn make_fired_column(const Scan& scan, const FiringImage& image, int firing,
-                              const std::vector<BeamGeometry>& beams, const std::vector<double>& offset_us) {
-    FiredColumn column{.is_measured = true, .returns = {}};
+FiringColumn make_firing_from_rays(const Scan& scan, const FiringRayTable& image, int firing_index,
+                                   const std::vector<BeamRayGenerator>& beams,
+                                   const std::vector<double>& beam_delays_us) {
+    FiringColumn column{.is_measured = true, .returns = {}};
     column.returns.resize(image.n_rings());
     std::size_t n_returned = 0, n_used = 0;
     for (std::size_t ring = 0; ring < image.n_rings(); ++ring) {
-        const std::size_t ray = image.ray(ring, firing);
+        const std::size_t ray = image.get_ray_index(ring, firing_index);
         auto& [first, second] = column.returns[ring];
         first = {scan.range_m[ray], scan.intensity[ray]};
         if (!scan.second_returns.empty())
@@ -78,13 +80,13 @@ FiredColumn make_fired_column(const Scan& scan, const FiringImage& image, int fi
     }
     double east = 0.0, north = 0.0;
     for (std::size_t ring = 0; ring < image.n_rings(); ++ring) {
-        const std::size_t ray = image.ray(ring, firing);
+        const std::size_t ray = image.get_ray_index(ring, firing_index);
         const double range_m = n_returned > 0 ? double(scan.range_m[ray]) : kFar_m;
         if (range_m <= 0.0) continue;
         const double head = beams[ring].compute_head_azimuth(glm::dvec3(scan.rays.origin[ray]) +
                                                              glm::dvec3(scan.rays.direction[ray]) * range_m);
         east += std::cos(head), north += std::sin(head);
-        column.time_s += double(scan.rays.time_offset_s[ray]) - 1e-6 * offset_us[ring];
+        column.time_s += double(scan.rays.time_offset_s[ray]) - 1e-6 * beam_delays_us[ring];
         ++n_used;
     }
     column.has_returns = n_returned > 0;
@@ -95,7 +97,7 @@ FiredColumn make_fired_column(const Scan& scan, const FiringImage& image, int fi
 
 /// A log has no measured time for firings without returns. Computes their times from the
 /// nearest firing with a return and the rotation of the head between both.
-void correct_times_without_return(std::vector<FiredColumn>& columns, double period_s) {
+void correct_times_of_empty_firings(std::vector<FiringColumn>& columns, double rotation_period_s) {
     const auto n = std::ptrdiff_t(columns.size());
     std::vector<std::ptrdiff_t> before(columns.size(), -1), after(columns.size(), -1);
     for (std::ptrdiff_t i = 0; i < n; ++i)
@@ -108,54 +110,54 @@ void correct_times_without_return(std::vector<FiredColumn>& columns, double peri
         const std::ptrdiff_t left = before[std::size_t(i)], right = after[std::size_t(i)];
         if (left == i || (left < 0 && right < 0)) continue;
         const bool is_right = left < 0 || (right >= 0 && right - i < i - left);
-        FiredColumn& column = columns[std::size_t(i)];
-        const FiredColumn& near = columns[std::size_t(is_right ? right : left)];
-        double turned_deg = std::fmod(column.azimuth_deg - near.azimuth_deg + 720.0, 360.0);
+        FiringColumn& column = columns[std::size_t(i)];
+        const FiringColumn& nearest_column = columns[std::size_t(is_right ? right : left)];
+        double turned_deg = std::fmod(column.azimuth_deg - nearest_column.azimuth_deg + 720.0, 360.0);
         if (is_right) turned_deg -= 360.0;
-        column.time_s = near.time_s + turned_deg / 360.0 * period_s;
+        column.time_s = nearest_column.time_s + turned_deg / 360.0 * rotation_period_s;
     }
 }
 
 /// Sorts firings by the rotation angle of the head. Times in a log are not exact, so they
 /// only decide between full turns.
-void sort_by_rotation(std::vector<FiredColumn>& columns, double period_s) {
-    const FiredColumn middle = columns[columns.size() / 2];
-    const auto turns_since = [&](const FiredColumn& column) {
+void sort_firings_by_head_angle(std::vector<FiringColumn>& columns, double rotation_period_s) {
+    const FiringColumn middle = columns[columns.size() / 2];
+    const auto turns_since = [&](const FiringColumn& column) {
         const double turned = (column.azimuth_deg - middle.azimuth_deg) / 360.0;
-        return turned + std::round((column.time_s - middle.time_s) / period_s - turned);
+        return turned + std::round((column.time_s - middle.time_s) / rotation_period_s - turned);
     };
     std::ranges::stable_sort(columns, {}, turns_since);
 }
 
 }  // namespace
 
-std::vector<FiredColumn> find_firings(const Scan& scan, double time_s, const SpinningSensor& sensor,
-                                      const std::vector<double>& offset_us) {
-    const FiringImage image(scan, sensor);
+std::vector<FiringColumn> extract_firings(const Scan& scan, double scan_time_s, const SpinningSensor& sensor,
+                                          const std::vector<double>& beam_delays_us) {
+    const FiringRayTable image(scan, sensor);
     const auto [first, last] = std::ranges::minmax(scan.rays.time_offset_s);
-    if (!(double(last - first) > kLeastTurn * sensor.period_s))
+    if (!(double(last - first) > kMinRevolutionFraction * sensor.period_s))
         throw UsageError(
             fmt::format("cannot write packets of {}: the rays of a scan were fired within {:.3g} s, "
                         "expected the {:.3g} s of a turn; motion-compensated scans have no firing times",
                         sensor.name, last - first, sensor.period_s));
     // The rays of a firing have different times in a recorded log, and equal times in a
     // rendered scan. Tests which case fits the times better.
-    const std::vector<double> no_offset(offset_us.size(), 0.0);
-    const bool has_laser_times =
-        compute_time_spread(scan, image, offset_us) < compute_time_spread(scan, image, no_offset);
-    const std::vector<BeamGeometry> beams = make_beam_geometries(sensor.beams);
-    std::vector<FiredColumn> columns;
+    const std::vector<double> no_offset(beam_delays_us.size(), 0.0);
+    const bool has_laser_times = compute_firing_time_spread_us(scan, image, beam_delays_us) <
+                                 compute_firing_time_spread_us(scan, image, no_offset);
+    const std::vector<BeamRayGenerator> beams = make_beam_geometries(sensor.beams);
+    std::vector<FiringColumn> columns;
     for (int firing = 0; firing < image.n_firings(); ++firing)
         columns.push_back(
-            make_fired_column(scan, image, firing, beams, has_laser_times ? offset_us : no_offset));
-    if (has_laser_times) correct_times_without_return(columns, sensor.period_s);
-    sort_by_rotation(columns, sensor.period_s);
+            make_firing_from_rays(scan, image, firing, beams, has_laser_times ? beam_delays_us : no_offset));
+    if (has_laser_times) correct_times_of_empty_firings(columns, sensor.period_s);
+    sort_firings_by_head_angle(columns, sensor.period_s);
     // A log may contain a firing in two columns, so the second copy is removed.
-    const auto is_repeat = [&](const FiredColumn& before, const FiredColumn& after) {
+    const auto is_repeat = [&](const FiringColumn& before, const FiringColumn& after) {
         return 1e6 * std::abs(before.time_s - after.time_s) < kSameFiring_us;
     };
     columns.erase(std::unique(columns.begin(), columns.end(), is_repeat), columns.end());
-    for (FiredColumn& column : columns) column.time_s += time_s;
+    for (FiringColumn& column : columns) column.time_s += scan_time_s;
     return columns;
 }
 

@@ -22,10 +22,10 @@ constexpr std::uint8_t kSingleReturn = 0x37, kLastAndStrongest = 0x39, kFactory 
 constexpr std::uint8_t kUnit_mm = 4;
 constexpr std::int64_t kSecond_ns = 1'000'000'000;
 
-using Header = std::array<std::uint8_t, 12>;
+using HesaiHeader = std::array<std::uint8_t, 12>;
 struct HesaiProduct {
     const char* layout;  ///< name in the table kLayouts
-    Header header;
+    HesaiHeader header;
     std::size_t n_header;
     std::size_t reserved;  ///< number of bytes between the blocks and the motor speed or return mode
     /// If true, the return mode is stored before the speed, and the date before the time.
@@ -41,7 +41,7 @@ struct HesaiProduct {
 // of 12 bytes stores the protocol version, the numbers of lasers and blocks, the position
 // of the last return, the unit in millimetres, the number of returns, and flags for the
 // optional fields: 1 packet number, 2 motion data, 4 safety field.
-constexpr Header kOt128Header = {0xEE, 0xFF, 1, 4, 0, 0, 128, 2, 0, kUnit_mm, 1, 7};
+constexpr HesaiHeader kOt128Header = {0xEE, 0xFF, 1, 4, 0, 0, 128, 2, 0, kUnit_mm, 1, 7};
 constexpr HesaiProduct kHesais[] = {
     {"Pandar40P", {}, 0, 8, false, 2000},
     {"Pandar64", {0xEE, 0xFF, 64, 6, 0, kUnit_mm, 0, 0}, 8, 8, false, 2000},
@@ -54,50 +54,50 @@ constexpr HesaiProduct kHesais[] = {
     {"OT128 in high resolution", kOt128Header, 12, 12, true, 1900, true, 0, 22},
 };
 
-/// Appends the checksum CRC-32/MPEG-2 of all bytes from `begin`.
-void append_checksum(std::string& bytes, std::size_t begin) {
+/// Appends the checksum CRC-32/MPEG-2 of all bytes from `first_byte`.
+void append_crc32(std::string& bytes, std::size_t first_byte) {
     std::uint32_t sum = 0xFFFFFFFF;
-    for (std::size_t i = begin; i < bytes.size(); ++i) {
+    for (std::size_t i = first_byte; i < bytes.size(); ++i) {
         sum ^= std::uint32_t(std::uint8_t(bytes[i])) << 24;
         for (int bit = 0; bit < 8; ++bit) sum = sum << 1 ^ (sum >> 31 ? 0x04C11DB7u : 0u);
     }
-    append(bytes, sum);
+    append_binary_value(bytes, sum);
 }
 
 /// Appends the safety field of a sensor without faults.
-void append_safety(std::string& bytes) {
+void append_safety_field(std::string& bytes) {
     const std::size_t begin = bytes.size();
-    append(bytes, std::uint8_t(1));  // version
+    append_binary_value(bytes, std::uint8_t(1));  // version
     bytes.append(12, '\0');
-    append_checksum(bytes, begin + 1);
+    append_crc32(bytes, begin + 1);
 }
 
 class HesaiFormat : public PacketFormat {
 public:
     HesaiFormat(const HesaiProduct& product, const SpinningSensor& sensor, const PacketOptions& options)
-        : product_(product),
-          sensor_(sensor),
-          blocks_(find_layout_of_product(product.layout), sensor, options) {}
+        : product_(product), sensor_(sensor), blocks_(find_packet_layout(product.layout), sensor, options) {}
 
-    int port() const override { return kHesaiPort; }
-    int firings() const override { return blocks_.firings(); }
+    int get_udp_port() const override { return kHesaiPort; }
+    int firings_per_packet() const override { return blocks_.firings_per_packet(); }
     int packets_per_firing() const override { return blocks_.packets_per_firing(); }
     int columns_per_firing() const override { return blocks_.columns_per_firing(); }
-    std::vector<FiredColumn> join_sequences(std::vector<FiredColumn> columns) const override {
-        return blocks_.join_sequences(std::move(columns));
+    std::vector<FiringColumn> join_firing_sequences(std::vector<FiringColumn> columns) const override {
+        return blocks_.join_firing_sequences(std::move(columns));
     }
-    double cycle_us() const override { return blocks_.layout().cycle_us * double(blocks_.layout().parts()); }
-    std::vector<double> offsets_us() const override { return blocks_.offsets_us(); }
+    double get_firing_period_us() const override {
+        return blocks_.layout().cycle_us * double(blocks_.layout().count_firing_sequences());
+    }
+    std::vector<double> get_beam_delays_us() const override { return blocks_.get_beam_delays_us(); }
 
-    PacketCalibration calibration(const std::vector<bool>&) const override {
-        std::vector<std::string> lines(blocks_.layout().lasers());
+    PacketCalibrationFile make_calibration_file(const std::vector<bool>&) const override {
+        std::vector<std::string> lines(blocks_.layout().count_lasers_per_firing());
         for (std::size_t ring = 0; ring < sensor_.beams.size(); ++ring) {
             const Beam& beam = sensor_.beams[ring];
             // azimuth of the laser relative to the head, minus the rotation of the head
             // from the start of the block until the laser fires
             const double azimuth_rad =
-                -beam.azimuth_offset_rad - 2e-6 * kPi / sensor_.period_s * blocks_.offsets_us()[ring];
-            const std::size_t laser = blocks_.find_laser(ring);
+                -beam.azimuth_offset_rad - 2e-6 * kPi / sensor_.period_s * blocks_.get_beam_delays_us()[ring];
+            const std::size_t laser = blocks_.get_laser_of_ring(ring);
             lines[laser] = fmt::format("{},{:.4f},{:.4f}\n", laser + 1, beam.elevation_rad * 180.0 / kPi,
                                        azimuth_rad * 180.0 / kPi);
         }
@@ -106,31 +106,34 @@ public:
         return {".csv", text};
     }
 
-    SensorPacket write(std::span<const FiredColumn> columns, std::uint32_t number) const override {
-        SensorPacket packet{blocks_.compute_packet_time_ns(columns, number, &FiredColumn::time_s), {}};
-        const std::int64_t clock_ns = blocks_.compute_packet_time_ns(columns, number, &FiredColumn::clock_s);
+    SensorPacket encode_packet(std::span<const FiringColumn> columns,
+                               std::uint32_t packet_number) const override {
+        SensorPacket packet{blocks_.compute_packet_time_ns(columns, packet_number, &FiringColumn::time_s),
+                            {}};
+        const std::int64_t clock_ns =
+            blocks_.compute_packet_time_ns(columns, packet_number, &FiringColumn::clock_s);
         std::string& bytes = packet.bytes;
         bytes.append(product_.header.begin(), product_.header.begin() + std::ptrdiff_t(product_.n_header));
         // In the manual of the XT32, the first of two blocks stores the last return.
-        if (product_.n_header == 12 && blocks_.is_dual()) bytes[8] = 1, bytes[10] = 2;
-        blocks_.append_blocks(bytes, columns, number, 1e-3 * kUnit_mm);
-        if (product_.has_checksums) append_checksum(bytes, product_.n_header), append_safety(bytes);
-        const std::size_t tail_at = bytes.size();
+        if (product_.n_header == 12 && blocks_.has_dual_returns()) bytes[8] = 1, bytes[10] = 2;
+        blocks_.append_blocks(bytes, columns, packet_number, 1e-3 * kUnit_mm);
+        if (product_.has_checksums) append_crc32(bytes, product_.n_header), append_safety_field(bytes);
+        const std::size_t tail_offset = bytes.size();
         bytes.append(product_.reserved, '\0');
-        set_operation_mode(bytes, number);
-        const std::uint8_t mode = blocks_.is_dual() ? kLastAndStrongest : kSingleReturn;
+        set_operation_mode(bytes, packet_number);
+        const std::uint8_t mode = blocks_.has_dual_returns() ? kLastAndStrongest : kSingleReturn;
         const auto speed_rpm = std::uint16_t(std::lround(60.0 / sensor_.period_s));
         const std::int64_t time_us = (clock_ns + 500) / 1000, second_us = kSecond_ns / 1000;
-        if (product_.is_mode_first) append(bytes, mode);
-        append(bytes, speed_rpm);
-        if (product_.is_mode_first) append_date(bytes, time_us / second_us);
-        append(bytes, std::uint32_t(time_us % second_us));
-        if (!product_.is_mode_first) append(bytes, mode);
-        append(bytes, kFactory);
-        if (!product_.is_mode_first) append_date(bytes, time_us / second_us);
-        append(bytes, number);
+        if (product_.is_mode_first) append_binary_value(bytes, mode);
+        append_binary_value(bytes, speed_rpm);
+        if (product_.is_mode_first) append_utc_date_and_time(bytes, time_us / second_us);
+        append_binary_value(bytes, std::uint32_t(time_us % second_us));
+        if (!product_.is_mode_first) append_binary_value(bytes, mode);
+        append_binary_value(bytes, kFactory);
+        if (!product_.is_mode_first) append_utc_date_and_time(bytes, time_us / second_us);
+        append_binary_value(bytes, packet_number);
         bytes.append(product_.motion_bytes, '\0');
-        if (product_.has_checksums) append_checksum(bytes, tail_at);
+        if (product_.has_checksums) append_crc32(bytes, tail_offset);
         return packet;
     }
 
@@ -141,50 +144,50 @@ private:
 
     /// Sets the operation mode and the field that names the firing sequences of the
     /// blocks.
-    void set_operation_mode(std::string& bytes, std::uint32_t number) const {
-        const Layout& layout = blocks_.layout();
+    void set_operation_mode(std::string& bytes, std::uint32_t packet_number) const {
+        const PacketLayout& layout = blocks_.layout();
         bytes.back() = char(product_.operation_mode);
-        if (layout.part_rule == PartRule::mode_flag)
-            bytes[layout.part_at] = char(1 - blocks_.get_firing_sequence(0, number));
-        if (layout.part_rule != PartRule::azimuth_state) return;
+        if (layout.part_rule == FiringSequenceRule::mode_flag)
+            bytes[layout.part_at] = char(1 - blocks_.compute_firing_sequence_index(0, packet_number));
+        if (layout.part_rule != FiringSequenceRule::azimuth_state) return;
         for (std::size_t block = 0; block < layout.n_blocks; ++block)
-            bytes[layout.part_at + 1] |= char(blocks_.get_firing_sequence(block, number) << (6 - 2 * block));
+            bytes[layout.part_at + 1] |=
+                char(blocks_.compute_firing_sequence_index(block, packet_number) << (6 - 2 * block));
     }
 
     /// Appends year, month, day, hour, minute and second in UTC, with one byte each.
-    void append_date(std::string& bytes, std::int64_t unix_s) const {
+    void append_utc_date_and_time(std::string& bytes, std::int64_t unix_s) const {
         using namespace std::chrono;
         const sys_seconds time{seconds(unix_s)};
         const sys_days day = floor<days>(time);
         const year_month_day date(day);
         const hh_mm_ss clock(time - day);
-        append(bytes, std::uint8_t(int(date.year()) - product_.first_year));
-        append(bytes, std::uint8_t(unsigned(date.month())));
-        append(bytes, std::uint8_t(unsigned(date.day())));
-        append(bytes, std::uint8_t(clock.hours().count()));
-        append(bytes, std::uint8_t(clock.minutes().count()));
-        append(bytes, std::uint8_t(clock.seconds().count()));
+        append_binary_value(bytes, std::uint8_t(int(date.year()) - product_.first_year));
+        append_binary_value(bytes, std::uint8_t(unsigned(date.month())));
+        append_binary_value(bytes, std::uint8_t(unsigned(date.day())));
+        append_binary_value(bytes, std::uint8_t(clock.hours().count()));
+        append_binary_value(bytes, std::uint8_t(clock.minutes().count()));
+        append_binary_value(bytes, std::uint8_t(clock.seconds().count()));
     }
 };
 
 /// Measures how well a layout fits a sensor: relative difference between the time steps,
 /// plus 1 if the number of beams differs.
-double compute_misfit(const Layout& layout, const SpinningSensor& sensor) {
+double compute_layout_misfit(const PacketLayout& layout, const SpinningSensor& sensor) {
     const double step_us = 1e6 * sensor.period_s / sensor.columns;
     const double expected_us =
-        layout.cycle_us * double(layout.parts()) / count_columns_per_firing(layout, sensor);
-    const bool fits =
-        sensor.beams.size() == layout.lasers() || sensor.beams.size() == list_block_beams(layout).size();
+        layout.cycle_us * double(layout.count_firing_sequences()) / count_columns_per_firing(layout, sensor);
+    const bool fits = sensor.beams.size() == layout.count_lasers_per_firing() ||
+                      sensor.beams.size() == list_beams_of_packet_layout(layout).size();
     return std::abs(step_us / expected_us - 1.0) + (fits ? 0.0 : 1.0);
 }
 
 }  // namespace
 
-std::vector<std::string> list_hesai_names() {
+std::vector<std::string> list_hesai_sensor_names() {
     std::vector<std::string> names;
     for (const HesaiProduct& product : kHesais)
-        if (const std::string sensor = find_layout_of_product(product.layout).sensor;
-            sensor == product.layout)
+        if (const std::string sensor = find_packet_layout(product.layout).sensor; sensor == product.layout)
             names.push_back(sensor);
     return names;
 }
@@ -193,9 +196,9 @@ std::unique_ptr<PacketFormat> make_hesai_format(const SpinningSensor& sensor, co
     const HesaiProduct* best = nullptr;
     double least_error = 0.0;
     for (const HesaiProduct& product : kHesais) {
-        const Layout& layout = find_layout_of_product(product.layout);
+        const PacketLayout& layout = find_packet_layout(product.layout);
         if (sensor.name != layout.sensor) continue;
-        const double error = compute_misfit(layout, sensor);
+        const double error = compute_layout_misfit(layout, sensor);
         if (!best || error < least_error) best = &product, least_error = error;
     }
     return best ? std::make_unique<HesaiFormat>(*best, sensor, options) : nullptr;

@@ -27,19 +27,21 @@ constexpr std::size_t kEndBytes = 32;  // size of the header and of the footer o
 constexpr std::uint32_t kEncoderTicks = 90112;
 
 /// Returns Ouster's name of a product line, such as "OS-1-64" for "OS1-64".
-std::string get_product_line(const std::string& name) {
-    return name.starts_with("OS") && name.size() > 3 && name[3] == '-' ? "OS-" + name.substr(2) : name;
+std::string make_ouster_product_line(const std::string& sensor_name) {
+    return sensor_name.starts_with("OS") && sensor_name.size() > 3 && sensor_name[3] == '-'
+               ? "OS-" + sensor_name.substr(2)
+               : sensor_name;
 }
 
 /// Returns the first and the last column of the smallest azimuth window in which the
 /// sensor fires. The window can cross the end of the image and continue at column 0.
-std::array<int, 2> find_azimuth_window(const std::vector<bool>& fired) {
-    const int n = int(fired.size());
+std::array<int, 2> find_column_window(const std::vector<bool>& column_has_fired) {
+    const int n = int(column_has_fired.size());
     // Finds the longest run of columns that do not fire; `begin` is the column after it.
     int begin = 0, longest = 0;
     for (int start = 0; start < n; ++start) {
         int length = 0;
-        while (length < n && !fired[std::size_t((start + length) % n)]) ++length;
+        while (length < n && !column_has_fired[std::size_t((start + length) % n)]) ++length;
         if (length > longest) longest = length, begin = (start + length) % n;
     }
     return longest == n ? std::array{0, n - 1} : std::array{begin, (begin + n - longest - 1) % n};
@@ -47,8 +49,8 @@ std::array<int, 2> find_azimuth_window(const std::vector<bool>& fired) {
 
 /// Returns the metadata of an Ouster sensor as JSON text. Ouster's LiDAR frame has its x
 /// axis at the back, relidar's frame at the front. The metadata contain the transform.
-std::string make_ouster_metadata(const SpinningSensor& sensor, const std::string& profile,
-                                 const std::array<int, 2>& window) {
+std::string make_ouster_metadata(const SpinningSensor& sensor, const std::string& packet_profile,
+                                 const std::array<int, 2>& column_window) {
     std::vector<double> altitude_deg, azimuth_deg;
     std::vector<int> shift;
     for (const Beam& beam : sensor.beams) {
@@ -57,7 +59,7 @@ std::string make_ouster_metadata(const SpinningSensor& sensor, const std::string
         shift.push_back(int(std::lround(azimuth_deg.back() * sensor.columns / 360.0)));
     }
     const nlohmann::ordered_json json = {
-        {"prod_line", get_product_line(sensor.name)},
+        {"prod_line", make_ouster_product_line(sensor.name)},
         {"prod_sn", kSerial},
         {"status", "RUNNING"},
         {"lidar_mode", fmt::format("{}x{}", sensor.columns, std::lround(1.0 / sensor.period_s))},
@@ -71,8 +73,8 @@ std::string make_ouster_metadata(const SpinningSensor& sensor, const std::string
           {"columns_per_packet", kColumnsPerPacket},
           {"pixels_per_column", sensor.beams.size()},
           {"pixel_shift_by_row", shift},
-          {"column_window", window},
-          {"udp_profile_lidar", profile}}}};
+          {"column_window", column_window},
+          {"udp_profile_lidar", packet_profile}}}};
     return json.dump(1) + "\n";
 }
 
@@ -81,8 +83,9 @@ public:
     OusterWriter(const SpinningSensor& sensor, const PacketOptions& options)
         : start_ns_(options.start_ns),
           sensor_(sensor),
-          format_(read_ouster_metadata(
-              make_ouster_metadata(sensor, profile_name(options), {0, sensor.columns - 1}), sensor.name)) {
+          format_(parse_ouster_metadata(
+              make_ouster_metadata(sensor, choose_packet_profile(options), {0, sensor.columns - 1}),
+              sensor.name)) {
         if (format_->profile->returns < options.returns)
             throw UsageError(fmt::format(
                 "cannot write packets of {0}: the packet format {1} has only one return per ray, expected "
@@ -90,37 +93,43 @@ public:
                 sensor.name, format_->profile->name));
     }
 
-    int port() const override { return kOusterPort; }
-    int firings() const override { return format_->columns_per_packet; }
-    double cycle_us() const override { return 1e6 * format_->sensor.period_s / columns(); }
-    int columns() const override { return format_->sensor.columns; }
-    std::vector<double> offsets_us() const override {
+    int get_udp_port() const override { return kOusterPort; }
+    int firings_per_packet() const override { return format_->columns_per_packet; }
+    double get_firing_period_us() const override {
+        return 1e6 * format_->sensor.period_s / columns_per_revolution();
+    }
+    int columns_per_revolution() const override { return format_->sensor.columns; }
+    std::vector<double> get_beam_delays_us() const override {
         return std::vector<double>(format_->sensor.beams.size(), 0.0);
     }
-    PacketCalibration calibration(const std::vector<bool>& fired) const override {
-        return {".json", make_ouster_metadata(sensor_, format_->profile->name, find_azimuth_window(fired))};
+    PacketCalibrationFile make_calibration_file(const std::vector<bool>& column_has_fired) const override {
+        return {".json",
+                make_ouster_metadata(sensor_, format_->profile->name, find_column_window(column_has_fired))};
     }
 
-    SensorPacket write(std::span<const FiredColumn> columns, std::uint32_t number) const override {
-        const auto per_turn = std::uint32_t(format_->sensor.columns / format_->columns_per_packet);
-        const auto frame = std::uint16_t(number / per_turn);
+    SensorPacket encode_packet(std::span<const FiringColumn> columns,
+                               std::uint32_t packet_number) const override {
+        const auto packets_per_revolution =
+            std::uint32_t(format_->sensor.columns / format_->columns_per_packet);
+        const auto frame = std::uint16_t(packet_number / packets_per_revolution);
         const bool is_legacy = format_->profile->is_legacy;
         SensorPacket packet;
-        if (!is_legacy) append_header(packet.bytes, frame);
-        for (const FiredColumn& column : columns) {
-            const std::int64_t time_ns = to_unix_ns(column.time_s, start_ns_);
-            const int position = get_column_number(column);
-            append(packet.bytes, std::uint64_t(std::max<std::int64_t>(time_ns, 0)));
-            append(packet.bytes, std::uint16_t(position));
+        if (!is_legacy) append_packet_header(packet.bytes, frame);
+        for (const FiringColumn& column : columns) {
+            const std::int64_t time_ns = convert_to_unix_ns(column.time_s, start_ns_);
+            const int position = compute_column_index(column);
+            append_binary_value(packet.bytes, std::uint64_t(std::max<std::int64_t>(time_ns, 0)));
+            append_binary_value(packet.bytes, std::uint16_t(position));
             if (is_legacy) {
-                append(packet.bytes, frame);
-                append(packet.bytes,
-                       std::uint32_t(position) * (kEncoderTicks / std::uint32_t(this->columns())));
+                append_binary_value(packet.bytes, frame);
+                append_binary_value(packet.bytes,
+                                    std::uint32_t(position) *
+                                        (kEncoderTicks / std::uint32_t(this->columns_per_revolution())));
             } else {
-                append(packet.bytes, std::uint16_t(column.is_measured));
+                append_binary_value(packet.bytes, std::uint16_t(column.is_measured));
             }
             append_pixels(packet.bytes, column);
-            if (is_legacy) append(packet.bytes, column.is_measured ? 0xFFFFFFFFu : 0u);
+            if (is_legacy) append_binary_value(packet.bytes, column.is_measured ? 0xFFFFFFFFu : 0u);
             if (column.is_measured || packet.time_ns == 0) packet.time_ns = time_ns;
         }
         if (!is_legacy) packet.bytes.append(kEndBytes, '\0');
@@ -130,36 +139,36 @@ public:
 private:
     const std::int64_t start_ns_;
     const SpinningSensor sensor_;
-    const std::shared_ptr<const OusterFormat> format_;
+    const std::shared_ptr<const OusterMetadata> format_;
 
-    static std::string profile_name(const PacketOptions& options) {
+    static std::string choose_packet_profile(const PacketOptions& options) {
         if (!options.ouster_profile.empty()) return options.ouster_profile;
         return options.returns == 2 ? "RNG19_RFL8_SIG16_NIR16_DUAL" : "RNG19_RFL8_SIG16_NIR16";
     }
 
-    int get_column_number(const FiredColumn& column) const {
-        const double place = (column.azimuth_deg - 180.0) / 360.0 * columns();
-        return int((std::lround(place) + columns()) % columns());
+    int compute_column_index(const FiringColumn& column) const {
+        const double fractional_column = (column.azimuth_deg - 180.0) / 360.0 * columns_per_revolution();
+        return int((std::lround(fractional_column) + columns_per_revolution()) % columns_per_revolution());
     }
 
     /// Appends the packet type, the frame number, the initialization number of the sensor
     /// and the serial number.
-    static void append_header(std::string& bytes, std::uint16_t frame) {
+    static void append_packet_header(std::string& bytes, std::uint16_t frame_number) {
         const std::size_t begin = bytes.size();
-        append(bytes, std::uint16_t(1));
-        append(bytes, frame);
+        append_binary_value(bytes, std::uint16_t(1));
+        append_binary_value(bytes, frame_number);
         bytes.append(3, '\0');
-        for (int k = 0; k < 5; ++k) append(bytes, std::uint8_t(kSerialNumber >> (8 * k)));
+        for (int k = 0; k < 5; ++k) append_binary_value(bytes, std::uint8_t(kSerialNumber >> (8 * k)));
         bytes.resize(begin + kEndBytes, '\0');
     }
 
-    void append_pixels(std::string& bytes, const FiredColumn& column) const {
+    void append_pixels(std::string& bytes, const FiringColumn& column) const {
         const OusterProfile& profile = *format_->profile;
         for (const std::size_t ring : format_->ring_of) {
             std::string pixel(profile.pixel_bytes, '\0');
             for (int k = 0; k < profile.returns && !column.returns.empty(); ++k)
-                set_return(pixel, 4 * std::size_t(k), column.returns[ring][std::size_t(k)],
-                           format_->sensor.beams[ring].origin_offset_m);
+                write_return_to_pixel(pixel, 4 * std::size_t(k), column.returns[ring][std::size_t(k)],
+                                      format_->sensor.beams[ring].origin_offset_m);
             bytes += pixel;
         }
     }
@@ -167,15 +176,17 @@ private:
     /// Writes the range and the reflectivity of a return into a pixel. Ouster's ranges
     /// start at the axis of rotation, so they include the distance of the beam origin
     /// from the axis.
-    void set_return(std::string& pixel, std::size_t offset, const LaserReturn& echo, double start_m) const {
+    void write_return_to_pixel(std::string& pixel, std::size_t byte_offset, const LaserReturn& laser_return,
+                               double beam_origin_offset_m) const {
         const OusterProfile& profile = *format_->profile;
-        if (echo.range_m <= 0.0f) return;
-        const double range = std::round((double(echo.range_m) + start_m) / profile.range_unit_m);
+        if (laser_return.range_m <= 0.0f) return;
+        const double range =
+            std::round((double(laser_return.range_m) + beam_origin_offset_m) / profile.range_unit_m);
         if (!(range >= 1.0 && range <= double(profile.range_bits))) return;
         const auto number = std::uint32_t(range);
         for (std::size_t k = 0; k < 4 && number >> (8 * k) != 0; ++k)
-            pixel[offset + k] = char(number >> (8 * k));
-        pixel[offset + profile.reflectivity_at] = char(to_reflectivity(echo));
+            pixel[byte_offset + k] = char(number >> (8 * k));
+        pixel[byte_offset + profile.reflectivity_at] = char(convert_to_reflectivity_byte(laser_return));
     }
 };
 

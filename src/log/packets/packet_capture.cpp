@@ -27,7 +27,7 @@ constexpr std::uint32_t kMagic = 0xA1B23C4D, kMostBytes = 262144, kEthernetLink 
 constexpr std::size_t kIpBytes = 20, kUdpBytes = 8;
 constexpr const char* kStartText = "0 s is ";
 
-void append_big(std::string& bytes, unsigned value) {
+void append_uint16_big_endian(std::string& bytes, unsigned value) {
     bytes += char(value >> 8 & 0xFF);
     bytes += char(value & 0xFF);
 }
@@ -42,36 +42,36 @@ unsigned compute_ip_checksum(std::string_view header) {
 }
 
 /// Wraps a UDP datagram in IPv4 and Ethernet headers.
-/// @param number  identification number of the datagram in the IPv4 header
-std::string make_ethernet_frame(const std::string& payload, int port, unsigned number) {
+/// @param ip_identification  identification number of the datagram in the IPv4 header
+std::string wrap_in_ethernet_frame(const std::string& payload, int udp_port, unsigned ip_identification) {
     std::string ip;
     for (const unsigned value :
-         {0x4500u, unsigned(kIpBytes + kUdpBytes + payload.size()), number, 0x4000u, 0x4011u, 0u})
-        append_big(ip, value);
+         {0x4500u, unsigned(kIpBytes + kUdpBytes + payload.size()), ip_identification, 0x4000u, 0x4011u, 0u})
+        append_uint16_big_endian(ip, value);
     ip += std::string("\xC0\xA8\x01\xC9\xFF\xFF\xFF\xFF", 8);  // 192.168.1.201 to all
     const unsigned sum = compute_ip_checksum(ip);
     ip[10] = char(sum >> 8), ip[11] = char(sum & 0xFF);
     std::string frame = std::string("\xFF\xFF\xFF\xFF\xFF\xFF\x02\0\0\0\0\x01\x08\0", 14) + ip;
-    append_big(frame, unsigned(port)), append_big(frame, unsigned(port));
-    append_big(frame, unsigned(kUdpBytes + payload.size())), append_big(frame, 0);
+    append_uint16_big_endian(frame, unsigned(udp_port)), append_uint16_big_endian(frame, unsigned(udp_port));
+    append_uint16_big_endian(frame, unsigned(kUdpBytes + payload.size())), append_uint16_big_endian(frame, 0);
     return frame + payload;
 }
 
-void check_written(const std::ofstream& out, const fs::path& file) {
-    if (!out) throw DataError(fmt::format("cannot write '{}'; the disk may be full", file.string()));
+void check_write_succeeded(const std::ofstream& stream, const fs::path& file) {
+    if (!stream) throw DataError(fmt::format("cannot write '{}'; the disk may be full", file.string()));
 }
 
 }  // namespace
 
-std::string read_ouster_profile(const fs::path& file) {
+std::string read_ouster_packet_format(const fs::path& metadata_file) {
     std::error_code failed;
-    if (!fs::is_regular_file(file, failed) || file.extension() != ".json") return {};
-    const std::string text = read_text(file);
+    if (!fs::is_regular_file(metadata_file, failed) || metadata_file.extension() != ".json") return {};
+    const std::string text = read_text_file(metadata_file);
     if (!packets::is_ouster_metadata(text)) return {};
-    return packets::read_ouster_metadata(text, file.string())->profile->name;
+    return packets::parse_ouster_metadata(text, metadata_file.string())->profile->name;
 }
 
-std::int64_t log_start_ns(const Sequence& sequence) {
+std::int64_t get_log_start_unix_ns(const LidarSequence& sequence) {
     const std::size_t at = sequence.conventions.find(kStartText);
     if (at == std::string::npos) return 0;
     const std::string text = sequence.conventions.substr(at + std::string(kStartText).size());
@@ -84,69 +84,72 @@ std::int64_t log_start_ns(const Sequence& sequence) {
     return std::int64_t(*seconds) * 1'000'000'000 + std::int64_t(*nanoseconds);
 }
 
-PacketCapture::PacketCapture(const fs::path& file, int port)
+PcapWriter::PcapWriter(const fs::path& file, int port)
     : file_(file), out_(file, std::ios::binary), port_(port) {
     std::string head;
-    append(head, kMagic);
-    append(head, std::uint16_t(2)), append(head, std::uint16_t(4));
-    append(head, std::int32_t(0)), append(head, std::uint32_t(0));
-    append(head, kMostBytes), append(head, kEthernetLink);
+    append_binary_value(head, kMagic);
+    append_binary_value(head, std::uint16_t(2)), append_binary_value(head, std::uint16_t(4));
+    append_binary_value(head, std::int32_t(0)), append_binary_value(head, std::uint32_t(0));
+    append_binary_value(head, kMostBytes), append_binary_value(head, kEthernetLink);
     out_ << head;
-    check_written(out_, file_);
+    check_write_succeeded(out_, file_);
 }
 
-void PacketCapture::add(const std::vector<SensorPacket>& packets) {
+void PcapWriter::write_packets(const std::vector<SensorPacket>& packets) {
     constexpr std::int64_t kSecond = 1'000'000'000;
     for (const SensorPacket& packet : packets) {
-        const std::string frame = make_ethernet_frame(packet.bytes, port_, n_written_++);
+        const std::string frame = wrap_in_ethernet_frame(packet.bytes, port_, n_written_++);
         std::string head;
-        append(head, std::uint32_t(packet.time_ns / kSecond));
-        append(head, std::uint32_t(packet.time_ns % kSecond));
-        append(head, std::uint32_t(frame.size())), append(head, std::uint32_t(frame.size()));
+        append_binary_value(head, std::uint32_t(packet.time_ns / kSecond));
+        append_binary_value(head, std::uint32_t(packet.time_ns % kSecond));
+        append_binary_value(head, std::uint32_t(frame.size())),
+            append_binary_value(head, std::uint32_t(frame.size()));
         out_ << head << frame;
     }
-    check_written(out_, file_);
+    check_write_succeeded(out_, file_);
 }
 
-void PacketCapture::close() {
+void PcapWriter::close_file() {
     out_.close();
-    check_written(out_, file_);
+    check_write_succeeded(out_, file_);
 }
 
-std::size_t save_packets(const Sequence& sequence, const fs::path& file, const Progress& progress,
-                         const std::function<void(const std::vector<SensorPacket>&)>& sink) {
+std::size_t save_packets(const LidarSequence& sequence, const fs::path& file,
+                         const ProgressReporter& progress,
+                         const std::function<void(const std::vector<SensorPacket>&)>& packet_callback) {
     if (sequence.lidars.size() != 1)
         throw UsageError(fmt::format(
             "cannot write '{}': the log has {} LiDARs, but a capture can only contain one; select it with "
             "dataset.lidars",
             file.string(), sequence.lidars.size()));
     PacketOptions options;
-    options.start_ns = log_start_ns(sequence);
+    options.start_ns = get_log_start_unix_ns(sequence);
     // Packet times cannot be negative, so a log that begins before time 0 is shifted.
     if (options.start_ns == 0 && !sequence.frames.empty())
         options.start_ns =
             1'000'000'000 * (1 + std::int64_t(std::ceil(std::max(0.0, -sequence.frames.front().time_s))));
     options.times_jitter = true;
-    for (const Frame& frame : sequence.frames)
+    for (const LidarFrame& frame : sequence.frames)
         if (!frame.scan.second_returns.empty()) options.returns = 2;
     PacketEncoder encoder(sequence.lidars.front().sensor, options);
     std::size_t n_packets = 0;
-    write_atomically(file, [&](const fs::path& temporary) {
-        PacketCapture capture(temporary, encoder.port());
+    write_file_atomically(file, [&](const fs::path& temporary) {
+        PcapWriter capture(temporary, encoder.get_udp_port());
         const auto add = [&](const std::vector<SensorPacket>& packets) {
-            capture.add(packets);
-            if (sink) sink(packets);
+            capture.write_packets(packets);
+            if (packet_callback) packet_callback(packets);
             n_packets += packets.size();
         };
         for (std::size_t f = 0; f < sequence.frames.size(); ++f) {
             if (progress) progress("writing packets", double(f) / double(sequence.frames.size()));
-            add(encoder.encode(sequence.frames[f].scan, sequence.frames[f].time_s));
+            add(encoder.encode_scan_as_packets(sequence.frames[f].scan, sequence.frames[f].time_s));
         }
-        add(encoder.finish());
-        capture.close();
+        add(encoder.flush_remaining_packets());
+        capture.close_file();
     });
-    if (const PacketCalibration calibration = encoder.calibration(); !calibration.ending.empty())
-        write_text(fs::path(file).replace_extension(calibration.ending), calibration.text);
+    if (const PacketCalibrationFile calibration = encoder.get_packet_calibration();
+        !calibration.ending.empty())
+        write_text_file(fs::path(file).replace_extension(calibration.ending), calibration.text);
     return n_packets;
 }
 

@@ -17,7 +17,7 @@
 namespace relidar {
 namespace {
 
-using packets::FiredColumn;
+using packets::FiringColumn;
 using packets::PacketFormat;
 
 // Maximum relative difference between the time per column of a sensor and that of the
@@ -29,19 +29,19 @@ constexpr double kMostColumnError = 0.1;
 constexpr double kJump_us = 1.0;
 constexpr double kBehindSensor_deg = 180.0;
 
-std::unique_ptr<PacketFormat> make_format(const SpinningSensor& sensor, const PacketOptions& options) {
+std::unique_ptr<PacketFormat> make_packet_format(const SpinningSensor& sensor, const PacketOptions& options) {
     for (auto* make :
          {packets::make_velodyne_format, packets::make_hesai_format, packets::make_ouster_format})
         if (auto format = make(sensor, options)) return format;
     throw UsageError(fmt::format("cannot write packets of the sensor \"{}\", expected one of {}", sensor.name,
-                                 list_packet_sensors()));
+                                 format_packet_sensor_names()));
 }
 
 }  // namespace
 
-std::string list_packet_sensors() {
+std::string format_packet_sensor_names() {
     std::string names;
-    for (const auto& of_maker : {packets::list_velodyne_names(), packets::list_hesai_names()})
+    for (const auto& of_maker : {packets::list_velodyne_sensor_names(), packets::list_hesai_sensor_names()})
         for (const std::string& name : of_maker) names += name + ", ";
     return names + "an Ouster (OS0-32, OS1-64 and so on, or its metadata)";
 }
@@ -52,29 +52,29 @@ struct PacketEncoder::Impl {
     std::unique_ptr<PacketFormat> format;
     std::vector<double> offsets_us;
 
-    struct Anchor {
+    struct FiringClockAnchor {
         std::int64_t position;
         double time_s, azimuth_deg;
         double clock_less_time_s = 0.0;
     };
-    std::optional<Anchor> last;         ///< last firing of all scans
-    std::optional<Anchor> clock_start;  ///< firing at which the clock with even time steps starts
+    std::optional<FiringClockAnchor> last;         ///< last firing of all scans
+    std::optional<FiringClockAnchor> clock_start;  ///< firing at which the clock with even time steps starts
     /// number of the pending packet, counted from the first firing
     std::int64_t packet = 0;
-    std::vector<FiredColumn> pending;  ///< [firings] firings of the pending packet
-    std::vector<bool> fired;           ///< [columns] columns of all scans
+    std::vector<FiringColumn> pending;  ///< [firings] firings of the pending packet
+    std::vector<bool> fired;            ///< [columns] columns of all scans
     std::uint32_t n_written = 0;
     std::vector<SensorPacket> complete;
 
-    double cycle_s() const { return 1e-6 * format->cycle_us(); }
-    double step_deg() const { return 360.0 * cycle_s() / sensor.period_s; }
-    std::int64_t firings() const { return format->firings(); }
-    bool has_columns() const { return format->columns() > 0; }
+    double get_firing_period_s() const { return 1e-6 * format->get_firing_period_us(); }
+    double get_firing_step_deg() const { return 360.0 * get_firing_period_s() / sensor.period_s; }
+    std::int64_t get_firings_per_packet() const { return format->firings_per_packet(); }
+    bool has_fixed_columns() const { return format->columns_per_revolution() > 0; }
 
-    void check_steps() const {
+    void check_firing_period() const {
         const double step_us = 1e6 * sensor.period_s / sensor.columns;
-        const double expected_us = format->cycle_us() / format->columns_per_firing();
-        if (has_columns() || std::abs(step_us / expected_us - 1.0) < kMostStepError) return;
+        const double expected_us = format->get_firing_period_us() / format->columns_per_firing();
+        if (has_fixed_columns() || std::abs(step_us / expected_us - 1.0) < kMostStepError) return;
         throw UsageError(fmt::format(
             "cannot write packets of {}: found {} columns in {} s, expected {:.0f} columns, "
             "because this sensor fires every {} us",
@@ -82,37 +82,39 @@ struct PacketEncoder::Impl {
     }
 
     /// Returns the column of a firing, for a sensor that fires at fixed azimuths.
-    std::int64_t compute_firing_column(const FiredColumn& firing) const {
-        const double place = (firing.azimuth_deg - kBehindSensor_deg) / 360.0 * format->columns();
-        if (std::abs(place - std::round(place)) > kMostColumnError)
+    std::int64_t compute_firing_column(const FiringColumn& firing) const {
+        const double fractional_column =
+            (firing.azimuth_deg - kBehindSensor_deg) / 360.0 * format->columns_per_revolution();
+        if (std::abs(fractional_column - std::round(fractional_column)) > kMostColumnError)
             throw UsageError(fmt::format(
                 "cannot write packets of {}: found a column at an azimuth of {:.3f} degrees, expected a "
                 "multiple of {:.3f} degrees, because an Ouster fires at fixed azimuths",
-                sensor.name, firing.azimuth_deg, 360.0 / format->columns()));
-        return (std::llround(place) + format->columns()) % format->columns();
+                sensor.name, firing.azimuth_deg, 360.0 / format->columns_per_revolution()));
+        return (std::llround(fractional_column) + format->columns_per_revolution()) %
+               format->columns_per_revolution();
     }
 
     /// Returns the number of firing steps from `anchor` to a firing, including steps
     /// without a firing. It is below 1 if the firing is not later.
-    double count_steps_between(const Anchor& anchor, const FiredColumn& firing) const {
-        const double by_time = (firing.time_s - anchor.time_s) / cycle_s();
-        if (has_columns()) {
-            const double n = format->columns();
+    double count_firing_steps_between(const FiringClockAnchor& anchor, const FiringColumn& firing) const {
+        const double by_time = (firing.time_s - anchor.time_s) / get_firing_period_s();
+        if (has_fixed_columns()) {
+            const double n = format->columns_per_revolution();
             const double turned =
                 std::fmod(double(compute_firing_column(firing) - anchor.position) + n * 1e6, n);
             return turned + n * std::round((by_time - turned) / n);
         }
         if (!options.times_jitter) return std::round(by_time);
         const double turned_deg = std::remainder(firing.azimuth_deg - anchor.azimuth_deg, 360.0);
-        const double turns = std::round(by_time * step_deg() / 360.0 - turned_deg / 360.0);
-        return std::round((turned_deg + 360.0 * turns) / step_deg());
+        const double turns = std::round(by_time * get_firing_step_deg() / 360.0 - turned_deg / 360.0);
+        return std::round((turned_deg + 360.0 * turns) / get_firing_step_deg());
     }
 
     /// Returns the number of firing steps from the last firing to this one. Returns 0 if
     /// the firing has no returns and its step already has a firing, so that the firing is
     /// skipped.
-    std::int64_t count_steps_to(const FiredColumn& firing) const {
-        const double steps = count_steps_between(*last, firing);
+    std::int64_t count_firing_steps_from_last(const FiringColumn& firing) const {
+        const double steps = count_firing_steps_between(*last, firing);
         if (steps < 1.0 && !firing.has_returns) return 0;
         if (steps < 1.0)
             throw UsageError(
@@ -126,124 +128,132 @@ struct PacketEncoder::Impl {
     /// Returns the position of the first firing within its packet. In a log, times jump
     /// at the start of each packet. These jumps show where the original packets started,
     /// and the new packets start at the same firings.
-    std::int64_t find_first_position(const std::vector<FiredColumn>& firings_of_scan) const {
-        if (has_columns()) return compute_firing_column(firings_of_scan.front());
+    std::int64_t find_first_index_in_packet(const std::vector<FiringColumn>& firings_of_scan) const {
+        if (has_fixed_columns()) return compute_firing_column(firings_of_scan.front());
         if (!options.times_jitter) return 1;
-        std::vector<int> n_jumps(std::size_t(firings()), 0);
-        std::int64_t place = 0;
+        std::vector<int> n_jumps(std::size_t(get_firings_per_packet()), 0);
+        std::int64_t firing_index = 0;
         for (std::size_t i = 1; i < firings_of_scan.size(); ++i) {
-            const FiredColumn &firing = firings_of_scan[i], &before = firings_of_scan[i - 1];
-            const double steps = count_steps_between({place, before.time_s, before.azimuth_deg}, firing);
-            place += std::max<std::int64_t>(std::llround(steps), 1);
-            if (1e6 * std::abs(firing.time_s - before.time_s - steps * cycle_s()) > kJump_us)
-                ++n_jumps[std::size_t(place % firings())];
+            const FiringColumn &firing = firings_of_scan[i], &before = firings_of_scan[i - 1];
+            const double steps =
+                count_firing_steps_between({firing_index, before.time_s, before.azimuth_deg}, firing);
+            firing_index += std::max<std::int64_t>(std::llround(steps), 1);
+            if (1e6 * std::abs(firing.time_s - before.time_s - steps * get_firing_period_s()) > kJump_us)
+                ++n_jumps[std::size_t(firing_index % get_firings_per_packet())];
         }
         const auto start = std::ranges::max_element(n_jumps) - n_jumps.begin();
-        return firings() - start;
+        return get_firings_per_packet() - start;
     }
 
     /// Returns the maximum number of consecutive firings that can be missing in a log.
     /// The encoder fills such gaps. They occur because logs contain no firings without
     /// returns at the end of a turn, and because frames can be more than a turn apart.
-    std::int64_t get_max_filled_gap() const {
-        return std::llround((options.times_jitter ? 1.0 : 0.5) * sensor.period_s / cycle_s());
+    std::int64_t compute_max_gap_firings() const {
+        return std::llround((options.times_jitter ? 1.0 : 0.5) * sensor.period_s / get_firing_period_s());
     }
 
     /// Sets the time of a firing on the clock of the sensor. This clock has even steps,
     /// although the receive times of the packets do not.
-    void set_firing_clock_time(FiredColumn& firing, std::int64_t position) {
+    void set_firing_clock_time(FiringColumn& firing, std::int64_t firing_index) {
         firing.clock_s = firing.time_s;
-        if (!options.times_jitter || has_columns()) return;
+        if (!options.times_jitter || has_fixed_columns()) return;
         const double even_s =
-            clock_start ? clock_start->time_s + double(position - clock_start->position) * cycle_s() : 0.0;
+            clock_start
+                ? clock_start->time_s + double(firing_index - clock_start->position) * get_firing_period_s()
+                : 0.0;
         if (!clock_start || std::abs(even_s - firing.time_s) > sensor.period_s)
-            clock_start = {position, firing.time_s, firing.azimuth_deg};
+            clock_start = {firing_index, firing.time_s, firing.azimuth_deg};
         else firing.clock_s = even_s;
     }
 
     /// Stores a firing in its packet. First writes all earlier packets.
-    void put(FiredColumn firing, std::int64_t position) {
+    void store_firing_in_packet(FiringColumn firing, std::int64_t firing_index) {
         // Drivers need a firing before the first turn. It can need a packet of its own.
-        const bool needs_packet = firings() == 1 && !has_columns();
-        if (pending.empty()) begin(needs_packet ? position - 1 : position / firings());
-        while (packet < position / firings()) {
-            write();
+        const bool needs_packet = get_firings_per_packet() == 1 && !has_fixed_columns();
+        if (pending.empty())
+            start_packet(needs_packet ? firing_index - 1 : firing_index / get_firings_per_packet());
+        while (packet < firing_index / get_firings_per_packet()) {
+            write_pending_packet();
             // A sensor with fixed azimuths sends no packets outside its azimuth window.
-            begin(has_columns() ? position / firings() : packet + 1);
+            start_packet(has_fixed_columns() ? firing_index / get_firings_per_packet() : packet + 1);
         }
-        pending[std::size_t(position % firings())] = std::move(firing);
+        pending[std::size_t(firing_index % get_firings_per_packet())] = std::move(firing);
     }
 
     /// Adds firings without returns between the last and the next firing. The head is
     /// assumed to rotate evenly between the two. Used only for sensors that fire at any
     /// azimuth.
-    void fill_firing_gap(const FiredColumn& next, std::int64_t position) {
-        const double turned_deg = std::remainder(next.azimuth_deg - last->azimuth_deg, 360.0);
-        const double n = double(position - last->position);
-        const double by_rate_deg = n * step_deg();
+    void fill_gap_before_firing(const FiringColumn& next_firing, std::int64_t next_firing_index) {
+        const double turned_deg = std::remainder(next_firing.azimuth_deg - last->azimuth_deg, 360.0);
+        const double n = double(next_firing_index - last->position);
+        const double by_rate_deg = n * get_firing_step_deg();
         const double all_deg = turned_deg + 360.0 * std::round((by_rate_deg - turned_deg) / 360.0);
-        for (std::int64_t p = last->position + 1; p < position; ++p) {
+        for (std::int64_t p = last->position + 1; p < next_firing_index; ++p) {
             const double share = double(p - last->position) / n;
-            FiredColumn firing{.time_s = last->time_s + share * (next.time_s - last->time_s)};
+            FiringColumn firing{.time_s = last->time_s + share * (next_firing.time_s - last->time_s)};
             firing.azimuth_deg = std::fmod(last->azimuth_deg + share * all_deg + 360.0, 360.0);
             firing.is_filled = true;
             set_firing_clock_time(firing, p);
-            put(std::move(firing), p);
+            store_firing_in_packet(std::move(firing), p);
         }
     }
 
-    void add(FiredColumn firing, std::int64_t start) {
-        std::int64_t position = last ? last->position + count_steps_to(firing) : start;
+    void add_scan_firing(FiringColumn firing, std::int64_t first_firing_index) {
+        std::int64_t position =
+            last ? last->position + count_firing_steps_from_last(firing) : first_firing_index;
         if (last && position == last->position) return;
-        if (has_columns()) fired[std::size_t(position % format->columns())] = true;
-        else if (last && position - last->position > get_max_filled_gap()) {
-            end_packets();
-            position = (packet + 1) * firings() + 1;
-        } else if (last) fill_firing_gap(firing, position);
+        if (has_fixed_columns()) fired[std::size_t(position % format->columns_per_revolution())] = true;
+        else if (last && position - last->position > compute_max_gap_firings()) {
+            finish_packets();
+            position = (packet + 1) * get_firings_per_packet() + 1;
+        } else if (last) fill_gap_before_firing(firing, position);
         set_firing_clock_time(firing, position);
         last = {position, firing.time_s, firing.azimuth_deg, firing.clock_s - firing.time_s};
-        put(std::move(firing), position);
+        store_firing_in_packet(std::move(firing), position);
     }
 
-    void begin(std::int64_t number) {
-        packet = number;
-        pending.assign(std::size_t(firings()), FiredColumn{});
+    void start_packet(std::int64_t packet_number) {
+        packet = packet_number;
+        pending.assign(std::size_t(get_firings_per_packet()), FiringColumn{});
     }
 
     /// Computes time and azimuth of those firings in the pending packet that no scan
     /// contains.
-    void complete_firings() {
-        const auto first = std::ranges::find_if(pending, &FiredColumn::is_placed) - pending.begin();
-        const std::int64_t begin = packet * firings();
+    void interpolate_missing_firings() {
+        const auto first =
+            std::ranges::find_if(pending, &FiringColumn::has_time_and_azimuth) - pending.begin();
+        const std::int64_t begin = packet * get_firings_per_packet();
         const auto anchor_at = [&](std::int64_t slot) {
-            const FiredColumn& firing = pending[std::size_t(slot)];
-            return Anchor{begin + slot, firing.time_s, firing.azimuth_deg, firing.clock_s - firing.time_s};
+            const FiringColumn& firing = pending[std::size_t(slot)];
+            return FiringClockAnchor{begin + slot, firing.time_s, firing.azimuth_deg,
+                                     firing.clock_s - firing.time_s};
         };
-        Anchor anchor = first < firings() ? anchor_at(first) : *last;
-        for (std::int64_t slot = 0; slot < firings(); ++slot) {
-            FiredColumn& firing = pending[std::size_t(slot)];
-            if (firing.is_placed()) anchor = anchor_at(slot);
+        FiringClockAnchor anchor = first < get_firings_per_packet() ? anchor_at(first) : *last;
+        for (std::int64_t slot = 0; slot < get_firings_per_packet(); ++slot) {
+            FiringColumn& firing = pending[std::size_t(slot)];
+            if (firing.has_time_and_azimuth()) anchor = anchor_at(slot);
             const auto steps = double(begin + slot - anchor.position);
-            firing.time_s = anchor.time_s + steps * cycle_s();
+            firing.time_s = anchor.time_s + steps * get_firing_period_s();
             firing.clock_s = firing.time_s + anchor.clock_less_time_s;
-            firing.azimuth_deg = std::fmod(anchor.azimuth_deg + steps * step_deg() + 720.0, 360.0);
+            firing.azimuth_deg = std::fmod(anchor.azimuth_deg + steps * get_firing_step_deg() + 720.0, 360.0);
         }
     }
 
-    void write() {
-        complete_firings();
+    void write_pending_packet() {
+        interpolate_missing_firings();
         for (int k = 0; k < format->packets_per_firing(); ++k, ++n_written)
-            complete.push_back(format->write(pending, has_columns() ? std::uint32_t(packet) : n_written));
+            complete.push_back(
+                format->encode_packet(pending, has_fixed_columns() ? std::uint32_t(packet) : n_written));
     }
 
     /// Writes the pending packet. A sensor that fires at any azimuth then sends another
     /// packet without returns.
-    void end_packets() {
+    void finish_packets() {
         if (pending.empty()) return;
-        write();
-        if (has_columns()) return;
-        begin(packet + 1);
-        write();
+        write_pending_packet();
+        if (has_fixed_columns()) return;
+        start_packet(packet + 1);
+        write_pending_packet();
     }
 };
 
@@ -251,29 +261,31 @@ PacketEncoder::PacketEncoder(const SpinningSensor& sensor, const PacketOptions& 
     : impl_(std::make_unique<Impl>()) {
     impl_->sensor = sensor;
     impl_->options = options;
-    impl_->format = make_format(sensor, options);
-    impl_->offsets_us = impl_->format->offsets_us();
-    impl_->fired.resize(std::size_t(impl_->format->columns()));
-    impl_->check_steps();
+    impl_->format = make_packet_format(sensor, options);
+    impl_->offsets_us = impl_->format->get_beam_delays_us();
+    impl_->fired.resize(std::size_t(impl_->format->columns_per_revolution()));
+    impl_->check_firing_period();
 }
 
 PacketEncoder::~PacketEncoder() = default;
 
-std::vector<SensorPacket> PacketEncoder::encode(const Scan& scan, double time_s) {
-    std::vector<FiredColumn> firings =
-        impl_->format->join_sequences(packets::find_firings(scan, time_s, impl_->sensor, impl_->offsets_us));
-    const std::int64_t start = impl_->last ? 0 : impl_->find_first_position(firings);
-    for (FiredColumn& firing : firings) impl_->add(std::move(firing), start);
+std::vector<SensorPacket> PacketEncoder::encode_scan_as_packets(const Scan& scan, double time_s) {
+    std::vector<FiringColumn> firings = impl_->format->join_firing_sequences(
+        packets::extract_firings(scan, time_s, impl_->sensor, impl_->offsets_us));
+    const std::int64_t start = impl_->last ? 0 : impl_->find_first_index_in_packet(firings);
+    for (FiringColumn& firing : firings) impl_->add_scan_firing(std::move(firing), start);
     return std::exchange(impl_->complete, {});
 }
 
-std::vector<SensorPacket> PacketEncoder::finish() {
-    impl_->end_packets();
+std::vector<SensorPacket> PacketEncoder::flush_remaining_packets() {
+    impl_->finish_packets();
     impl_->pending.clear();
     return std::exchange(impl_->complete, {});
 }
 
-PacketCalibration PacketEncoder::calibration() const { return impl_->format->calibration(impl_->fired); }
-int PacketEncoder::port() const { return impl_->format->port(); }
+PacketCalibrationFile PacketEncoder::get_packet_calibration() const {
+    return impl_->format->make_calibration_file(impl_->fired);
+}
+int PacketEncoder::get_udp_port() const { return impl_->format->get_udp_port(); }
 
 }  // namespace relidar

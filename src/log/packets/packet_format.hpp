@@ -24,7 +24,7 @@ struct LaserReturn {
 };
 
 /// All lasers of a rotating LiDAR at one azimuth of its head, with their returns.
-struct FiredColumn {
+struct FiringColumn {
     double time_s = 0.0;       ///< time at which the first laser fires, in the time of the log
     double clock_s = 0.0;      ///< time at which the first laser fires, by the clock of the sensor
     double azimuth_deg = 0.0;  ///< azimuth of the head, clockwise from the x axis, 0 to 360
@@ -38,52 +38,54 @@ struct FiredColumn {
     std::vector<std::array<LaserReturn, 2>> returns = {};
 
     /// Returns true if time and azimuth are set.
-    bool is_placed() const { return is_measured || is_filled; }
+    bool has_time_and_azimuth() const { return is_measured || is_filled; }
 };
 
 /// Returns the firings of a scan, sorted by time. A firing contains the rays of all
 /// lasers at one azimuth.
-/// @param offset_us  [rings] delay of each beam after the first laser of the firing
+/// @param beam_delays_us  [rings] delay of each beam after the first laser of the firing
 /// @throws UsageError if the scan is not in image order or has no firing times
-std::vector<FiredColumn> find_firings(const Scan& scan, double time_s, const SpinningSensor& sensor,
-                                      const std::vector<double>& offset_us);
+std::vector<FiringColumn> extract_firings(const Scan& scan, double scan_time_s, const SpinningSensor& sensor,
+                                          const std::vector<double>& beam_delays_us);
 
 class PacketFormat {
 public:
     virtual ~PacketFormat() = default;
-    virtual int port() const = 0;
+    virtual int get_udp_port() const = 0;
     /// Returns the number of firings per packet.
-    virtual int firings() const = 0;
+    virtual int firings_per_packet() const = 0;
     /// Returns the time between two firings.
-    virtual double cycle_us() const = 0;
-    /// Returns the number of packets that contain firings() firings. The number is 2 if
-    /// the lasers fire in two sequences, and each sequence has its own packet.
+    virtual double get_firing_period_us() const = 0;
+    /// Returns the number of packets that contain firings_per_packet() firings. The
+    /// number is 2 if the lasers fire in two sequences, and each sequence has its own
+    /// packet.
     virtual int packets_per_firing() const { return 1; }
     /// Returns the number of columns of a scan per firing. The number is 2 if the lasers
     /// fire in two sequences, and the scan has a column for each sequence.
     virtual int columns_per_firing() const { return 1; }
     /// Joins columns_per_firing() columns of a scan to a firing. Removes the rays that
     /// the sensor does not fire.
-    virtual std::vector<FiredColumn> join_sequences(std::vector<FiredColumn> columns) const {
+    virtual std::vector<FiringColumn> join_firing_sequences(std::vector<FiringColumn> columns) const {
         return columns;
     }
     /// Returns the number of azimuths per turn at which the sensor fires. Column 0 is at
     /// the back of the sensor. Returns 0 if the sensor can fire at any azimuth.
-    virtual int columns() const { return 0; }
+    virtual int columns_per_revolution() const { return 0; }
     /// Returns the delay of each beam of the scans after the first laser of a column, in
     /// microseconds.
-    virtual std::vector<double> offsets_us() const = 0;
+    virtual std::vector<double> get_beam_delays_us() const = 0;
     /// Returns a calibration file, which other programs need to decode the packets.
-    /// @param fired  [columns] true if the sensor fires at this column; empty if the
-    /// sensor fires at any azimuth
-    virtual PacketCalibration calibration(const std::vector<bool>& fired) const {
-        static_cast<void>(fired);
+    /// @param column_has_fired  [columns] true if the sensor fires at this column; empty
+    /// if the sensor fires at any azimuth
+    virtual PacketCalibrationFile make_calibration_file(const std::vector<bool>& column_has_fired) const {
+        static_cast<void>(column_has_fired);
         return {};
     }
     /// Encodes one packet. Its bytes contain the time on the sensor's clock.
-    /// @param columns  [firings] firings of the packet
-    /// @param number  sequence number of the packet, from 0
-    virtual SensorPacket write(std::span<const FiredColumn> columns, std::uint32_t number) const = 0;
+    /// @param columns_per_revolution  [firings] firings of the packet
+    /// @param packet_number  sequence number of the packet, from 0
+    virtual SensorPacket encode_packet(std::span<const FiringColumn> columns,
+                                       std::uint32_t packet_number) const = 0;
 };
 
 /// Creates the packet format of a manufacturer, or returns null if the sensor is from
@@ -96,68 +98,68 @@ std::unique_ptr<PacketFormat> make_ouster_format(const SpinningSensor& sensor, c
 /// Returns the number of columns of a scan per firing. The lasers of some products fire
 /// in two sequences. The scans of such a sensor have a row for each laser and each
 /// sequence, as decoded from packets, or a column for each sequence.
-int count_columns_per_firing(const Layout& layout, const SpinningSensor& sensor);
+int count_columns_per_firing(const PacketLayout& layout, const SpinningSensor& sensor);
 
 /// Writes the blocks of a packet. Velodyne and Hesai use the same kind of block.
 class BlockWriter {
 public:
     /// @throws UsageError if the beams of the sensor differ from the beams of the product
-    BlockWriter(const Layout& layout, const SpinningSensor& sensor, const PacketOptions& options);
+    BlockWriter(const PacketLayout& layout, const SpinningSensor& sensor, const PacketOptions& options);
 
-    const Layout& layout() const { return layout_; }
-    bool is_dual() const { return returns_ == 2; }
-    int firings() const;
+    const PacketLayout& layout() const { return layout_; }
+    bool has_dual_returns() const { return returns_ == 2; }
+    int firings_per_packet() const;
     int packets_per_firing() const;
     int columns_per_firing() const { return columns_per_firing_; }
-    std::vector<FiredColumn> join_sequences(std::vector<FiredColumn> columns) const;
-    const std::vector<double>& offsets_us() const { return offsets_us_; }
+    std::vector<FiringColumn> join_firing_sequences(std::vector<FiringColumn> columns) const;
+    const std::vector<double>& get_beam_delays_us() const { return offsets_us_; }
     /// Returns the manufacturer's index of the laser of a ring of the scans, from 0.
-    std::size_t find_laser(std::size_t ring) const { return laser_of_[ring]; }
+    std::size_t get_laser_of_ring(std::size_t ring) const { return laser_of_[ring]; }
     /// Returns the index of the firing sequence of a block.
-    /// @param number  number of the packet
-    std::size_t get_firing_sequence(std::size_t block, std::uint32_t number) const;
+    /// @param packet_number  number of the packet
+    std::size_t compute_firing_sequence_index(std::size_t block, std::uint32_t packet_number) const;
     /// Appends all blocks of a packet.
-    void append_blocks(std::string& bytes, std::span<const FiredColumn> columns, std::uint32_t number,
+    void append_blocks(std::string& bytes, std::span<const FiringColumn> columns, std::uint32_t packet_number,
                        double range_unit_m) const;
     /// Returns the time of a packet in nanoseconds since 1970.
-    /// @param time  FiredColumn::time_s or FiredColumn::clock_s
-    std::int64_t compute_packet_time_ns(std::span<const FiredColumn> columns, std::uint32_t number,
-                                        double FiredColumn::*time) const;
+    /// @param time_member  FiringColumn::time_s or FiringColumn::clock_s
+    std::int64_t compute_packet_time_ns(std::span<const FiringColumn> columns, std::uint32_t packet_number,
+                                        double FiringColumn::*time_member) const;
 
 private:
     /// Content of a block: index of the firing sequence, of the bank and of the return.
-    struct BlockPlace {
+    struct PacketBlockIndex {
         std::size_t part, bank, number;
     };
 
-    const Layout& layout_;
+    const PacketLayout& layout_;
     int returns_, columns_per_firing_;
     std::int64_t start_ns_;
-    double sequence_deg_;           ///< rotation of the head between two firing sequences
-    std::vector<BlockBeam> beams_;  ///< beams of a firing
+    double sequence_deg_;            ///< rotation of the head between two firing sequences
+    std::vector<PacketBeam> beams_;  ///< beams of a firing
     /// [rings of the scans] delay and index of each laser
     std::vector<double> offsets_us_;
     std::vector<std::size_t> laser_of_;
-    /// [firing sequences, lasers] index in FiredColumn::returns
+    /// [firing sequences, lasers] index in FiringColumn::returns
     std::vector<std::vector<std::size_t>> ring_of_;
 
-    double compute_mean_offset_us(std::size_t laser) const;
+    double compute_mean_laser_delay_us(std::size_t laser) const;
     std::size_t count_blocks_per_firing() const {
-        return layout_.banks * std::size_t(returns_) * layout_.parts();
+        return layout_.banks * std::size_t(returns_) * layout_.count_firing_sequences();
     }
-    void append_returns(std::string& bytes, const FiredColumn& column, const BlockPlace& place,
-                        double range_unit_m) const;
+    void append_block_returns(std::string& bytes, const FiringColumn& column,
+                              const PacketBlockIndex& block_position, double range_unit_m) const;
 };
 
 /// Returns the packet layout with this name. Layouts are stored in the table kLayouts.
-const Layout& find_layout_of_product(const std::string& product);
+const PacketLayout& find_packet_layout(const std::string& product_name);
 /// Returns the names of the Velodyne sensors whose packets can be written.
-std::vector<std::string> list_velodyne_names();
-std::vector<std::string> list_hesai_names();
+std::vector<std::string> list_velodyne_sensor_names();
+std::vector<std::string> list_hesai_sensor_names();
 
 /// Converts a time of the log to nanoseconds since 1970.
-std::int64_t to_unix_ns(double time_s, std::int64_t start_ns);
+std::int64_t convert_to_unix_ns(double log_time_s, std::int64_t log_start_unix_ns);
 /// Converts the intensity of a return (0 to 1) to a one-byte reflectivity.
-std::uint8_t to_reflectivity(const LaserReturn& echo);
+std::uint8_t convert_to_reflectivity_byte(const LaserReturn& laser_return);
 
 }  // namespace relidar::packets

@@ -22,20 +22,23 @@ constexpr VelodyneProduct kVelodynes[] = {
 class VelodyneFormat : public PacketFormat {
 public:
     VelodyneFormat(const VelodyneProduct& product, const SpinningSensor& sensor, const PacketOptions& options)
-        : code_(product.code), blocks_(find_layout_of_product(product.sensor), sensor, options) {}
+        : code_(product.code), blocks_(find_packet_layout(product.sensor), sensor, options) {}
 
-    int port() const override { return kVelodynePort; }
-    int firings() const override { return blocks_.firings(); }
-    double cycle_us() const override { return blocks_.layout().cycle_us; }
-    std::vector<double> offsets_us() const override { return blocks_.offsets_us(); }
+    int get_udp_port() const override { return kVelodynePort; }
+    int firings_per_packet() const override { return blocks_.firings_per_packet(); }
+    double get_firing_period_us() const override { return blocks_.layout().cycle_us; }
+    std::vector<double> get_beam_delays_us() const override { return blocks_.get_beam_delays_us(); }
 
-    SensorPacket write(std::span<const FiredColumn> columns, std::uint32_t number) const override {
-        SensorPacket packet{blocks_.compute_packet_time_ns(columns, number, &FiredColumn::time_s), {}};
-        const std::int64_t clock_ns = blocks_.compute_packet_time_ns(columns, number, &FiredColumn::clock_s);
-        blocks_.append_blocks(packet.bytes, columns, number, blocks_.layout().range_unit_m);
-        append(packet.bytes, std::uint32_t((clock_ns + 500) % kHour_ns / 1000));
-        append(packet.bytes, blocks_.is_dual() ? kDual : kStrongest);
-        append(packet.bytes, code_);
+    SensorPacket encode_packet(std::span<const FiringColumn> columns,
+                               std::uint32_t packet_number) const override {
+        SensorPacket packet{blocks_.compute_packet_time_ns(columns, packet_number, &FiringColumn::time_s),
+                            {}};
+        const std::int64_t clock_ns =
+            blocks_.compute_packet_time_ns(columns, packet_number, &FiringColumn::clock_s);
+        blocks_.append_blocks(packet.bytes, columns, packet_number, blocks_.layout().range_unit_m);
+        append_binary_value(packet.bytes, std::uint32_t((clock_ns + 500) % kHour_ns / 1000));
+        append_binary_value(packet.bytes, blocks_.has_dual_returns() ? kDual : kStrongest);
+        append_binary_value(packet.bytes, code_);
         return packet;
     }
 
@@ -46,7 +49,7 @@ private:
 
 }  // namespace
 
-std::vector<std::string> list_velodyne_names() {
+std::vector<std::string> list_velodyne_sensor_names() {
     std::vector<std::string> names;
     for (const VelodyneProduct& product : kVelodynes) names.emplace_back(product.sensor);
     return names;

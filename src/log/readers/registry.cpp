@@ -43,9 +43,9 @@ struct DatasetKind {
     /// this ending, also inside a folder.
     const char* marker;
     const char* describe;
-    Sequence (*load)(const fs::path&, const DatasetOptions&);
+    LidarSequence (*load)(const fs::path&, const DatasetOptions&);
     /// True if a dataset contains several drives, from which the user selects one with
-    /// DatasetOptions::sequence.
+    /// DatasetOptions::requested_drive.
     bool holds_drives = false;
 };
 
@@ -59,28 +59,28 @@ constexpr DatasetKind kKinds[] = {
     {"lyft", "data/scene.json train_data/scene.json test_data/scene.json", "Lyft Level 5", load_nuscenes,
      true},
     {"t4", "annotation/scene.json", "a T4 dataset of TIER IV", load_nuscenes, true},
-    {"boreas", "applanix", "a Boreas sequence", load_boreas},
-    {"mulran", "global_pose.csv sensor_data/Ouster", "a MulRan sequence", load_mulran},
-    {"once", "lidar_roof", "a ONCE sequence", load_once},
+    {"boreas", "applanix", "a Boreas sequence", load_boreas_dataset},
+    {"mulran", "global_pose.csv sensor_data/Ouster", "a MulRan sequence", load_mulran_dataset},
+    {"once", "lidar_roof", "a ONCE sequence", load_once_dataset},
     {"folder", "sequence.json", "a plain folder", load_plain_folder},
-    {"synthetic", "street.toml", "a synthetic street", load_synthetic},
+    {"synthetic", "street.toml", "a synthetic street", load_synthetic_dataset},
     {"rosbag", ".mcap .db3 .bag metadata.yaml", "a ROS bag", load_ros_bag},
     {"pcap", ".pcap .pcapng .pcap.gz .pcapng.gz", "a capture of LiDAR packets", load_ros_bag},
 };
 
-std::vector<std::string> list_kind_names() {
+std::vector<std::string> list_dataset_kind_names() {
     std::vector<std::string> names;
     for (const DatasetKind& kind : kKinds) names.emplace_back(kind.name);
     return names;
 }
 
-const DatasetKind& find_kind(const std::string& name) {
+const DatasetKind& find_dataset_kind(const std::string& kind_name) {
     for (const DatasetKind& kind : kKinds) {
-        if (name == kind.name) return kind;
+        if (kind_name == kind.name) return kind;
     }
-    throw UsageError(fmt::format("the dataset kind '{}' is unknown{} (known: {})", name,
-                                 suggest_name(name, list_kind_names(), "'"),
-                                 fmt::join(list_kind_names(), ", ")));
+    throw UsageError(fmt::format("the dataset kind '{}' is unknown{} (known: {})", kind_name,
+                                 format_name_suggestion(kind_name, list_dataset_kind_names(), "'"),
+                                 fmt::join(list_dataset_kind_names(), ", ")));
 }
 
 bool has_marker_file(const fs::path& path, std::string_view marker) {
@@ -92,7 +92,7 @@ bool has_marker_file(const fs::path& path, std::string_view marker) {
     };
     if (!does_path_exist(path)) return false;
     if (!fs::is_directory(path)) return marker.starts_with('.') && matches(path);
-    const std::vector<fs::path> files = list_folder(path);
+    const std::vector<fs::path> files = list_folder_entries(path);
     return std::any_of(files.begin(), files.end(), matches);
 }
 
@@ -107,13 +107,13 @@ bool is_dataset_of_kind(const fs::path& path, const DatasetKind& kind) {
 
 /// Throws if a folder contains scans but no sequence.json.
 /// @throws DataError with an example of a sequence.json for the user
-void check_bare_folder(const fs::path& path) {
+void check_scans_have_sequence_json(const fs::path& path) {
     std::error_code failed;
     if (!fs::is_directory(path, failed)) return;
     for (const char* scans : {"scans", "."}) {
         if (!fs::is_directory(path / scans, failed)) continue;
         std::size_t n = 0;
-        for (const fs::path& file : list_folder(path / scans))
+        for (const fs::path& file : list_folder_entries(path / scans))
             n += folder::is_point_file(file) || folder::is_image_file(file);
         if (n < 2) continue;
         const std::string lidars =
@@ -128,20 +128,20 @@ void check_bare_folder(const fs::path& path) {
 
 /// Returns the largest range of all returns of a LiDAR, rounded up to metres. Returns 80
 /// m if there are no returns.
-double find_farthest_return_m(const Sequence& sequence, int lidar) {
+double find_farthest_return_m(const LidarSequence& sequence, int lidar_index) {
     // Larger ranges are ignored, because no LiDAR on a vehicle measures them.
     constexpr float kFarthest_m = 1000.0f;
     constexpr double kWithoutReturns_m = 80.0;
     std::vector<float> farthest(sequence.frames.size(), 0.0f);
     parallel_for(static_cast<int>(farthest.size()), [&](int index) {
-        const Frame& frame = sequence.frames[std::size_t(index)];
-        if (frame.lidar != lidar) return;
+        const LidarFrame& frame = sequence.frames[std::size_t(index)];
+        if (frame.lidar != lidar_index) return;
         const auto look = [&](float range_m) {
             if (range_m <= kFarthest_m)
                 farthest[std::size_t(index)] = std::max(farthest[std::size_t(index)], range_m);
         };
         for (const float range_m : frame.scan.range_m) look(range_m);
-        for (const SecondReturn& second : frame.scan.second_returns)
+        for (const AdditionalReturns& second : frame.scan.second_returns)
             for (const float range_m : second.range_m) look(range_m);
     });
     const float all = farthest.empty() ? 0.0f : *std::ranges::max_element(farthest);
@@ -150,7 +150,7 @@ double find_farthest_return_m(const Sequence& sequence, int lidar) {
 
 /// Sets unknown maximum ranges of LiDARs to the largest range in the log, and adds a note
 /// for the user.
-void find_farthest_ranges(Sequence& sequence) {
+void set_unknown_max_ranges(LidarSequence& sequence) {
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
         SpinningSensor& sensor = sequence.lidars[l].sensor;
         if (std::isfinite(sensor.max_range_m)) continue;
@@ -164,49 +164,53 @@ void find_farthest_ranges(Sequence& sequence) {
 
 /// Numbers of returns in a scan: below the LiDAR's minimum range, above its maximum
 /// range, and all.
-struct OutsideRange {
-    std::size_t near = 0, far = 0, all = 0;
+struct RangeLimitCounts {
+    std::size_t n_below_min = 0, n_above_max = 0, n_returns = 0;
 };
 
-OutsideRange count_outside(const Scan& scan, const RangeLimits& limits) {
-    OutsideRange counts;
+RangeLimitCounts count_returns_outside_limits(const Scan& scan, const RangeLimits& limits) {
+    RangeLimitCounts counts;
     const auto look = [&](float range_m) {
-        counts.all += range_m > 0.0f;
-        counts.near += range_m > 0.0f && double(range_m) < limits.min_m;
-        counts.far += double(range_m) > limits.max_m;
+        counts.n_returns += range_m > 0.0f;
+        counts.n_below_min += range_m > 0.0f && double(range_m) < limits.min_m;
+        counts.n_above_max += double(range_m) > limits.max_m;
     };
     for (const float range_m : scan.range_m) look(range_m);
-    for (const SecondReturn& second : scan.second_returns)
+    for (const AdditionalReturns& second : scan.second_returns)
         for (const float range_m : second.range_m) look(range_m);
     return counts;
 }
 
 /// Adds a note for the user about each LiDAR with returns outside its range limits, with
 /// the number of these returns.
-/// @param counts  [frames] number of near, far and all returns in each frame
+/// @param counts_of_frames  [frames] number of near, far and all returns in each frame
 /// @throws DataError if all returns of the log are outside the limits
-void note_outside_range(Sequence& sequence, const std::vector<OutsideRange>& counts) {
-    std::size_t n_all = 0, n_kept = 0;
+void add_notes_about_dropped_returns(LidarSequence& sequence,
+                                     const std::vector<RangeLimitCounts>& counts_of_frames) {
+    std::size_t n_all = 0, n_within_limits = 0;
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
-        OutsideRange sum;
-        for (std::size_t i = 0; i < counts.size(); ++i)
+        RangeLimitCounts sum;
+        for (std::size_t i = 0; i < counts_of_frames.size(); ++i)
             if (sequence.frames[i].lidar == int(l))
-                sum.near += counts[i].near, sum.far += counts[i].far, sum.all += counts[i].all;
-        n_all += sum.all, n_kept += sum.all - sum.near - sum.far;
-        if (sum.near + sum.far == 0) continue;
+                sum.n_below_min += counts_of_frames[i].n_below_min,
+                    sum.n_above_max += counts_of_frames[i].n_above_max,
+                    sum.n_returns += counts_of_frames[i].n_returns;
+        n_all += sum.n_returns, n_within_limits += sum.n_returns - sum.n_below_min - sum.n_above_max;
+        if (sum.n_below_min + sum.n_above_max == 0) continue;
         const Lidar& lidar = sequence.lidars[l];
-        std::string parts =
-            sum.far > 0 ? fmt::format("{} are beyond {} m", sum.far, lidar.sensor.max_range_m) : "";
-        if (sum.near > 0)
-            parts += fmt::format("{}{} are nearer than {} m", parts.empty() ? "" : " and ", sum.near,
+        std::string parts = sum.n_above_max > 0
+                                ? fmt::format("{} are beyond {} m", sum.n_above_max, lidar.sensor.max_range_m)
+                                : "";
+        if (sum.n_below_min > 0)
+            parts += fmt::format("{}{} are nearer than {} m", parts.empty() ? "" : " and ", sum.n_below_min,
                                  lidar.sensor.min_range_m);
-        sequence.notes.push_back(
-            fmt::format("range{}: {} of {} returns ({:.3g} %) are read as dropped "
-                        "rays: {}",
-                        lidar.name.empty() ? "" : " of " + lidar.name, sum.near + sum.far, sum.all,
-                        100.0 * double(sum.near + sum.far) / double(sum.all), parts));
+        sequence.notes.push_back(fmt::format(
+            "range{}: {} of {} returns ({:.3g} %) are read as dropped "
+            "rays: {}",
+            lidar.name.empty() ? "" : " of " + lidar.name, sum.n_below_min + sum.n_above_max, sum.n_returns,
+            100.0 * double(sum.n_below_min + sum.n_above_max) / double(sum.n_returns), parts));
     }
-    if (n_all > 0 && n_kept == 0)
+    if (n_all > 0 && n_within_limits == 0)
         throw DataError(
             fmt::format("{}: none of its {} returns is within the range limits; change dataset.min_range_m "
                         "or dataset.max_range_m ({})",
@@ -215,26 +219,26 @@ void note_outside_range(Sequence& sequence, const std::vector<OutsideRange>& cou
 
 /// Restricts the LiDARs to the range limits that the user requested. Returns outside the
 /// limits become dropped rays.
-void drop_outside_requested_limits(Sequence& sequence, const RangeLimits& requested_limits) {
-    find_farthest_ranges(sequence);
+void drop_returns_outside_limits(LidarSequence& sequence, const RangeLimits& requested_limits) {
+    set_unknown_max_ranges(sequence);
     for (Lidar& lidar : sequence.lidars) {
-        const RangeLimits limits = intersect_limits(lidar.sensor.range_limits(), requested_limits);
+        const RangeLimits limits = intersect_range_limits(lidar.sensor.range_limits(), requested_limits);
         lidar.sensor.min_range_m = limits.min_m;
         lidar.sensor.max_range_m = limits.max_m;
     }
-    std::vector<OutsideRange> counts(sequence.frames.size());
+    std::vector<RangeLimitCounts> counts(sequence.frames.size());
     parallel_for(static_cast<int>(counts.size()), [&](int index) {
-        Frame& frame = sequence.frames[std::size_t(index)];
+        LidarFrame& frame = sequence.frames[std::size_t(index)];
         const RangeLimits limits = sequence.get_lidar(frame).sensor.range_limits();
-        counts[std::size_t(index)] = count_outside(frame.scan, limits);
-        drop_outside_limits(frame.scan, limits);
+        counts[std::size_t(index)] = count_returns_outside_limits(frame.scan, limits);
+        remove_returns_outside_limits(frame.scan, limits);
     });
-    note_outside_range(sequence, counts);
+    add_notes_about_dropped_returns(sequence, counts);
 }
 
 /// Adds a note for the user if all returns of the log have the same intensity, because
 /// the log then has no intensities.
-void note_missing_intensities(Sequence& sequence) {
+void add_note_if_intensities_missing(LidarSequence& sequence) {
     constexpr float kNone = -1.0f, kSeveral = -2.0f;
     // [frames] intensity that all returns of a frame have, or one of the constants above
     std::vector<float> common(sequence.frames.size(), kNone);
@@ -260,28 +264,32 @@ void note_missing_intensities(Sequence& sequence) {
 
 /// Keeps only the named LiDARs. Removes the frames of all other LiDARs, and poses that no
 /// frame needs.
-void keep_named_lidars(Sequence& sequence, const std::vector<std::string>& names) {
-    std::vector<int> place(sequence.lidars.size(), -1);
-    for (const std::string& name : names) place[std::size_t(find_lidar(sequence, name))] = 0;
-    std::vector<Lidar> kept;
+void keep_named_lidars(LidarSequence& sequence, const std::vector<std::string>& lidar_names) {
+    std::vector<int> new_index_of_lidar(sequence.lidars.size(), -1);
+    for (const std::string& name : lidar_names)
+        new_index_of_lidar[std::size_t(find_lidar_index_by_name(sequence, name))] = 0;
+    std::vector<Lidar> remaining_lidars;
     std::vector<std::string> left_out;
-    for (std::size_t l = 0; l < place.size(); ++l) {
-        if (place[l] < 0) left_out.push_back(sequence.lidars[l].name);
-        else place[l] = static_cast<int>(kept.size()), kept.push_back(std::move(sequence.lidars[l]));
+    for (std::size_t l = 0; l < new_index_of_lidar.size(); ++l) {
+        if (new_index_of_lidar[l] < 0) left_out.push_back(sequence.lidars[l].name);
+        else
+            new_index_of_lidar[l] = static_cast<int>(remaining_lidars.size()),
+            remaining_lidars.push_back(std::move(sequence.lidars[l]));
     }
-    std::erase_if(sequence.frames, [&](const Frame& frame) { return place[std::size_t(frame.lidar)] < 0; });
+    std::erase_if(sequence.frames,
+                  [&](const LidarFrame& frame) { return new_index_of_lidar[std::size_t(frame.lidar)] < 0; });
     if (sequence.frames.empty())
         throw UsageError(
             fmt::format("dataset.lidars: {} has none of the frames that are read; select another LiDAR",
-                        fmt::join(names, ", ")));
+                        fmt::join(lidar_names, ", ")));
     PoseTrack track;
-    for (Frame& frame : sequence.frames) {
-        frame.lidar = place[std::size_t(frame.lidar)];
+    for (LidarFrame& frame : sequence.frames) {
+        frame.lidar = new_index_of_lidar[std::size_t(frame.lidar)];
         if (!track.time_s.empty() && track.time_s.back() == frame.time_s) continue;
         track.time_s.push_back(frame.time_s);
-        track.pose.push_back(sequence.world_from_vehicle.at(frame.time_s));
+        track.pose.push_back(sequence.world_from_vehicle.interpolate_pose(frame.time_s));
     }
-    sequence.lidars = std::move(kept);
+    sequence.lidars = std::move(remaining_lidars);
     sequence.world_from_vehicle = std::move(track);
     if (!left_out.empty())
         sequence.notes.push_back(fmt::format("LiDARs that are not read: {}", fmt::join(left_out, ", ")));
@@ -298,20 +306,20 @@ std::pair<std::string, fs::path> split_kind_and_path(const std::string& dataset)
 }
 
 /// Returns the reader for a dataset.
-/// @param sequence  name of the drive that the user requested; may be empty
+/// @param requested_drive  name of the drive that the user requested; may be empty
 /// @throws UsageError if a drive is requested but the dataset contains only one drive
-const DatasetKind& find_reader(const std::string& dataset, const std::string& sequence) {
+const DatasetKind& find_dataset_reader(const std::string& dataset, const std::string& requested_drive) {
     const auto [kind, path] = split_kind_and_path(dataset);
     const std::string name = kind.empty() ? detect_dataset_kind(path) : kind;
-    const DatasetKind& reader = find_kind(name);
-    if (!sequence.empty() && !reader.holds_drives)
+    const DatasetKind& reader = find_dataset_kind(name);
+    if (!requested_drive.empty() && !reader.holds_drives)
         throw UsageError(
             fmt::format("dataset.sequence: found '{}', but {} is a single drive; do not set dataset.sequence",
-                        make_excerpt(sequence), reader.describe));
+                        shorten_for_error_message(requested_drive), reader.describe));
     return reader;
 }
 
-void check_range(const FrameRange& range) {
+void check_frame_range(const FrameRange& range) {
     if (range.begin < 0 || range.end < -1 || (range.end != -1 && range.begin >= range.end)) {
         throw UsageError(fmt::format("frames {}:{} are an empty range, expected a:b with 0 <= a < b",
                                      range.begin, range.end));
@@ -320,15 +328,15 @@ void check_range(const FrameRange& range) {
 
 /// Estimates, for each frame, the start time of the sweep and the deviations of the head
 /// azimuths from even rotation.
-void find_sweep_starts(Sequence& sequence) {
+void estimate_sweep_starts(LidarSequence& sequence) {
     std::vector<RayTable> nominal;
     for (const Lidar& lidar : sequence.lidars)
         nominal.push_back(lidar.pattern ? RayTable{} : make_nominal_rays(lidar, 0.0));
     parallel_for(static_cast<int>(sequence.frames.size()), [&](int index) {
-        Frame& frame = sequence.frames[std::size_t(index)];
+        LidarFrame& frame = sequence.frames[std::size_t(index)];
         frame.start = find_sweep_start(frame.scan.rays, sequence.get_lidar(frame));
-        frame.azimuth_shift_rad = find_azimuth_shift(frame.scan, sequence.get_lidar(frame).sensor,
-                                                     nominal[std::size_t(frame.lidar)]);
+        frame.azimuth_shift_rad = measure_azimuth_shifts_rad(frame.scan, sequence.get_lidar(frame).sensor,
+                                                             nominal[std::size_t(frame.lidar)]);
     });
 }
 
@@ -345,27 +353,28 @@ bool is_dataset(const fs::path& path) {
 
 std::string detect_dataset_kind(const fs::path& path) {
     std::error_code failed;
-    if (!fs::is_regular_file(path, failed)) check_folder(path, "a dataset");
-    std::string known;
+    if (!fs::is_regular_file(path, failed)) check_is_folder(path, "a dataset");
+    std::string supported_formats;
     for (const DatasetKind& kind : kKinds) {
         if (is_dataset_of_kind(path, kind)) return kind.name;
-        known += fmt::format("{}{} ({})", known.empty() ? "" : ", ", kind.describe, kind.marker);
+        supported_formats +=
+            fmt::format("{}{} ({})", supported_formats.empty() ? "" : ", ", kind.describe, kind.marker);
     }
-    check_bare_folder(path);
+    check_scans_have_sequence_json(path);
     if (const std::string other = describe_unsupported_format(path); !other.empty())
         throw DataError(fmt::format("{}: {}", path.string(), other));
-    if (const std::string other = describe_other_files(path); !other.empty())
+    if (const std::string other = describe_unsupported_file_in(path); !other.empty())
         throw DataError(fmt::format("{} is not a dataset: {}", path.string(), other));
     for (const DatasetKind& kind : kKinds) {
-        const std::string stranger = kitti::describe_unknown_folder(path, kind.marker);
+        const std::string stranger = kitti::suggest_dataset_folder(path, kind.marker);
         if (!stranger.empty())
             throw DataError(fmt::format("{} is not a dataset: {}", path.string(), stranger));
     }
-    throw DataError(
-        fmt::format("{} is not a dataset of a known format, expected one of: {}", path.string(), known));
+    throw DataError(fmt::format("{} is not a dataset of a known format, expected one of: {}", path.string(),
+                                supported_formats));
 }
 
-std::string make_dataset_absolute(const std::string& dataset) {
+std::string make_dataset_path_absolute(const std::string& dataset) {
     const auto [kind, path] = split_kind_and_path(dataset);
     if (path.empty()) return dataset;
     // without a trailing slash
@@ -373,24 +382,24 @@ std::string make_dataset_absolute(const std::string& dataset) {
     return kind.empty() ? absolute : kind + ":" + absolute;
 }
 
-Sequence load_sequence(const std::string& dataset, const DatasetOptions& options) {
-    check_range(options.frames);
+LidarSequence load_sequence(const std::string& dataset, const DatasetOptions& options) {
+    check_frame_range(options.frames);
     if (!(options.min_range_m >= 0.0 && options.max_range_m > options.min_range_m)) {
         throw UsageError(fmt::format(
             "the range limits are {} to {} m, expected 0 <= dataset.min_range_m < dataset.max_range_m",
             options.min_range_m, options.max_range_m));
     }
-    Sequence sequence =
-        find_reader(dataset, options.sequence).load(split_kind_and_path(dataset).second, options);
+    LidarSequence sequence =
+        find_dataset_reader(dataset, options.sequence).load(split_kind_and_path(dataset).second, options);
     sequence.rolling_shutter = sequence.rolling_shutter && options.rolling_shutter;
     check_sequence(sequence);
-    check_gaps(sequence);
+    check_time_gaps(sequence);
     if (!options.lidars.empty()) keep_named_lidars(sequence, options.lidars);
-    folder::correct_inverse_poses(sequence);
-    find_sweep_starts(sequence);
-    drop_max_range_markers(sequence);
-    drop_outside_requested_limits(sequence, {options.min_range_m, options.max_range_m});
-    note_missing_intensities(sequence);
+    folder::invert_poses_if_inverted(sequence);
+    estimate_sweep_starts(sequence);
+    drop_fake_max_range_returns(sequence);
+    drop_returns_outside_limits(sequence, {options.min_range_m, options.max_range_m});
+    add_note_if_intensities_missing(sequence);
     return sequence;
 }
 

@@ -19,9 +19,10 @@ constexpr double kKey_m = 4.0;
 // Two passes over the same road must be this far apart along the path. Odometry has
 // already aligned closer passes.
 constexpr double kApart_m = 80.0;
-// Two passes are joined only if they are closer than kNear_m. This limit grows by
-// kNearShare per metre of path between them, up to kFarthest_m, because odometry drifts.
-constexpr double kNear_m = 4.0, kNearShare = 0.01, kFarthest_m = 15.0;
+// Two passes are joined only if they are closer than kMinComparedRange_m. This limit
+// grows by kLoopDistanceGrowth per metre of path between them, up to kFarthest_m, because
+// odometry drifts.
+constexpr double kLoopDistance_m = 4.0, kLoopDistanceGrowth = 0.01, kMaxLoopDistance_m = 15.0;
 // The map for a loop closure contains scans within this distance along the earlier path,
 // on both sides of the key pose.
 constexpr double kMap_m = 14.0;
@@ -37,10 +38,10 @@ constexpr double kLoopStep_m = 1e-3, kLoopPrior = 1e-4;
 // A loop closure is valid if at least this share of the scan's points lies on planes of
 // the earlier pass. In odometry, the share is 0.5 to 0.8.
 constexpr double kLeastShare = 0.4;
-constexpr std::size_t kFewestPlaces = 2;
+constexpr std::size_t kMinLoopClosures = 2;
 // standard deviations of odometry errors on a path of length kKey_m
-constexpr double kWay_m = 0.01, kWay_rad = 3e-4;
-constexpr double kPlace_m = 0.05, kPlace_rad = 2e-3;  // standard deviations of a loop closure
+constexpr double kOdometrySigma_m = 0.01, kOdometrySigma_rad = 3e-4;
+constexpr double kClosureSigma_m = 0.05, kClosureSigma_rad = 2e-3;  // standard deviations of a loop closure
 // Loop closures that contradict other loop closures by much more than this lose their
 // weight (robust kernel).
 constexpr double kBelieved_m = 0.5;
@@ -54,112 +55,120 @@ struct LoopClosure {
     Twist off;
 };
 
-class Loops {
+class LoopCloser {
 public:
-    Loops(const PoseTrack& track, const std::vector<std::vector<ThinPoint>>& scans,
-          const LoopOptions& options)
+    LoopCloser(const PoseTrack& track, const std::vector<std::vector<SubsampledPoint>>& scans,
+               const LoopClosureOptions& options)
         : track_(track), scans_(scans), options_(options), maps_(options.first, options.last) {
-        double way = 0.0;
+        double driven_m = 0.0;
         for (std::size_t k = 0; k < track.pose.size(); ++k) {
-            if (k > 0) way += glm::distance(track.pose[k].translation, track.pose[k - 1].translation);
-            way_m_.push_back(way);
-            if (!scans[k].empty() && (keys_.empty() || way >= way_m_[keys_.back()] + kKey_m))
+            if (k > 0) driven_m += glm::distance(track.pose[k].translation, track.pose[k - 1].translation);
+            path_length_m_.push_back(driven_m);
+            if (!scans[k].empty() && (keys_.empty() || driven_m >= path_length_m_[keys_.back()] + kKey_m))
                 keys_.push_back(k);
         }
     }
 
-    ClosedLoops close() {
-        ClosedLoops result{track_, 0, 0.0};
+    LoopClosureResult detect_and_close_loops() {
+        LoopClosureResult result{track_, 0, 0.0};
         std::optional<LoopClosure> before;
         for (std::size_t later = 0; later < keys_.size(); ++later) {
             if (later % 16 == 0 && !options_.proceed(double(later) / double(keys_.size()))) return result;
-            const std::optional<std::size_t> earlier = find_nearest_earlier_pose(later);
+            const std::optional<std::size_t> earlier = find_nearest_earlier_key_pose(later);
             if (!earlier) continue;
             if (before && before->later + 3 < later) before.reset();
-            const std::optional<LoopClosure> found = find(*earlier, later, before);
-            if (!found) continue;
-            places_.push_back(*found);
-            before = found;
+            const std::optional<LoopClosure> closure = find_loop_closure(*earlier, later, before);
+            if (!closure) continue;
+            closures_.push_back(*closure);
+            before = closure;
         }
-        if (places_.size() < kFewestPlaces) return result;
-        distribute_corrections(result);
+        if (closures_.size() < kMinLoopClosures) return result;
+        apply_loop_corrections(result);
         return result;
     }
 
 private:
     const PoseTrack& track_;
-    const std::vector<std::vector<ThinPoint>>& scans_;
-    const LoopOptions& options_;
-    std::vector<double> way_m_;      // [poses] length of the path up to each pose
-    std::vector<std::size_t> keys_;  // indices of the key poses
-    std::vector<LoopClosure> places_;
-    LevelMaps maps_;  // map around the key pose `map_of_`
+    const std::vector<std::vector<SubsampledPoint>>& scans_;
+    const LoopClosureOptions& options_;
+    std::vector<double> path_length_m_;  // [poses] length of the path up to each pose
+    std::vector<std::size_t> keys_;      // indices of the key poses
+    std::vector<LoopClosure> closures_;
+    MultiScalePlaneMaps maps_;  // map around the key pose `map_of_`
     std::optional<std::size_t> map_of_;
 
-    const Pose& pose(std::size_t key) const { return track_.pose[keys_[key]]; }
-    double compute_driven_length_m(std::size_t key) const { return way_m_[keys_[key]]; }
+    const Pose& get_key_pose(std::size_t key_index) const { return track_.pose[keys_[key_index]]; }
+    double get_path_length_to_key_pose_m(std::size_t key_index) const {
+        return path_length_m_[keys_[key_index]];
+    }
 
-    std::optional<std::size_t> find_nearest_earlier_pose(std::size_t later) const {
+    std::optional<std::size_t> find_nearest_earlier_key_pose(std::size_t later_key_index) const {
         std::optional<std::size_t> nearest;
         double least_m = 1e30;
         for (std::size_t key = 0;
-             key < later && compute_driven_length_m(later) - compute_driven_length_m(key) > kApart_m; ++key) {
-            const double distance_m = glm::distance(pose(key).translation, pose(later).translation);
-            const double near_m = std::min(
-                kNear_m + kNearShare * (compute_driven_length_m(later) - compute_driven_length_m(key)),
-                kFarthest_m);
-            if (distance_m > near_m || distance_m >= least_m) continue;
+             key < later_key_index &&
+             get_path_length_to_key_pose_m(later_key_index) - get_path_length_to_key_pose_m(key) > kApart_m;
+             ++key) {
+            const double distance_m =
+                glm::distance(get_key_pose(key).translation, get_key_pose(later_key_index).translation);
+            const double max_distance_m = std::min(
+                kLoopDistance_m + kLoopDistanceGrowth * (get_path_length_to_key_pose_m(later_key_index) -
+                                                         get_path_length_to_key_pose_m(key)),
+                kMaxLoopDistance_m);
+            if (distance_m > max_distance_m || distance_m >= least_m) continue;
             least_m = distance_m;
             nearest = key;
         }
         return nearest;
     }
 
-    void build_loop_map(std::size_t centre_key) {
-        if (map_of_ == centre_key) return;
-        map_of_ = centre_key;
+    void build_map_around_key_pose(std::size_t centre_key_index) {
+        if (map_of_ == centre_key_index) return;
+        map_of_ = centre_key_index;
         maps_.clear();
         std::vector<glm::dvec3> points_m;
         for (std::size_t key = 0; key < keys_.size(); ++key) {
-            if (std::abs(compute_driven_length_m(key) - compute_driven_length_m(centre_key)) > kMap_m)
+            if (std::abs(get_path_length_to_key_pose_m(key) -
+                         get_path_length_to_key_pose_m(centre_key_index)) > kMap_m)
                 continue;
-            for (const ThinPoint& point : scans_[keys_[key]])
-                points_m.push_back(place_point_in_world(track_, point).point_m);
+            for (const SubsampledPoint& point : scans_[keys_[key]])
+                points_m.push_back(transform_point_to_world(track_, point).point_m);
         }
-        maps_.add(points_m, 0.0);
+        maps_.add_points_to_maps(points_m, 0.0);
     }
 
     /// Returns the points of a scan in the frame of its key pose, each with the position
     /// of the vehicle when it was measured.
-    std::vector<PlacedPoint> transform_scan_to_key_pose(std::size_t key) const {
-        const Pose pose_from_world = inverse(pose(key));
-        std::vector<PlacedPoint> points;
-        for (const ThinPoint& point : scans_[keys_[key]]) {
-            const PlacedPoint at = place_point_in_world(track_, point);
+    std::vector<WorldPointWithOrigin> transform_scan_to_key_pose(std::size_t key_index) const {
+        const Pose pose_from_world = inverse(get_key_pose(key_index));
+        std::vector<WorldPointWithOrigin> points;
+        for (const SubsampledPoint& point : scans_[keys_[key_index]]) {
+            const WorldPointWithOrigin at = transform_point_to_world(track_, point);
             points.push_back({pose_from_world * at.point_m, pose_from_world * at.vehicle_m});
         }
         return points;
     }
 
-    double compute_coarse_share(const std::vector<PlacedPoint>& points, const Pose& pose) const {
+    double compute_fraction_on_coarse_planes(const std::vector<WorldPointWithOrigin>& points,
+                                             const Pose& pose) const {
         const std::size_t step = std::max<std::size_t>(1, points.size() / kGridPoints);
         std::size_t n = 0, on_planes = 0;
         for (std::size_t i = 0; i < points.size(); i += step, ++n) {
             const glm::dvec3 p = pose * points[i].point_m;
-            const Plane* plane = maps_.find_finest_plane(p, 0);
-            on_planes += plane && compute_weight(glm::dot(plane->normal, p - plane->point_m),
-                                                 options_.first.scale_m) > 0.25;
+            const LocalPlane* plane = maps_.find_finest_plane_at(p, 0);
+            on_planes += plane && compute_robust_weight(glm::dot(plane->normal, p - plane->point_m),
+                                                        options_.first.scale_m) > 0.25;
         }
         return double(on_planes) / double(std::max<std::size_t>(n, 1));
     }
 
     /// Tries a grid of start positions around a pose. Returns the one with the most
     /// points on planes of the map. Positions far from the prediction get a penalty.
-    Pose find_best_start(const std::vector<PlacedPoint>& points, const Pose& initial_pose,
-                         double reach_m) const {
+    Pose find_best_start_pose(const std::vector<WorldPointWithOrigin>& points, const Pose& initial_pose,
+                              double search_radius_m) const {
         std::vector<glm::dvec3> offsets;
         const auto steps = [&](double widest_m) {
-            return int(std::ceil(std::min(reach_m, widest_m) / kGrid_m));
+            return int(std::ceil(std::min(search_radius_m, widest_m) / kGrid_m));
         };
         const int wide = steps(kWidest_m), high = steps(kHighest_m);
         for (int x = -wide; x <= wide; ++x)
@@ -170,82 +179,87 @@ private:
         };
         std::vector<double> scores(offsets.size());
         parallel_for(static_cast<int>(offsets.size()), [&](int index) {
-            scores[std::size_t(index)] = compute_coarse_share(points, start_at(std::size_t(index))) -
-                                         kGridPenalty * glm::length(offsets[std::size_t(index)]);
+            scores[std::size_t(index)] =
+                compute_fraction_on_coarse_planes(points, start_at(std::size_t(index))) -
+                kGridPenalty * glm::length(offsets[std::size_t(index)]);
         });
         return start_at(std::size_t(std::ranges::max_element(scores) - scores.begin()));
     }
 
     /// Moves a scan by one Gauss-Newton step towards the planes of the map.
     /// @return length of the step
-    double align_scan_step(const std::vector<PlacedPoint>& points, Pose& pose, int level,
-                           double& share) const {
-        const double scale_m = maps_.round(level).scale_m;
-        const RigidEquations equations =
+    double align_scan_by_one_step(const std::vector<WorldPointWithOrigin>& points, Pose& pose, int level,
+                                  double& fraction_on_planes) const {
+        const double scale_m = maps_.get_level_settings(level).scale_m;
+        const SinglePoseEquations equations =
             parallel_reduce(points.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
-                RigidEquations part;
-                for (const PlacedPoint& point : std::span(points).subspan(begin, end - begin)) {
+                SinglePoseEquations part;
+                for (const WorldPointWithOrigin& point : std::span(points).subspan(begin, end - begin)) {
                     const glm::dvec3 p = pose * point.point_m;
-                    if (const Plane* plane = maps_.find_finest_plane(p, level))
-                        part.add(make_plane_residual_row({p, pose.translation}, *plane, scale_m));
+                    if (const LocalPlane* plane = maps_.find_finest_plane_at(p, level))
+                        part.add_residual(compute_plane_residual({p, pose.translation}, *plane, scale_m));
                 }
                 return part;
             });
-        share = double(equations.count_points_on_planes()) / double(points.size());
+        fraction_on_planes = double(equations.count_points_on_planes()) / double(points.size());
         if (equations.empty()) return 0.0;
-        const Twist x = equations.solve(kLoopPrior);
+        const Twist x = equations.solve_for_pose_step(kLoopPrior);
         pose = apply_twist(pose, x);
-        return compute_length_m(x);
+        return compute_pose_change_m(x);
     }
 
-    double refine_loop_pose(const std::vector<PlacedPoint>& points, Pose& pose) const {
+    double refine_loop_pose(const std::vector<WorldPointWithOrigin>& points, Pose& pose) const {
         double share = 0.0;
-        for (int level = 0; level < LevelMaps::kLevels; ++level)
-            for (int i = 0; i < kMostLoopSteps && align_scan_step(points, pose, level, share) > kLoopStep_m;
+        for (int level = 0; level < MultiScalePlaneMaps::kLevels; ++level)
+            for (int i = 0;
+                 i < kMostLoopSteps && align_scan_by_one_step(points, pose, level, share) > kLoopStep_m;
                  ++i) {}
         return share;
     }
 
-    std::optional<LoopClosure> find(std::size_t earlier, std::size_t later_key,
-                                    const std::optional<LoopClosure>& previous_closure) {
-        build_loop_map(earlier);
-        const std::vector<PlacedPoint> points = transform_scan_to_key_pose(later_key);
-        const double reach_m =
-            1.0 + kNearShare * (compute_driven_length_m(later_key) - compute_driven_length_m(earlier));
-        Pose at = previous_closure
-                      ? apply_correction_to_other_pose(previous_closure->off, pose(previous_closure->later),
-                                                       pose(later_key))
-                      : find_best_start(points, pose(later_key), reach_m);
+    std::optional<LoopClosure> find_loop_closure(std::size_t earlier_key_index, std::size_t later_key_index,
+                                                 const std::optional<LoopClosure>& previous_closure) {
+        build_map_around_key_pose(earlier_key_index);
+        const std::vector<WorldPointWithOrigin> points = transform_scan_to_key_pose(later_key_index);
+        const double reach_m = 1.0 + kLoopDistanceGrowth * (get_path_length_to_key_pose_m(later_key_index) -
+                                                            get_path_length_to_key_pose_m(earlier_key_index));
+        Pose at = previous_closure ? apply_correction_to_other_pose(previous_closure->off,
+                                                                    get_key_pose(previous_closure->later),
+                                                                    get_key_pose(later_key_index))
+                                   : find_best_start_pose(points, get_key_pose(later_key_index), reach_m);
         double share = refine_loop_pose(points, at);
         // If the start value from the previous loop closure fails, tries the grid of
         // start positions.
         if (previous_closure && share < kLeastShare) {
-            at = find_best_start(points, pose(later_key), reach_m);
+            at = find_best_start_pose(points, get_key_pose(later_key_index), reach_m);
             share = refine_loop_pose(points, at);
         }
         if (share < kLeastShare) return std::nullopt;
-        return LoopClosure{earlier, later_key, compute_twist(pose(later_key), at)};
+        return LoopClosure{earlier_key_index, later_key_index,
+                           compute_twist(get_key_pose(later_key_index), at)};
     }
 
-    /// Applies the motion that corrects `pose` to another pose. Both poses move together
-    /// like a rigid body.
-    static Pose apply_correction_to_other_pose(const Twist& correction, const Pose& pose,
+    /// Applies the motion that corrects `reference_pose` to another pose. Both poses move
+    /// together like a rigid body.
+    static Pose apply_correction_to_other_pose(const Twist& correction, const Pose& reference_pose,
                                                const Pose& other_pose) {
-        const Pose world_from_world = apply_twist(pose, correction) * inverse(pose);
+        const Pose world_from_world = apply_twist(reference_pose, correction) * inverse(reference_pose);
         return world_from_world * other_pose;
     }
 
-    /// Least-squares equations for the corrections x of all key poses. add() adds a term
-    /// that pulls x_b to x_a (converted to pose b) plus `off`.
-    struct Equations {
+    /// Least-squares equations for the corrections x of all key poses.
+    /// add_pose_constraint() adds a term that pulls x_b to x_a (converted to pose b) plus
+    /// `off`.
+    struct LoopClosureEquations {
         std::vector<Eigen::Triplet<double>> h;
         Eigen::VectorXd g;
 
-        void add(std::size_t first, std::size_t second, const glm::dvec3& from_a_to_b,
-                 const Twist& difference, const Vector6& weight) {
-            const Matrix6 ja = -make_motion_matrix(from_a_to_b);
+        void add_pose_constraint(std::size_t first_pose, std::size_t second_pose,
+                                 const glm::dvec3& first_to_second_m, const Twist& expected_difference,
+                                 const Vector6& weight) {
+            const Matrix6 ja = -make_twist_transfer_matrix(first_to_second_m);
             const Matrix6 jb = Matrix6::Identity();
-            const Vector6 target = Eigen::Map<const Vector6>(difference.data());
+            const Vector6 target = Eigen::Map<const Vector6>(expected_difference.data());
             const auto block = [&](std::size_t index, std::size_t j, const Matrix6& matrix) {
                 for (int r = 0; r < 6; ++r)
                     for (int c = 0; c < 6; ++c)
@@ -253,37 +267,38 @@ private:
                             h.emplace_back(int(6 * index) + r, int(6 * j) + c, matrix(r, c));
             };
             const Matrix6 wa = weight.asDiagonal() * ja, wb = weight.asDiagonal() * jb;
-            block(first, first, ja.transpose() * wa);
-            block(first, second, ja.transpose() * wb);
-            block(second, first, jb.transpose() * wa);
-            block(second, second, jb.transpose() * wb);
-            g.segment<6>(6 * Eigen::Index(first)) += wa.transpose() * target;
-            g.segment<6>(6 * Eigen::Index(second)) += wb.transpose() * target;
+            block(first_pose, first_pose, ja.transpose() * wa);
+            block(first_pose, second_pose, ja.transpose() * wb);
+            block(second_pose, first_pose, jb.transpose() * wa);
+            block(second_pose, second_pose, jb.transpose() * wb);
+            g.segment<6>(6 * Eigen::Index(first_pose)) += wa.transpose() * target;
+            g.segment<6>(6 * Eigen::Index(second_pose)) += wb.transpose() * target;
         }
     };
 
-    static Vector6 make_prior_weights(double metres, double radians, double factor) {
+    static Vector6 make_pose_weights(double sigma_m, double sigma_rad, double factor) {
         Vector6 w;
-        w << Eigen::Vector3d::Constant(factor / (metres * metres)),
-            Eigen::Vector3d::Constant(factor / (radians * radians));
+        w << Eigen::Vector3d::Constant(factor / (sigma_m * sigma_m)),
+            Eigen::Vector3d::Constant(factor / (sigma_rad * sigma_rad));
         return w;
     }
 
-    Eigen::VectorXd solve(const std::vector<double>& believed) const {
+    Eigen::VectorXd solve_key_corrections(const std::vector<double>& closure_weights) const {
         const std::size_t n = keys_.size();
-        Equations equations{{}, Eigen::VectorXd::Zero(6 * Eigen::Index(n))};
+        LoopClosureEquations equations{{}, Eigen::VectorXd::Zero(6 * Eigen::Index(n))};
         const auto between_keys = [&](std::size_t first, std::size_t second) {
-            return pose(second).translation - pose(first).translation;
+            return get_key_pose(second).translation - get_key_pose(first).translation;
         };
         for (std::size_t k = 0; k + 1 < n; ++k)
-            equations.add(
-                k, k + 1, between_keys(k, k + 1), Twist{},
-                make_prior_weights(kWay_m, kWay_rad,
-                                   kKey_m / (compute_driven_length_m(k + 1) - compute_driven_length_m(k))));
-        for (std::size_t i = 0; i < places_.size(); ++i)
-            equations.add(places_[i].earlier, places_[i].later,
-                          between_keys(places_[i].earlier, places_[i].later), places_[i].off,
-                          make_prior_weights(kPlace_m, kPlace_rad, believed[i]));
+            equations.add_pose_constraint(k, k + 1, between_keys(k, k + 1), Twist{},
+                                          make_pose_weights(kOdometrySigma_m, kOdometrySigma_rad,
+                                                            kKey_m / (get_path_length_to_key_pose_m(k + 1) -
+                                                                      get_path_length_to_key_pose_m(k))));
+        for (std::size_t i = 0; i < closures_.size(); ++i)
+            equations.add_pose_constraint(
+                closures_[i].earlier, closures_[i].later,
+                between_keys(closures_[i].earlier, closures_[i].later), closures_[i].off,
+                make_pose_weights(kClosureSigma_m, kClosureSigma_rad, closure_weights[i]));
         for (int i = 0; i < 6; ++i) equations.h.emplace_back(i, i, 1e9);  // fixes the first pose
         Eigen::SparseMatrix<double> h(6 * Eigen::Index(n), 6 * Eigen::Index(n));
         h.setFromTriplets(equations.h.begin(), equations.h.end());
@@ -292,43 +307,51 @@ private:
 
     /// Returns the correction of a pose that moves with a corrected key pose like a rigid
     /// body.
-    Vector6 move_with_key_pose(std::size_t index, std::size_t key, const Eigen::VectorXd& solution) const {
-        return make_motion_matrix(track_.pose[index].translation - pose(key).translation) *
-               solution.segment<6>(6 * Eigen::Index(key));
+    Vector6 transfer_key_correction(std::size_t pose_index, std::size_t key_index,
+                                    const Eigen::VectorXd& key_corrections) const {
+        return make_twist_transfer_matrix(track_.pose[pose_index].translation -
+                                          get_key_pose(key_index).translation) *
+               key_corrections.segment<6>(6 * Eigen::Index(key_index));
     }
 
     /// Returns by how many metres a loop closure still disagrees with the corrected key
     /// poses.
-    double compute_contradiction_m(const LoopClosure& place, const Eigen::VectorXd& solution) const {
-        const Vector6 moves = solution.segment<6>(6 * Eigen::Index(place.later)) -
-                              move_with_key_pose(keys_[place.later], place.earlier, solution);
-        return (moves.head<3>() - Eigen::Vector3d(place.off[0], place.off[1], place.off[2])).norm();
+    double compute_closure_residual_m(const LoopClosure& loop_closure,
+                                      const Eigen::VectorXd& key_corrections) const {
+        const Vector6 moves =
+            key_corrections.segment<6>(6 * Eigen::Index(loop_closure.later)) -
+            transfer_key_correction(keys_[loop_closure.later], loop_closure.earlier, key_corrections);
+        return (moves.head<3>() -
+                Eigen::Vector3d(loop_closure.off[0], loop_closure.off[1], loop_closure.off[2]))
+            .norm();
     }
 
-    void distribute_corrections(ClosedLoops& result) const {
-        std::vector<double> believed(places_.size(), 1.0);
+    void apply_loop_corrections(LoopClosureResult& result) const {
+        std::vector<double> believed(closures_.size(), 1.0);
         Eigen::VectorXd x;
         for (int i = 0; i < kReweighted; ++i) {
-            x = solve(believed);
-            for (std::size_t k = 0; k < places_.size(); ++k)
-                believed[k] = compute_weight(compute_contradiction_m(places_[k], x), kBelieved_m);
+            x = solve_key_corrections(believed);
+            for (std::size_t k = 0; k < closures_.size(); ++k)
+                believed[k] = compute_robust_weight(compute_closure_residual_m(closures_[k], x), kBelieved_m);
         }
-        for (std::size_t k = 0; k < places_.size(); ++k) {
+        for (std::size_t k = 0; k < closures_.size(); ++k) {
             if (believed[k] < 0.25) continue;
-            ++result.places;
-            const Twist& off = places_[k].off;
+            ++result.n_closures;
+            const Twist& off = closures_[k].off;
             result.largest_m = std::max(result.largest_m, glm::length(glm::dvec3(off[0], off[1], off[2])));
         }
-        if (result.places < kFewestPlaces) return;
+        if (result.n_closures < kMinLoopClosures) return;
         std::size_t key = 0;
         for (std::size_t k = 0; k < track_.pose.size(); ++k) {
             while (key + 1 < keys_.size() && keys_[key + 1] <= k) ++key;
             const std::size_t next = std::min(key + 1, keys_.size() - 1);
-            const double length = compute_driven_length_m(next) - compute_driven_length_m(key);
-            const double s = length > 0.0
-                                 ? glm::clamp((way_m_[k] - compute_driven_length_m(key)) / length, 0.0, 1.0)
-                                 : 0.0;
-            const Vector6 c = (1.0 - s) * move_with_key_pose(k, key, x) + s * move_with_key_pose(k, next, x);
+            const double length = get_path_length_to_key_pose_m(next) - get_path_length_to_key_pose_m(key);
+            const double s =
+                length > 0.0
+                    ? glm::clamp((path_length_m_[k] - get_path_length_to_key_pose_m(key)) / length, 0.0, 1.0)
+                    : 0.0;
+            const Vector6 c =
+                (1.0 - s) * transfer_key_correction(k, key, x) + s * transfer_key_correction(k, next, x);
             result.track.pose[k] = apply_twist(track_.pose[k], {c[0], c[1], c[2], c[3], c[4], c[5]});
         }
     }
@@ -336,9 +359,10 @@ private:
 
 }  // namespace
 
-ClosedLoops close_loops(const PoseTrack& followed, const std::vector<std::vector<ThinPoint>>& scans,
-                        const LoopOptions& options) {
-    return Loops(followed, scans, options).close();
+LoopClosureResult close_loops(const PoseTrack& odometry_track,
+                              const std::vector<std::vector<SubsampledPoint>>& scans,
+                              const LoopClosureOptions& options) {
+    return LoopCloser(odometry_track, scans, options).detect_and_close_loops();
 }
 
 }  // namespace relidar

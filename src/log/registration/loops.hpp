@@ -10,17 +10,17 @@
 
 namespace relidar {
 
-struct LoopOptions {
+struct LoopClosureOptions {
     /// cell sizes and robust-kernel scales at the coarsest and at the finest level
-    RegisterRound first, last;
+    RegistrationRound first, last;
     /// Progress callback. If it returns false, the search for loops stops.
     std::function<bool(double done)> proceed;
 };
 
-struct ClosedLoops {
+struct LoopClosureResult {
     PoseTrack track;
-    std::size_t places = 0;  ///< number of loop closures
-    double largest_m = 0.0;  ///< largest correction of a loop closure, in metres
+    std::size_t n_closures = 0;  ///< number of loop closures
+    double largest_m = 0.0;      ///< largest correction of a loop closure, in metres
 };
 
 /// Closes the loops of a track. Searches for poses near a position that the track passed
@@ -31,12 +31,13 @@ struct ClosedLoops {
 ///   sum over the track of |x_k+1 - x_k|^2 / s_k^2
 ///   + sum over loop closures of rho(|x_later - x_earlier - measured correction|)
 /// where each x is a translation and a rotation that also moves all later poses.
-/// @param followed poses from odometry: accurate from scan to scan, with a drift of
+/// @param odometry_track poses from odometry: accurate from scan to scan, with a drift of
 /// metres over kilometres
 /// @param scans [poses] points of each scan; empty if a pose has no scan
 /// @return the unchanged track if fewer than two loop closures exist, or if proceed()
 /// returned false
-ClosedLoops close_loops(const PoseTrack& followed, const std::vector<std::vector<ThinPoint>>& scans,
-                        const LoopOptions& options);
+LoopClosureResult close_loops(const PoseTrack& odometry_track,
+                              const std::vector<std::vector<SubsampledPoint>>& scans,
+                              const LoopClosureOptions& options);
 
 }  // namespace relidar

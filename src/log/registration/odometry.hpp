@@ -17,7 +17,7 @@ namespace relidar {
 
 struct OdometryOptions {
     /// cell sizes and robust-kernel scales at the coarsest and at the finest level
-    RegisterRound first, last;
+    RegistrationRound first, last;
     /// How the motion between scans is predicted. True: from the given poses. False: by
     /// constant velocity.
     bool use_pose_motion = true;
@@ -31,7 +31,8 @@ struct OdometryOptions {
 /// aligned gets its predicted pose.
 /// @param scans [poses] points of each scan; empty if a pose has no scan
 /// @return the same poses in all processes; the given poses if proceed() returned false
-PoseTrack estimate_poses(const PoseTrack& initial_track, const std::vector<std::vector<ThinPoint>>& scans,
-                         const OdometryOptions& options);
+PoseTrack estimate_odometry_poses(const PoseTrack& initial_track,
+                                  const std::vector<std::vector<SubsampledPoint>>& scans,
+                                  const OdometryOptions& options);
 
 }  // namespace relidar

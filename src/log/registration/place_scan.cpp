@@ -18,30 +18,31 @@ constexpr double kThin_m = 0.1;
 constexpr double kScale_m = 0.05;
 // Weight of the prior that pulls the pose to its start value, relative to the mean weight
 // of the points.
-constexpr double kPlacePrior = 1e-4;
-constexpr double kPlaceStep_m = 2e-4;  // stops the iteration if a step is shorter than this
-constexpr int kMostPlaceSteps = 8;
+constexpr double kPosePriorWeight = 1e-4;
+constexpr double kConvergedStep_m = 2e-4;  // stops the iteration if a step is shorter than this
+constexpr int kMaxAlignmentSteps = 8;
 
 /// Selected rays of one frame, and their returns.
-struct FrameRays {
+struct SelectedFrameRays {
     int position;
     std::vector<std::size_t> rays;
-    std::vector<ThinPoint> points;
+    std::vector<SubsampledPoint> points;
 };
 
-std::vector<FrameRays> list_rays_at(const Sequence& sequence, std::size_t pose,
-                                    const RegisterOptions& options) {
-    std::vector<FrameRays> frames;
+std::vector<SelectedFrameRays> select_rays_at_pose(const LidarSequence& sequence, std::size_t pose_index,
+                                                   const RegistrationOptions& options) {
+    std::vector<SelectedFrameRays> frames;
     for (std::size_t i = 0; i < sequence.frames.size(); ++i)
-        if (sequence.frames[i].time_s == sequence.world_from_vehicle.time_s[pose])
-            frames.push_back(
-                {static_cast<int>(i), thin_rays(sequence, static_cast<int>(i), options, kThin_m), {}});
-    std::erase_if(frames, [](const FrameRays& f) { return f.rays.empty(); });
-    for (FrameRays& f : frames) {
+        if (sequence.frames[i].time_s == sequence.world_from_vehicle.time_s[pose_index])
+            frames.push_back({static_cast<int>(i),
+                              select_one_return_per_cell(sequence, static_cast<int>(i), options, kThin_m),
+                              {}});
+    std::erase_if(frames, [](const SelectedFrameRays& f) { return f.rays.empty(); });
+    for (SelectedFrameRays& f : frames) {
         f.points.resize(f.rays.size());
-        for_each_block(f.rays.size(), [&](std::size_t index) {
-            f.points[index] =
-                make_thin_point(sequence, sequence.world_from_vehicle, pose, f.position, f.rays[index]);
+        parallel_for_in_blocks(f.rays.size(), [&](std::size_t index) {
+            f.points[index] = make_point_on_track(sequence, sequence.world_from_vehicle, pose_index,
+                                                  f.position, f.rays[index]);
         });
     }
     return frames;
@@ -49,43 +50,48 @@ std::vector<FrameRays> list_rays_at(const Sequence& sequence, std::size_t pose,
 
 }  // namespace
 
-ScanPlacement place_scan(const Sequence& sequence, std::size_t pose, const SceneView& view,
-                         const RegisterOptions& options) {
+ScanAlignment align_scan_with_scene(const LidarSequence& sequence, std::size_t pose_index,
+                                    const SceneRayCaster& scene_view, const RegistrationOptions& options) {
     PoseTrack track = sequence.world_from_vehicle;
-    const Pose before = track.pose[pose];
-    ScanPlacement result{before, 0.0, 0.0, false};
-    const std::vector<FrameRays> frames = list_rays_at(sequence, pose, options);
+    const Pose before = track.pose[pose_index];
+    ScanAlignment result{before, 0.0, 0.0, false};
+    const std::vector<SelectedFrameRays> frames = select_rays_at_pose(sequence, pose_index, options);
     std::size_t n = 0;
-    for (const FrameRays& f : frames) n += f.rays.size();
+    for (const SelectedFrameRays& f : frames) n += f.rays.size();
     if (n == 0) return result;
-    double step_m = 2.0 * kPlaceStep_m;
-    for (int i = 0; i < kMostPlaceSteps && step_m > kPlaceStep_m; ++i) {
-        RigidEquations equations;
-        for (const FrameRays& f : frames) {
-            const std::vector<VisibleSurface> seen = view(f.position, f.rays, track);
-            equations += parallel_reduce(seen.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
-                RigidEquations part;
-                for (std::size_t k = begin; k < end; ++k) {
-                    const ThinPoint& point = f.points[k];
-                    if (seen[k].normal == glm::dvec3(0.0)) continue;
-                    part.add(make_plane_residual_row(place_point_in_world(track, point),
-                                                     {seen[k].point_m, seen[k].normal}, kScale_m),
-                             get_pose_share(point, pose));
-                }
-                return part;
-            });
+    double step_m = 2.0 * kConvergedStep_m;
+    for (int i = 0; i < kMaxAlignmentSteps && step_m > kConvergedStep_m; ++i) {
+        SinglePoseEquations equations;
+        for (const SelectedFrameRays& f : frames) {
+            const std::vector<SurfaceHit> surfaces = scene_view(f.position, f.rays, track);
+            equations +=
+                parallel_reduce(surfaces.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+                    SinglePoseEquations part;
+                    for (std::size_t k = begin; k < end; ++k) {
+                        const SubsampledPoint& point = f.points[k];
+                        if (surfaces[k].normal == glm::dvec3(0.0)) continue;
+                        part.add_residual(
+                            compute_plane_residual(transform_point_to_world(track, point),
+                                                   {surfaces[k].point_m, surfaces[k].normal}, kScale_m),
+                            get_pose_weight(point, pose_index));
+                    }
+                    return part;
+                });
         }
         result.on_surfaces = double(equations.count_points_on_planes()) / double(n);
         if (equations.empty()) return result;
-        const Twist step = equations.solve(kPlacePrior, compute_twist(before, track.pose[pose]));
-        track.pose[pose] = apply_twist(track.pose[pose], step);
-        step_m = compute_length_m(step);
+        const Twist step =
+            equations.solve_for_pose_step(kPosePriorWeight, compute_twist(before, track.pose[pose_index]));
+        track.pose[pose_index] = apply_twist(track.pose[pose_index], step);
+        step_m = compute_pose_change_m(step);
     }
-    const double moved_m = glm::distance(before.translation, track.pose[pose].translation);
-    if (!PlaneAdjustment::is_placed(result.on_surfaces, n) || moved_m > options.largest_m) return result;
-    result.world_from_vehicle = track.pose[pose];
+    const double moved_m = glm::distance(before.translation, track.pose[pose_index].translation);
+    if (!PlanePoseAdjustment::has_enough_points_on_planes(result.on_surfaces, n) ||
+        moved_m > options.largest_m)
+        return result;
+    result.world_from_vehicle = track.pose[pose_index];
     result.moved_m = moved_m;
-    result.found = true;
+    result.is_aligned = true;
     return result;
 }
 

@@ -36,40 +36,40 @@ void run_in_chunks(std::size_t count, const Task& task) {
     });
 }
 
-std::vector<PlacedPoint> transform_points_to_world(const PoseTrack& track,
-                                                   const std::vector<ThinPoint>& points) {
-    std::vector<PlacedPoint> placed(points.size());
+std::vector<WorldPointWithOrigin> transform_points_to_world(const PoseTrack& track,
+                                                            const std::vector<SubsampledPoint>& points) {
+    std::vector<WorldPointWithOrigin> placed(points.size());
     run_in_chunks(points.size(), [&](std::size_t begin, std::size_t end, std::size_t) {
-        for (std::size_t i = begin; i < end; ++i) placed[i] = place_point_in_world(track, points[i]);
+        for (std::size_t i = begin; i < end; ++i) placed[i] = transform_point_to_world(track, points[i]);
     });
     return placed;
 }
 
-Twist extract_twist(const Eigen::VectorXd& step, std::size_t pose) {
+Twist get_twist_of_pose(const Eigen::VectorXd& stacked_twists, std::size_t pose_index) {
     Twist twist;
-    for (std::size_t i = 0; i < 6; ++i) twist[i] = step[Eigen::Index(6 * pose + i)];
+    for (std::size_t i = 0; i < 6; ++i) twist[i] = stacked_twists[Eigen::Index(6 * pose_index + i)];
     return twist;
 }
 
-Eigen::VectorXd compute_pose_differences(const PoseTrack& first, const PoseTrack& second) {
-    Eigen::VectorXd result(6 * Eigen::Index(first.pose.size()));
-    for (std::size_t k = 0; k < first.pose.size(); ++k) {
-        const Twist twist = compute_twist(first.pose[k], second.pose[k]);
+Eigen::VectorXd compute_twists_between_tracks(const PoseTrack& first_track, const PoseTrack& second_track) {
+    Eigen::VectorXd result(6 * Eigen::Index(first_track.pose.size()));
+    for (std::size_t k = 0; k < first_track.pose.size(); ++k) {
+        const Twist twist = compute_twist(first_track.pose[k], second_track.pose[k]);
         for (std::size_t i = 0; i < 6; ++i) result[Eigen::Index(6 * k + i)] = twist[i];
     }
     return result;
 }
 
 /// Fits a plane in each cell with points from at least two sweeps.
-std::vector<std::optional<Plane>> fit_planes(const PlaneCells& cells, const std::vector<ThinPoint>& points,
-                                             const std::vector<PlacedPoint>& placed,
-                                             const RegisterRound& round) {
-    std::vector<std::optional<Plane>> planes(cells.size());
+std::vector<std::optional<LocalPlane>> fit_plane_in_each_cell(
+    const PointCellGrid& cells, const std::vector<SubsampledPoint>& points,
+    const std::vector<WorldPointWithOrigin>& world_points, const RegistrationRound& round) {
+    std::vector<std::optional<LocalPlane>> planes(cells.size());
     run_in_chunks(cells.size(), [&](std::size_t begin, std::size_t end, std::size_t) {
         for (std::size_t c = begin; c < end; ++c) {
-            const std::span<const std::uint32_t> members = cells.members(c);
+            const std::span<const std::uint32_t> members = cells.get_point_indices(c);
             if (points[members.front()].pose != points[members.back()].pose)
-                planes[c] = fit_plane(placed, members, round.cell_m, round.scale_m);
+                planes[c] = fit_plane_robustly(world_points, members, round.cell_m, round.scale_m);
         }
     });
     return planes;
@@ -77,64 +77,69 @@ std::vector<std::optional<Plane>> fit_planes(const PlaneCells& cells, const std:
 
 }  // namespace
 
-const Plane* PlaneMap::at(const glm::dvec3& point_m) const {
-    const std::optional<std::size_t> cell = cells.find(point_m);
+const LocalPlane* PlaneMap::find_plane_at(const glm::dvec3& point_m) const {
+    const std::optional<std::size_t> cell = cells.find_cell_at(point_m);
     return cell && planes[*cell] ? &*planes[*cell] : nullptr;
 }
 
-PlaneAdjustment::PlaneAdjustment(const PoseTrack& initial_track, const PoseTrack& start,
-                                 std::vector<ThinPoint> points, std::vector<bool> gauge)
-    : given_(initial_track), track_(start), points_(std::move(points)), gauge_(std::move(gauge)) {
-    remove_common_motion();
+PlanePoseAdjustment::PlanePoseAdjustment(const PoseTrack& initial_track, const PoseTrack& start,
+                                         std::vector<SubsampledPoint> points, std::vector<bool> gauge)
+    : initial_track_(initial_track), track_(start), points_(std::move(points)), gauge_(std::move(gauge)) {
+    remove_mean_correction();
     start_ = track_;
 }
 
-std::vector<RegisterRound> PlaneAdjustment::run(const RegisterRound& first, const RegisterRound& last,
-                                                const std::function<bool(double done)>& proceed) {
+std::vector<RegistrationRound> PlanePoseAdjustment::run_adjustment_rounds(
+    const RegistrationRound& first_round, const RegistrationRound& last_round,
+    const std::function<bool(double done)>& proceed) {
     constexpr int kRounds = kShrinking + kLastRounds;
-    std::vector<RegisterRound> rounds;
+    std::vector<RegistrationRound> rounds;
     for (int i = 0; i < kRounds && proceed(i / double(kRounds)); ++i)
-        rounds.push_back(
-            step(interpolate_rounds(first, last, std::min(1.0, i / double(kShrinking - 1))), kShift * i));
+        rounds.push_back(run_adjustment_round(
+            interpolate_rounds(first_round, last_round, std::min(1.0, i / double(kShrinking - 1))),
+            kShift * i));
     return rounds;
 }
 
-PlaneMap PlaneAdjustment::planes(const RegisterRound& round) const {
-    const std::vector<PlacedPoint> placed = transform_points_to_world(track_, points_);
-    PlaneMap map{PlaneCells(placed, round.cell_m, 0.0), {}};
-    map.planes = fit_planes(map.cells, points_, placed, round);
+PlaneMap PlanePoseAdjustment::fit_plane_map(const RegistrationRound& round) const {
+    const std::vector<WorldPointWithOrigin> placed = transform_points_to_world(track_, points_);
+    PlaneMap map{PointCellGrid(placed, round.cell_m, 0.0), {}};
+    map.planes = fit_plane_in_each_cell(map.cells, points_, placed, round);
     return map;
 }
 
-RegisterRound PlaneAdjustment::step(RegisterRound round, double shift) {
-    const std::vector<PlacedPoint> placed = transform_points_to_world(track_, points_);
-    const PlaneCells cells(placed, round.cell_m, shift);
-    const std::vector<std::optional<Plane>> planes = fit_planes(cells, points_, placed, round);
+RegistrationRound PlanePoseAdjustment::run_adjustment_round(RegistrationRound round,
+                                                            double grid_shift_cells) {
+    const std::vector<WorldPointWithOrigin> placed = transform_points_to_world(track_, points_);
+    const PointCellGrid cells(placed, round.cell_m, grid_shift_cells);
+    const std::vector<std::optional<LocalPlane>> planes =
+        fit_plane_in_each_cell(cells, points_, placed, round);
     std::vector<PoseEquations> parts(kChunks, PoseEquations(track_.pose.size()));
     run_in_chunks(cells.size(), [&](std::size_t begin, std::size_t end, std::size_t chunk) {
         for (std::size_t c = begin; c < end; ++c)
             if (planes[c])
-                parts[chunk].add_cell_residuals(points_, placed, cells.members(c), *planes[c], round.scale_m);
+                parts[chunk].add_cell_residuals(points_, placed, cells.get_point_indices(c), *planes[c],
+                                                round.scale_m);
     });
-    for (std::size_t c = 1; c < kChunks; ++c) parts[0].add(std::move(parts[c]));
-    if (prior_) add_prior(parts[0]);
+    for (std::size_t c = 1; c < kChunks; ++c) parts[0].add_equations(std::move(parts[c]));
+    if (prior_) add_correction_prior(parts[0]);
     const PoseTrack before = track_;
-    const Eigen::VectorXd step =
-        parts[0].solve(track_, compute_pose_differences(start_, track_), kAdjustmentPrior);
+    const Eigen::VectorXd step = parts[0].solve_for_all_pose_steps(
+        track_, compute_twists_between_tracks(start_, track_), kAdjustmentPrior);
     for (std::size_t k = 0; k < track_.pose.size(); ++k)
-        track_.pose[k] = apply_twist(track_.pose[k], extract_twist(step, k));
-    remove_common_motion();
+        track_.pose[k] = apply_twist(track_.pose[k], get_twist_of_pose(step, k));
+    remove_mean_correction();
     round.planes = parts[0].n_planes();
-    round.residual_m = parts[0].residual_m();
+    round.residual_m = parts[0].compute_rms_residual_m();
     for (std::size_t k = 0; k < track_.pose.size(); ++k)
         round.step_m =
             std::max(round.step_m, glm::length(track_.pose[k].translation - before.pose[k].translation));
     return round;
 }
 
-void PlaneAdjustment::add_prior(PoseEquations& equations) const {
+void PlanePoseAdjustment::add_correction_prior(PoseEquations& equations) const {
     constexpr double kLinkTime_s = 0.1;
-    const Eigen::VectorXd correction = compute_pose_differences(start_, track_);
+    const Eigen::VectorXd correction = compute_twists_between_tracks(start_, track_);
     const auto of_pose = [&](std::size_t index) -> Vector6 {
         return correction.segment<6>(6 * Eigen::Index(index));
     };
@@ -146,7 +151,7 @@ void PlaneAdjustment::add_prior(PoseEquations& equations) const {
     }
 }
 
-void PlaneAdjustment::remove_common_motion() {
+void PlanePoseAdjustment::remove_mean_correction() {
     const auto n = double(std::count(gauge_.begin(), gauge_.end(), true));
     // Removing a mean of rotation vectors is only approximate, so it is repeated three
     // times.
@@ -154,117 +159,127 @@ void PlaneAdjustment::remove_common_motion() {
         glm::dvec3 centre(0.0), v(0.0), w(0.0);
         for (std::size_t k = 0; k < track_.pose.size(); ++k) {
             if (!gauge_[k]) continue;
-            const Twist c = compute_twist(given_.pose[k], track_.pose[k]);
-            centre += given_.pose[k].translation / n;
+            const Twist c = compute_twist(initial_track_.pose[k], track_.pose[k]);
+            centre += initial_track_.pose[k].translation / n;
             v += glm::dvec3(c[0], c[1], c[2]) / n;
             w += glm::dvec3(c[3], c[4], c[5]) / n;
         }
-        const glm::dquat turn = apply_twist(Pose{}, {0, 0, 0, -w.x, -w.y, -w.z}).rotation;
+        const glm::dquat inverse_mean_rotation = apply_twist(Pose{}, {0, 0, 0, -w.x, -w.y, -w.z}).rotation;
         for (Pose& pose : track_.pose)
-            pose = {glm::normalize(turn * pose.rotation), centre + turn * (pose.translation - v - centre)};
+            pose = {glm::normalize(inverse_mean_rotation * pose.rotation),
+                    centre + inverse_mean_rotation * (pose.translation - v - centre)};
     }
 }
 
-std::pair<std::size_t, std::size_t> PlaneAdjustment::find_neighbour_poses(std::size_t pose,
-                                                                          const std::vector<bool>& selected) {
-    std::size_t before = pose, after = pose;
-    for (std::size_t k = pose; k-- > 0 && before == pose;)
-        if (selected[k]) before = k;
-    for (std::size_t k = pose + 1; k < selected.size() && after == pose; ++k)
-        if (selected[k]) after = k;
+std::pair<std::size_t, std::size_t> PlanePoseAdjustment::find_neighbour_poses(
+    std::size_t pose_index, const std::vector<bool>& is_selected) {
+    std::size_t before = pose_index, after = pose_index;
+    for (std::size_t k = pose_index; k-- > 0 && before == pose_index;)
+        if (is_selected[k]) before = k;
+    for (std::size_t k = pose_index + 1; k < is_selected.size() && after == pose_index; ++k)
+        if (is_selected[k]) after = k;
     return {before, after};
 }
 
-double PlaneAdjustment::compute_time_fraction(std::size_t before, std::size_t pose, std::size_t after) const {
-    const std::vector<double>& t = given_.time_s;
-    return (t[pose] - t[before]) / (t[after] - t[before]);
+double PlanePoseAdjustment::compute_time_fraction(std::size_t before_index, std::size_t pose_index,
+                                                  std::size_t after_index) const {
+    const std::vector<double>& t = initial_track_.time_s;
+    return (t[pose_index] - t[before_index]) / (t[after_index] - t[before_index]);
 }
 
-void PlaneAdjustment::interpolate_corrections(const std::vector<bool>& is_known) {
-    const Eigen::VectorXd known = compute_pose_differences(start_, track_);
-    for (std::size_t k = 0; k < is_known.size(); ++k) {
-        if (is_known[k]) continue;
-        auto [before, after] = find_neighbour_poses(k, is_known);
+void PlanePoseAdjustment::interpolate_corrections(const std::vector<bool>& is_correction_known) {
+    const Eigen::VectorXd corrections = compute_twists_between_tracks(start_, track_);
+    for (std::size_t k = 0; k < is_correction_known.size(); ++k) {
+        if (is_correction_known[k]) continue;
+        auto [before, after] = find_neighbour_poses(k, is_correction_known);
         if (before == k && after == k) continue;  // no known pose exists
         if (before == k) before = after;
         if (after == k) after = before;
         const double s = before == after ? 0.0 : compute_time_fraction(before, k, after);
-        Twist twist = extract_twist(known, before);
-        for (std::size_t i = 0; i < 6; ++i) twist[i] += s * (extract_twist(known, after)[i] - twist[i]);
+        Twist twist = get_twist_of_pose(corrections, before);
+        for (std::size_t i = 0; i < 6; ++i)
+            twist[i] += s * (get_twist_of_pose(corrections, after)[i] - twist[i]);
         track_.pose[k] = apply_twist(start_.pose[k], twist);
     }
 }
 
-double PlaneAdjustment::compute_fraction_on_planes(const PlaneMap& map, std::span<const ThinPoint> points,
-                                                   double scale_m) const {
+double PlanePoseAdjustment::compute_fraction_on_planes(const PlaneMap& map,
+                                                       std::span<const SubsampledPoint> points,
+                                                       double kernel_scale_m) const {
     std::size_t n_placed = 0;
-    for (const ThinPoint& point : points) {
-        const PlacedPoint placed = place_point_in_world(track_, point);
-        const Plane* plane = map.at(placed.point_m);
-        n_placed += plane && make_plane_residual_row(placed, *plane, scale_m).is_on_plane();
+    for (const SubsampledPoint& point : points) {
+        const WorldPointWithOrigin placed = transform_point_to_world(track_, point);
+        const LocalPlane* plane = map.find_plane_at(placed.point_m);
+        n_placed += plane && compute_plane_residual(placed, *plane, kernel_scale_m).is_on_plane();
     }
     return points.empty() ? 0.0 : double(n_placed) / double(points.size());
 }
 
-bool PlaneAdjustment::is_placed(double share, std::size_t n_points) {
-    return share >= kFewestOnPlanes && share * double(n_points) >= double(kFewestPlaced);
+bool PlanePoseAdjustment::has_enough_points_on_planes(double fraction_on_planes, std::size_t n_points) {
+    return fraction_on_planes >= kFewestOnPlanes &&
+           fraction_on_planes * double(n_points) >= double(kFewestPlaced);
 }
 
-double PlaneAdjustment::compute_deviation_m(std::size_t pose, const std::vector<bool>& selected) const {
-    const auto [before, after] = find_neighbour_poses(pose, selected);
-    if (before == pose || after == pose) return 0.0;
+double PlanePoseAdjustment::compute_correction_deviation_m(std::size_t pose_index,
+                                                           const std::vector<bool>& is_neighbour) const {
+    const auto [before, after] = find_neighbour_poses(pose_index, is_neighbour);
+    if (before == pose_index || after == pose_index) return 0.0;
     const auto correction = [&](std::size_t index) {
-        return track_.pose[index].translation - given_.pose[index].translation;
+        return track_.pose[index].translation - initial_track_.pose[index].translation;
     };
     const glm::dvec3 between =
-        glm::mix(correction(before), correction(after), compute_time_fraction(before, pose, after));
+        glm::mix(correction(before), correction(after), compute_time_fraction(before, pose_index, after));
     // If the given poses jump, one of the neighbours has the same jump. The minimum over
     // both neighbours ignores it.
-    double least = glm::distance(correction(pose), between);
+    double least = glm::distance(correction(pose_index), between);
     for (const std::size_t neighbour : {before, after})
-        least = std::min(least, glm::distance(correction(pose), correction(neighbour)));
+        least = std::min(least, glm::distance(correction(pose_index), correction(neighbour)));
     return least;
 }
 
-std::vector<std::size_t> PlaneAdjustment::replace_lost_poses(const PlaneMap& map,
-                                                             const std::vector<bool>& candidates,
-                                                             double scale_m, double largest_m) {
-    std::vector<std::span<const ThinPoint>> scans(candidates.size());
+std::vector<std::size_t> PlanePoseAdjustment::replace_lost_poses(const PlaneMap& map,
+                                                                 const std::vector<bool>& is_candidate,
+                                                                 double kernel_scale_m,
+                                                                 double max_deviation_m) {
+    std::vector<std::span<const SubsampledPoint>> scans(is_candidate.size());
     for (std::size_t k = 0, begin = 0, end = 0; k < scans.size(); ++k, begin = end) {
         while (end < points_.size() && points_[end].pose == k) ++end;
         scans[k] = std::span(points_).subspan(begin, end - begin);
     }
     std::vector<double> shares(scans.size());
     parallel_for(static_cast<int>(scans.size()), [&](int k) {
-        shares[std::size_t(k)] = compute_fraction_on_planes(map, scans[std::size_t(k)], scale_m);
+        shares[std::size_t(k)] = compute_fraction_on_planes(map, scans[std::size_t(k)], kernel_scale_m);
     });
     std::vector<std::size_t> lost;
-    std::vector<bool> is_known = candidates;
-    for (std::size_t k = 0; k < is_known.size(); ++k) {
-        if (!candidates[k] ||
-            (is_placed(shares[k], scans[k].size()) && compute_deviation_m(k, candidates) <= largest_m))
+    std::vector<bool> is_registered = is_candidate;
+    for (std::size_t k = 0; k < is_registered.size(); ++k) {
+        if (!is_candidate[k] || (has_enough_points_on_planes(shares[k], scans[k].size()) &&
+                                 compute_correction_deviation_m(k, is_candidate) <= max_deviation_m))
             continue;
         lost.push_back(k);
-        is_known[k] = false;
+        is_registered[k] = false;
     }
-    interpolate_corrections(is_known);
+    interpolate_corrections(is_registered);
     return lost;
 }
 
-void PlaneAdjustment::align_pose_to_planes(const PlaneMap& map, std::size_t pose,
-                                           const std::vector<ThinPoint>& points, double scale_m) {
-    const RigidEquations equations =
+void PlanePoseAdjustment::align_pose_to_planes(const PlaneMap& map, std::size_t pose_index,
+                                               const std::vector<SubsampledPoint>& points,
+                                               double kernel_scale_m) {
+    const SinglePoseEquations equations =
         parallel_reduce(points.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
-            RigidEquations part;
-            for (const ThinPoint& point : std::span(points).subspan(begin, end - begin)) {
-                const PlacedPoint placed = place_point_in_world(track_, point);
-                if (const Plane* plane = map.at(placed.point_m))
-                    part.add(make_plane_residual_row(placed, *plane, scale_m), get_pose_share(point, pose));
+            SinglePoseEquations part;
+            for (const SubsampledPoint& point : std::span(points).subspan(begin, end - begin)) {
+                const WorldPointWithOrigin placed = transform_point_to_world(track_, point);
+                if (const LocalPlane* plane = map.find_plane_at(placed.point_m))
+                    part.add_residual(compute_plane_residual(placed, *plane, kernel_scale_m),
+                                      get_pose_weight(point, pose_index));
             }
             return part;
         });
     if (!equations.empty())
-        track_.pose[pose] = apply_twist(track_.pose[pose], equations.solve(kAdjustmentPrior));
+        track_.pose[pose_index] =
+            apply_twist(track_.pose[pose_index], equations.solve_for_pose_step(kAdjustmentPrior));
 }
 
 }  // namespace relidar

@@ -15,82 +15,85 @@ namespace relidar {
 
 /// Planes in the cells of one grid.
 struct PlaneMap {
-    PlaneCells cells;
-    std::vector<std::optional<Plane>> planes;  ///< [cells]
+    PointCellGrid cells;
+    std::vector<std::optional<LocalPlane>> planes;  ///< [cells]
 
     /// Returns the plane of the cell that contains a point, or null if there is none.
-    const Plane* at(const glm::dvec3& point_m) const;
+    const LocalPlane* find_plane_at(const glm::dvec3& point_m) const;
 };
 
 /// Prior for pose corrections. Its weights are relative to the weight of one point.
-struct CorrectionPrior {
+struct PoseCorrectionPrior {
     Vector6 pull = Vector6::Zero();  ///< weight of the term that pulls each correction to zero
     /// weight of the term that makes the corrections of consecutive poses similar, for
     /// poses 0.1 s apart
     Vector6 link = Vector6::Zero();
 };
 
-class PlaneAdjustment {
+class PlanePoseAdjustment {
 public:
     /// Prepares the optimisation of a track.
     /// @param initial_track poses that the corrections refer to
     /// @param start initial poses, accurate enough for the cells of the first round
     /// @param points points of all sweeps, sweep by sweep
     /// @param gauge [poses] true for poses whose mean correction is kept at zero
-    PlaneAdjustment(const PoseTrack& initial_track, const PoseTrack& start, std::vector<ThinPoint> points,
-                    std::vector<bool> gauge);
+    PlanePoseAdjustment(const PoseTrack& initial_track, const PoseTrack& start,
+                        std::vector<SubsampledPoint> points, std::vector<bool> gauge);
 
     /// Runs rounds in which the cell size and the scale of the robust kernel decrease
-    /// from `first` to `last`, and two more rounds with `last`.
+    /// from `first_round` to `last_round`, and two more rounds with `last_round`.
     /// @return statistics of the rounds; fewer rounds if proceed() returned false
-    std::vector<RegisterRound> run(const RegisterRound& first, const RegisterRound& last,
-                                   const std::function<bool(double done)>& proceed);
+    std::vector<RegistrationRound> run_adjustment_rounds(const RegistrationRound& first_round,
+                                                         const RegistrationRound& last_round,
+                                                         const std::function<bool(double done)>& proceed);
     /// Sets the prior for the pose corrections of the next rounds.
-    void set_prior(const CorrectionPrior& prior) { prior_ = prior; }
-    PlaneMap planes(const RegisterRound& round) const;
+    void set_prior(const PoseCorrectionPrior& prior) { prior_ = prior; }
+    PlaneMap fit_plane_map(const RegistrationRound& round) const;
     const PoseTrack& track() const { return track_; }
 
     /// Finds poses that the registration could not determine. Too few points of such a
     /// pose lie on planes, or its correction differs from the neighbouring corrections by
-    /// more than `largest_m`. The corrections of these poses are replaced by
+    /// more than `max_deviation_m`. The corrections of these poses are replaced by
     /// interpolation between the nearest other poses. Poses that are not candidates are
     /// interpolated too.
-    /// @param candidates [poses] poses that have points
+    /// @param is_candidate [poses] poses that have points
     /// @return indices of the replaced candidates
-    std::vector<std::size_t> replace_lost_poses(const PlaneMap& map, const std::vector<bool>& candidates,
-                                                double scale_m, double largest_m);
+    std::vector<std::size_t> replace_lost_poses(const PlaneMap& map, const std::vector<bool>& is_candidate,
+                                                double kernel_scale_m, double max_deviation_m);
     /// Moves one pose by a Gauss-Newton step that moves its points towards fixed planes.
     /// All other poses stay unchanged.
-    void align_pose_to_planes(const PlaneMap& map, std::size_t pose, const std::vector<ThinPoint>& points,
-                              double scale_m);
+    void align_pose_to_planes(const PlaneMap& map, std::size_t pose_index,
+                              const std::vector<SubsampledPoint>& points, double kernel_scale_m);
     /// Returns true if enough points of a scan lie on planes to determine its pose.
-    /// @param share share of the points that lie on planes
-    static bool is_placed(double share, std::size_t n_points);
+    /// @param fraction_on_planes share of the points that lie on planes
+    static bool has_enough_points_on_planes(double fraction_on_planes, std::size_t n_points);
     /// Returns the share of a scan's points that lie on planes of a map.
-    double compute_fraction_on_planes(const PlaneMap& map, std::span<const ThinPoint> points,
-                                      double scale_m) const;
+    double compute_fraction_on_planes(const PlaneMap& map, std::span<const SubsampledPoint> points,
+                                      double kernel_scale_m) const;
     /// Returns the distance in metres between the corrections of a pose and of its
     /// neighbours: the minimum over the earlier neighbour, the later one, and their
     /// interpolation. Returns 0 at an end of the track.
-    /// @param selected [poses] poses that count as neighbours
-    double compute_deviation_m(std::size_t pose, const std::vector<bool>& selected) const;
-    void set_pose(std::size_t pose, const Pose& value) { track_.pose[pose] = value; }
+    /// @param is_neighbour [poses] poses that count as neighbours
+    double compute_correction_deviation_m(std::size_t pose_index,
+                                          const std::vector<bool>& is_neighbour) const;
+    void set_pose(std::size_t pose_index, const Pose& new_pose) { track_.pose[pose_index] = new_pose; }
 
 private:
-    PoseTrack given_, track_, start_;  // start_: poses before the first round
-    std::vector<ThinPoint> points_;
+    PoseTrack initial_track_, track_, start_;  // start_: poses before the first round
+    std::vector<SubsampledPoint> points_;
     std::vector<bool> gauge_;
-    std::optional<CorrectionPrior> prior_;
+    std::optional<PoseCorrectionPrior> prior_;
 
-    RegisterRound step(RegisterRound round, double shift);
-    void add_prior(PoseEquations& equations) const;
-    void remove_common_motion();
-    void interpolate_corrections(const std::vector<bool>& is_known);
-    /// Returns the nearest earlier and the nearest later pose that `selected` marks. If
-    /// one side has none, returns `pose` for this side.
-    static std::pair<std::size_t, std::size_t> find_neighbour_poses(std::size_t pose,
-                                                                    const std::vector<bool>& selected);
-    double compute_time_fraction(std::size_t before, std::size_t pose, std::size_t after) const;
+    RegistrationRound run_adjustment_round(RegistrationRound round, double grid_shift_cells);
+    void add_correction_prior(PoseEquations& equations) const;
+    void remove_mean_correction();
+    void interpolate_corrections(const std::vector<bool>& is_correction_known);
+    /// Returns the nearest earlier and the nearest later pose that `is_selected` marks.
+    /// If one side has none, returns `pose_index` for this side.
+    static std::pair<std::size_t, std::size_t> find_neighbour_poses(std::size_t pose_index,
+                                                                    const std::vector<bool>& is_selected);
+    double compute_time_fraction(std::size_t before_index, std::size_t pose_index,
+                                 std::size_t after_index) const;
 };
 
 }  // namespace relidar

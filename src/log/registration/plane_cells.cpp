@@ -26,68 +26,70 @@ constexpr double kSpreadScale = 0.8;
 // kernel
 constexpr double kInliers = 0.7;
 
-glm::dvec3 vector(const Eigen::Matrix3d& axes, int column) {
-    return {axes(0, column), axes(1, column), axes(2, column)};
+glm::dvec3 get_matrix_column(const Eigen::Matrix3d& matrix, int column) {
+    return {matrix(0, column), matrix(1, column), matrix(2, column)};
 }
 
 /// Fits a plane to weighted points.
 /// @return eigenvalues of the weighted covariance matrix, ascending
-glm::dvec3 fit_once(const std::vector<PlacedPoint>& points, std::span<const std::uint32_t> members,
-                    const std::vector<double>& weight, Plane& plane) {
+glm::dvec3 fit_weighted_plane(const std::vector<WorldPointWithOrigin>& points,
+                              std::span<const std::uint32_t> point_indices,
+                              const std::vector<double>& weights, LocalPlane& plane) {
     double sum = 0.0;
     glm::dvec3 mean(0.0);
-    for (std::size_t i = 0; i < members.size(); ++i) {
-        sum += weight[i];
-        mean += weight[i] * points[members[i]].point_m;
+    for (std::size_t i = 0; i < point_indices.size(); ++i) {
+        sum += weights[i];
+        mean += weights[i] * points[point_indices[i]].point_m;
     }
     mean /= sum;
     Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();
-    for (std::size_t i = 0; i < members.size(); ++i) {
-        const glm::dvec3 d = points[members[i]].point_m - mean;
+    for (std::size_t i = 0; i < point_indices.size(); ++i) {
+        const glm::dvec3 d = points[point_indices[i]].point_m - mean;
         const Eigen::Vector3d e(d.x, d.y, d.z);
-        covariance += weight[i] * e * e.transpose();
+        covariance += weights[i] * e * e.transpose();
     }
     const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(covariance);
     const Eigen::Matrix3d axes = solver.eigenvectors();
     const Eigen::Vector3d values = solver.eigenvalues();
-    plane = {mean, vector(axes, 0), vector(axes, 1), vector(axes, 2)};
+    plane = {mean, get_matrix_column(axes, 0), get_matrix_column(axes, 1), get_matrix_column(axes, 2)};
     return glm::dvec3(values[0], values[1], values[2]) / sum;
 }
 
 }  // namespace
 
-double compute_weight(double residual_m, double scale_m) {
-    const double x = residual_m / scale_m, w = 1.0 / (1.0 + x * x);
+double compute_robust_weight(double residual_m, double kernel_scale_m) {
+    const double x = residual_m / kernel_scale_m, w = 1.0 / (1.0 + x * x);
     return w * w;
 }
 
-std::optional<Plane> fit_plane(const std::vector<PlacedPoint>& points, std::span<const std::uint32_t> members,
-                               double cell_m, double scale_m) {
-    if (members.size() < kFewestPoints) return std::nullopt;
-    std::vector<double> weight(members.size(), 1.0);
-    Plane plane;
+std::optional<LocalPlane> fit_plane_robustly(const std::vector<WorldPointWithOrigin>& points,
+                                             std::span<const std::uint32_t> point_indices, double cell_size_m,
+                                             double kernel_scale_m) {
+    if (point_indices.size() < kFewestPoints) return std::nullopt;
+    std::vector<double> weight(point_indices.size(), 1.0);
+    LocalPlane plane;
     double within = 0.0, spread2 = 0.0;
     for (int i = 0; i < kFits; ++i) {
-        spread2 = fit_once(points, members, weight, plane).y;
+        spread2 = fit_weighted_plane(points, point_indices, weight, plane).y;
         within = 0.0;
-        for (std::size_t k = 0; k < members.size(); ++k) {
-            weight[k] =
-                compute_weight(glm::dot(plane.normal, points[members[k]].point_m - plane.point_m), scale_m);
+        for (std::size_t k = 0; k < point_indices.size(); ++k) {
+            weight[k] = compute_robust_weight(
+                glm::dot(plane.normal, points[point_indices[k]].point_m - plane.point_m), kernel_scale_m);
             within += weight[k] > 0.25;
         }
-        if (within < 0.3 * double(members.size())) return std::nullopt;
+        if (within < 0.3 * double(point_indices.size())) return std::nullopt;
     }
-    const double spread = std::max(kSpread * cell_m, kSpreadScale * scale_m);
-    if (!(spread2 > spread * spread) || within < kInliers * double(members.size())) return std::nullopt;
+    const double spread = std::max(kSpread * cell_size_m, kSpreadScale * kernel_scale_m);
+    if (!(spread2 > spread * spread) || within < kInliers * double(point_indices.size())) return std::nullopt;
     return plane;
 }
 
-PlaneCells::PlaneCells(const std::vector<PlacedPoint>& points, double cell_m, double shift)
+PointCellGrid::PointCellGrid(const std::vector<WorldPointWithOrigin>& points, double cell_m, double shift)
     : cell_m_(cell_m), shift_m_(shift * cell_m), order_(points.size()) {
     // pairs of cell key and point index
     std::vector<std::pair<std::uint64_t, std::uint32_t>> keyed(points.size());
-    for_each_block(points.size(), [&](std::size_t index) {
-        keyed[index] = {key_of(points[index].point_m), static_cast<std::uint32_t>(index)};
+    parallel_for_in_blocks(points.size(), [&](std::size_t index) {
+        keyed[index] = {compute_cell_key(points[index].point_m), static_cast<std::uint32_t>(index)};
     });
     parallel_sort(keyed, std::less<>());
     for (std::size_t i = 0; i < keyed.size(); ++i) {
@@ -99,10 +101,10 @@ PlaneCells::PlaneCells(const std::vector<PlacedPoint>& points, double cell_m, do
     first_.push_back(order_.size());
 }
 
-std::optional<std::size_t> PlaneCells::find(const glm::dvec3& point_m) const {
-    const auto found = std::lower_bound(key_.begin(), key_.end(), key_of(point_m));
-    if (found == key_.end() || *found != key_of(point_m)) return std::nullopt;
-    return std::size_t(found - key_.begin());
+std::optional<std::size_t> PointCellGrid::find_cell_at(const glm::dvec3& point_m) const {
+    const auto matching_key = std::lower_bound(key_.begin(), key_.end(), compute_cell_key(point_m));
+    if (matching_key == key_.end() || *matching_key != compute_cell_key(point_m)) return std::nullopt;
+    return std::size_t(matching_key - key_.begin());
 }
 
 }  // namespace relidar

@@ -16,44 +16,45 @@ namespace relidar {
 
 /// Interpolates cell size and robust-kernel scale geometrically between two rounds: t = 0
 /// gives `first`, t = 1 gives `last`.
-inline RegisterRound interpolate_rounds(const RegisterRound& first, const RegisterRound& last,
-                                        double fraction) {
+inline RegistrationRound interpolate_rounds(const RegistrationRound& first, const RegistrationRound& last,
+                                            double fraction) {
     return {first.cell_m * std::pow(last.cell_m / first.cell_m, fraction),
             first.scale_m * std::pow(last.scale_m / first.scale_m, fraction)};
 }
 
 /// Plane n . (p - point) = 0, with two directions u and v in the plane.
-struct Plane {
+struct LocalPlane {
     glm::dvec3 point_m{0.0};  ///< weighted mean of the points on the plane
     glm::dvec3 normal{0.0}, u{0.0}, v{0.0};
 };
 
 /// Returns the weight of a residual r in a robust fit: rho'(r) / 2r for rho(r) = r^2 / (1
 /// + r^2 / s^2) (Geman and McClure 1985).
-double compute_weight(double residual_m, double scale_m);
+double compute_robust_weight(double residual_m, double kernel_scale_m);
 
 /// Fits a plane to the points of a cell by iteratively reweighted least squares. Returns
 /// nothing if the points do not spread over a surface, or if too many are far from the
 /// plane.
-std::optional<Plane> fit_plane(const std::vector<PlacedPoint>& points, std::span<const std::uint32_t> members,
-                               double cell_m, double scale_m);
+std::optional<LocalPlane> fit_plane_robustly(const std::vector<WorldPointWithOrigin>& points,
+                                             std::span<const std::uint32_t> point_indices, double cell_size_m,
+                                             double kernel_scale_m);
 
 /// Sorts points into the cells of a grid.
-class PlaneCells {
+class PointCellGrid {
 public:
     /// Sorts points by the cells of a grid.
     /// @param shift offset of the grid in cells, so that different grids cut surfaces at
     /// different positions
-    PlaneCells(const std::vector<PlacedPoint>& points, double cell_m, double shift);
+    PointCellGrid(const std::vector<WorldPointWithOrigin>& points, double cell_m, double shift);
 
     std::size_t size() const { return first_.size() - 1; }
     /// Returns the indices of a cell's points, ascending.
-    std::span<const std::uint32_t> members(std::size_t cell) const {
+    std::span<const std::uint32_t> get_point_indices(std::size_t cell) const {
         return {order_.data() + first_[cell], first_[cell + 1] - first_[cell]};
     }
     /// Returns the index of the cell that contains a point, or nothing if the cell is
     /// empty.
-    std::optional<std::size_t> find(const glm::dvec3& point_m) const;
+    std::optional<std::size_t> find_cell_at(const glm::dvec3& point_m) const;
 
 private:
     double cell_m_, shift_m_;
@@ -61,8 +62,8 @@ private:
     std::vector<std::size_t> first_;    ///< [cells + 1] index into order_
     std::vector<std::uint32_t> order_;  ///< [points] indices of the points, sorted by cell
 
-    std::uint64_t key_of(const glm::dvec3& point_m) const {
-        return make_cell_key(point_m + shift_m_, cell_m_);
+    std::uint64_t compute_cell_key(const glm::dvec3& point_m) const {
+        return compute_grid_cell_key(point_m + shift_m_, cell_m_);
     }
 };
 

@@ -29,63 +29,64 @@ Eigen::Vector3d to_eigen(const glm::dvec3& vector) { return {vector.x, vector.y,
 
 /// Returns the two poses between which a point was measured, with their interpolation
 /// weights.
-std::array<std::pair<std::size_t, double>, 2> list_pose_shares(const ThinPoint& point) {
+std::array<std::pair<std::size_t, double>, 2> get_interpolation_weights(const SubsampledPoint& point) {
     return {{{point.left, 1.0 - double(point.s)}, {point.left + 1, double(point.s)}}};
 }
 
 /// Returns the derivatives of a point's residual with respect to the three parameters of
 /// its plane: offset and two tilts.
-Eigen::Vector3d make_row_of_plane(const PlacedPoint& point, const Plane& plane) {
+Eigen::Vector3d compute_plane_derivatives(const WorldPointWithOrigin& point, const LocalPlane& plane) {
     const glm::dvec3 d = point.point_m - plane.point_m;
     return {1.0, glm::dot(plane.u, d), glm::dot(plane.v, d)};
 }
 
 }  // namespace
 
-Row make_plane_residual_row(const PlacedPoint& point, const Plane& plane, double scale_m) {
-    Row row;
+PlaneResidual compute_plane_residual(const WorldPointWithOrigin& point, const LocalPlane& plane,
+                                     double kernel_scale_m) {
+    PlaneResidual row;
     row.residual_m = glm::dot(plane.normal, point.point_m - plane.point_m);
-    row.weight = compute_weight(row.residual_m, scale_m);
+    row.weight = compute_robust_weight(row.residual_m, kernel_scale_m);
     row.j << to_eigen(plane.normal), to_eigen(glm::cross(point.point_m - point.vehicle_m, plane.normal));
     return row;
 }
 
-void RigidEquations::add(const Row& row, double share) {
-    stiffness_ += row.weight * share * share * row.j * row.j.transpose();
-    gradient_ += row.weight * share * row.residual_m * row.j;
+void SinglePoseEquations::add_residual(const PlaneResidual& row, double motion_fraction) {
+    stiffness_ += row.weight * motion_fraction * motion_fraction * row.j * row.j.transpose();
+    gradient_ += row.weight * motion_fraction * row.residual_m * row.j;
     n_on_planes_ += row.is_on_plane();
 }
 
-RigidEquations& RigidEquations::operator+=(const RigidEquations& other) {
+SinglePoseEquations& SinglePoseEquations::operator+=(const SinglePoseEquations& other) {
     stiffness_ += other.stiffness_;
     gradient_ += other.gradient_;
     n_on_planes_ += other.n_on_planes_;
     return *this;
 }
 
-Twist RigidEquations::solve(double prior, const Twist& correction) const {
+Twist SinglePoseEquations::solve_for_pose_step(double prior_weight, const Twist& current_correction) const {
     Matrix6 stiffness = stiffness_;
     Vector6 gradient = gradient_;
-    const double pulls[] = {prior * stiffness_.diagonal().head<3>().mean(),
-                            prior * stiffness_.diagonal().tail<3>().mean()};
+    const double pulls[] = {prior_weight * stiffness_.diagonal().head<3>().mean(),
+                            prior_weight * stiffness_.diagonal().tail<3>().mean()};
     // Metres and radians have different magnitudes, so the prior has a weight for each.
     for (int i = 0; i < 6; ++i) {
         stiffness(i, i) += pulls[i / 3];
-        gradient[i] += pulls[i / 3] * correction[std::size_t(i)];
+        gradient[i] += pulls[i / 3] * current_correction[std::size_t(i)];
     }
     const Vector6 x = -stiffness.llt().solve(gradient);
     return {x[0], x[1], x[2], x[3], x[4], x[5]};
 }
 
-double compute_length_m(const Twist& step) {
-    return glm::length(glm::dvec3(step[0], step[1], step[2])) +
-           10.0 * glm::length(glm::dvec3(step[3], step[4], step[5]));
+double compute_pose_change_m(const Twist& pose_change) {
+    return glm::length(glm::dvec3(pose_change[0], pose_change[1], pose_change[2])) +
+           10.0 * glm::length(glm::dvec3(pose_change[3], pose_change[4], pose_change[5]));
 }
 
-Matrix6 make_motion_matrix(const glm::dvec3& direction) {
+Matrix6 make_twist_transfer_matrix(const glm::dvec3& offset_m) {
     Matrix6 m = Matrix6::Identity();
-    m.topRightCorner<3, 3>() << 0.0, direction.z, -direction.y, -direction.z, 0.0, direction.x, direction.y,
-        -direction.x, 0.0;
+    m.topRightCorner<3, 3>() << 0.0, offset_m.z, -offset_m.y, -offset_m.z, 0.0, offset_m.x, offset_m.y,
+        -offset_m.x, 0.0;
     return m;
 }
 
@@ -94,8 +95,8 @@ PoseEquations::PoseEquations(std::size_t n_poses)
       next_(n_poses, Matrix6::Zero()),
       gradient_(Eigen::VectorXd::Zero(6 * Eigen::Index(n_poses))) {}
 
-void PoseEquations::add_point(const ThinPoint& point, const Row& row) {
-    const auto [a, b] = list_pose_shares(point);
+void PoseEquations::add_point_residual(const SubsampledPoint& point, const PlaneResidual& row) {
+    const auto [a, b] = get_interpolation_weights(point);
     const Matrix6 square = row.weight * row.j * row.j.transpose();
     for (const auto& [pose, share] : {a, b}) {
         if (share == 0.0) continue;
@@ -107,25 +108,25 @@ void PoseEquations::add_point(const ThinPoint& point, const Row& row) {
     weight_ += row.weight;
 }
 
-void PoseEquations::add_cell_residuals(const std::vector<ThinPoint>& points,
-                                       const std::vector<PlacedPoint>& placed,
-                                       std::span<const std::uint32_t> members, const Plane& plane,
-                                       double scale_m) {
+void PoseEquations::add_cell_residuals(const std::vector<SubsampledPoint>& points,
+                                       const std::vector<WorldPointWithOrigin>& world_points,
+                                       std::span<const std::uint32_t> point_indices, const LocalPlane& plane,
+                                       double kernel_scale_m) {
     const std::size_t begin = couplings_.size();
     // Searches from the end, because points are almost sorted by pose.
-    const auto coupling = [&](std::size_t pose) -> Coupling& {
+    const auto coupling = [&](std::size_t pose) -> PlanePoseCoupling& {
         for (std::size_t k = couplings_.size(); k-- > begin;)
             if (couplings_[k].pose == pose) return couplings_[k];
         return couplings_.emplace_back(
-            Coupling{static_cast<std::uint32_t>(pose), Eigen::Matrix<float, 6, 3>::Zero()});
+            PlanePoseCoupling{static_cast<std::uint32_t>(pose), Eigen::Matrix<float, 6, 3>::Zero()});
     };
     // Matrix B of the plane's three unknowns. The weights of the plane fit would make the
     // system indefinite, so B uses the current weights of the points.
     Eigen::Matrix3d stiffness = Eigen::Matrix3d::Zero();
     Eigen::Vector3d pull = Eigen::Vector3d::Zero();
-    for (const std::uint32_t i : members) {
-        const Row row = make_plane_residual_row(placed[i], plane, scale_m);
-        const Eigen::Vector3d b = make_row_of_plane(placed[i], plane);
+    for (const std::uint32_t i : point_indices) {
+        const PlaneResidual row = compute_plane_residual(world_points[i], plane, kernel_scale_m);
+        const Eigen::Vector3d b = compute_plane_derivatives(world_points[i], plane);
         stiffness += row.weight * b * b.transpose();
         pull += row.weight * row.residual_m * b;
     }
@@ -134,11 +135,11 @@ void PoseEquations::add_cell_residuals(const std::vector<ThinPoint>& points,
     const auto whitened = [&](const Eigen::Vector3d& b) -> Eigen::Vector3d {
         return root.matrixL().solve(b);
     };
-    for (const std::uint32_t i : members) {
-        const Row row = make_plane_residual_row(placed[i], plane, scale_m);
-        add_point(points[i], row);
-        const Eigen::Vector3d b = whitened(make_row_of_plane(placed[i], plane));
-        for (const auto& [pose, share] : list_pose_shares(points[i]))
+    for (const std::uint32_t i : point_indices) {
+        const PlaneResidual row = compute_plane_residual(world_points[i], plane, kernel_scale_m);
+        add_point_residual(points[i], row);
+        const Eigen::Vector3d b = whitened(compute_plane_derivatives(world_points[i], plane));
+        for (const auto& [pose, share] : get_interpolation_weights(points[i]))
             if (share != 0.0) coupling(pose).c += (share * row.weight * row.j * b.transpose()).cast<float>();
     }
     for (std::size_t k = begin; k < couplings_.size(); ++k)
@@ -148,7 +149,7 @@ void PoseEquations::add_cell_residuals(const std::vector<ThinPoint>& points,
     ++n_planes_;
 }
 
-void PoseEquations::add(PoseEquations&& other) {
+void PoseEquations::add_equations(PoseEquations&& other) {
     for (std::size_t k = 0; k < diagonal_.size(); ++k) {
         diagonal_[k] += other.diagonal_[k];
         next_[k] += other.next_[k];
@@ -162,22 +163,22 @@ void PoseEquations::add(PoseEquations&& other) {
     other = PoseEquations(0);  // frees the memory of `other`
 }
 
-void PoseEquations::add_zero_correction_prior(std::size_t pose, const Vector6& stiffness,
+void PoseEquations::add_zero_correction_prior(std::size_t pose_index, const Vector6& stiffness,
                                               const Vector6& correction) {
-    diagonal_[pose].diagonal() += stiffness;
-    gradient_.segment<6>(6 * Eigen::Index(pose)) += stiffness.cwiseProduct(correction);
+    diagonal_[pose_index].diagonal() += stiffness;
+    gradient_.segment<6>(6 * Eigen::Index(pose_index)) += stiffness.cwiseProduct(correction);
 }
 
-void PoseEquations::add_neighbour_pose_prior(std::size_t pose, const Vector6& stiffness,
+void PoseEquations::add_neighbour_pose_prior(std::size_t pose_index, const Vector6& stiffness,
                                              const Vector6& difference) {
-    diagonal_[pose].diagonal() += stiffness;
-    diagonal_[pose + 1].diagonal() += stiffness;
-    next_[pose].diagonal() -= stiffness;
-    gradient_.segment<6>(6 * Eigen::Index(pose)) -= stiffness.cwiseProduct(difference);
-    gradient_.segment<6>(6 * Eigen::Index(pose + 1)) += stiffness.cwiseProduct(difference);
+    diagonal_[pose_index].diagonal() += stiffness;
+    diagonal_[pose_index + 1].diagonal() += stiffness;
+    next_[pose_index].diagonal() -= stiffness;
+    gradient_.segment<6>(6 * Eigen::Index(pose_index)) -= stiffness.cwiseProduct(difference);
+    gradient_.segment<6>(6 * Eigen::Index(pose_index + 1)) += stiffness.cwiseProduct(difference);
 }
 
-Eigen::VectorXd PoseEquations::times(const Eigen::VectorXd& x) const {
+Eigen::VectorXd PoseEquations::multiply_by_matrix(const Eigen::VectorXd& x) const {
     Eigen::VectorXd y = Eigen::VectorXd::Zero(x.size());
     const auto block = [](auto& vector, std::size_t pose) {
         return vector.template segment<6>(6 * Eigen::Index(pose));
@@ -205,36 +206,37 @@ Eigen::VectorXd PoseEquations::times(const Eigen::VectorXd& x) const {
     return y;
 }
 
-Vector6 PoseEquations::make_prior_diagonal(double prior) const {
+Vector6 PoseEquations::make_prior_diagonal(double prior_weight) const {
     Vector6 mean = Vector6::Zero();
     for (const Matrix6& d : diagonal_) mean += d.diagonal() / double(diagonal_.size());
-    return prior * mean;
+    return prior_weight * mean;
 }
 
 /// Coarse equations, in which groups of consecutive poses move like rigid bodies. The
 /// unknowns are the twist (translation and rotation) of each group about its first pose.
-class GroupMotions {
+class PoseGroupEquations {
 public:
-    GroupMotions(const PoseEquations& equations, const PoseTrack& track, const Vector6& pull)
+    PoseGroupEquations(const PoseEquations& equations, const PoseTrack& track, const Vector6& pull)
         : n_(equations.diagonal_.size()) {
         for (std::size_t k = 0; k < n_; ++k)
-            carry_.push_back(
-                make_motion_matrix(track.pose[k].translation - track.pose[k / kGroup * kGroup].translation));
+            carry_.push_back(make_twist_transfer_matrix(track.pose[k].translation -
+                                                        track.pose[k / kGroup * kGroup].translation));
         for (std::size_t k = 0; k < n_; ++k) {
-            block(k / kGroup, k / kGroup) +=
+            get_or_add_block(k / kGroup, k / kGroup) +=
                 carry_[k].transpose() * (equations.diagonal_[k] + Matrix6(pull.asDiagonal())) * carry_[k];
-            if (k + 1 < n_) add_pair(k, k + 1, carry_[k].transpose() * equations.next_[k] * carry_[k + 1]);
+            if (k + 1 < n_)
+                add_pose_pair(k, k + 1, carry_[k].transpose() * equations.next_[k] * carry_[k + 1]);
         }
         std::size_t begin = 0;
         for (const std::size_t end : equations.plane_end_) {
-            add_plane(std::span(equations.couplings_).subspan(begin, end - begin));
+            add_plane_couplings(std::span(equations.couplings_).subspan(begin, end - begin));
             begin = end;
         }
-        factorise();
+        factorise_matrix();
     }
 
     /// Adds to z the group motions that reduce a residual.
-    void add_solution(const Eigen::VectorXd& residual, Eigen::VectorXd& z) const {
+    void add_group_motions(const Eigen::VectorXd& residual, Eigen::VectorXd& pose_steps) const {
         if (solver_.info() != Eigen::Success) return;
         Eigen::VectorXd sums = Eigen::VectorXd::Zero(6 * Eigen::Index(n_groups()));
         for (std::size_t k = 0; k < n_; ++k)
@@ -242,7 +244,8 @@ public:
                 carry_[k].transpose() * residual.segment<6>(6 * Eigen::Index(k));
         const Eigen::VectorXd motion = solver_.solve(sums);
         for (std::size_t k = 0; k < n_; ++k)
-            z.segment<6>(6 * Eigen::Index(k)) += carry_[k] * motion.segment<6>(6 * Eigen::Index(k / kGroup));
+            pose_steps.segment<6>(6 * Eigen::Index(k)) +=
+                carry_[k] * motion.segment<6>(6 * Eigen::Index(k / kGroup));
     }
 
 private:
@@ -255,30 +258,30 @@ private:
     Eigen::SimplicialLLT<Eigen::SparseMatrix<double>> solver_;
 
     std::size_t n_groups() const { return (n_ + kGroup - 1) / kGroup; }
-    Matrix6& block(std::size_t row, std::size_t column) {
+    Matrix6& get_or_add_block(std::size_t row, std::size_t column) {
         return blocks_.try_emplace({row, column}, Matrix6::Zero()).first->second;
     }
 
-    void add_pair(std::size_t first, std::size_t second, const Matrix6& matrix) {
-        block(first / kGroup, second / kGroup) += matrix;
-        block(second / kGroup, first / kGroup) += matrix.transpose();
+    void add_pose_pair(std::size_t first_pose, std::size_t second_pose, const Matrix6& matrix) {
+        get_or_add_block(first_pose / kGroup, second_pose / kGroup) += matrix;
+        get_or_add_block(second_pose / kGroup, first_pose / kGroup) += matrix.transpose();
     }
 
-    void add_plane(std::span<const PoseEquations::Coupling> couplings) {
+    void add_plane_couplings(std::span<const PoseEquations::PlanePoseCoupling> couplings) {
         std::vector<std::pair<std::size_t, Eigen::Matrix<double, 6, 3>>> groups;
-        for (const PoseEquations::Coupling& coupling : couplings) {
+        for (const PoseEquations::PlanePoseCoupling& coupling : couplings) {
             const std::size_t group = coupling.pose / kGroup;
-            auto found =
+            auto group_entry =
                 std::find_if(groups.begin(), groups.end(), [&](const auto& g) { return g.first == group; });
-            if (found == groups.end())
-                found = groups.insert(groups.end(), {group, Eigen::Matrix<double, 6, 3>::Zero()});
-            found->second += carry_[coupling.pose].transpose() * coupling.c.cast<double>();
+            if (group_entry == groups.end())
+                group_entry = groups.insert(groups.end(), {group, Eigen::Matrix<double, 6, 3>::Zero()});
+            group_entry->second += carry_[coupling.pose].transpose() * coupling.c.cast<double>();
         }
         for (const auto& [row, a] : groups)
-            for (const auto& [column, b] : groups) block(row, column) -= a * b.transpose();
+            for (const auto& [column, b] : groups) get_or_add_block(row, column) -= a * b.transpose();
     }
 
-    void factorise() {
+    void factorise_matrix() {
         std::vector<Eigen::Triplet<double>> entries;
         for (const auto& [at, m] : blocks_)
             for (int r = 0; r < 6; ++r)
@@ -290,28 +293,29 @@ private:
     }
 };
 
-Eigen::VectorXd PoseEquations::solve(const PoseTrack& track, const Eigen::VectorXd& correction,
-                                     double prior) const {
+Eigen::VectorXd PoseEquations::solve_for_all_pose_steps(const PoseTrack& track,
+                                                        const Eigen::VectorXd& current_corrections,
+                                                        double prior_weight) const {
     const std::size_t n = diagonal_.size();
-    const Vector6 pull = make_prior_diagonal(prior);
+    const Vector6 pull = make_prior_diagonal(prior_weight);
     std::vector<Eigen::LLT<Matrix6>> inverse;
     for (const Matrix6& d : diagonal_)
         inverse.emplace_back(d + Matrix6(pull.asDiagonal()) + 1e-12 * Matrix6::Identity());
-    const GroupMotions groups(*this, track, pull);
+    const PoseGroupEquations groups(*this, track, pull);
     const auto preconditioned = [&](const Eigen::VectorXd& r) {
         Eigen::VectorXd z(r.size());
         for (std::size_t k = 0; k < n; ++k)
             z.segment<6>(6 * Eigen::Index(k)) = inverse[k].solve(r.segment<6>(6 * Eigen::Index(k)));
-        groups.add_solution(r, z);
+        groups.add_group_motions(r, z);
         return z;
     };
     const Eigen::VectorXd pulls = pull.replicate(Eigen::Index(n), 1);
     Eigen::VectorXd x = Eigen::VectorXd::Zero(gradient_.size()),
-                    r = -gradient_ - pulls.cwiseProduct(correction), z = preconditioned(r), p = z;
+                    r = -gradient_ - pulls.cwiseProduct(current_corrections), z = preconditioned(r), p = z;
     const double start = r.dot(z);
     double rz = start;
     for (int i = 0; i < kMostIterations && rz > kTolerance * kTolerance * start && rz > 0.0; ++i) {
-        const Eigen::VectorXd q = times(p) + pulls.cwiseProduct(p);
+        const Eigen::VectorXd q = multiply_by_matrix(p) + pulls.cwiseProduct(p);
         const double step = rz / p.dot(q);
         x += step * p;
         r -= step * q;

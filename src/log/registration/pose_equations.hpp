@@ -25,29 +25,30 @@ using Matrix6 = Eigen::Matrix<double, 6, 6>;
 
 /// Distance of a point from a plane (residual), its weight, and its derivatives with
 /// respect to a pose.
-struct Row {
+struct PlaneResidual {
     double residual_m, weight;
     Vector6 j;
     bool is_on_plane() const { return weight > 0.25; }
 };
-Row make_plane_residual_row(const PlacedPoint& point, const Plane& plane, double scale_m);
+PlaneResidual compute_plane_residual(const WorldPointWithOrigin& point, const LocalPlane& plane,
+                                     double kernel_scale_m);
 
 /// Gauss-Newton equations for one pose, while planes and other poses are fixed. Also
 /// counts the points that lie on planes.
-class RigidEquations {
+class SinglePoseEquations {
 public:
     /// Adds the residual of a point.
-    /// @param share how much of the pose's motion the point follows, 0 to 1
-    void add(const Row& row, double share = 1.0);
-    RigidEquations& operator+=(const RigidEquations& other);
+    /// @param motion_fraction how much of the pose's motion the point follows, 0 to 1
+    void add_residual(const PlaneResidual& row, double motion_fraction = 1.0);
+    SinglePoseEquations& operator+=(const SinglePoseEquations& other);
     bool empty() const { return !(stiffness_.trace() > 0.0); }
     std::size_t count_points_on_planes() const { return n_on_planes_; }
     /// Solves the equations for the next step of the pose.
-    /// @param prior weight that pulls the correction to zero, relative to the mean
+    /// @param prior_weight weight that pulls the correction to zero, relative to the mean
     /// weights of translations and of rotations. It matters only in directions that no
     /// point constrains.
-    /// @param correction current correction of the pose
-    Twist solve(double prior, const Twist& correction = {}) const;
+    /// @param current_correction current correction of the pose
+    Twist solve_for_pose_step(double prior_weight, const Twist& current_correction = {}) const;
 
 private:
     Matrix6 stiffness_ = Matrix6::Zero();
@@ -57,12 +58,12 @@ private:
 
 /// Returns the size of a pose change in metres: how far it moves points about ten metres
 /// away.
-double compute_length_m(const Twist& step);
+double compute_pose_change_m(const Twist& pose_change);
 
 /// Returns the 6x6 matrix that converts the twist of a rigid body from one reference
-/// point to another: (v, w) becomes (v + w x `direction`, w).
-/// @param direction second point minus first point
-Matrix6 make_motion_matrix(const glm::dvec3& direction);
+/// point to another: (v, w) becomes (v + w x `offset_m`, w).
+/// @param offset_m second point minus first point
+Matrix6 make_twist_transfer_matrix(const glm::dvec3& offset_m);
 
 /// Normal equations for all poses, summed over the cells of a grid. If partial sums are
 /// added in the order of the cells, the result does not depend on the number of threads.
@@ -70,48 +71,54 @@ class PoseEquations {
 public:
     explicit PoseEquations(std::size_t n_poses);
 
-    void add_point(const ThinPoint& point, const Row& row);
+    void add_point_residual(const SubsampledPoint& point, const PlaneResidual& row);
     /// Adds the residuals of all points in a cell, and eliminates the unknowns of the
     /// cell's plane (Schur complement).
-    void add_cell_residuals(const std::vector<ThinPoint>& points, const std::vector<PlacedPoint>& placed,
-                            std::span<const std::uint32_t> members, const Plane& plane, double scale_m);
-    void add(PoseEquations&& other);
+    void add_cell_residuals(const std::vector<SubsampledPoint>& points,
+                            const std::vector<WorldPointWithOrigin>& world_points,
+                            std::span<const std::uint32_t> point_indices, const LocalPlane& plane,
+                            double kernel_scale_m);
+    void add_equations(PoseEquations&& other);
     /// Adds a prior that pulls the correction of one pose to zero.
-    void add_zero_correction_prior(std::size_t pose, const Vector6& stiffness, const Vector6& correction);
-    /// Adds a prior that makes the corrections of `pose` and `pose + 1` similar.
-    /// @param difference  correction of `pose + 1` minus correction of `pose`
-    void add_neighbour_pose_prior(std::size_t pose, const Vector6& stiffness, const Vector6& difference);
+    void add_zero_correction_prior(std::size_t pose_index, const Vector6& stiffness,
+                                   const Vector6& correction);
+    /// Adds a prior that makes the corrections of `pose_index` and `pose + 1` similar.
+    /// @param difference  correction of `pose + 1` minus correction of `pose_index`
+    void add_neighbour_pose_prior(std::size_t pose_index, const Vector6& stiffness,
+                                  const Vector6& difference);
 
     /// Solves for the step of all poses, [n_poses,6], by conjugate gradients. The
     /// preconditioner consists of the diagonal blocks and a direct solution for rigid
     /// motions of groups of eight poses. Without these groups, the number of iterations
     /// would grow with the length of the log.
     /// @param track the poses
-    /// @param prior weight of the prior that pulls `correction` to zero, as a share of
-    /// the mean diagonal
-    Eigen::VectorXd solve(const PoseTrack& track, const Eigen::VectorXd& correction, double prior) const;
+    /// @param prior_weight weight of the prior that pulls `current_corrections` to zero,
+    /// as a share of the mean diagonal
+    Eigen::VectorXd solve_for_all_pose_steps(const PoseTrack& track,
+                                             const Eigen::VectorXd& current_corrections,
+                                             double prior_weight) const;
 
     std::size_t n_planes() const { return n_planes_; }
-    double residual_m() const { return weight_ > 0.0 ? std::sqrt(cost_ / weight_) : 0.0; }
+    double compute_rms_residual_m() const { return weight_ > 0.0 ? std::sqrt(cost_ / weight_) : 0.0; }
 
 private:
     /// Matrix C L^-T, which couples the unknowns of a plane with a pose. L is the
     /// Cholesky factor of the plane's matrix B = L L^T.
-    struct Coupling {
+    struct PlanePoseCoupling {
         std::uint32_t pose;
         Eigen::Matrix<float, 6, 3> c;
     };
     std::vector<Matrix6> diagonal_, next_;  ///< blocks (k, k) and (k, k + 1) of sum w J J^T
     Eigen::VectorXd gradient_;
-    std::vector<Coupling> couplings_;
+    std::vector<PlanePoseCoupling> couplings_;
     std::vector<std::size_t> plane_end_;  ///< [planes] end of each plane's entries in couplings_
     std::size_t n_planes_ = 0;
     double cost_ = 0.0, weight_ = 0.0;
 
-    Eigen::VectorXd times(const Eigen::VectorXd& solution) const;
+    Eigen::VectorXd multiply_by_matrix(const Eigen::VectorXd& input_vector) const;
     /// Returns the six diagonal terms of the prior that pulls corrections to zero.
-    Vector6 make_prior_diagonal(double prior) const;
-    friend class GroupMotions;
+    Vector6 make_prior_diagonal(double prior_weight) const;
+    friend class PoseGroupEquations;
 };
 
 }  // namespace relidar

@@ -21,7 +21,7 @@ constexpr double kSmallest_m = 1.2;
 // the ground.
 constexpr double kAboveGround_m = 0.25;
 constexpr std::size_t kFewestActorPoints = 200, kFewestPosePoints = 10, kFewestPoses = 4;
-constexpr RegisterRound kFirstActorRound{0.8, 0.2}, kLastActorRound{0.4, 0.05};
+constexpr RegistrationRound kFirstActorRound{0.8, 0.2}, kLastActorRound{0.4, 0.05};
 // A track is replaced only if the share of points on planes increases by at least this
 // value.
 constexpr double kGain = 0.02;
@@ -34,29 +34,31 @@ constexpr double kLongestGap_s = 1.0;
 /// Returns the prior for corrections of labelled poses. It assumes that labels have
 /// errors of 0.15 m and 2 degrees, which change by 0.05 m and 1 degree within 0.1 s.
 /// Points have errors of 0.05 m.
-CorrectionPrior make_correction_prior() {
+PoseCorrectionPrior make_correction_prior() {
     const double pull_m = std::pow(0.05 / 0.15, 2), pull_rad = std::pow(0.05 / 0.035, 2);
     const double link_m = std::pow(0.05 / 0.05, 2), link_rad = std::pow(0.05 / 0.017, 2);
-    CorrectionPrior prior;
+    PoseCorrectionPrior prior;
     prior.pull << pull_m, pull_m, pull_m, pull_rad, pull_rad, pull_rad;
     prior.link << link_m, link_m, link_m, link_rad, link_rad, link_rad;
     return prior;
 }
 
 /// Points of an object, in the frame of its labelled box.
-struct ActorPoints {
-    std::vector<ThinPoint> points;       ///< points; `pose` is the index of the nearest pose in the track
-    std::vector<std::size_t> n_of_pose;  ///< [poses] number of points
+struct BoxFramePoints {
+    std::vector<SubsampledPoint> points;  ///< points; `pose` is the index of the nearest pose in the track
+    std::vector<std::size_t> n_of_pose;   ///< [poses] number of points
 };
 
 /// Collects the training returns inside each labelled box. Loops over returns first, so
 /// that each return is converted to the world frame only once.
 /// @return [boxes] points in the order of frames and rays, sorted by pose
-std::vector<ActorPoints> collect_points(const Sequence& sequence, const std::vector<int>& train_positions,
-                                        const std::vector<BoxTrack*>& boxes) {
-    std::vector<std::vector<std::vector<ThinPoint>>> of_frame(train_positions.size());  // [frames][boxes]
-    parallel_for(static_cast<int>(train_positions.size()), [&](int index) {
-        const Frame& frame = sequence.frames[std::size_t(train_positions[std::size_t(index)])];
+std::vector<BoxFramePoints> collect_actor_points(const LidarSequence& sequence,
+                                                 const std::vector<int>& train_frame_indices,
+                                                 const std::vector<BoxTrack*>& boxes) {
+    std::vector<std::vector<std::vector<SubsampledPoint>>> of_frame(
+        train_frame_indices.size());  // [frames][boxes]
+    parallel_for(static_cast<int>(train_frame_indices.size()), [&](int index) {
+        const LidarFrame& frame = sequence.frames[std::size_t(train_frame_indices[std::size_t(index)])];
         of_frame[std::size_t(index)].resize(boxes.size());
         std::vector<std::size_t> present;
         for (std::size_t b = 0; b < boxes.size(); ++b)
@@ -66,38 +68,40 @@ std::vector<ActorPoints> collect_points(const Sequence& sequence, const std::vec
             const WorldReturn measured = compute_world_return(sequence, frame, ray);
             for (const std::size_t b : present) {
                 const BoxTrack& box = *boxes[b];
-                if (!box.holds(measured.point_m, measured.time_s, kMoverMargin_m)) continue;
-                const glm::dvec3 local_m = inverse(box.world_from_box.at(measured.time_s)) * measured.point_m;
+                if (!box.contains_point(measured.point_m, measured.time_s, kMoverMargin_m)) continue;
+                const glm::dvec3 local_m =
+                    inverse(box.world_from_box.interpolate_pose(measured.time_s)) * measured.point_m;
                 if (local_m.z < -0.5 * box.size_m.z + kAboveGround_m) continue;
-                const TrackPosition at = box.world_from_box.place(measured.time_s);
+                const TrackInterpolation at = box.world_from_box.find_pose_segment(measured.time_s);
                 of_frame[std::size_t(index)][b].push_back(
                     {glm::vec3(local_m), static_cast<float>(at.s), static_cast<std::uint32_t>(at.left),
                      static_cast<std::uint32_t>(at.s < 0.5 ? at.left : at.left + 1)});
             }
         }
     });
-    std::vector<ActorPoints> actors(boxes.size());
+    std::vector<BoxFramePoints> actors(boxes.size());
     for (std::size_t b = 0; b < boxes.size(); ++b) {
-        ActorPoints& actor = actors[b];
+        BoxFramePoints& actor = actors[b];
         for (const auto& frame : of_frame)
             actor.points.insert(actor.points.end(), frame[b].begin(), frame[b].end());
-        std::ranges::stable_sort(actor.points, {}, &ThinPoint::pose);
+        std::ranges::stable_sort(actor.points, {}, &SubsampledPoint::pose);
         actor.n_of_pose.assign(boxes[b]->world_from_box.pose.size(), 0);
-        for (const ThinPoint& point : actor.points) ++actor.n_of_pose[point.pose];
+        for (const SubsampledPoint& point : actor.points) ++actor.n_of_pose[point.pose];
     }
     return actors;
 }
 
 /// Fits a parabola to the nearest poses that have points, up to three on each side, and
-/// returns its pose at the time of `pose`. Returns nothing if one side has no such pose
-/// within a second.
-std::optional<Pose> interpolate_pose(const PoseTrack& track, const std::vector<bool>& has_points,
-                                     std::size_t pose) {
-    const double time_s = track.time_s[pose];
+/// returns its pose at the time of `pose_index`. Returns nothing if one side has no such
+/// pose within a second.
+std::optional<Pose> interpolate_pose_from_neighbours(const PoseTrack& track,
+                                                     const std::vector<bool>& has_points,
+                                                     std::size_t pose_index) {
+    const double time_s = track.time_s[pose_index];
     std::vector<std::size_t> used;
     for (const int step : {-1, 1}) {
         int n = 0;
-        for (auto k = std::ptrdiff_t(pose) + step;
+        for (auto k = std::ptrdiff_t(pose_index) + step;
              k >= 0 && k < std::ptrdiff_t(track.pose.size()) && n < kNeighbours; k += step) {
             if (std::abs(track.time_s[std::size_t(k)] - time_s) > kLongestGap_s) break;
             if (has_points[std::size_t(k)]) used.push_back(std::size_t(k)), ++n;
@@ -120,14 +124,15 @@ std::optional<Pose> interpolate_pose(const PoseTrack& track, const std::vector<b
 }
 
 /// Returns the share of points that lie on planes which several poses observe.
-double compute_fraction_on_planes(const PlaneAdjustment& adjustment, const std::vector<ThinPoint>& points) {
-    return adjustment.compute_fraction_on_planes(adjustment.planes(kLastActorRound), points,
+double compute_actor_fraction_on_planes(const PlanePoseAdjustment& adjustment,
+                                        const std::vector<SubsampledPoint>& points) {
+    return adjustment.compute_fraction_on_planes(adjustment.fit_plane_map(kLastActorRound), points,
                                                  kLastActorRound.scale_m);
 }
 
-PlaneAdjustment make_adjustment(const PoseTrack& track, std::vector<ThinPoint> points,
-                                const std::vector<bool>& has_points) {
-    PlaneAdjustment adjustment(track, track, std::move(points), has_points);
+PlanePoseAdjustment make_actor_adjustment(const PoseTrack& track, std::vector<SubsampledPoint> points,
+                                          const std::vector<bool>& has_points) {
+    PlanePoseAdjustment adjustment(track, track, std::move(points), has_points);
     adjustment.set_prior(make_correction_prior());
     return adjustment;
 }
@@ -138,22 +143,24 @@ PoseTrack make_identity_track(const PoseTrack& track) {
 }
 
 /// Returns true if a box at rest explains the points as well as the registered track.
-bool is_stationary_actor(const BoxTrack& box, const ActorPoints& actor, const std::vector<bool>& has_points,
-                         double registered_share) {
+bool is_stationary_actor(const BoxTrack& box, const BoxFramePoints& actor_points,
+                         const std::vector<bool>& has_points, double registered_fraction) {
     const PoseTrack& track = box.world_from_box;
     const Pose middle = track.pose[track.pose.size() / 2];
     for (const Pose& pose : track.pose)
         if (glm::distance(pose.translation, middle.translation) > kStanding_m) return false;
-    std::vector<ThinPoint> still = actor.points;
-    for (ThinPoint& point : still)
-        point.point_m = glm::vec3(inverse(middle) * place_point_in_world(track, point).point_m);
-    const PlaneAdjustment adjustment = make_adjustment(make_identity_track(track), still, has_points);
-    return compute_fraction_on_planes(adjustment, still) >= registered_share - kGain;
+    std::vector<SubsampledPoint> still = actor_points.points;
+    for (SubsampledPoint& point : still)
+        point.point_m = glm::vec3(inverse(middle) * transform_point_to_world(track, point).point_m);
+    const PlanePoseAdjustment adjustment =
+        make_actor_adjustment(make_identity_track(track), still, has_points);
+    return compute_actor_fraction_on_planes(adjustment, still) >= registered_fraction - kGain;
 }
 
 /// Applies corrections, given in the frame of the box, to the poses of a track.
 /// Interpolates the poses that have no points.
-void apply_corrections(PoseTrack& track, const PoseTrack& corrections, const std::vector<bool>& has_points) {
+void apply_corrections_in_box_frame(PoseTrack& track, const PoseTrack& corrections,
+                                    const std::vector<bool>& has_points) {
     for (std::size_t k = 0; k < track.pose.size(); ++k) {
         track.pose[k] = track.pose[k] * inverse(corrections.pose[k]);
         track.pose[k].rotation = glm::normalize(track.pose[k].rotation);
@@ -161,25 +168,25 @@ void apply_corrections(PoseTrack& track, const PoseTrack& corrections, const std
     const PoseTrack registered = track;
     for (std::size_t k = 0; k < track.pose.size(); ++k)
         if (!has_points[k])
-            if (const std::optional<Pose> pose = interpolate_pose(registered, has_points, k))
+            if (const std::optional<Pose> pose = interpolate_pose_from_neighbours(registered, has_points, k))
                 track.pose[k] = *pose;
 }
 
 /// Registers the track of one box. Keeps the track if the points do not improve its
 /// poses.
-void register_actor(BoxTrack& box, const ActorPoints& actor, ActorRegistration& result,
-                    std::vector<double>& moved_m) {
-    std::vector<bool> has_points(actor.n_of_pose.size());
+void register_actor_track(BoxTrack& box, const BoxFramePoints& actor_points, ActorRegistrationResult& result,
+                          std::vector<double>& moved_distances_m) {
+    std::vector<bool> has_points(actor_points.n_of_pose.size());
     for (std::size_t k = 0; k < has_points.size(); ++k)
-        has_points[k] = actor.n_of_pose[k] >= kFewestPosePoints;
-    if (actor.points.size() < kFewestActorPoints ||
+        has_points[k] = actor_points.n_of_pose[k] >= kFewestPosePoints;
+    if (actor_points.points.size() < kFewestActorPoints ||
         std::ranges::count(has_points, true) < std::ptrdiff_t(kFewestPoses))
         return;
-    PlaneAdjustment adjustment =
-        make_adjustment(make_identity_track(box.world_from_box), actor.points, has_points);
-    const double labelled_share = compute_fraction_on_planes(adjustment, actor.points);
-    adjustment.run(kFirstActorRound, kLastActorRound, [](double) { return true; });
-    const double registered_share = compute_fraction_on_planes(adjustment, actor.points);
+    PlanePoseAdjustment adjustment =
+        make_actor_adjustment(make_identity_track(box.world_from_box), actor_points.points, has_points);
+    const double labelled_share = compute_actor_fraction_on_planes(adjustment, actor_points.points);
+    adjustment.run_adjustment_rounds(kFirstActorRound, kLastActorRound, [](double) { return true; });
+    const double registered_share = compute_actor_fraction_on_planes(adjustment, actor_points.points);
     std::vector<double> lengths_m;
     for (std::size_t k = 0; k < has_points.size(); ++k) {
         const Twist twist = compute_twist(Pose{}, adjustment.track().pose[k]);
@@ -189,32 +196,32 @@ void register_actor(BoxTrack& box, const ActorPoints& actor, ActorRegistration& 
             return;
         if (has_points[k]) lengths_m.push_back(length_m);
     }
-    if (is_stationary_actor(box, actor, has_points, std::max(labelled_share, registered_share))) {
+    if (is_stationary_actor(box, actor_points, has_points, std::max(labelled_share, registered_share))) {
         std::vector<Pose>& poses = box.world_from_box.pose;
         std::fill(poses.begin(), poses.end(), Pose(poses[poses.size() / 2]));
         ++result.n_standing;
         return;
     }
     if (registered_share < labelled_share + kGain) return;
-    apply_corrections(box.world_from_box, adjustment.track(), has_points);
+    apply_corrections_in_box_frame(box.world_from_box, adjustment.track(), has_points);
     ++result.n_registered;
-    moved_m.push_back(lengths_m.empty() ? 0.0 : compute_median(lengths_m));
+    moved_distances_m.push_back(lengths_m.empty() ? 0.0 : compute_median(lengths_m));
 }
 
 }  // namespace
 
-ActorRegistration register_actors(Sequence& sequence, const std::vector<int>& train_positions,
-                                  const Progress& progress) {
-    ActorRegistration result;
+ActorRegistrationResult register_actors(LidarSequence& sequence, const std::vector<int>& train_frame_indices,
+                                        const ProgressReporter& progress) {
+    ActorRegistrationResult result;
     std::vector<double> moved_m;
     std::vector<BoxTrack*> boxes;
     for (BoxTrack& box : sequence.boxes)
         if (box.is_moving() && std::max(box.size_m.x, box.size_m.y) >= kSmallest_m) boxes.push_back(&box);
-    const std::vector<ActorPoints> actors = collect_points(sequence, train_positions, boxes);
+    const std::vector<BoxFramePoints> actors = collect_actor_points(sequence, train_frame_indices, boxes);
     result.n_actors = boxes.size();
     for (std::size_t i = 0; i < boxes.size(); ++i) {
         if (progress) progress("registering actors", double(i) / double(boxes.size()));
-        register_actor(*boxes[i], actors[i], result, moved_m);
+        register_actor_track(*boxes[i], actors[i], result, moved_m);
     }
     result.moved_m = moved_m.empty() ? 0.0 : compute_median(std::move(moved_m));
     return result;

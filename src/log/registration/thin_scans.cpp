@@ -11,111 +11,121 @@
 namespace relidar {
 namespace {
 
-bool is_mover(const RegisterOptions& options, const WorldReturn& world_return) {
+bool is_return_in_mover_box(const RegistrationOptions& options, const WorldReturn& world_return) {
     return std::any_of(options.movers.begin(), options.movers.end(), [&](const BoxTrack& box) {
         return box.is_present(world_return.time_s) &&
-               box.holds(world_return.point_m, world_return.time_s, options.mover_margin_m);
+               box.contains_point(world_return.point_m, world_return.time_s, options.mover_margin_m);
     });
 }
 
 /// Returns the index of the LiDAR with the most returns.
-int find_leading_lidar(const Sequence& sequence) {
+int find_lidar_with_most_returns(const LidarSequence& sequence) {
     std::vector<std::size_t> returns(sequence.lidars.size(), 0);
     if (returns.size() > 1)
-        for (const Frame& frame : sequence.frames)
+        for (const LidarFrame& frame : sequence.frames)
             returns[std::size_t(frame.lidar)] += frame.scan.count_returns();
     return static_cast<int>(std::ranges::max_element(returns) - returns.begin());
 }
 
-std::vector<ThinPoint> thin_sweep_points(const Sequence& sequence, const Sweeps& sweeps, std::size_t sweep,
-                                         const RegisterOptions& options, double cell_m) {
-    std::vector<ThinPoint> points;
-    for (const int position : sweeps.frames[sweep])
-        for (const std::size_t ray : thin_rays(sequence, position, options, cell_m))
-            points.push_back(make_thin_point(sequence, sweeps.track, sweep, position, ray));
+std::vector<SubsampledPoint> downsample_sweep_points(const LidarSequence& sequence,
+                                                     const SweepsToRegister& sweeps, std::size_t sweep_index,
+                                                     const RegistrationOptions& options, double cell_size_m) {
+    std::vector<SubsampledPoint> points;
+    for (const int position : sweeps.frames[sweep_index])
+        for (const std::size_t ray : select_one_return_per_cell(sequence, position, options, cell_size_m))
+            points.push_back(make_point_on_track(sequence, sweeps.track, sweep_index, position, ray));
     return points;
 }
 
 }  // namespace
 
-Sweeps group_frames_by_sweep(const Sequence& sequence) {
-    const PoseTrack& given = sequence.world_from_vehicle;
-    std::vector<std::vector<int>> frames(given.pose.size());
-    std::vector<bool> leads(given.pose.size(), false);
-    const int leader = find_leading_lidar(sequence);
+SweepsToRegister group_frames_into_sweeps(const LidarSequence& sequence) {
+    const PoseTrack& vehicle_track = sequence.world_from_vehicle;
+    std::vector<std::vector<int>> frames(vehicle_track.pose.size());
+    std::vector<bool> leads(vehicle_track.pose.size(), false);
+    const int leader = find_lidar_with_most_returns(sequence);
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
         const std::size_t pose = sequence.get_pose_index(sequence.frames[i]);
         frames[pose].push_back(static_cast<int>(i));
         if (sequence.frames[i].lidar == leader) leads[pose] = true;
     }
-    Sweeps sweeps;
+    SweepsToRegister sweeps;
     for (std::size_t pose = 0; pose < leads.size(); ++pose) {
         if (!leads[pose]) continue;
-        sweeps.track.time_s.push_back(given.time_s[pose]);
-        sweeps.track.pose.push_back(given.pose[pose]);
+        sweeps.track.time_s.push_back(vehicle_track.time_s[pose]);
+        sweeps.track.pose.push_back(vehicle_track.pose[pose]);
         sweeps.pose.push_back(pose);
         sweeps.frames.push_back(std::move(frames[pose]));
     }
     return sweeps;
 }
 
-PoseTrack apply_correction_to_track(const PoseTrack& initial_track, const Sweeps& sweeps,
+PoseTrack apply_correction_to_track(const PoseTrack& initial_track, const SweepsToRegister& sweeps,
                                     const PoseTrack& corrected_track) {
     PoseTrack all = initial_track;
     for (std::size_t pose = 0; pose < all.pose.size(); ++pose) {
         const double t_s = all.time_s[pose];
-        all.pose[pose] = corrected_track.at(t_s) * (inverse(sweeps.track.at(t_s)) * initial_track.pose[pose]);
+        all.pose[pose] = corrected_track.interpolate_pose(t_s) *
+                         (inverse(sweeps.track.interpolate_pose(t_s)) * initial_track.pose[pose]);
         all.pose[pose].rotation = glm::normalize(all.pose[pose].rotation);
     }
     for (std::size_t k = 0; k < sweeps.pose.size(); ++k) all.pose[sweeps.pose[k]] = corrected_track.pose[k];
     return all;
 }
 
-std::vector<std::size_t> thin_rays(const Sequence& sequence, int position, const RegisterOptions& options,
-                                   double cell_m) {
-    const Frame& frame = sequence.frames[std::size_t(position)];
+std::vector<std::size_t> select_one_return_per_cell(const LidarSequence& sequence, int frame_index,
+                                                    const RegistrationOptions& options, double cell_size_m) {
+    const LidarFrame& frame = sequence.frames[std::size_t(frame_index)];
     const Scan& scan = frame.scan;
-    std::unordered_set<std::uint64_t> taken;
+    std::unordered_set<std::uint64_t> occupied_cells;
     std::vector<std::size_t> rays;
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
         if (!(scan.range_m[ray] > 0.0f)) continue;
-        const std::uint64_t cell = make_cell_key(scan.point(ray), cell_m);
-        if (taken.contains(cell) || is_mover(options, compute_world_return(sequence, frame, ray))) continue;
-        taken.insert(cell);
+        const std::uint64_t cell = compute_grid_cell_key(scan.compute_end_point(ray), cell_size_m);
+        if (occupied_cells.contains(cell) ||
+            is_return_in_mover_box(options, compute_world_return(sequence, frame, ray)))
+            continue;
+        occupied_cells.insert(cell);
         rays.push_back(ray);
     }
     return rays;
 }
 
-ThinPoint make_thin_point(const Sequence& sequence, const PoseTrack& track, std::size_t pose, int position,
-                          std::size_t ray) {
-    const Frame& frame = sequence.frames[std::size_t(position)];
+SubsampledPoint make_point_on_track(const LidarSequence& sequence, const PoseTrack& track,
+                                    std::size_t pose_index, int frame_index, std::size_t ray) {
+    const LidarFrame& frame = sequence.frames[std::size_t(frame_index)];
     const RayTable& rays = frame.scan.rays;
-    const TrackPosition at = track.place(compute_world_return(sequence, frame, ray).time_s);
+    const TrackInterpolation at = track.find_pose_segment(compute_world_return(sequence, frame, ray).time_s);
     const glm::vec3 in_sensor_m =
         rays.origin[ray] + compute_surface_return(sequence, frame, ray).range_m * rays.direction[ray];
     return {glm::vec3(sequence.get_lidar(frame).vehicle_from_sensor * glm::dvec3(in_sensor_m)),
-            static_cast<float>(at.s), static_cast<std::uint32_t>(at.left), static_cast<std::uint32_t>(pose)};
+            static_cast<float>(at.s), static_cast<std::uint32_t>(at.left),
+            static_cast<std::uint32_t>(pose_index)};
 }
 
-PlacedPoint place_point_in_world(const PoseTrack& track, const ThinPoint& point) {
+WorldPointWithOrigin transform_point_to_world(const PoseTrack& track, const SubsampledPoint& point) {
     const Pose pose = track.pose.size() == 1
                           ? track.pose.front()
                           : interpolate(track.pose[point.left], track.pose[point.left + 1], double(point.s));
     return {pose * glm::dvec3(point.point_m), pose.translation};
 }
 
-double get_pose_share(const ThinPoint& point, std::size_t pose) {
-    return point.left == pose ? 1.0 - double(point.s) : point.left + 1 == pose ? double(point.s) : 0.0;
+double get_pose_weight(const SubsampledPoint& point, std::size_t pose_index) {
+    return point.left == pose_index       ? 1.0 - double(point.s)
+           : point.left + 1 == pose_index ? double(point.s)
+                                          : 0.0;
 }
 
-std::vector<std::vector<ThinPoint>> thin_scans(const Sequence& sequence, const Sweeps& sweeps,
-                                               const std::vector<bool>& chosen,
-                                               const RegisterOptions& options, double cell_m) {
-    std::vector<std::vector<ThinPoint>> scans(chosen.size());
+std::vector<std::vector<SubsampledPoint>> downsample_scans(const LidarSequence& sequence,
+                                                           const SweepsToRegister& sweeps,
+                                                           const std::vector<bool>& is_sweep_selected,
+                                                           const RegistrationOptions& options,
+                                                           double cell_size_m) {
+    std::vector<std::vector<SubsampledPoint>> scans(is_sweep_selected.size());
     parallel_for(static_cast<int>(scans.size()), [&](int index) {
         const auto sweep = std::size_t(index);
-        if (chosen[sweep]) scans[sweep] = thin_sweep_points(sequence, sweeps, sweep, options, cell_m);
+        if (is_sweep_selected[sweep])
+            scans[sweep] = downsample_sweep_points(sequence, sweeps, sweep, options, cell_size_m);
     });
     return scans;
 }

@@ -13,31 +13,32 @@
 
 namespace relidar {
 
-class VoxelPlanes {
+class VoxelPlaneMap {
 public:
-    explicit VoxelPlanes(double cell_m) : cell_m_(cell_m) {}
+    explicit VoxelPlaneMap(double cell_m) : cell_m_(cell_m) {}
 
     bool empty() const { return cells_.empty(); }
     /// Adds a point to its cell.
-    /// @param travelled_m distance that the sensor had driven when it measured the point
-    void add(const glm::dvec3& point_m, double travelled_m);
+    /// @param travelled_distance_m distance that the sensor had driven when it measured
+    /// the point
+    void add_point_to_cell(const glm::dvec3& point_m, double travelled_distance_m);
     /// Returns the plane of the cell that contains a point. Returns null if the points of
     /// the cell do not form a plane. Several threads can call this function at the same
     /// time.
-    const Plane* at(const glm::dvec3& point_m) const;
+    const LocalPlane* find_plane_at(const glm::dvec3& point_m) const;
     /// Removes cells whose last point was measured before the sensor had driven
-    /// `travelled_m`.
-    void remove_old_cells(double travelled_m);
+    /// `min_travelled_distance_m`.
+    void remove_cells_before(double min_travelled_distance_m);
 
 private:
-    struct Cell {
-        PlaneSums sums;  ///< sums relative to the centre of the cell
+    struct VoxelPlaneCell {
+        PointMomentSums sums;  ///< sums relative to the centre of the cell
         double travelled_m = 0.0;
         /// number of points when `plane` was fitted; stored after `plane` is written
         mutable std::atomic<double> n_fitted = 0.0;
-        mutable std::optional<Plane> plane;
+        mutable std::optional<LocalPlane> plane;
 
-        bool has_too_many_points() const {
+        bool should_refit_plane() const {
             // The plane is fitted again when the number of points has grown by this
             // factor.
             constexpr double kRefit = 1.1;
@@ -45,12 +46,12 @@ private:
         }
     };
     double cell_m_;
-    std::unordered_map<std::uint64_t, Cell> cells_;
+    std::unordered_map<std::uint64_t, VoxelPlaneCell> cells_;
 
-    glm::dvec3 centre(const glm::dvec3& point_m) const {
+    glm::dvec3 compute_cell_centre(const glm::dvec3& point_m) const {
         return (glm::floor(point_m / cell_m_) + 0.5) * cell_m_;
     }
-    void fit(const Cell& cell, const glm::dvec3& centre_m) const;
+    void refit_cell_plane(const VoxelPlaneCell& cell, const glm::dvec3& cell_centre_m) const;
 };
 
 }  // namespace relidar

@@ -16,7 +16,7 @@
 namespace relidar {
 
 const BasicChannels& get_basic_channels() {
-    using enum ChannelJoin;
+    using enum ChannelMergeRule;
     static const BasicChannels channels = {
         .range = {.name = "range",
                   .unit = "m",
@@ -46,7 +46,7 @@ const BasicChannels& get_basic_channels() {
     return channels;
 }
 
-std::vector<ChannelInfo> list_file_channels() {
+std::vector<ChannelInfo> list_channels_written_to_files() {
     const auto& [range, median_range, mean_range, intensity, drop_prob, weight, time, ring, instance] =
         get_basic_channels();
     return {range, median_range, intensity, drop_prob, weight, time, ring, instance};
@@ -73,7 +73,7 @@ const std::vector<ChannelInfo>& get_optional_channels() {
          .of_ray = true},
         {.name = "surfel_drop_prob",
          .meaning = "`drop_prob` before the ray-drop network",
-         .join = ChannelJoin::drop,
+         .join = ChannelMergeRule::drop,
          .none = 1.0},
         {.name = "source",
          .meaning = "cause of the point: 0 surface, 1 fog, 2 rain, 3 snow, 4 mirrored by wet ground, 5 sun, "
@@ -83,32 +83,33 @@ const std::vector<ChannelInfo>& get_optional_channels() {
     return channels;
 }
 
-std::vector<std::string> list_optional_channels() {
+std::vector<std::string> list_optional_channel_names() {
     std::vector<std::string> names;
     for (const ChannelInfo& channel : get_optional_channels()) names.push_back(channel.name);
     return names;
 }
 
-std::vector<ChannelInfo> parse_channels(const std::string& names) {
-    std::vector<ChannelInfo> wanted;
-    for (const std::string& name : split_words(names)) {
-        const auto found = std::ranges::find(get_optional_channels(), name, &ChannelInfo::name);
-        if (found == get_optional_channels().end()) {
-            const std::vector<std::string> known = list_optional_channels();
-            throw UsageError(fmt::format("the channel \"{}\" is unknown{}, expected some of {}",
-                                         make_excerpt(name), suggest_name(name, known),
-                                         fmt::join(known, ", ")));
+std::vector<ChannelInfo> parse_channel_names(const std::string& comma_separated_names) {
+    std::vector<ChannelInfo> requested_channels;
+    for (const std::string& name : split_comma_separated_list(comma_separated_names)) {
+        const auto matching_channel = std::ranges::find(get_optional_channels(), name, &ChannelInfo::name);
+        if (matching_channel == get_optional_channels().end()) {
+            const std::vector<std::string> channel_names = list_optional_channel_names();
+            throw UsageError(fmt::format(
+                "the channel \"{}\" is unknown{}, expected some of {}", shorten_for_error_message(name),
+                format_name_suggestion(name, channel_names), fmt::join(channel_names, ", ")));
         }
-        if (std::ranges::find(wanted, name, &ChannelInfo::name) == wanted.end()) wanted.push_back(*found);
+        if (std::ranges::find(requested_channels, name, &ChannelInfo::name) == requested_channels.end())
+            requested_channels.push_back(*matching_channel);
     }
-    return wanted;
+    return requested_channels;
 }
 
-std::size_t size(const ChannelValues& values) {
+std::size_t count_channel_values(const ChannelValues& values) {
     return std::visit([](const auto& v) { return v.size(); }, values);
 }
 
-std::vector<ScanChannel> copy_without_values(const std::vector<ScanChannel>& channels) {
+std::vector<ScanChannel> copy_channels_without_values(const std::vector<ScanChannel>& channels) {
     std::vector<ScanChannel> result;
     for (const auto& [info, values, second] : channels)
         result.push_back(
@@ -117,41 +118,44 @@ std::vector<ScanChannel> copy_without_values(const std::vector<ScanChannel>& cha
     return result;
 }
 
-std::vector<ChannelNumber> list_channel_numbers(const std::vector<ScanChannel>& channels,
-                                                const std::string& joint) {
-    std::vector<ChannelNumber> numbers;
+std::vector<ChannelColumn> list_channel_columns(const std::vector<ScanChannel>& channels,
+                                                const std::string& axis_separator) {
+    std::vector<ChannelColumn> numbers;
     for (const auto& [info, values, second] : channels) {
         if (std::holds_alternative<std::vector<glm::vec3>>(values))
-            for (const char axis : {'x', 'y', 'z'}) numbers.push_back({info.name + joint + axis, false});
+            for (const char axis : {'x', 'y', 'z'})
+                numbers.push_back({info.name + axis_separator + axis, false});
         else numbers.push_back({info.name, std::holds_alternative<std::vector<std::int32_t>>(values)});
     }
     return numbers;
 }
 
-void append_channel_values(std::string& bytes, const std::vector<ScanChannel>& channels, std::size_t index) {
+void append_channel_values(std::string& bytes, const std::vector<ScanChannel>& channels,
+                           std::size_t element_index) {
     for (const ScanChannel& channel : channels)
-        std::visit([&](const auto& values) { append(bytes, values[index]); }, channel.values);
+        std::visit([&](const auto& values) { append_binary_value(bytes, values[element_index]); },
+                   channel.values);
 }
 
 void append_return_value(ScanChannel& point_channel, const ScanChannel& ray_channel, std::size_t ray,
-                         int number) {
+                         int return_number) {
     const ChannelInfo& channel = ray_channel.info;
     const auto append_one = [&]<class T>(const std::vector<T>& values) {
-        const auto* second = number == 2 && size(ray_channel.second) > 0
+        const auto* second = return_number == 2 && count_channel_values(ray_channel.second) > 0
                                  ? std::get_if<std::vector<T>>(&ray_channel.second)
                                  : nullptr;
         const T other = second           ? (*second)[ray]
                         : channel.of_ray ? values[ray]
                                          : get_missing_value<T>(channel);
-        std::get<std::vector<T>>(point_channel.values).push_back(number == 1 ? values[ray] : other);
+        std::get<std::vector<T>>(point_channel.values).push_back(return_number == 1 ? values[ray] : other);
     };
     std::visit(append_one, ray_channel.values);
 }
 
-void check_channels(const std::vector<ScanChannel>& channels, std::size_t count,
-                    const std::string& description) {
-    std::set<std::string> taken = {"range_2", "intensity_2", "return", "points", "x", "y", "z"};
-    for (const ChannelInfo& basic : list_file_channels()) taken.insert(basic.name);
+void check_channel_names_and_sizes(const std::vector<ScanChannel>& channels, std::size_t expected_size,
+                                   const std::string& element_name) {
+    std::set<std::string> used_names = {"range_2", "intensity_2", "return", "points", "x", "y", "z"};
+    for (const ChannelInfo& basic : list_channels_written_to_files()) used_names.insert(basic.name);
     for (const auto& [info, values, second] : channels) {
         const bool is_word = !info.name.empty() && std::ranges::all_of(info.name, [](char character) {
             return character == '_' || (character >= 'a' && character <= 'z') ||
@@ -160,21 +164,22 @@ void check_channels(const std::vector<ScanChannel>& channels, std::size_t count,
         if (!is_word)
             throw DataError(fmt::format(
                 "channels of {}: the name \"{}\" is invalid, expected lower case letters, digits and _",
-                description, make_excerpt(info.name)));
-        if (!taken.insert(info.name).second)
+                element_name, shorten_for_error_message(info.name)));
+        if (!used_names.insert(info.name).second)
             throw DataError(fmt::format("channels of {}: the name {} occurs twice, expected different names",
-                                        description, info.name));
-        if (size(second) > 0 && !taken.insert(info.name + "_2").second)
+                                        element_name, info.name));
+        if (count_channel_values(second) > 0 && !used_names.insert(info.name + "_2").second)
             throw DataError(
                 fmt::format("channels of {}: the name {}_2 occurs twice, expected different names",
-                            description, info.name));
-        if (size(values) != count)
-            throw DataError(fmt::format("channels of {}: found {} values of {}, expected {}", description,
-                                        size(values), info.name, count));
-        if (size(second) > 0 && (size(second) != count || second.index() != values.index()))
+                            element_name, info.name));
+        if (count_channel_values(values) != expected_size)
+            throw DataError(fmt::format("channels of {}: found {} values of {}, expected {}", element_name,
+                                        count_channel_values(values), info.name, expected_size));
+        if (count_channel_values(second) > 0 &&
+            (count_channel_values(second) != expected_size || second.index() != values.index()))
             throw DataError(fmt::format(
                 "channels of {}: found {} values of {} for second returns, expected {} of the same type",
-                description, size(second), info.name, count));
+                element_name, count_channel_values(second), info.name, expected_size));
     }
 }
 

@@ -22,33 +22,37 @@ constexpr int kTileColumns = 64;  // Number of columns of a tile. Each tile has 
 /// are therefore independent and can run in parallel.
 static_assert(scatter_detail::kAhead <= kTileColumns);
 
-const IntensityScatter::Node& find_tree_leaf(const IntensityScatter& scatter,
-                                             const scatter_detail::Context& context, int row, int column) {
-    const IntensityScatter::Node* node = &scatter.nodes.front();
+const IntensityScatterModel::DecisionTreeNode& find_tree_leaf(
+    const IntensityScatterModel& scatter, const scatter_detail::RayFeatureExtractor& feature_context, int row,
+    int column) {
+    const IntensityScatterModel::DecisionTreeNode* node = &scatter.nodes.front();
     while (node->feature >= 0) {
-        const float asked = context.feature(std::size_t(node->feature), row, column);
-        node = &scatter.nodes[std::size_t(node->child) + (asked <= node->at ? 0 : 1)];
+        const float feature_value = feature_context.compute_feature(std::size_t(node->feature), row, column);
+        node = &scatter.nodes[std::size_t(node->child) + (feature_value <= node->at ? 0 : 1)];
     }
     return *node;
 }
 
 }  // namespace
 
-std::size_t count_scatter_features() { return scatter_detail::kFeatures; }
+std::size_t count_intensity_features() { return scatter_detail::kFeatures; }
 
-std::vector<float> draw_intensities(const IntensityScatter& scatter, const RenderedIntensities& rendered,
-                                    std::span<const std::uint8_t> returns, std::uint64_t seed) {
-    RELIDAR_ASSERT_EQ(returns.size(), std::size_t(rendered.rows) * std::size_t(rendered.columns));
-    std::vector<float> drawn(returns.size(), kNoIntensity);
-    const scatter_detail::Context context(rendered, drawn);
+std::vector<float> draw_random_intensities(const IntensityScatterModel& scatter,
+                                           const RenderedIntensityImage& rendered,
+                                           std::span<const std::uint8_t> return_flags, std::uint64_t seed) {
+    RELIDAR_ASSERT_EQ(return_flags.size(), std::size_t(rendered.rows) * std::size_t(rendered.columns));
+    std::vector<float> drawn(return_flags.size(), kNoIntensity);
+    const scatter_detail::RayFeatureExtractor context(rendered, drawn);
     const auto draw_tile = [&](int row, int tile) {
         const int end = std::min((tile + 1) * kTileColumns, rendered.columns);
         for (int column = tile * kTileColumns; column < end; ++column) {
             const auto i = std::size_t(row) * std::size_t(rendered.columns) + std::size_t(column);
-            if (returns[i] == 0) continue;
-            const IntensityScatter::Node& leaf = find_tree_leaf(scatter, context, row, column);
-            drawn[i] = scatter.values[leaf.first + std::size_t(Random(combine_hashes(seed, i)).uniform() *
-                                                               double(leaf.count))];
+            if (return_flags[i] == 0) continue;
+            const IntensityScatterModel::DecisionTreeNode& leaf =
+                find_tree_leaf(scatter, context, row, column);
+            drawn[i] =
+                scatter.values[leaf.first + std::size_t(Random(hash_integer_pair(seed, i)).draw_uniform() *
+                                                        double(leaf.count))];
         }
     };
     const int n_tiles = (rendered.columns + kTileColumns - 1) / kTileColumns;

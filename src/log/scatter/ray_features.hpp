@@ -17,122 +17,131 @@
 namespace relidar::scatter_detail {
 
 /// Offset from a ray to another ray of the image. Negative rows are above the ray.
-struct Step {
+struct RayOffset {
     int rows, columns;
 };
 /// Rectangle of rays near a ray, given by its first and last offset.
-struct Window {
-    Step first, last;
+struct RayWindow {
+    RayOffset first, last;
 };
 
-constexpr std::array<Step, 4> kBeside{{{0, -1}, {0, 1}, {-1, 0}, {1, 0}}};
-constexpr std::array<Window, 2> kSmoothed{{{{0, -4}, {0, 4}}, {{-2, 0}, {2, 0}}}};
+constexpr std::array<RayOffset, 4> kBeside{{{0, -1}, {0, 1}, {-1, 0}, {1, 0}}};
+constexpr std::array<RayWindow, 2> kSmoothed{{{{0, -4}, {0, 4}}, {{-2, 0}, {2, 0}}}};
 /// Offsets of earlier rays whose residuals (measured minus rendered intensity) are
 /// features. Neighbouring lasers fire alternately, so rays two steps away are more
 /// similar than direct neighbours.
-constexpr std::array<Step, 7> kResiduals{{{0, -1}, {0, -2}, {0, -3}, {0, -4}, {-1, 0}, {-2, 0}, {-4, 0}}};
-constexpr std::array<Step, 10> kLevels{
+constexpr std::array<RayOffset, 7> kResiduals{
+    {{0, -1}, {0, -2}, {0, -3}, {0, -4}, {-1, 0}, {-2, 0}, {-4, 0}}};
+constexpr std::array<RayOffset, 10> kLevels{
     {{0, -1}, {0, -2}, {0, -3}, {0, -4}, {-1, -1}, {-1, 0}, {-1, 1}, {-2, -1}, {-2, 0}, {-2, 1}}};
-constexpr std::array<Window, 5> kMeans{
+constexpr std::array<RayWindow, 5> kMeans{
     {{{0, -2}, {0, -1}}, {{0, -4}, {0, -1}}, {{0, -8}, {0, -1}}, {{-1, -2}, {-1, 2}}, {{-3, -3}, {-1, 3}}}};
-constexpr std::array<Window, 2> kSizes{{{{0, -8}, {0, -1}}, {{-2, -3}, {-1, 3}}}};
+constexpr std::array<RayWindow, 2> kSizes{{{{0, -8}, {0, -1}}, {{-2, -3}, {-1, 3}}}};
 
 /// In the rows above, features use rays up to this many columns to the right.
 constexpr int kAhead = 3;
-static_assert(std::ranges::all_of(kMeans, [](const Window& w) {
+static_assert(std::ranges::all_of(kMeans, [](const RayWindow& w) {
     return w.last.columns <= (w.last.rows < 0 ? kAhead : -1);
 }));
-static_assert(std::ranges::all_of(kSizes, [](const Window& w) {
+static_assert(std::ranges::all_of(kSizes, [](const RayWindow& w) {
     return w.last.columns <= (w.last.rows < 0 ? kAhead : -1);
 }));
-static_assert(std::ranges::all_of(kLevels,
-                                  [](const Step& s) { return s.columns <= (s.rows < 0 ? kAhead : -1); }));
-static_assert(std::ranges::all_of(kResiduals,
-                                  [](const Step& s) { return s.columns <= (s.rows < 0 ? kAhead : -1); }));
+static_assert(std::ranges::all_of(kLevels, [](const RayOffset& s) {
+    return s.columns <= (s.rows < 0 ? kAhead : -1);
+}));
+static_assert(std::ranges::all_of(kResiduals, [](const RayOffset& s) {
+    return s.columns <= (s.rows < 0 ? kAhead : -1);
+}));
 
-constexpr std::size_t kOwn = 5;  // intensity, range, spread, cosine, elevation
-constexpr std::size_t kFeatures = kOwn + 2 * kBeside.size() + kSmoothed.size() + kResiduals.size() +
-                                  kLevels.size() + kMeans.size() + kSizes.size();
-using Features = std::array<float, kFeatures>;
+constexpr std::size_t kRenderedFeatures = 5;  // intensity, range, spread, cosine, elevation
+constexpr std::size_t kFeatures = kRenderedFeatures + 2 * kBeside.size() + kSmoothed.size() +
+                                  kResiduals.size() + kLevels.size() + kMeans.size() + kSizes.size();
+using RayFeatures = std::array<float, kFeatures>;
 
 /// Computes the features of rays in a scan in which some intensities are known already.
-class Context {
+class RayFeatureExtractor {
 public:
     /// Stores references to the scan and to the known intensities.
-    /// @param known [rows*columns] kNoIntensity where the intensity is unknown; the
-    /// caller may fill in values later
-    Context(const RenderedIntensities& rendered, std::span<const float> known)
-        : scan_(rendered), known_(known) {}
+    /// @param known_intensity [rows*columns] kNoIntensity where the intensity is unknown;
+    /// the caller may fill in values later
+    RayFeatureExtractor(const RenderedIntensityImage& rendered, std::span<const float> known)
+        : scan_(rendered), known_intensities_(known) {}
 
-    Features of(int row, int column) const {
-        Features result;
-        for (std::size_t k = 0; k < kFeatures; ++k) result[k] = feature(k, row, column);
+    RayFeatures compute_all_features(int row, int column) const {
+        RayFeatures result;
+        for (std::size_t k = 0; k < kFeatures; ++k) result[k] = compute_feature(k, row, column);
         return result;
     }
 
     /// Returns feature k, counted in the order of the lists above. Computing single
     /// features is faster, because a path through the decision tree needs only a few.
-    float feature(std::size_t k, int row, int column) const {
-        const auto at = [&](Step s) {
-            return index(std::clamp(row + s.rows, 0, scan_.rows - 1), column + s.columns);
+    float compute_feature(std::size_t feature_index, int row, int column) const {
+        const auto at = [&](RayOffset s) {
+            return get_pixel_index(std::clamp(row + s.rows, 0, scan_.rows - 1), column + s.columns);
         };
         // The image is not continued to the left of column 0, so that each row can be
         // drawn from left to right.
-        const auto level = [&](Step s) {
-            return row + s.rows < 0 || column + s.columns < 0 ? kNoIntensity : known_[at(s)];
+        const auto level = [&](RayOffset s) {
+            return row + s.rows < 0 || column + s.columns < 0 ? kNoIntensity : known_intensities_[at(s)];
         };
-        const auto residual = [&](Step s) {
-            const float known = level(s);
-            return known == kNoIntensity ? known : known - scan_.intensity[at(s)];
+        const auto residual = [&](RayOffset s) {
+            const float known_intensity = level(s);
+            return known_intensity == kNoIntensity ? known_intensity
+                                                   : known_intensity - scan_.intensity[at(s)];
         };
-        const auto size = [&](Step s) {
+        const auto size = [&](RayOffset s) {
             const float r = residual(s);
             return r == kNoIntensity ? r : std::abs(r);
         };
         /// Returns true if feature k is in the next list, which has `count` features.
         /// Otherwise subtracts `count` from k.
-        const auto is_of = [&](std::size_t count) { return k < count || (k -= count, false); };
-        if (is_of(kOwn)) return get_own_feature(k, index(row, column));
-        if (is_of(kBeside.size())) return scan_.intensity[at(kBeside[k])];
-        if (is_of(kBeside.size())) return compute_steepness(at(kBeside[k]), index(row, column));
+        const auto is_of = [&](std::size_t count) {
+            return feature_index < count || (feature_index -= count, false);
+        };
+        if (is_of(kRenderedFeatures))
+            return get_rendered_feature(feature_index, get_pixel_index(row, column));
+        if (is_of(kBeside.size())) return scan_.intensity[at(kBeside[feature_index])];
+        if (is_of(kBeside.size()))
+            return compute_log_range_ratio(at(kBeside[feature_index]), get_pixel_index(row, column));
         if (is_of(kSmoothed.size()))
-            return mean(kSmoothed[k], [&](Step s) { return scan_.intensity[at(s)]; });
-        if (is_of(kResiduals.size())) return residual(kResiduals[k]);
-        if (is_of(kLevels.size())) return level(kLevels[k]);
-        if (is_of(kMeans.size())) return mean(kMeans[k], residual);
-        return mean(kSizes[k], size);
+            return compute_window_mean(kSmoothed[feature_index],
+                                       [&](RayOffset s) { return scan_.intensity[at(s)]; });
+        if (is_of(kResiduals.size())) return residual(kResiduals[feature_index]);
+        if (is_of(kLevels.size())) return level(kLevels[feature_index]);
+        if (is_of(kMeans.size())) return compute_window_mean(kMeans[feature_index], residual);
+        return compute_window_mean(kSizes[feature_index], size);
     }
 
 private:
-    const RenderedIntensities& scan_;
-    const std::span<const float> known_;
+    const RenderedIntensityImage& scan_;
+    const std::span<const float> known_intensities_;
 
-    std::size_t index(int row, int column) const {
+    std::size_t get_pixel_index(int row, int column) const {
         const int columns = scan_.columns;
         // Divisions are slow, so only columns outside the image are wrapped.
         if (column < 0 || column >= columns) column = (column % columns + columns) % columns;
         return std::size_t(row) * std::size_t(columns) + std::size_t(column);
     }
-    float get_own_feature(std::size_t index, std::size_t i) const {
-        const std::array<const std::vector<float>*, kOwn> values{
+    float get_rendered_feature(std::size_t feature_index, std::size_t ray_index) const {
+        const std::array<const std::vector<float>*, kRenderedFeatures> values{
             &scan_.intensity, &scan_.range_m, &scan_.spread_m, &scan_.cosine, &scan_.elevation_rad};
-        return (*values[index])[i];
+        return (*values[feature_index])[ray_index];
     }
     /// Returns log(range of another ray / range of this ray).
-    float compute_steepness(std::size_t other_index, std::size_t index) const {
-        return scan_.range_m[other_index] > 0.0f && scan_.range_m[index] > 0.0f
-                   ? std::log(scan_.range_m[other_index] / scan_.range_m[index])
+    float compute_log_range_ratio(std::size_t other_ray_index, std::size_t ray_index) const {
+        return scan_.range_m[other_ray_index] > 0.0f && scan_.range_m[ray_index] > 0.0f
+                   ? std::log(scan_.range_m[other_ray_index] / scan_.range_m[ray_index])
                    : kNoIntensity;
     }
     /// Returns the mean of the known values in a window, or kNoIntensity if there are
     /// none.
     template <class Value>
-    static float mean(const Window& window, const Value& value) {
+    static float compute_window_mean(const RayWindow& window, const Value& get_value) {
         float sum = 0.0f;
         int n = 0;
         for (int row = window.first.rows; row <= window.last.rows; ++row)
             for (int column = window.first.columns; column <= window.last.columns; ++column) {
-                const float v = value({row, column});
+                const float v = get_value({row, column});
                 if (v != kNoIntensity) sum += v, ++n;
             }
         return n > 0 ? sum / float(n) : kNoIntensity;

@@ -9,20 +9,20 @@
 
 namespace relidar {
 
-double Beam::to_measured_range(double surface_m) const {
-    return surface_m > 0.0 ? std::max(surface_m + range_offset_m, 0.0) : surface_m;
+double Beam::to_measured_range(double surface_range_m) const {
+    return surface_range_m > 0.0 ? std::max(surface_range_m + range_offset_m, 0.0) : surface_range_m;
 }
 
-double Beam::to_surface_range(double measured_m) const {
-    return measured_m > 0.0 ? std::max(measured_m - range_offset_m, 1e-3) : measured_m;
+double Beam::to_surface_range(double measured_range_m) const {
+    return measured_range_m > 0.0 ? std::max(measured_range_m - range_offset_m, 1e-3) : measured_range_m;
 }
 
-double Beam::to_measured_intensity(double surface_intensity, double fall) const {
-    return std::clamp(intensity_gain * fall * surface_intensity + intensity_offset, 0.0, 1.0);
+double Beam::to_measured_intensity(double surface_intensity, double range_factor) const {
+    return std::clamp(intensity_gain * range_factor * surface_intensity + intensity_offset, 0.0, 1.0);
 }
 
-double Beam::to_surface_intensity(double measured_intensity, double fall) const {
-    return (measured_intensity - intensity_offset) / intensity_gain / fall;
+double Beam::to_surface_intensity(double measured_intensity, double range_factor) const {
+    return (measured_intensity - intensity_offset) / intensity_gain / range_factor;
 }
 
 const Beam& find_beam(const std::vector<Beam>& beams, std::size_t channel) {

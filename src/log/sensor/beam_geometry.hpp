@@ -13,15 +13,15 @@ namespace relidar {
 
 /// Computes the rays of one beam at many azimuths of the LiDAR's head. Used by
 /// compute_beam_ray() and compute_head_azimuth().
-class BeamGeometry {
+class BeamRayGenerator {
 public:
-    explicit BeamGeometry(const Beam& beam)
+    explicit BeamRayGenerator(const Beam& beam)
         : beam_(beam),
           cos_elevation_(std::cos(beam.elevation_rad)),
           sin_elevation_(std::sin(beam.elevation_rad)),
           left_of_axis_m_(beam.origin_left_m - beam.origin_offset_m * std::sin(beam.azimuth_offset_rad)) {}
 
-    BeamRay ray(double head_azimuth_rad) const {
+    BeamRay compute_ray(double head_azimuth_rad) const {
         const double azimuth = head_azimuth_rad + beam_.azimuth_offset_rad;
         const double c = std::cos(azimuth), s = std::sin(azimuth);
         const double ce = cos_elevation_, se = sin_elevation_;
@@ -46,7 +46,7 @@ private:
     double left_of_axis_m_;  ///< horizontal distance between the beam and the axis of rotation
 };
 
-inline std::vector<BeamGeometry> make_beam_geometries(const std::vector<Beam>& beams) {
+inline std::vector<BeamRayGenerator> make_beam_geometries(const std::vector<Beam>& beams) {
     return {beams.begin(), beams.end()};
 }
 

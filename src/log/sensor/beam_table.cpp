@@ -19,7 +19,7 @@
 namespace relidar {
 namespace {
 
-enum Field {
+enum BeamTableField {
     kElevation,
     kAzimuthOffset,
     kOriginOffset,
@@ -50,20 +50,20 @@ const std::array<FieldRule, kFieldCount> kFields{
      {"max_range_m", 0.0, kFarthestLimit_m, RangeLimits{}.max_m},
      {"channel", 0.0, 65535.0, 0.0}}};
 
-using Values = std::array<double, kFieldCount>;
+using BeamTableRow = std::array<double, kFieldCount>;
 
-Values parse_line(const std::vector<std::string_view>& cells, const std::vector<int>& columns,
-                  const std::string& location) {
-    Values value{};
+BeamTableRow parse_beam_cells(const std::vector<std::string_view>& cells,
+                              const std::vector<int>& column_of_field, const std::string& error_location) {
+    BeamTableRow value{};
     for (std::size_t f = 0; f < kFields.size(); ++f) {
         const FieldRule& rule = kFields[f];
         value[f] = rule.missing;
-        if (columns[f] < 0) continue;
-        const std::string_view cell = cells[static_cast<std::size_t>(columns[f])];
+        if (column_of_field[f] < 0) continue;
+        const std::string_view cell = cells[static_cast<std::size_t>(column_of_field[f])];
         const auto number = parse_number(cell);
         if (!number || !(*number >= rule.low && *number <= rule.high)) {
-            throw DataError(fmt::format("{}: {} is '{}', expected a number in [{}, {}]", location, rule.name,
-                                        cell, rule.low, rule.high));
+            throw DataError(fmt::format("{}: {} is '{}', expected a number in [{}, {}]", error_location,
+                                        rule.name, cell, rule.low, rule.high));
         }
         value[f] = *number;
     }
@@ -73,36 +73,40 @@ Values parse_line(const std::vector<std::string_view>& cells, const std::vector<
 /// Adds the beam in one line of a beam table to a sensor.
 /// @throws DataError if the beam is above the previous beam, or if its range limits
 /// differ from those of the first line
-void add_beam(SpinningSensor& sensor, const Values& values, const std::string& location) {
+void append_beam(SpinningSensor& sensor, const BeamTableRow& field_values,
+                 const std::string& error_location) {
     // The rotation is negative, because the head turns clockwise.
-    const double turned_rad = -2.0 * kPi / sensor.period_s * values[kFiring] * 1e-6;
-    const Beam beam{values[kElevation] * kPi / 180.0, values[kAzimuthOffset] * kPi / 180.0 + turned_rad,
-                    values[kOriginOffset], values[kOriginUp], values[kOriginLeft]};
+    const double turned_rad = -2.0 * kPi / sensor.period_s * field_values[kFiring] * 1e-6;
+    const Beam beam{field_values[kElevation] * kPi / 180.0,
+                    field_values[kAzimuthOffset] * kPi / 180.0 + turned_rad, field_values[kOriginOffset],
+                    field_values[kOriginUp], field_values[kOriginLeft]};
     if (sensor.beams.empty()) {
-        sensor.min_range_m = values[kMinRange];
-        sensor.max_range_m = values[kMaxRange];
+        sensor.min_range_m = field_values[kMinRange];
+        sensor.max_range_m = field_values[kMaxRange];
     }
-    if (values[kMinRange] != sensor.min_range_m || values[kMaxRange] != sensor.max_range_m) {
-        throw DataError(fmt::format(
-            "{}: found range limits of {} to {} m, expected {} to {} m like in the first line, "
-            "because all beams have the same limits",
-            location, values[kMinRange], values[kMaxRange], sensor.min_range_m, sensor.max_range_m));
+    if (field_values[kMinRange] != sensor.min_range_m || field_values[kMaxRange] != sensor.max_range_m) {
+        throw DataError(
+            fmt::format("{}: found range limits of {} to {} m, expected {} to {} m like in the first line, "
+                        "because all beams have the same limits",
+                        error_location, field_values[kMinRange], field_values[kMaxRange], sensor.min_range_m,
+                        sensor.max_range_m));
     }
-    if (!(values[kMinRange] < values[kMaxRange])) {
+    if (!(field_values[kMinRange] < field_values[kMaxRange])) {
         throw DataError(
             fmt::format("{}: found range limits of {} to {} m, expected min_range_m below max_range_m",
-                        location, values[kMinRange], values[kMaxRange]));
+                        error_location, field_values[kMinRange], field_values[kMaxRange]));
     }
     if (!sensor.beams.empty() && beam.elevation_rad > sensor.beams.back().elevation_rad) {
-        throw DataError(fmt::format(
-            "{}: elevation_deg increases, expected rows from the highest beam to the lowest", location));
+        throw DataError(
+            fmt::format("{}: elevation_deg increases, expected rows from the highest beam to the lowest",
+                        error_location));
     }
     sensor.beams.push_back(beam);
 }
 
 }  // namespace
 
-SpinningSensor parse_beam_table(const std::string& text, const std::string& location, int columns,
+SpinningSensor parse_beam_table(const std::string& text, const std::string& error_location, int n_columns,
                                 double rate_hz) {
     const std::vector<std::string> lines = split_lines(text);
     const auto first = static_cast<std::size_t>(
@@ -111,29 +115,31 @@ SpinningSensor parse_beam_table(const std::string& text, const std::string& loca
         lines.begin());
     const std::vector<std::string_view> header =
         first == lines.size() ? std::vector<std::string_view>{} : split_csv_cells(lines[first]);
-    std::vector<std::string> known;
-    for (const FieldRule& field : kFields) known.emplace_back(field.name);
-    const std::vector<int> at = find_columns(header, known, fmt::format("{} line {}", location, first + 1));
+    std::vector<std::string> column_names;
+    for (const FieldRule& field : kFields) column_names.emplace_back(field.name);
+    const std::vector<int> at =
+        find_column_indices(header, column_names, fmt::format("{} line {}", error_location, first + 1));
     if (at[kElevation] < 0)
         throw DataError(fmt::format(
-            "{}: the first line has no column 'elevation_deg', expected a CSV beam table", location));
+            "{}: the first line has no column 'elevation_deg', expected a CSV beam table", error_location));
 
     SpinningSensor sensor;
-    sensor.columns = columns;
+    sensor.columns = n_columns;
     sensor.period_s = 1.0 / rate_hz;
-    sensor.first_azimuth_rad = kPi - kPi / columns;
+    sensor.first_azimuth_rad = kPi - kPi / n_columns;
     for (std::size_t l = first + 1; l < lines.size(); ++l) {
         if (trim_spaces(lines[l]).empty() || lines[l].starts_with('#')) continue;
-        const std::string line = fmt::format("{} line {}", location, l + 1);
+        const std::string line = fmt::format("{} line {}", error_location, l + 1);
         const auto cells = split_csv_cells(lines[l]);
         if (cells.size() != header.size()) {
             throw DataError(fmt::format("{}: found {} values, expected {} like in the header", line,
                                         cells.size(), header.size()));
         }
-        add_beam(sensor, parse_line(cells, at, line), line);
+        append_beam(sensor, parse_beam_cells(cells, at, line), line);
     }
     if (sensor.beams.empty())
-        throw DataError(fmt::format("{}: found no beams after the header, expected at least one", location));
+        throw DataError(
+            fmt::format("{}: found no beams after the header, expected at least one", error_location));
     return sensor;
 }
 

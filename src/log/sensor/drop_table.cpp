@@ -9,16 +9,17 @@
 
 namespace relidar {
 
-std::size_t DropTable::index(std::uint16_t channel, const glm::vec3& direction) const {
+std::size_t RayDropTable::compute_entry_index(std::uint16_t channel, const glm::vec3& direction) const {
     // Azimuth bins go clockwise, like the columns of an image: bin 0 begins at +180
     // degrees.
-    const double turn = (1.0 - std::atan2(double(direction.y), double(direction.x)) / kPi) / 2.0;
-    const int bin = std::clamp(static_cast<int>(turn * bins), 0, bins - 1);
+    const double revolution_fraction =
+        (1.0 - std::atan2(double(direction.y), double(direction.x)) / kPi) / 2.0;
+    const int bin = std::clamp(static_cast<int>(revolution_fraction * bins), 0, bins - 1);
     return std::size_t(channel) * std::size_t(bins) + std::size_t(bin);
 }
 
-float DropTable::at(std::uint16_t channel, const glm::vec3& direction) const {
-    return empty() || channel >= channels ? 0.0f : probability[index(channel, direction)];
+float RayDropTable::get_drop_probability(std::uint16_t channel, const glm::vec3& direction) const {
+    return empty() || channel >= channels ? 0.0f : probability[compute_entry_index(channel, direction)];
 }
 
 }  // namespace relidar

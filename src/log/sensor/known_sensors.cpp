@@ -31,13 +31,13 @@ namespace {
 constexpr double kDegree = kPi / 180.0;
 
 /// Data-sheet values of a spinning sensor whose beams are in a table.
-struct Tabled {
+struct BeamTableSensor {
     const char* name;
     int columns;
     double min_range_m, max_range_m, divergence_rad;
 };
 
-constexpr Tabled kTabled[] = {
+constexpr BeamTableSensor kTabled[] = {
     {"HDL-64E-S2", 2083, 0.9, 120.0, 2.0e-3},
     {"HDL-64E-S3", 2083, 0.9, 120.0, 2.0e-3},
     {"HDL-64E-KITTI", 2083, 0.9, 120.0, 2.0e-3},
@@ -72,10 +72,10 @@ SpinningSensor make_spinning_sensor(const std::string& name, int columns, double
     return sensor;
 }
 
-void add_beams(SpinningSensor& sensor, int count, double top_deg, double bottom_deg) {
-    for (int i = 0; i < count; ++i) {
+void append_evenly_spaced_beams(SpinningSensor& sensor, int n_beams, double top_deg, double bottom_deg) {
+    for (int i = 0; i < n_beams; ++i) {
         sensor.beams.push_back(
-            {.elevation_rad = (top_deg + (bottom_deg - top_deg) * i / (count - 1)) * kDegree});
+            {.elevation_rad = (top_deg + (bottom_deg - top_deg) * i / (n_beams - 1)) * kDegree});
     }
 }
 
@@ -86,10 +86,10 @@ SensorModel make_sensor_model(SpinningSensor sensor, const std::string& descript
 /// Returns the HDL-64E as described in its data sheet. The upper 32 beams start at +2
 /// degrees, with steps of 1/3 degree. The lower 32 beams end at -24.33 degrees, with
 /// steps of 1/2 degree.
-SensorModel make_hdl64e(int columns, double rate_hz) {
+SensorModel make_hdl64e_sensor(int columns, double rate_hz) {
     SpinningSensor sensor = make_spinning_sensor("HDL-64E", columns ? columns : 2083, rate_hz);
-    add_beams(sensor, 32, 2.0, 2.0 - 31.0 / 3.0);
-    add_beams(sensor, 32, -24.33 + 31.0 * 0.5, -24.33);
+    append_evenly_spaced_beams(sensor, 32, 2.0, 2.0 - 31.0 / 3.0);
+    append_evenly_spaced_beams(sensor, 32, -24.33 + 31.0 * 0.5, -24.33);
     sensor.max_range_m = 120.0;
     sensor.divergence_rad = 2.0e-3;
     return make_sensor_model(std::move(sensor), "evenly spaced beams as in the data sheet");
@@ -97,10 +97,10 @@ SensorModel make_hdl64e(int columns, double rate_hz) {
 
 /// Returns one of Waymo's four short-range LiDARs. Waymo publishes only the highest and
 /// the lowest elevation, so the beams are evenly spaced.
-SensorModel make_waymo_side(int columns, double rate_hz) {
+SensorModel make_waymo_side_sensor(int columns, double rate_hz) {
     SpinningSensor sensor = make_spinning_sensor("waymo-side", columns ? columns : 600, rate_hz);
     constexpr double step_deg = 120.0 / 200.0;
-    add_beams(sensor, 200, 30.0 - 0.5 * step_deg, -90.0 + 0.5 * step_deg);
+    append_evenly_spaced_beams(sensor, 200, 30.0 - 0.5 * step_deg, -90.0 + 0.5 * step_deg);
     sensor.max_range_m = 20.0;
     return make_sensor_model(
         std::move(sensor),
@@ -110,8 +110,8 @@ SensorModel make_waymo_side(int columns, double rate_hz) {
 
 /// Returns a spinning sensor with one ray per pixel of the KITTI-360 range images in
 /// published results.
-SensorModel make_kitti360(int columns, double rate_hz) {
-    const RangeGrid grid = make_kitti360_grid();
+SensorModel make_kitti360_sensor(int columns, double rate_hz) {
+    const RangeImageGrid grid = make_kitti360_grid();
     SpinningSensor sensor = make_spinning_sensor(grid.name, columns ? columns : grid.columns, rate_hz);
     sensor.first_azimuth_rad = kPi;
     sensor.max_range_m = grid.max_range_m;
@@ -132,23 +132,26 @@ std::string get_beam_table_text(const std::string& name) {
 }
 
 /// Returns the source of a beam table, which its first line names after the #.
-std::string get_table_source(const std::string& table) { return table.substr(2, table.find('\n') - 2); }
+std::string parse_table_source(const std::string& table_text) {
+    return table_text.substr(2, table_text.find('\n') - 2);
+}
 
-SensorModel make_sensor_from_table(const Tabled& row, int columns, double rate_hz) {
-    const std::string table = get_beam_table_text(row.name);
-    SpinningSensor sensor = parse_beam_table(table, row.name, columns ? columns : row.columns, rate_hz);
-    sensor.name = row.name;
+SensorModel make_sensor_from_table(const BeamTableSensor& data_sheet_values, int columns, double rate_hz) {
+    const std::string table = get_beam_table_text(data_sheet_values.name);
+    SpinningSensor sensor = parse_beam_table(table, data_sheet_values.name,
+                                             columns ? columns : data_sheet_values.columns, rate_hz);
+    sensor.name = data_sheet_values.name;
     // Ousters fire at fixed azimuths, first exactly backward.
     if (sensor.name.starts_with("OS")) sensor.first_azimuth_rad = kPi;
-    sensor.min_range_m = row.min_range_m;
-    sensor.max_range_m = row.max_range_m;
-    sensor.divergence_rad = row.divergence_rad;
-    return make_sensor_model(std::move(sensor), get_table_source(table));
+    sensor.min_range_m = data_sheet_values.min_range_m;
+    sensor.max_range_m = data_sheet_values.max_range_m;
+    sensor.divergence_rad = data_sheet_values.divergence_rad;
+    return make_sensor_model(std::move(sensor), parse_table_source(table));
 }
 
 /// Returns Hesai's AT128, whose mirrors scan 120 degrees from left to right in 0.1 s.
 /// Beams have azimuth offsets from the mirror.
-SensorModel make_at128() {
+SensorModel make_at128_sensor() {
     constexpr int kColumns = 1200;
     constexpr double period_s = 0.1, step_deg = 0.1;
     const std::string table = get_beam_table_text("AT128");
@@ -168,46 +171,46 @@ SensorModel make_at128() {
             rays.time_offset_s.push_back(float(-left_of_middle / kColumns * period_s));
             rays.channel.push_back(std::uint16_t(row));
         }
-    return {"AT128", get_table_source(table), {0.5, 200.0}, std::move(rays)};
+    return {"AT128", parse_table_source(table), {0.5, 200.0}, std::move(rays)};
 }
 
 /// Returns a scanning-window sensor with the data-sheet values of Hesai's AT128: 128
 /// rows, 120 x 25.4 degrees, 0.1 degrees per column, 10 Hz.
-SensorModel make_window_128() {
+SensorModel make_window_128_sensor() {
     return {"window-128",
             "hybrid solid-state LiDAR similar to the AT128: mirrors scan 120 x 25.4 degrees, 1200 "
             "columns of 128 rows",
             {0.5, 200.0},
-            ScanningWindow{.name = "window-128",
-                           .rows = 128,
-                           .columns = 1200,
-                           .left_rad = 59.95 * kDegree,
-                           .right_rad = -59.95 * kDegree,
-                           .top_rad = 12.9 * kDegree,
-                           .bottom_rad = -12.5 * kDegree}};
+            WindowScanSensor{.name = "window-128",
+                             .rows = 128,
+                             .columns = 1200,
+                             .left_rad = 59.95 * kDegree,
+                             .right_rad = -59.95 * kDegree,
+                             .top_rad = 12.9 * kDegree,
+                             .bottom_rad = -12.5 * kDegree}};
 }
 
 /// Returns a rosette sensor with the data-sheet values of Livox' Mid-40: a cone of 38.4
 /// degrees and 100 000 rays per second. The rotation rates of the prisms were measured on
 /// a Mid-40.
-SensorModel make_rosette() {
+SensorModel make_rosette_sensor() {
     return {"rosette",
             "non-repetitive LiDAR similar to the Mid-40: two prisms, a cone of 38.4 degrees, 100 000 "
             "rays per second",
             {1.0, 260.0},
-            Rosette{.name = "rosette",
-                    .deflection_rad = 9.6 * kDegree,
-                    .first_hz = 7294.0 / 60.0,
-                    .second_hz = -4664.0 / 60.0,
-                    .n_rays = 10'000}};
+            RosetteSensor{.name = "rosette",
+                          .deflection_rad = 9.6 * kDegree,
+                          .first_hz = 7294.0 / 60.0,
+                          .second_hz = -4664.0 / 60.0,
+                          .n_rays = 10'000}};
 }
 
 }  // namespace
 
-std::vector<BeamFiring> get_beam_firings(const std::string& name) {
+std::vector<BeamFiring> get_beam_firings(const std::string& sensor_name) {
     std::vector<BeamFiring> firings;
     std::vector<std::string_view> header;
-    const std::vector<std::string> lines = split_lines(get_beam_table_text(name));
+    const std::vector<std::string> lines = split_lines(get_beam_table_text(sensor_name));
     for (const std::string& line : lines) {
         if (line.starts_with('#')) continue;
         const std::vector<std::string_view> cells = split_csv_cells(line);
@@ -223,29 +226,30 @@ std::vector<BeamFiring> get_beam_firings(const std::string& name) {
 
 std::vector<std::string> list_sensor_names() {
     std::vector<std::string> names{"kitti360", "HDL-64E"};
-    for (const Tabled& row : kTabled) names.emplace_back(row.name);
+    for (const BeamTableSensor& row : kTabled) names.emplace_back(row.name);
     for (const char* name : {"waymo-side", "AT128", "window-128", "rosette"}) names.emplace_back(name);
     return names;
 }
 
 std::optional<SensorModel> find_built_in_sensor(const std::string& name, int columns, double rate_hz) {
-    const auto known = find_known_name(name, list_sensor_names());
-    if (!known) return {};
+    const auto sensor_name = find_name_ignoring_case(name, list_sensor_names());
+    if (!sensor_name) return {};
     const double rate = rate_hz > 0.0 ? rate_hz : 10.0;
-    const bool spins = *known != "AT128" && *known != "window-128" && *known != "rosette";
+    const bool spins = *sensor_name != "AT128" && *sensor_name != "window-128" && *sensor_name != "rosette";
     if (!spins && (columns > 0 || rate_hz > 0.0)) {
         throw UsageError(fmt::format(
             "sensor '{}': found columns and a rate, but this sensor does not spin; use only its name", name));
     }
-    if (*known == "kitti360") return make_kitti360(columns, rate);
-    if (*known == "HDL-64E") return make_hdl64e(columns, rate);
-    if (*known == "waymo-side") return make_waymo_side(columns, rate);
-    if (*known == "AT128") return make_at128();
-    if (*known == "window-128") return make_window_128();
-    if (*known == "rosette") return make_rosette();
+    if (*sensor_name == "kitti360") return make_kitti360_sensor(columns, rate);
+    if (*sensor_name == "HDL-64E") return make_hdl64e_sensor(columns, rate);
+    if (*sensor_name == "waymo-side") return make_waymo_side_sensor(columns, rate);
+    if (*sensor_name == "AT128") return make_at128_sensor();
+    if (*sensor_name == "window-128") return make_window_128_sensor();
+    if (*sensor_name == "rosette") return make_rosette_sensor();
     return make_sensor_from_table(
-        *std::ranges::find(kTabled, *known, [](const Tabled& row) { return std::string(row.name); }), columns,
-        rate);
+        *std::ranges::find(kTabled, *sensor_name,
+                           [](const BeamTableSensor& row) { return std::string(row.name); }),
+        columns, rate);
 }
 
 }  // namespace relidar

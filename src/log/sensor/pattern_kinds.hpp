@@ -29,17 +29,17 @@ struct PatternKind {
     /// all values bit by bit.
     nlohmann::ordered_json (*write)(const SensorPattern& pattern);
     RayTable (*make_rays)(const SensorPattern& pattern, double time_s);
-    PatternSummary (*describe)(const SensorPattern& pattern);
+    ScanPatternSummary (*describe)(const SensorPattern& pattern);
 };
 
 /// Creates the table row of a kind of sensor from the static functions of a struct.
 /// @tparam Functions  struct with the static functions parse, write, make_rays and
 /// describe
 template <class Functions>
-PatternKind make_pattern_kind(const char* name, const char* members) {
+PatternKind make_pattern_kind(const char* name, const char* member_names) {
     using Pattern = typename Functions::Pattern;
     return {name,
-            members,
+            member_names,
             [](const SensorPattern& p) { return std::holds_alternative<Pattern>(p); },
             [](const JsonField& field, const std::string& of) { return Functions::parse(field, of); },
             [](const SensorPattern& p) { return Functions::write(std::get<Pattern>(p)); },
@@ -61,44 +61,46 @@ namespace pattern_detail {
 /// Reads an angle from the JSON member NAME_rad in radians or NAME_deg in degrees.
 /// @return radians
 /// @throws DataError if both members are missing, or the angle is outside +-most_deg
-double read_angle(const JsonField& field, const std::string& name, double max_deg);
-/// Reads an angle from the JSON member NAME_rad or NAME_deg. Returns `missing_rad` if
+double read_angle_rad(const JsonField& field, const std::string& name, double max_deg);
+/// Reads an angle from the JSON member NAME_rad or NAME_deg. Returns `default_rad` if
 /// both are missing.
-double read_angle_or(const JsonField& field, const std::string& name, double missing_rad, double max_deg);
+double read_angle_rad_or(const JsonField& field, const std::string& name, double default_rad, double max_deg);
 /// Returns the number in a JSON member, or `default_value` if the member is missing.
-double read_number_or(const JsonField& field, const char* key, double default_value, double low, double high);
+double read_number_or(const JsonField& field, const char* key, double default_value, double min_value,
+                      double max_value);
 /// Reads a beam divergence from the JSON member divergence_rad or divergence_mrad.
 /// Returns 0 if both are missing.
-double read_divergence(const JsonField& field);
+double read_divergence_rad(const JsonField& field);
 
 /// JSON members of all kinds of sensors: name, period_s, divergence_rad or
 /// divergence_mrad, min_range_m, max_range_m. A missing max_range_m means infinity.
-struct CommonMembers {
+struct CommonSensorMembers {
     std::string name;
     RangeLimits limits;
     double period_s, divergence_rad;
 };
 /// Reads the JSON members that all kinds of sensors can have.
 /// @param min_period_s  smallest allowed period
-CommonMembers read_common(const JsonField& field, const std::string& name, double min_period_s = 1e-6);
+CommonSensorMembers read_common_members(const JsonField& field, const std::string& default_name,
+                                        double min_period_s = 1e-6);
 /// Checks that a sensor's JSON object has only known members: those of all sensors, and
-/// `members`. An angle NAME can be stored as NAME_rad or NAME_deg.
+/// `member_names`. An angle NAME can be stored as NAME_rad or NAME_deg.
 /// @throws DataError for any other member
-void check_members(const JsonField& field, std::vector<std::string> members,
-                   const std::vector<std::string>& angles);
+void check_known_members(const JsonField& field, std::vector<std::string> member_names,
+                         const std::vector<std::string>& angle_names);
 
 /// Returns element `index` of `count` evenly spaced values from `first` to `last`.
 double interpolate_evenly(double first, double last, int index, int count);
 /// Appends a ray that starts at the sensor origin.
-void add_ray(RayTable& rays, const glm::dvec3& direction, double time_s, int channel);
+void append_ray_from_sensor_origin(RayTable& rays, const glm::dvec3& direction, double time_s, int channel);
 /// Checks the number of rays of a sensor.
 /// @throws UsageError if the number is not in the range 1 to kMaxRays
-void check_count(const std::string& sensor, double n_rays);
+void check_ray_count(const std::string& sensor_name, double n_rays);
 /// Checks that the values of a sensor pattern are finite and that its period is positive.
-/// @param sum  sum of all angles and rates, which is not finite if any of them is not
-/// finite
+/// @param sum_of_values  sum of all angles and rates, which is not finite if any of them
+/// is not finite
 /// @throws UsageError if a check fails
-void check_finite(const std::string& sensor, double sum, double period_s);
+void check_finite_and_period(const std::string& sensor_name, double sum_of_values, double period_s);
 
 }  // namespace pattern_detail
 }  // namespace relidar

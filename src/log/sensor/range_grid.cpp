@@ -14,7 +14,7 @@
 
 namespace relidar {
 
-RangeGrid make_kitti360_grid() {
+RangeImageGrid make_kitti360_grid() {
     return {.name = "kitti360",
             .rows = 66,
             .columns = 1030,
@@ -23,12 +23,12 @@ RangeGrid make_kitti360_grid() {
             .max_range_m = 80.0};
 }
 
-RangeGrid find_grid(const std::string& name) {
-    if (find_known_name(name, {"kitti360"})) return make_kitti360_grid();
+RangeImageGrid find_range_grid(const std::string& name) {
+    if (find_name_ignoring_case(name, {"kitti360"})) return make_kitti360_grid();
     throw UsageError(fmt::format("the grid '{}' is unknown, expected kitti360", name));
 }
 
-std::optional<int> project(const RangeGrid& grid, const glm::dvec3& point_m) {
+std::optional<int> project_to_pixel_index(const RangeImageGrid& grid, const glm::dvec3& point_m) {
     const double range = glm::length(point_m);
     if (!(range > 0.0) || range > grid.max_range_m) return std::nullopt;
     const double elevation = std::asin(glm::clamp(point_m.z / range, -1.0, 1.0));  // Eq. 6
@@ -39,13 +39,13 @@ std::optional<int> project(const RangeGrid& grid, const glm::dvec3& point_m) {
     return static_cast<int>(row) * grid.columns + static_cast<int>(column);
 }
 
-GridImage project_points(const RangeGrid& grid, const std::vector<glm::vec3>& points_m,
-                         const std::vector<float>& intensity) {
+ProjectedRangeImage project_points(const RangeImageGrid& grid, const std::vector<glm::vec3>& points_m,
+                                   const std::vector<float>& intensity) {
     if (points_m.size() != intensity.size()) {
         throw UsageError(fmt::format("project_points: intensity has {} entries, expected {} like points_m",
                                      intensity.size(), points_m.size()));
     }
-    GridImage image;
+    ProjectedRangeImage image;
     image.rows = grid.rows;
     image.columns = grid.columns;
     const std::size_t n = static_cast<std::size_t>(grid.rows) * static_cast<std::size_t>(grid.columns);
@@ -53,7 +53,7 @@ GridImage project_points(const RangeGrid& grid, const std::vector<glm::vec3>& po
     image.intensity.assign(n, 0.0f);
     image.source.assign(n, -1);
     for (std::size_t i = 0; i < points_m.size(); ++i) {
-        const std::optional<int> pixel = project(grid, glm::dvec3(points_m[i]));
+        const std::optional<int> pixel = project_to_pixel_index(grid, glm::dvec3(points_m[i]));
         if (!pixel) continue;
         const std::size_t at = static_cast<std::size_t>(*pixel);
         const float range = glm::length(points_m[i]);

@@ -10,34 +10,36 @@
 
 namespace relidar {
 
-double RayTable::find_largest_divergence() const {
+double RayTable::find_max_divergence_rad() const {
     return ray_divergence_rad.empty() ? divergence_rad : *std::ranges::max_element(ray_divergence_rad);
 }
 
-void RayTable::append(const RayTable& source, std::size_t ray) {
-    origin.push_back(source.origin[ray]);
-    direction.push_back(source.direction[ray]);
-    time_offset_s.push_back(source.time_offset_s[ray]);
-    channel.push_back(source.channel[ray]);
-    divergence_rad = source.divergence_rad;
-    if (!source.ray_divergence_rad.empty()) ray_divergence_rad.push_back(source.ray_divergence_rad[ray]);
+void RayTable::append_ray(const RayTable& source_table, std::size_t ray) {
+    origin.push_back(source_table.origin[ray]);
+    direction.push_back(source_table.direction[ray]);
+    time_offset_s.push_back(source_table.time_offset_s[ray]);
+    channel.push_back(source_table.channel[ray]);
+    divergence_rad = source_table.divergence_rad;
+    if (!source_table.ray_divergence_rad.empty())
+        ray_divergence_rad.push_back(source_table.ray_divergence_rad[ray]);
 }
 
-std::vector<glm::dvec2> make_footprint_pattern(int count) {
+std::vector<glm::dvec2> make_footprint_offsets(int n_sub_rays) {
     std::vector<glm::dvec2> offsets{{0.0, 0.0}};
     const auto add_ring = [&](double radius, double first) {
         for (int k = 0; k < 4; ++k)
             offsets.push_back(radius *
                               glm::dvec2(std::cos(first + k * kPi / 2.0), std::sin(first + k * kPi / 2.0)));
     };
-    // With these radii, the sum of radius^2 over all sub-rays of a beam is `count` / 2.
-    if (count == 5) add_ring(std::sqrt(5.0 / 8.0), 0.0);
-    if (count == 9) add_ring(0.5, kPi / 4.0), add_ring(std::sqrt(7.0 / 8.0), 0.0);
-    if (count == 1 || count == 5 || count == 9) return offsets;
+    // With these radii, the sum of radius^2 over all sub-rays of a beam is `n_sub_rays` /
+    // 2.
+    if (n_sub_rays == 5) add_ring(std::sqrt(5.0 / 8.0), 0.0);
+    if (n_sub_rays == 9) add_ring(0.5, kPi / 4.0), add_ring(std::sqrt(7.0 / 8.0), 0.0);
+    if (n_sub_rays == 1 || n_sub_rays == 5 || n_sub_rays == 9) return offsets;
     constexpr double kGolden_rad = 2.399963229728653;
     offsets.clear();
-    for (int k = 0; k < count; ++k)
-        offsets.push_back(std::sqrt((k + 0.5) / count) *
+    for (int k = 0; k < n_sub_rays; ++k)
+        offsets.push_back(std::sqrt((k + 0.5) / n_sub_rays) *
                           glm::dvec2(std::cos(k * kGolden_rad), std::sin(k * kGolden_rad)));
     return offsets;
 }
@@ -46,7 +48,7 @@ RayTable select_rays(const RayTable& rays, const std::vector<std::size_t>& ray_i
     RayTable some;
     some.rows = 1;
     some.columns = static_cast<int>(ray_indices.size());
-    for (const std::size_t ray : ray_indices) some.append(rays, ray);
+    for (const std::size_t ray : ray_indices) some.append_ray(rays, ray);
     return some;
 }
 

@@ -20,7 +20,7 @@
 namespace relidar {
 namespace {
 
-RayTable make_empty_table(int rows, int columns, double divergence_rad) {
+RayTable make_empty_ray_table(int rows, int columns, double divergence_rad) {
     RayTable rays;
     rays.rows = rows;
     rays.columns = columns;
@@ -33,7 +33,7 @@ RayTable make_empty_table(int rows, int columns, double divergence_rad) {
     return rays;
 }
 
-void check(const SpinningSensor& sensor) {
+void check_spinning_sensor(const SpinningSensor& sensor) {
     const auto fail = [&](const std::string& description) {
         throw UsageError(fmt::format("sensor '{}': found {}", sensor.name, description));
     };
@@ -71,36 +71,36 @@ double wrap_azimuth(double azimuth_rad) {
 
 }  // namespace
 
-RangeLimits intersect_limits(const RangeLimits& first, const RangeLimits& second) {
+RangeLimits intersect_range_limits(const RangeLimits& first, const RangeLimits& second) {
     return {std::max(first.min_m, second.min_m), std::min(first.max_m, second.max_m)};
 }
 
 BeamRay compute_beam_ray(const Beam& beam, double head_azimuth_rad) {
-    return BeamGeometry(beam).ray(head_azimuth_rad);
+    return BeamRayGenerator(beam).compute_ray(head_azimuth_rad);
 }
 
 double compute_head_azimuth(const Beam& beam, const glm::dvec3& point_m) {
-    return BeamGeometry(beam).compute_head_azimuth(point_m);
+    return BeamRayGenerator(beam).compute_head_azimuth(point_m);
 }
 
-int compute_column_shift(const Beam& beam, int columns) {
-    return static_cast<int>(std::lround(beam.azimuth_offset_rad / (2.0 * kPi) * columns));
+int compute_column_shift(const Beam& beam, int n_columns) {
+    return static_cast<int>(std::lround(beam.azimuth_offset_rad / (2.0 * kPi) * n_columns));
 }
 
 RayTable make_rays(const SpinningSensor& sensor) {
-    check(sensor);
+    check_spinning_sensor(sensor);
     const int rows = static_cast<int>(sensor.beams.size()), columns = sensor.columns;
-    RayTable rays = make_empty_table(rows, columns, sensor.divergence_rad);
+    RayTable rays = make_empty_ray_table(rows, columns, sensor.divergence_rad);
     const double seconds_per_rad = (sensor.clockwise ? -1.0 : 1.0) * sensor.period_s / (2.0 * kPi);
     parallel_for(rows, [&](int row) {
         const Beam& beam = sensor.beams[static_cast<std::size_t>(row)];
-        const BeamGeometry geometry(beam);
+        const BeamRayGenerator geometry(beam);
         const int shift = compute_column_shift(beam, columns);
         std::size_t at = std::size_t(row) * std::size_t(columns);
         for (int column = 0; column < columns; ++column, ++at) {
             const int firing = ((column + shift) % columns + columns) % columns;
             const double head = wrap_azimuth(sensor.first_azimuth_rad - firing * 2.0 * kPi / columns);
-            const BeamRay ray = geometry.ray(head);
+            const BeamRay ray = geometry.compute_ray(head);
             rays.origin[at] = glm::vec3(ray.origin_m);
             rays.direction[at] = glm::vec3(ray.direction);
             rays.time_offset_s[at] = static_cast<float>(head * seconds_per_rad);
@@ -110,7 +110,7 @@ RayTable make_rays(const SpinningSensor& sensor) {
     return rays;
 }
 
-RayTable make_rays(const RangeGrid& grid) {
+RayTable make_rays(const RangeImageGrid& grid) {
     SpinningSensor sensor;
     sensor.name = grid.name;
     sensor.columns = grid.columns;

@@ -36,17 +36,17 @@ namespace fs = std::filesystem;
 constexpr std::size_t kSmall = 16 << 10;
 constexpr std::size_t kReserved = std::size_t(1) << 40;  // Size of the reserved address range in bytes.
 
-std::size_t round_to_pages(std::size_t bytes) {
+std::size_t round_up_to_page_size(std::size_t bytes) {
     static const auto page = std::size_t(::sysconf(_SC_PAGESIZE));
     return (bytes + page - 1) / page * page;
 }
 
-[[noreturn]] void fail_to_make_room(const fs::path& folder, std::size_t bytes, int error) {
+[[noreturn]] void throw_scan_storage_error(const fs::path& folder, std::size_t missing_bytes, int error) {
     throw DataError(
         fmt::format("cannot store scans that do not fit into memory in '{}': {} ({} more bytes are needed; "
                     "set TMPDIR to a folder with enough space, or increase dataset.memory_mib to keep more "
                     "scans in memory)",
-                    folder.string(), std::generic_category().message(error), bytes));
+                    folder.string(), std::generic_category().message(error), missing_bytes));
 }
 
 /// Memory-mapped file without a name, which provides memory for arrays.
@@ -55,14 +55,14 @@ public:
     explicit MappedFile(fs::path folder) : folder_(std::move(folder)) {
         std::string name = (folder_ / "relidar-scans-XXXXXX").string();
         file_ = ::mkostemp(name.data(), O_CLOEXEC);
-        if (file_ < 0) fail_to_make_room(folder_, 0, errno);
+        if (file_ < 0) throw_scan_storage_error(folder_, 0, errno);
         ::unlink(name.c_str());
         void* begin =
             ::mmap(nullptr, kReserved, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_NORESERVE, file_, 0);
         if (begin == MAP_FAILED) {
             const int error = errno;
             ::close(file_);
-            fail_to_make_room(folder_, 0, error);
+            throw_scan_storage_error(folder_, 0, error);
         }
         begin_ = static_cast<std::byte*>(begin);
     }
@@ -74,28 +74,30 @@ public:
     MappedFile& operator=(const MappedFile&) = delete;
 
     void* allocate(std::size_t bytes) {
-        const std::size_t size = round_to_pages(bytes);
+        const std::size_t size = round_up_to_page_size(bytes);
         const std::lock_guard lock(mutex_);
-        const auto room =
+        const auto free_range =
             std::find_if(free_.begin(), free_.end(), [&](const auto& range) { return range.second >= size; });
-        const std::size_t offset = room == free_.end() ? end_ : room->first;
+        const std::size_t offset = free_range == free_.end() ? end_ : free_range->first;
         // Reserves the disk space now. Writing to a page would kill the process if the
         // disk were full later.
         if (const int error = ::posix_fallocate(file_, off_t(offset), off_t(size)); error != 0)
-            fail_to_make_room(folder_, size, error);
-        if (room == free_.end()) end_ += size;
+            throw_scan_storage_error(folder_, size, error);
+        if (free_range == free_.end()) end_ += size;
         else {
-            if (room->second > size) free_.emplace(offset + size, room->second - size);
-            free_.erase(room);
+            if (free_range->second > size) free_.emplace(offset + size, free_range->second - size);
+            free_.erase(free_range);
         }
         used_ += size;
         return begin_ + offset;
     }
 
-    bool holds(const void* array) const { return array >= begin_ && array < begin_ + kReserved; }
+    bool contains_address(const void* address) const {
+        return address >= begin_ && address < begin_ + kReserved;
+    }
 
     void free(void* array, std::size_t bytes) noexcept {
-        const std::size_t size = round_to_pages(bytes),
+        const std::size_t size = round_up_to_page_size(bytes),
                           offset = std::size_t(static_cast<std::byte*>(array) - begin_);
         // Frees the disk space of the pages, if the file system supports this.
         ::fallocate(file_, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, off_t(offset), off_t(size));
@@ -113,7 +115,7 @@ public:
         }
     }
 
-    std::uint64_t used() const { return used_; }
+    std::uint64_t get_used_bytes() const { return used_; }
 
 private:
     fs::path folder_;
@@ -125,14 +127,14 @@ private:
     std::mutex mutex_;
 };
 
-struct Memory {
+struct ScanMemoryState {
     std::atomic<std::uint64_t> limit = ~0ull, used = 0;
     std::atomic<MappedFile*> file = nullptr;
     std::atomic<int> processes = 1;
     std::mutex mutex;  ///< protects the members below
     fs::path folder;
 
-    MappedFile& mapped() {
+    MappedFile& get_or_create_mapped_file() {
         if (MappedFile* made = file) return *made;
         const std::lock_guard lock(mutex);
         // The file is never closed, because arrays may be freed as late as the end of the
@@ -142,13 +144,13 @@ struct Memory {
     }
 };
 
-Memory& memory() {
+ScanMemoryState& get_scan_memory_state() {
     // Never destroyed, because static objects free their arrays after main().
-    static Memory* const all = new Memory;
+    static ScanMemoryState* const all = new ScanMemoryState;
     return *all;
 }
 
-std::uint64_t get_machine_memory() {
+std::uint64_t get_available_memory_bytes() {
     std::uint64_t bytes = std::uint64_t(::sysconf(_SC_PHYS_PAGES)) * std::uint64_t(::sysconf(_SC_PAGESIZE)),
                   limit = 0;
     // Files with the memory limit of the control group, in cgroup version 2 and version
@@ -161,26 +163,26 @@ std::uint64_t get_machine_memory() {
 
 }  // namespace
 
-void limit_scan_memory(std::uint64_t bytes, const fs::path& folder) {
-    Memory& m = memory();
+void limit_scan_memory(std::uint64_t max_bytes, const fs::path& overflow_folder) {
+    ScanMemoryState& m = get_scan_memory_state();
     const std::lock_guard lock(m.mutex);
-    m.folder = folder;
-    m.limit = bytes > 0 ? bytes : get_machine_memory() / 2 / std::uint64_t(m.processes);
+    m.folder = overflow_folder;
+    m.limit = max_bytes > 0 ? max_bytes : get_available_memory_bytes() / 2 / std::uint64_t(m.processes);
 }
 
-void set_scan_process_count(int n_processes) { memory().processes = std::max(n_processes, 1); }
+void set_scan_process_count(int n_processes) { get_scan_memory_state().processes = std::max(n_processes, 1); }
 
 ScanMemoryUse get_scan_memory_use() {
-    const MappedFile* file = memory().file;
-    return {memory().used, file ? file->used() : 0};
+    const MappedFile* file = get_scan_memory_state().file;
+    return {get_scan_memory_state().used, file ? file->get_used_bytes() : 0};
 }
 
 void* allocate_scan_array(std::size_t bytes) {
     if (bytes < kSmall) return ::operator new(bytes);
-    Memory& m = memory();
+    ScanMemoryState& m = get_scan_memory_state();
     if (m.used.fetch_add(bytes) + bytes > m.limit) {
         m.used -= bytes;
-        return m.mapped().allocate(bytes);
+        return m.get_or_create_mapped_file().allocate(bytes);
     }
     try {
         return ::operator new(bytes);
@@ -191,9 +193,9 @@ void* allocate_scan_array(std::size_t bytes) {
 }
 
 void free_scan_array(void* array, std::size_t bytes) noexcept {
-    Memory& m = memory();
+    ScanMemoryState& m = get_scan_memory_state();
     MappedFile* file = m.file;
-    if (bytes >= kSmall && file && file->holds(array)) return file->free(array, bytes);
+    if (bytes >= kSmall && file && file->contains_address(array)) return file->free(array, bytes);
     if (bytes >= kSmall) m.used -= bytes;
     ::operator delete(array);
 }

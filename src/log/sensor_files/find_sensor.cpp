@@ -22,7 +22,7 @@ constexpr int kTableColumns = 1800;
 constexpr double kTableRate_hz = 10.0;
 
 /// Sensor as named on the command line: "name[:columns[xHz]]".
-struct SensorName {
+struct SensorSpecifier {
     std::string name;
     int columns = 0;       ///< 0: not specified
     double rate_hz = 0.0;  ///< 0: not specified
@@ -30,7 +30,7 @@ struct SensorName {
 
 /// Parses a sensor text "name[:columns[xHz]]".
 /// @throws UsageError for zero columns or a rate that is not positive
-SensorName parse_name(const std::string& text) {
+SensorSpecifier parse_sensor_name(const std::string& text) {
     const std::size_t colon = text.rfind(':');
     if (colon == std::string::npos || colon == 0) return {text};
     const std::string_view suffix = std::string_view(text).substr(colon + 1);
@@ -52,70 +52,73 @@ SensorName parse_name(const std::string& text) {
 
 /// Returns true if a CSV file is a table of rays, which has a column azimuth_deg. Returns
 /// false for a table of beams.
-bool is_ray_csv(const std::string& text) {
-    const std::string header = text.substr(0, text.find('\n'));
+bool is_ray_csv(const std::string& csv_text) {
+    const std::string header = csv_text.substr(0, csv_text.find('\n'));
     return header.find("azimuth_deg") != std::string::npos;
 }
 
-SensorModel parse_beam_sensor(const std::string& text, const SensorName& name) {
-    const int columns = name.columns > 0 ? name.columns : kTableColumns;
-    SpinningSensor sensor =
-        parse_beam_table(text, name.name, columns, name.rate_hz > 0.0 ? name.rate_hz : kTableRate_hz);
-    sensor.name = fs::path(name.name).stem().string();
+SensorModel parse_beam_table_sensor(const std::string& csv_text, const SensorSpecifier& sensor_name) {
+    const int columns = sensor_name.columns > 0 ? sensor_name.columns : kTableColumns;
+    SpinningSensor sensor = parse_beam_table(csv_text, sensor_name.name, columns,
+                                             sensor_name.rate_hz > 0.0 ? sensor_name.rate_hz : kTableRate_hz);
+    sensor.name = fs::path(sensor_name.name).stem().string();
     return {sensor.name, "", sensor.range_limits(), std::move(sensor)};
 }
 
-SensorModel read_sensor(const SensorName& name, double max_range_m) {
-    const fs::path path = name.name;
+SensorModel read_sensor_file(const SensorSpecifier& sensor_name, double default_max_range_m) {
+    const fs::path path = sensor_name.name;
     const std::string stem = path.stem().string();
     SensorModel sensor = [&] {
-        if (path.extension() == ".npz") return sensor_files::read_ray_npz(name.name, stem);
-        const std::string text = read_text(path);
+        if (path.extension() == ".npz") return sensor_files::read_ray_npz(sensor_name.name, stem);
+        const std::string text = read_text_file(path);
         if (path.extension() == ".json")
-            return sensor_files::parse_sensor_json(text, stem, name.name, name.columns, name.rate_hz);
-        return is_ray_csv(text) ? sensor_files::parse_ray_csv(text, stem, name.name)
-                                : parse_beam_sensor(text, name);
+            return sensor_files::parse_sensor_json(text, stem, sensor_name.name, sensor_name.columns,
+                                                   sensor_name.rate_hz);
+        return is_ray_csv(text) ? sensor_files::parse_ray_csv(text, stem, sensor_name.name)
+                                : parse_beam_table_sensor(text, sensor_name);
     }();
-    if (name.columns > 0 && !std::holds_alternative<SpinningSensor>(sensor.pattern))
+    if (sensor_name.columns > 0 && !std::holds_alternative<SpinningSensor>(sensor.pattern))
         throw UsageError(fmt::format(
             "sensor '{}:{}': found columns for a table of rays, but such a sensor does not spin; use "
             "only the file name",
-            name.name, name.columns));
-    sensor_files::limit_sensor_range(sensor, max_range_m, name.name);
+            sensor_name.name, sensor_name.columns));
+    sensor_files::set_missing_max_range(sensor, default_max_range_m, sensor_name.name);
     return sensor;
 }
 
 }  // namespace
 
-void sensor_files::limit_sensor_range(SensorModel& sensor, double max_range_m, const std::string& location) {
+void sensor_files::set_missing_max_range(SensorModel& sensor, double max_range_m,
+                                         const std::string& error_location) {
     if (!std::isinf(sensor.limits.max_m)) return;
     if (!(sensor.limits.min_m < max_range_m))
         throw DataError(fmt::format(
             "{}: found range limits of {} to {} m, where max_range_m has its default value; expected "
             "min_range_m < max_range_m",
-            location, sensor.limits.min_m, max_range_m));
+            error_location, sensor.limits.min_m, max_range_m));
     sensor.limits.max_m = max_range_m;
     if (auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) spinning->max_range_m = max_range_m;
 }
 
 SensorModel parse_sensor_json_text(const std::string& text, const std::string& name,
-                                   const std::string& location) {
-    return sensor_files::parse_sensor_json(text, name, location, 0, 0.0);
+                                   const std::string& error_location) {
+    return sensor_files::parse_sensor_json(text, name, error_location, 0, 0.0);
 }
 
-SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::string>& also_known,
-                        double max_range_m) {
-    const SensorName name = parse_name(name_or_file);
-    if (const auto known = find_built_in_sensor(name.name, name.columns, name.rate_hz)) return *known;
+SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::string>& other_known_names,
+                        double default_max_range_m) {
+    const SensorSpecifier name = parse_sensor_name(name_or_file);
+    if (const auto built_in_sensor = find_built_in_sensor(name.name, name.columns, name.rate_hz))
+        return *built_in_sensor;
     const std::string extension = fs::path(name.name).extension().string();
     if (extension == ".csv" || extension == ".json" || extension == ".npz" || does_path_exist(name.name))
-        return read_sensor(name, max_range_m);
-    std::vector<std::string> known = also_known;
-    for (const std::string& sensor : list_sensor_names()) known.push_back(sensor);
-    throw UsageError(
-        fmt::format("the sensor '{}' is unknown{} (known: {}; or the path of a file, such as "
-                    "beams.csv:1024x10, rays.npz or the metadata.json of an Ouster sensor)",
-                    name_or_file, suggest_name(name_or_file, known, "'"), fmt::join(known, ", ")));
+        return read_sensor_file(name, default_max_range_m);
+    std::vector<std::string> known_names = other_known_names;
+    for (const std::string& sensor : list_sensor_names()) known_names.push_back(sensor);
+    throw UsageError(fmt::format(
+        "the sensor '{}' is unknown{} (known: {}; or the path of a file, such as "
+        "beams.csv:1024x10, rays.npz or the metadata.json of an Ouster sensor)",
+        name_or_file, format_name_suggestion(name_or_file, known_names, "'"), fmt::join(known_names, ", ")));
 }
 
 std::string make_sensor_file_help() {
@@ -141,7 +144,7 @@ std::string make_sensor_file_help() {
            "rendered scan; divergence (radians,\n"
            "              one value per ray) or divergence_mrad (one value for all rays).\n"
            "  FILE.json   lists with the same names, the metadata of an Ouster sensor, or one of\n" +
-           describe_pattern_kinds() +
+           format_pattern_kinds_help() +
            "              each with name, period_s (0.1), divergence_mrad (0), min_range_m (0), "
            "max_range_m (80); defaults in parentheses.\n"
            "              NAME_rad can be used instead of NAME_deg.\n"

@@ -12,7 +12,7 @@
 namespace relidar::sensor_files {
 
 /// Rays with the values of a file. Arrays that the file does not contain are empty.
-struct RayColumns {
+struct RayFileArrays {
     int rows = 1, columns = 0;
     std::vector<double> direction;  ///< [n,3] directions
     std::vector<double> origin;     ///< [n,3] origins in metres; empty: 0
@@ -27,36 +27,38 @@ struct RayColumns {
 };
 
 /// Checks rays and creates a sensor from them.
-/// @param location  name of the file in error messages
+/// @param error_location  name of the file in error messages
 /// @throws DataError if the arrays have different lengths, values are not finite or out
 /// of range, or directions do not have unit length
-SensorModel make_ray_sensor(const RayColumns& columns, const std::string& name, const std::string& location);
+SensorModel make_ray_sensor(const RayFileArrays& ray_columns, const std::string& sensor_name,
+                            const std::string& error_location);
 
 /// Returns the beam divergences in radians. A file may contain one number per ray or one
 /// number for all rays.
 /// @param ray_divergence_rad  [n] divergence of each ray, or empty
 /// @throws DataError if the file contains both forms
-std::vector<double> compute_divergence(std::vector<double> ray_divergence_rad,
-                                       std::optional<double> common_divergence_mrad,
-                                       const std::string& location);
+std::vector<double> choose_divergence_rad(std::vector<double> ray_divergence_rad,
+                                          std::optional<double> common_divergence_mrad,
+                                          const std::string& error_location);
 
 /// Parses the text of a ray table in CSV format.
 /// @throws DataError naming the line and the value that is wrong
-SensorModel parse_ray_csv(const std::string& text, const std::string& name, const std::string& location);
+SensorModel parse_ray_csv(const std::string& csv_text, const std::string& sensor_name,
+                          const std::string& error_location);
 /// Reads a ray table from an npz file.
 /// @throws DataError if the file is invalid
-SensorModel read_ray_npz(const std::string& path, const std::string& name);
+SensorModel read_ray_npz(const std::string& path, const std::string& sensor_name);
 /// Parses a sensor in JSON format: a sensor pattern, a ray table, or the metadata of an
 /// Ouster sensor.
-/// @param columns  number of columns, if above 0, instead of the number in Ouster
+/// @param ray_columns  number of columns, if above 0, instead of the number in Ouster
 /// metadata
 /// @param rate_hz  rate, if above 0, instead of the rate in Ouster metadata
 /// @throws DataError naming the key that is wrong
-SensorModel parse_sensor_json(const std::string& text, const std::string& name, const std::string& location,
-                              int columns, double rate_hz);
+SensorModel parse_sensor_json(const std::string& json_text, const std::string& sensor_name,
+                              const std::string& error_location, int columns, double rate_hz);
 
 /// Sets the maximum range of a sensor that has none.
 /// @throws DataError if the maximum range is not above the minimum range
-void limit_sensor_range(SensorModel& sensor, double max_range_m, const std::string& location);
+void set_missing_max_range(SensorModel& sensor, double max_range_m, const std::string& error_location);
 
 }  // namespace relidar::sensor_files

@@ -16,7 +16,7 @@
 namespace relidar::sensor_files {
 namespace {
 
-enum Field {
+enum RayCsvField {
     kAzimuth,
     kElevation,
     kOriginX,
@@ -34,73 +34,75 @@ const std::vector<std::string> kNames{"azimuth_deg", "elevation_deg", "origin_x_
                                       "min_range_m", "max_range_m"};
 // These columns describe the sensor and not a single ray, so every line must contain the
 // same value.
-constexpr std::array<Field, 2> kOfSensor{kMinRange, kMaxRange};
+constexpr std::array<RayCsvField, 2> kOfSensor{kMinRange, kMaxRange};
 
-using Values = std::array<double, kFieldCount>;
+using RayCsvRow = std::array<double, kFieldCount>;
 
 /// Returns the values of a CSV line. Missing range limits get the default values of
-/// RayColumns.
-Values parse_line(const std::string& line, const std::vector<int>& columns, std::size_t n_cells,
-                  const std::string& location) {
+/// RayFileArrays.
+RayCsvRow parse_ray_line(const std::string& line, const std::vector<int>& column_of_field,
+                         std::size_t n_cells, const std::string& error_location) {
     const std::vector<std::string_view> cells = split_csv_cells(line);
     if (cells.size() != n_cells)
-        throw DataError(fmt::format("{}: found {} values, expected {} like in the header", location,
+        throw DataError(fmt::format("{}: found {} values, expected {} like in the header", error_location,
                                     cells.size(), n_cells));
-    Values value{};
-    value[kMaxRange] = RayColumns{}.limits.max_m;
+    RayCsvRow value{};
+    value[kMaxRange] = RayFileArrays{}.limits.max_m;
     for (std::size_t f = 0; f < kFieldCount; ++f) {
-        if (columns[f] < 0) continue;
-        const std::string_view cell = cells[static_cast<std::size_t>(columns[f])];
+        if (column_of_field[f] < 0) continue;
+        const std::string_view cell = cells[static_cast<std::size_t>(column_of_field[f])];
         const auto number = parse_number(cell);
         if (!number || !std::isfinite(*number))
-            throw DataError(
-                fmt::format("{}: {} is '{}', expected a number", location, kNames[f], make_excerpt(cell)));
+            throw DataError(fmt::format("{}: {} is '{}', expected a number", error_location, kNames[f],
+                                        shorten_for_error_message(cell)));
         value[f] = *number;
     }
     return value;
 }
 
-void add_ray(RayColumns& rays, const Values& values) {
-    const double azimuth = values[kAzimuth] * kPi / 180.0, elevation = values[kElevation] * kPi / 180.0,
-                 c = std::cos(elevation);
+void append_ray_row(RayFileArrays& rays, const RayCsvRow& field_values) {
+    const double azimuth = field_values[kAzimuth] * kPi / 180.0,
+                 elevation = field_values[kElevation] * kPi / 180.0, c = std::cos(elevation);
     rays.direction.insert(rays.direction.end(),
                           {c * std::cos(azimuth), c * std::sin(azimuth), std::sin(elevation)});
-    rays.origin.insert(rays.origin.end(), {values[kOriginX], values[kOriginY], values[kOriginZ]});
-    rays.time_s.push_back(values[kTime]);
-    rays.channel.push_back(values[kChannel]);
-    rays.divergence_rad.push_back(values[kDivergence] * 1e-3);
+    rays.origin.insert(rays.origin.end(),
+                       {field_values[kOriginX], field_values[kOriginY], field_values[kOriginZ]});
+    rays.time_s.push_back(field_values[kTime]);
+    rays.channel.push_back(field_values[kChannel]);
+    rays.divergence_rad.push_back(field_values[kDivergence] * 1e-3);
 }
 
 }  // namespace
 
-SensorModel parse_ray_csv(const std::string& text, const std::string& name, const std::string& location) {
-    const std::vector<std::string> lines = split_lines(text);
+SensorModel parse_ray_csv(const std::string& csv_text, const std::string& sensor_name,
+                          const std::string& error_location) {
+    const std::vector<std::string> lines = split_lines(csv_text);
     const std::vector<std::string_view> header =
         lines.empty() ? std::vector<std::string_view>{} : split_csv_cells(lines[0]);
-    const std::vector<int> at = find_columns(header, kNames, location + " line 1");
+    const std::vector<int> at = find_column_indices(header, kNames, error_location + " line 1");
     if (at[kAzimuth] < 0 || at[kElevation] < 0)
         throw DataError(fmt::format(
             "{} line 1: the column azimuth_deg or elevation_deg is missing, expected both in a ray "
             "table",
-            location));
-    RayColumns rays;
-    Values first{};
+            error_location));
+    RayFileArrays rays;
+    RayCsvRow first{};
     for (std::size_t l = 1; l < lines.size(); ++l) {
         if (trim_spaces(lines[l]).empty()) continue;
-        const std::string line = fmt::format("{} line {}", location, l + 1);
-        const Values v = parse_line(lines[l], at, header.size(), line);
+        const std::string line = fmt::format("{} line {}", error_location, l + 1);
+        const RayCsvRow v = parse_ray_line(lines[l], at, header.size(), line);
         if (rays.time_s.empty()) first = v;
-        for (const Field f : kOfSensor) {
+        for (const RayCsvField f : kOfSensor) {
             if (v[f] != first[f])
                 throw DataError(fmt::format(
                     "{}: {} is {}, expected {} like in the first line, because all rays have the same value",
                     line, kNames[f], v[f], first[f]));
         }
-        add_ray(rays, v);
+        append_ray_row(rays, v);
     }
     rays.columns = static_cast<int>(std::min(rays.time_s.size(), kMaxRays + 1));
     rays.limits = {first[kMinRange], first[kMaxRange]};
-    return make_ray_sensor(rays, name, location);
+    return make_ray_sensor(rays, sensor_name, error_location);
 }
 
 }  // namespace relidar::sensor_files

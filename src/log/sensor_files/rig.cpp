@@ -24,97 +24,104 @@ constexpr std::size_t kMostSensors = 64;
 constexpr double kFarthest_m = 1000.0;
 
 /// Returns the three numbers of a JSON list, or zeros if the key is missing.
-glm::dvec3 read_vector(const Json& sensor, const char* key, double largest, const std::string& location) {
-    if (!sensor.contains(key)) return glm::dvec3(0.0);
-    const Json& list = sensor.at(key);
+glm::dvec3 read_vector_or_zero(const Json& sensor_json, const char* key, double max_abs_value,
+                               const std::string& error_location) {
+    if (!sensor_json.contains(key)) return glm::dvec3(0.0);
+    const Json& list = sensor_json.at(key);
     glm::dvec3 v(0.0);
     const bool numbers = list.is_array() && list.size() == 3 &&
                          std::all_of(list.begin(), list.end(), [](const Json& n) { return n.is_number(); });
     for (int k = 0; numbers && k < 3; ++k) v[k] = list[std::size_t(k)].get<double>();
-    if (!numbers || !(std::abs(v.x) <= largest && std::abs(v.y) <= largest && std::abs(v.z) <= largest))
-        throw DataError(fmt::format("{}: {}: expected three numbers of at most {}", location, key, largest));
+    if (!numbers ||
+        !(std::abs(v.x) <= max_abs_value && std::abs(v.y) <= max_abs_value && std::abs(v.z) <= max_abs_value))
+        throw DataError(
+            fmt::format("{}: {}: expected three numbers of at most {}", error_location, key, max_abs_value));
     return v;
 }
 
-std::string read_text_member(const Json& sensor, const char* key, const std::string& location) {
-    if (!sensor.is_object() || !sensor.contains(key) || !sensor.at(key).is_string())
-        throw DataError(fmt::format("{}: {}: expected a text", location, key));
-    return sensor.at(key).get<std::string>();
+std::string read_required_text(const Json& sensor_json, const char* key, const std::string& error_location) {
+    if (!sensor_json.is_object() || !sensor_json.contains(key) || !sensor_json.at(key).is_string())
+        throw DataError(fmt::format("{}: {}: expected a text", error_location, key));
+    return sensor_json.at(key).get<std::string>();
 }
 
-Pose mounting(const Json& sensor, const std::string& location) {
-    const glm::dvec3 angle = read_vector(sensor, "yaw_pitch_roll_deg", 360.0, location) * (kPi / 180.0);
+Pose read_mounting_pose(const Json& sensor_json, const std::string& error_location) {
+    const glm::dvec3 angle =
+        read_vector_or_zero(sensor_json, "yaw_pitch_roll_deg", 360.0, error_location) * (kPi / 180.0);
     return {make_rotation(angle.x, angle.y, angle.z),
-            read_vector(sensor, "translation_m", kFarthest_m, location)};
+            read_vector_or_zero(sensor_json, "translation_m", kFarthest_m, error_location)};
 }
 
-int read_return_count(const Json& sensor, const std::string& location) {
-    if (!sensor.contains("returns")) return 1;
-    const Json& returns = sensor.at("returns");
-    if (returns != 1 && returns != 2) throw DataError(fmt::format("{}: returns: expected 1 or 2", location));
+int read_return_count(const Json& sensor_json, const std::string& error_location) {
+    if (!sensor_json.contains("returns")) return 1;
+    const Json& returns = sensor_json.at("returns");
+    if (returns != 1 && returns != 2)
+        throw DataError(fmt::format("{}: returns: expected 1 or 2", error_location));
     return returns.get<int>();
 }
 
 /// Returns the path of a sensor file in the folder of the rig file. If there is no such
 /// file, returns the text unchanged: a sensor name or another path.
-std::string find_file_beside_rig(const std::string& sensor, const std::string& rig) {
-    const fs::path path = fs::path(rig).parent_path() / sensor;
+std::string find_file_beside_rig(const std::string& sensor_name, const std::string& rig_file) {
+    const fs::path path = fs::path(rig_file).parent_path() / sensor_name;
     const fs::path without_columns = path.string().substr(0, path.string().rfind(':'));
-    return !find_known_name(sensor, list_sensor_names()) &&
+    return !find_name_ignoring_case(sensor_name, list_sensor_names()) &&
                    (does_path_exist(path) || does_path_exist(without_columns))
                ? path.string()
-               : sensor;
+               : sensor_name;
 }
 
 /// Returns the sensor of one rig entry, which contains the name of a sensor, the name of
 /// a file, or a JSON object.
-SensorModel read_sensor_model(const Json& sensor, const std::string& name, const std::string& rig,
-                              const std::string& location) {
-    if (!sensor.contains("sensor") || !sensor.at("sensor").is_object())
-        return find_sensor(find_file_beside_rig(read_text_member(sensor, "sensor", location), rig));
-    const std::string object = location + ": sensor";
-    SensorModel model = parse_sensor_json_text(sensor.at("sensor").dump(), name, object);
-    sensor_files::limit_sensor_range(model, kDefaultMaxRange_m, object);
+SensorModel read_sensor_model(const Json& sensor_json, const std::string& sensor_name,
+                              const std::string& rig_file, const std::string& error_location) {
+    if (!sensor_json.contains("sensor") || !sensor_json.at("sensor").is_object())
+        return find_sensor(
+            find_file_beside_rig(read_required_text(sensor_json, "sensor", error_location), rig_file));
+    const std::string object = error_location + ": sensor";
+    SensorModel model = parse_sensor_json_text(sensor_json.at("sensor").dump(), sensor_name, object);
+    sensor_files::set_missing_max_range(model, kDefaultMaxRange_m, object);
     return model;
 }
 
-void check_name(const std::string& name, const std::set<std::string>& used_names,
-                const std::string& location) {
+void check_sensor_name(const std::string& name, const std::set<std::string>& used_names,
+                       const std::string& error_location) {
     const auto allowed = [](char character) {
         return std::isalnum(static_cast<unsigned char>(character)) || character == '-' || character == '_' ||
                character == '.';
     };
     if (name.empty() || name.size() > 64 || name.starts_with('.') ||
         !std::all_of(name.begin(), name.end(), allowed))
-        throw DataError(fmt::format("{}: name: found \"{}\", expected letters, digits, -, _ and .", location,
-                                    make_excerpt(name)));
+        throw DataError(fmt::format("{}: name: found \"{}\", expected letters, digits, -, _ and .",
+                                    error_location, shorten_for_error_message(name)));
     if (used_names.contains(name))
-        throw DataError(fmt::format("{}: name: \"{}\" occurs twice, expected it once", location, name));
+        throw DataError(fmt::format("{}: name: \"{}\" occurs twice, expected it once", error_location, name));
 }
 
 /// Throws for unknown keys. If a key were misspelt, for example "translation", the sensor
 /// would otherwise be mounted at the origin of the rig.
-void check_keys(const Json& object, const std::vector<std::string>& known_names,
-                const std::string& location) {
+void check_known_keys(const Json& object, const std::vector<std::string>& known_keys,
+                      const std::string& error_location) {
     for (const auto& [key, value] : object.items())
-        if (std::find(known_names.begin(), known_names.end(), key) == known_names.end())
-            throw DataError(fmt::format("{}: unknown key '{}'{} (known: {})", location, make_excerpt(key),
-                                        suggest_name(key, known_names, "'"), fmt::join(known_names, ", ")));
+        if (std::find(known_keys.begin(), known_keys.end(), key) == known_keys.end())
+            throw DataError(fmt::format(
+                "{}: unknown key '{}'{} (known: {})", error_location, shorten_for_error_message(key),
+                format_name_suggestion(key, known_keys, "'"), fmt::join(known_keys, ", ")));
 }
 
 }  // namespace
 
-std::optional<std::vector<MountedSensor>> find_rig(const std::string& path) {
+std::optional<std::vector<MountedSensor>> read_sensor_rig(const std::string& path) {
     if (fs::path(path).extension() != ".json") return {};
     Json json;
     try {
-        json = Json::parse(read_text(path));
+        json = Json::parse(read_text_file(path));
     } catch (const std::exception&) {
         // find_sensor() reads the file again and reports the error.
         return {};
     }
     if (!json.is_object() || !json.contains("sensors")) return {};
-    check_keys(json, {"sensors"}, path);
+    check_known_keys(json, {"sensors"}, path);
     if (!json.at("sensors").is_array() || json.at("sensors").empty() ||
         json.at("sensors").size() > kMostSensors)
         throw DataError(
@@ -123,11 +130,11 @@ std::optional<std::vector<MountedSensor>> find_rig(const std::string& path) {
     std::set<std::string> names;
     for (const Json& sensor : json.at("sensors")) {
         const std::string where = fmt::format("{}: sensor {}", path, rig.size());
-        const std::string name = read_text_member(sensor, "name", where);
-        check_name(name, names, where);
+        const std::string name = read_required_text(sensor, "name", where);
+        check_sensor_name(name, names, where);
         names.insert(name);
-        check_keys(sensor, {"name", "sensor", "translation_m", "yaw_pitch_roll_deg", "returns"}, where);
-        rig.push_back({name, read_sensor_model(sensor, name, path, where), mounting(sensor, where),
+        check_known_keys(sensor, {"name", "sensor", "translation_m", "yaw_pitch_roll_deg", "returns"}, where);
+        rig.push_back({name, read_sensor_model(sensor, name, path, where), read_mounting_pose(sensor, where),
                        read_return_count(sensor, where)});
     }
     return rig;

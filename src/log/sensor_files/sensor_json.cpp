@@ -28,41 +28,43 @@ using Json = nlohmann::json;
 
 constexpr std::size_t kMostBeams = 1024;
 
-/// Returns the value of a key in a JSON object, or in its members `parts`. Returns null
-/// if the key is missing.
-const Json* find(const Json& json, const std::string& key, std::initializer_list<const char*> parts) {
+/// Returns the value of a key in a JSON object, or in its members `object_names`. Returns
+/// null if the key is missing.
+const Json* find_json_value(const Json& json, const std::string& key,
+                            std::initializer_list<const char*> object_names) {
     if (json.contains(key)) return &json.at(key);
-    for (const char* part : parts)
+    for (const char* part : object_names)
         if (json.contains(part) && json.at(part).is_object() && json.at(part).contains(key))
             return &json.at(part).at(key);
     return nullptr;
 }
 
 /// Returns the numbers of a JSON list, or an empty vector if the list is missing.
-std::vector<double> read_numbers_member(const Json* json, const std::string& location) {
-    return json ? JsonField(*json, location, "").read_nested_numbers(1) : std::vector<double>{};
+std::vector<double> read_optional_number_list(const Json* json, const std::string& error_location) {
+    return json ? JsonField(*json, error_location, "").get_nested_numbers(1) : std::vector<double>{};
 }
 
-double read_optional_number(const Json* json, double default_value, const std::string& location) {
+double read_optional_number(const Json* json, double default_value, const std::string& error_location) {
     if (!json) return default_value;
     if (!json->is_number() || !std::isfinite(json->get<double>()))
-        throw DataError(fmt::format("{}: expected a number", location));
+        throw DataError(fmt::format("{}: expected a number", error_location));
     return json->get<double>();
 }
 
-RangeLimits make_ouster_limits(const Json& json) {
-    const Json* line = find(json, "prod_line", {"sensor_info"});
+RangeLimits get_ouster_range_limits(const Json& metadata) {
+    const Json* line = find_json_value(metadata, "prod_line", {"sensor_info"});
     const std::string product = line && line->is_string() ? line->get<std::string>() : "";
-    const auto known = product.starts_with("OS-0")   ? find_built_in_sensor("OS0-128")
-                       : product.starts_with("OS-2") ? find_built_in_sensor("OS2-128")
-                                                     : find_built_in_sensor("OS1-128");
-    return known->limits;
+    const auto built_in_sensor = product.starts_with("OS-0")   ? find_built_in_sensor("OS0-128")
+                                 : product.starts_with("OS-2") ? find_built_in_sensor("OS2-128")
+                                                               : find_built_in_sensor("OS1-128");
+    return built_in_sensor->limits;
 }
 
 /// Reads the columns and the rate of an Ouster sensor from its mode, for example
 /// "1024x10".
-std::pair<int, double> parse_ouster_mode(const Json& json, const std::string& location) {
-    const Json* mode = find(json, "lidar_mode", {"config_params"});
+std::pair<int, double> parse_ouster_columns_and_rate(const Json& metadata,
+                                                     const std::string& error_location) {
+    const Json* mode = find_json_value(metadata, "lidar_mode", {"config_params"});
     const std::string text = mode && mode->is_string() ? mode->get<std::string>() : "";
     const std::size_t x = text.find('x');
     const auto columns = parse_number(std::string_view(text).substr(0, x));
@@ -71,34 +73,35 @@ std::pair<int, double> parse_ouster_mode(const Json& json, const std::string& lo
     if (!columns || !rate || !(*columns >= 1 && *columns <= 65536) || !(*rate > 0.0 && *rate <= 1000.0))
         throw DataError(
             fmt::format("{}: lidar_mode is \"{}\", expected columns and rate, for example \"1024x10\"",
-                        location, make_excerpt(text)));
+                        error_location, shorten_for_error_message(text)));
     return {static_cast<int>(*columns), *rate};
 }
 
-SensorModel parse_ouster_sensor(const Json& json, const std::string& name, const std::string& location,
-                                int columns, double rate_hz) {
+SensorModel parse_ouster_sensor(const Json& metadata, const std::string& name,
+                                const std::string& error_location, int columns, double rate_hz) {
     const auto list = [&](const char* key) {
-        return read_numbers_member(find(json, key, {"beam_intrinsics"}),
-                                   fmt::format("{}: {}", location, key));
+        return read_optional_number_list(find_json_value(metadata, key, {"beam_intrinsics"}),
+                                         fmt::format("{}: {}", error_location, key));
     };
     const std::vector<double> altitude = list("beam_altitude_angles"), azimuth = list("beam_azimuth_angles");
     if (altitude.empty() || altitude.size() > kMostBeams || azimuth.size() != altitude.size()) {
         throw DataError(fmt::format(
             "{}: found {} beam_altitude_angles and {} beam_azimuth_angles, expected the same number "
             "of both and at most {}",
-            location, altitude.size(), azimuth.size(), kMostBeams));
+            error_location, altitude.size(), azimuth.size(), kMostBeams));
     }
     const double offset_m =
-        1e-3 * read_optional_number(find(json, "lidar_origin_to_beam_origin_mm", {"beam_intrinsics"}), 0.0,
-                                    location + ": lidar_origin_to_beam_origin_mm");
+        1e-3 *
+        read_optional_number(find_json_value(metadata, "lidar_origin_to_beam_origin_mm", {"beam_intrinsics"}),
+                             0.0, error_location + ": lidar_origin_to_beam_origin_mm");
     SpinningSensor sensor;
     const auto [mode_columns, mode_rate_hz] =
-        columns > 0 ? std::pair(columns, rate_hz) : parse_ouster_mode(json, location);
+        columns > 0 ? std::pair(columns, rate_hz) : parse_ouster_columns_and_rate(metadata, error_location);
     sensor.name = name;
     sensor.columns = mode_columns;
     sensor.period_s = 1.0 / mode_rate_hz;
     sensor.first_azimuth_rad = kPi;
-    const RangeLimits limits = make_ouster_limits(json);
+    const RangeLimits limits = get_ouster_range_limits(metadata);
     sensor.min_range_m = limits.min_m;
     sensor.max_range_m = limits.max_m;
     for (std::size_t b = 0; b < altitude.size(); ++b) {
@@ -106,7 +109,7 @@ SensorModel parse_ouster_sensor(const Json& json, const std::string& name, const
             throw DataError(fmt::format(
                 "{}: beam {} has altitude {} and azimuth {} and starts {} m from the axis, expected "
                 "angles in degrees and less than 1 m",
-                location, b, altitude[b], azimuth[b], offset_m));
+                error_location, b, altitude[b], azimuth[b], offset_m));
         sensor.beams.push_back({.elevation_rad = altitude[b] * kPi / 180.0,
                                 .azimuth_offset_rad = -azimuth[b] * kPi / 180.0,
                                 .origin_offset_m = offset_m});
@@ -117,34 +120,34 @@ SensorModel parse_ouster_sensor(const Json& json, const std::string& name, const
 
 }  // namespace
 
-SensorModel parse_sensor_json(const std::string& text, const std::string& name, const std::string& location,
-                              int columns, double rate_hz) {
+SensorModel parse_sensor_json(const std::string& json_text, const std::string& sensor_name,
+                              const std::string& error_location, int columns, double rate_hz) {
     Json json;
     try {
-        json = Json::parse(text);
+        json = Json::parse(json_text);
     } catch (const Json::exception& error) {
-        throw DataError(fmt::format("{} is not valid JSON ({}), expected a sensor", location,
-                                    make_excerpt(error.what())));
+        throw DataError(fmt::format("{} is not valid JSON ({}), expected a sensor", error_location,
+                                    shorten_for_error_message(error.what())));
     }
-    const JsonField root(json, location, "");
+    const JsonField root(json, error_location, "");
     // A file with "directions" is a sensor of the kind "rays", but does not name this
     // kind.
-    if (root.has("directions")) return make_rays_kind().parse(root, name);
+    if (root.has_member("directions")) return make_rays_kind().parse(root, sensor_name);
     if (find_pattern_kind(root)) {
-        SensorModel sensor = read_sensor_json(root, name);
+        SensorModel sensor = read_sensor_json(root, sensor_name);
         const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern);
         if (spinning && spinning->beams.empty())
-            root.at("spinning").fail("found no beams", "expected at least one");
+            root.at("spinning").throw_field_error("found no beams", "expected at least one");
         return sensor;
     }
-    if (json.is_object() && find(json, "beam_altitude_angles", {"beam_intrinsics"}))
-        return parse_ouster_sensor(json, name, location, columns, rate_hz);
+    if (json.is_object() && find_json_value(json, "beam_altitude_angles", {"beam_intrinsics"}))
+        return parse_ouster_sensor(json, sensor_name, error_location, columns, rate_hz);
     std::string kinds;
     for (const PatternKind& kind : list_pattern_kinds()) kinds += fmt::format("\"{}\", ", kind.name);
     throw DataError(
         fmt::format("{}: found none of the keys {}\"directions\" and \"beam_altitude_angles\", expected a "
                     "scan pattern, a ray table, or Ouster metadata",
-                    location, kinds));
+                    error_location, kinds));
 }
 
 }  // namespace relidar::sensor_files

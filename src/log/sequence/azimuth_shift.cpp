@@ -21,27 +21,28 @@ constexpr double kExact_rad = 1e-5;  // shifts below this value are rounding err
 constexpr double kAgree_columns = 0.1;
 
 /// Returns the difference of two directions in azimuth, positive to the left.
-double compute_azimuth_between(const glm::vec3& first, const glm::vec3& second) {
-    return std::atan2(double(first.x) * second.y - double(first.y) * second.x,
-                      double(first.x) * second.x + double(first.y) * second.y);
+double compute_azimuth_difference(const glm::vec3& first_direction, const glm::vec3& second_direction) {
+    return std::atan2(
+        double(first_direction.x) * second_direction.y - double(first_direction.y) * second_direction.x,
+        double(first_direction.x) * second_direction.x + double(first_direction.y) * second_direction.y);
 }
 
 /// Calls visit(ray, firing) for each ray of a scan, with the index of its firing within
 /// the sweep.
 template <class Visit>
-void visit_rays(const SpinningSensor& sensor, const Visit& visit) {
+void visit_rays_with_firing(const SpinningSensor& sensor, const Visit& visit_ray) {
     const auto columns = std::size_t(sensor.columns);
     for (std::size_t row = 0; row < sensor.beams.size(); ++row) {
         const int shift =
             compute_column_shift(sensor.beams[row], sensor.columns) % sensor.columns + sensor.columns;
         for (std::size_t column = 0; column < columns; ++column)
-            visit(row * columns + column, (column + std::size_t(shift)) % columns);
+            visit_ray(row * columns + column, (column + std::size_t(shift)) % columns);
     }
 }
 
 /// Interpolates unknown azimuth shifts (NAN) between the neighbouring firings. Removes
 /// all shifts if all are unknown.
-void fill_shift_gaps(std::vector<float>& shift_rad) {
+void interpolate_unknown_shifts(std::vector<float>& shift_rad) {
     const auto is_known = [](float shift) { return !std::isnan(shift); };
     auto last = std::ranges::find_if(shift_rad, is_known);
     if (last == shift_rad.end()) return shift_rad.clear();
@@ -55,25 +56,25 @@ void fill_shift_gaps(std::vector<float>& shift_rad) {
 
 }  // namespace
 
-std::vector<float> find_azimuth_shift(const Scan& scan, const SpinningSensor& sensor,
-                                      const RayTable& nominal) {
+std::vector<float> measure_azimuth_shifts_rad(const Scan& scan, const SpinningSensor& sensor,
+                                              const RayTable& nominal_rays) {
     const RayTable& rays = scan.rays;
-    if (nominal.size() == 0 || std::size_t(rays.rows) != sensor.beams.size() ||
+    if (nominal_rays.size() == 0 || std::size_t(rays.rows) != sensor.beams.size() ||
         rays.columns != sensor.columns)
         return {};
-    std::vector<std::vector<float>> seen(std::size_t(sensor.columns));
-    visit_rays(sensor, [&](std::size_t ray, std::size_t firing) {
+    std::vector<std::vector<float>> shifts_by_firing(std::size_t(sensor.columns));
+    visit_rays_with_firing(sensor, [&](std::size_t ray, std::size_t firing) {
         if (!(scan.range_m[ray] > 0.0f)) return;
-        seen[firing].push_back(
-            static_cast<float>(compute_azimuth_between(nominal.direction[ray], rays.direction[ray])));
+        shifts_by_firing[firing].push_back(
+            static_cast<float>(compute_azimuth_difference(nominal_rays.direction[ray], rays.direction[ray])));
     });
-    std::vector<float> shift_rad(seen.size(), NAN), off;
-    for (std::size_t firing = 0; firing < seen.size(); ++firing) {
-        if (seen[firing].size() < kFewest) continue;
-        shift_rad[firing] = compute_median(seen[firing]);
-        for (const float shift : seen[firing]) off.push_back(std::abs(shift - shift_rad[firing]));
+    std::vector<float> shift_rad(shifts_by_firing.size(), NAN), off;
+    for (std::size_t firing = 0; firing < shifts_by_firing.size(); ++firing) {
+        if (shifts_by_firing[firing].size() < kFewest) continue;
+        shift_rad[firing] = compute_median(shifts_by_firing[firing]);
+        for (const float shift : shifts_by_firing[firing]) off.push_back(std::abs(shift - shift_rad[firing]));
     }
-    fill_shift_gaps(shift_rad);
+    interpolate_unknown_shifts(shift_rad);
     if (shift_rad.empty() || compute_median(off) > kAgree_columns * 2.0 * kPi / sensor.columns) return {};
     if (std::ranges::all_of(shift_rad, [](float shift) { return std::abs(shift) < kExact_rad; })) return {};
     return shift_rad;
@@ -81,7 +82,7 @@ std::vector<float> find_azimuth_shift(const Scan& scan, const SpinningSensor& se
 
 RayTable shift_azimuths(RayTable rays, const SpinningSensor& sensor, const std::vector<float>& shift_rad) {
     if (shift_rad.empty()) return rays;
-    visit_rays(sensor, [&](std::size_t ray, std::size_t firing) {
+    visit_rays_with_firing(sensor, [&](std::size_t ray, std::size_t firing) {
         const double cosine = std::cos(double(shift_rad[firing])), sine = std::sin(double(shift_rad[firing]));
         for (glm::vec3* v : {&rays.direction[ray], &rays.origin[ray]}) {
             *v = {static_cast<float>(cosine * v->x - sine * v->y),

@@ -12,18 +12,21 @@
 
 namespace relidar {
 
-/// Returns the number of the beam that measured a ray (Sequence::find_beam_number), or
-/// nothing if the ray has no return closer than max_range_m.
-inline std::optional<std::uint16_t> find_beam_of_return(const Sequence& sequence, const Frame& frame,
-                                                        std::size_t ray, double max_range_m) {
-    const float range_m = frame.scan.range_m[ray];
+/// Returns the number of the beam that measured a ray
+/// (LidarSequence::find_global_beam_number), or nothing if the ray has no return closer
+/// than max_range_m.
+inline std::optional<std::uint16_t> find_beam_of_return(const LidarSequence& sequence,
+                                                        const LidarFrame& frame, std::size_t ray_index,
+                                                        double max_range_m) {
+    const float range_m = frame.scan.range_m[ray_index];
     return range_m > 0.0f && range_m < max_range_m
-               ? sequence.find_beam_number(frame.lidar, frame.scan.rays.channel[ray])
+               ? sequence.find_global_beam_number(frame.lidar, frame.scan.rays.channel[ray_index])
                : std::nullopt;
 }
 
-/// Returns the beams of all LiDARs in the order of Sequence::find_beam_number().
-inline std::vector<Beam*> list_beams(Sequence& sequence) {
+/// Returns the beams of all LiDARs in the order of
+/// LidarSequence::find_global_beam_number().
+inline std::vector<Beam*> list_beams_of_all_lidars(LidarSequence& sequence) {
     std::vector<Beam*> beams;
     for (Lidar& lidar : sequence.lidars)
         for (Beam& beam : lidar.sensor.beams) beams.push_back(&beam);
@@ -33,15 +36,17 @@ inline std::vector<Beam*> list_beams(Sequence& sequence) {
 /// Calls read(frame) for frames and returns the results. If all frames together have more
 /// than max_rays rays, reads only every n-th frame.
 template <class Read>
-auto read_frames(const Sequence& sequence, const std::vector<int>& positions, std::size_t max_rays,
-                 const Read& read) {
+auto collect_from_frames(const LidarSequence& sequence, const std::vector<int>& frame_indices,
+                         std::size_t max_rays, const Read& process_frame) {
     std::size_t rays = 0;
-    for (const int position : positions) rays += sequence.frames[std::size_t(position)].scan.range_m.size();
+    for (const int position : frame_indices)
+        rays += sequence.frames[std::size_t(position)].scan.range_m.size();
     const std::size_t stride = rays / max_rays + 1;
-    std::vector<decltype(read(sequence.frames.front()))> frames((positions.size() + stride - 1) / stride);
+    std::vector<decltype(process_frame(sequence.frames.front()))> frames((frame_indices.size() + stride - 1) /
+                                                                         stride);
     parallel_for(static_cast<int>(frames.size()), [&](int index) {
         frames[std::size_t(index)] =
-            read(sequence.frames[std::size_t(positions[std::size_t(index) * stride])]);
+            process_frame(sequence.frames[std::size_t(frame_indices[std::size_t(index) * stride])]);
     });
     return frames;
 }

@@ -15,7 +15,7 @@ namespace {
 
 // Intensities are compared within small cells ("places") of this size. A place contains
 // only one surface, but is hit several times.
-constexpr double kPlace_m = 0.1;
+constexpr double kIntensityCell_m = 0.1;
 // The surface normals at the places are those of planes, which are fitted in larger cells
 // of this size.
 constexpr double kSurface_m = 0.4;
@@ -25,14 +25,14 @@ constexpr double kMinPoints = 8.0;
 constexpr double kMaxThickness = 0.15;
 constexpr std::size_t kMostCompared = 6000000;
 
-struct SeenPlace {
+struct ReturnWithPoint {
     glm::dvec3 point_m{0.0};
     glm::vec3 direction{0.0f};
-    PlaceReturn given;  ///< the return; `place` and `cosine` are computed later
+    CellReturn cell_return;  ///< the return; `cell` and `cosine` are computed later
 };
 
-std::vector<SeenPlace> collect_observed_places(const Sequence& sequence, const Frame& frame) {
-    std::vector<SeenPlace> result;
+std::vector<ReturnWithPoint> collect_frame_returns(const LidarSequence& sequence, const LidarFrame& frame) {
+    std::vector<ReturnWithPoint> result;
     const Scan& scan = frame.scan;
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
         const auto beam =
@@ -48,25 +48,26 @@ std::vector<SeenPlace> collect_observed_places(const Sequence& sequence, const F
 }
 
 /// Numbers the cells of a world grid that contain returns.
-/// @param places returns of all frames
-/// @param cell_m edge length of a cell
-CellNumbers cells_of(const std::vector<SeenPlace>& places, double cell_m) {
-    return assign_cell_numbers(
-        places.size(), [&](std::size_t index) { return make_cell_key(places[index].point_m, cell_m); });
+/// @param returns returns of all frames
+/// @param cell_size_m edge length of a cell
+ItemCellIndices assign_returns_to_cells(const std::vector<ReturnWithPoint>& returns, double cell_size_m) {
+    return assign_cell_numbers(returns.size(), [&](std::size_t index) {
+        return compute_grid_cell_key(returns[index].point_m, cell_size_m);
+    });
 }
 
 /// Computes the surface normal in each cell of size kSurface_m, or zero if the returns of
 /// the cell do not lie on a plane.
-std::vector<glm::vec3> estimate_normals_of_places(const std::vector<SeenPlace>& places,
-                                                  const CellNumbers& cells) {
-    const ItemsOfCells items(cells);
+std::vector<glm::vec3> estimate_cell_normals(const std::vector<ReturnWithPoint>& returns,
+                                             const ItemCellIndices& cells) {
+    const CellItemLists items(cells);
     std::vector<glm::vec3> normals(cells.n_cells, glm::vec3(0.0f));
-    for_each_block(cells.n_cells, [&](std::size_t cell) {
-        if (double(items.of(cell).size()) < kMinPoints) return;
-        PlaneSums sums;
-        for (const std::uint32_t i : items.of(cell))
-            sums.add(places[i].point_m - kSurface_m * glm::floor(places[i].point_m / kSurface_m));
-        const PlaneFit fit = sums.fit();
+    parallel_for_in_blocks(cells.n_cells, [&](std::size_t cell) {
+        if (double(items.get_items_of_cell(cell).size()) < kMinPoints) return;
+        PointMomentSums sums;
+        for (const std::uint32_t i : items.get_items_of_cell(cell))
+            sums.add_point(returns[i].point_m - kSurface_m * glm::floor(returns[i].point_m / kSurface_m));
+        const PlaneFit fit = sums.fit_plane();
         if (fit.variance[0] <= kMaxThickness * kMaxThickness * fit.variance[1])
             normals[cell] = glm::vec3(fit.axes[0]);
     });
@@ -75,33 +76,34 @@ std::vector<glm::vec3> estimate_normals_of_places(const std::vector<SeenPlace>& 
 
 }  // namespace
 
-PlaceReturns collect_place_returns(const Sequence& sequence, const std::vector<int>& positions) {
-    std::vector<SeenPlace> seen =
-        concatenate(read_frames(sequence, positions, kMostCompared, [&](const Frame& frame) {
-            return collect_observed_places(sequence, frame);
-        }));
+RepeatedCellReturns collect_returns_by_cell(const LidarSequence& sequence,
+                                            const std::vector<int>& frame_indices) {
+    std::vector<ReturnWithPoint> returns = concatenate_vectors(
+        collect_from_frames(sequence, frame_indices, kMostCompared,
+                            [&](const LidarFrame& frame) { return collect_frame_returns(sequence, frame); }));
     {
-        const CellNumbers cells = cells_of(seen, kSurface_m);
-        const std::vector<glm::vec3> normals = estimate_normals_of_places(seen, cells);
-        for_each_block(seen.size(), [&](std::size_t index) {
-            seen[index].given.cosine = std::abs(glm::dot(normals[cells.of[index]], seen[index].direction));
+        const ItemCellIndices cells = assign_returns_to_cells(returns, kSurface_m);
+        const std::vector<glm::vec3> normals = estimate_cell_normals(returns, cells);
+        parallel_for_in_blocks(returns.size(), [&](std::size_t index) {
+            returns[index].cell_return.cosine =
+                std::abs(glm::dot(normals[cells.of[index]], returns[index].direction));
         });
         std::size_t n = 0;
-        for (std::size_t i = 0; i < seen.size(); ++i)
-            if (normals[cells.of[i]] != glm::vec3(0.0f)) seen[n++] = seen[i];
-        seen.resize(n);
+        for (std::size_t i = 0; i < returns.size(); ++i)
+            if (normals[cells.of[i]] != glm::vec3(0.0f)) returns[n++] = returns[i];
+        returns.resize(n);
     }
-    const CellNumbers places = cells_of(seen, kPlace_m);
-    const ItemsOfCells items(places);
-    std::vector<PlaceReturn> by_place;  // sorted by place; places with a single return are left out
-    for (std::uint32_t place = 0; place < places.n_cells; ++place) {
-        if (items.of(place).size() < 2) continue;
-        for (const std::uint32_t i : items.of(place)) {
-            by_place.push_back(seen[i].given);
-            by_place.back().place = place;
+    const ItemCellIndices cell_numbers = assign_returns_to_cells(returns, kIntensityCell_m);
+    const CellItemLists items(cell_numbers);
+    std::vector<CellReturn> returns_by_cell;  // sorted by place; places with a single return are left out
+    for (std::uint32_t cell = 0; cell < cell_numbers.n_cells; ++cell) {
+        if (items.get_items_of_cell(cell).size() < 2) continue;
+        for (const std::uint32_t i : items.get_items_of_cell(cell)) {
+            returns_by_cell.push_back(returns[i].cell_return);
+            returns_by_cell.back().cell = cell;
         }
     }
-    return {std::move(by_place), places.n_cells};
+    return {std::move(returns_by_cell), cell_numbers.n_cells};
 }
 
 }  // namespace relidar

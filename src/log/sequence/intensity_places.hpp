@@ -12,8 +12,8 @@ namespace relidar {
 
 /// One return: index of the small cell ("place") that it hit, beam, range, angle of
 /// incidence and intensity.
-struct PlaceReturn {
-    std::uint32_t place;
+struct CellReturn {
+    std::uint32_t cell;
     std::uint32_t beam;
     float range_m;
     float cosine;     ///< cosine of the angle of incidence
@@ -22,10 +22,11 @@ struct PlaceReturn {
 
 /// Returns from small cells ("places") that were hit at least twice, sorted by place.
 /// Places are numbered from 0.
-struct PlaceReturns {
-    std::vector<PlaceReturn> seen;
-    std::size_t n_places = 0;
+struct RepeatedCellReturns {
+    std::vector<CellReturn> sorted_returns;
+    std::size_t n_cells = 0;
 };
-PlaceReturns collect_place_returns(const Sequence& sequence, const std::vector<int>& positions);
+RepeatedCellReturns collect_returns_by_cell(const LidarSequence& sequence,
+                                            const std::vector<int>& frame_indices);
 
 }  // namespace relidar

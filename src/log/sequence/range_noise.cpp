@@ -27,19 +27,19 @@ constexpr float kEdge_m = 0.5f;
 // absolute value.
 constexpr double kOfMedian = 1.4826;
 
-using Differences = std::array<std::vector<float>, kBins>;
+using DifferencesByBin = std::array<std::vector<float>, kBins>;
 
-std::size_t find_bin(const auto& upper_ends, double value) {
+std::size_t find_clamped_bin(const auto& upper_ends, double value) {
     return std::min<std::size_t>(
         std::size_t(std::lower_bound(upper_ends.begin(), upper_ends.end(), value) - upper_ends.begin()),
         upper_ends.size() - 1);
 }
 
-Differences collect_differences(const Frame& frame) {
-    Differences result;
+DifferencesByBin collect_range_differences(const LidarFrame& frame) {
+    DifferencesByBin result;
     const Scan& scan = frame.scan;
-    const ImageRays image{scan.rays.rows, scan.rays.columns, scan.rays.origin, scan.rays.direction,
-                          scan.range_m};
+    const RangeImageRays image{scan.rays.rows, scan.rays.columns, scan.rays.origin, scan.rays.direction,
+                               scan.range_m};
     const auto columns = std::size_t(std::max(scan.rays.columns, 1));
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
         const double cosine = compute_incidence_cosine(image, i);
@@ -49,21 +49,21 @@ Differences collect_differences(const Frame& frame) {
         const float difference_m =
             std::abs(scan.range_m[left] - 2.0f * scan.range_m[i] + scan.range_m[right]);
         if (difference_m > kEdge_m) continue;
-        const std::size_t b =
-            find_bin(kRanges_m, double(scan.range_m[i])) * kCosines.size() + find_bin(kCosines, cosine);
+        const std::size_t b = find_clamped_bin(kRanges_m, double(scan.range_m[i])) * kCosines.size() +
+                              find_clamped_bin(kCosines, cosine);
         result[b].push_back(difference_m);
     }
     return result;
 }
 
-double estimate_sigma(const std::vector<float>& differences_m) {
+double estimate_noise_sigma_m(const std::vector<float>& differences_m) {
     return kOfMedian * double(compute_median(differences_m)) / std::sqrt(6.0);
 }
 
 /// Fills bins that have too few returns with the noise at the same incidence in the next
 /// nearer range, or else the next farther range. Without both, uses the maximum over all
 /// bins.
-void fill_gaps(RangeNoise& noise) {
+void fill_empty_noise_bins(RangeNoiseTable& noise) {
     const std::size_t n_cosines = kCosines.size();
     for (std::size_t i = 0; i < noise.sigma_m.size(); ++i)
         if (noise.sigma_m[i] == 0.0 && i >= n_cosines) noise.sigma_m[i] = noise.sigma_m[i - n_cosines];
@@ -77,37 +77,41 @@ void fill_gaps(RangeNoise& noise) {
 
 /// Estimates the range noise of one LiDAR. Also returns the number of returns that were
 /// used. The result is empty if no bin has enough returns.
-std::pair<RangeNoise, std::size_t> estimate_noise(const std::vector<Differences>& frames) {
-    RangeNoise noise{{kRanges_m.begin(), kRanges_m.end()},
-                     {kCosines.begin(), kCosines.end()},
-                     std::vector<double>(kBins, 0.0)};
+std::pair<RangeNoiseTable, std::size_t> estimate_range_noise(
+    const std::vector<DifferencesByBin>& differences_by_frame) {
+    RangeNoiseTable noise{{kRanges_m.begin(), kRanges_m.end()},
+                          {kCosines.begin(), kCosines.end()},
+                          std::vector<double>(kBins, 0.0)};
     std::size_t n = 0;
     for (std::size_t b = 0; b < kBins; ++b) {
         std::vector<float> all;
-        for (const Differences& frame : frames) all.insert(all.end(), frame[b].begin(), frame[b].end());
+        for (const DifferencesByBin& frame : differences_by_frame)
+            all.insert(all.end(), frame[b].begin(), frame[b].end());
         n += all.size();
-        if (all.size() >= kFewestOfBin) noise.sigma_m[b] = estimate_sigma(all);
+        if (all.size() >= kFewestOfBin) noise.sigma_m[b] = estimate_noise_sigma_m(all);
     }
     if (*std::max_element(noise.sigma_m.begin(), noise.sigma_m.end()) == 0.0) return {};
-    fill_gaps(noise);
+    fill_empty_noise_bins(noise);
     return {std::move(noise), n};
 }
 
 }  // namespace
 
-double RangeNoise::at(double at_m, double at_cosine) const {
+double RangeNoiseTable::get_noise_sigma_m(double measured_range_m, double incidence_cosine) const {
     if (sigma_m.empty()) return 0.0;
-    return sigma_m[find_bin(range_m, at_m) * cosine.size() + find_bin(cosine, at_cosine)];
+    return sigma_m[find_clamped_bin(range_m, measured_range_m) * cosine.size() +
+                   find_clamped_bin(cosine, incidence_cosine)];
 }
 
-std::size_t measure_range_noise(Sequence& sequence, const std::vector<int>& positions) {
+std::size_t measure_range_noise(LidarSequence& sequence, const std::vector<int>& frame_indices) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < sequence.lidars.size(); ++i) {
-        std::vector<int> own;
-        for (const int position : positions)
-            if (sequence.frames[std::size_t(position)].lidar == int(i)) own.push_back(position);
-        const auto [noise, n_returns] =
-            estimate_noise(read_frames(sequence, own, kMostNoiseReturns, collect_differences));
+        std::vector<int> lidar_frame_indices;
+        for (const int position : frame_indices)
+            if (sequence.frames[std::size_t(position)].lidar == int(i))
+                lidar_frame_indices.push_back(position);
+        const auto [noise, n_returns] = estimate_range_noise(
+            collect_from_frames(sequence, lidar_frame_indices, kMostNoiseReturns, collect_range_differences));
         sequence.lidars[i].range_noise = noise;
         n += n_returns;
     }

@@ -39,14 +39,14 @@ constexpr double kLeastGain = 0.97;
 constexpr int kRounds = 30;
 
 /// A return in the world frame, not yet corrected by the range offset of its beam.
-struct Observation {
+struct UncorrectedReturn {
     glm::vec3 point_m;  ///< relative to the world's origin, which is in the middle of the log
     glm::vec3 direction;
     std::uint32_t beam;
 };
 
-std::vector<Observation> collect_observations(const Sequence& sequence, const Frame& frame) {
-    std::vector<Observation> result;
+std::vector<UncorrectedReturn> collect_world_returns(const LidarSequence& sequence, const LidarFrame& frame) {
+    std::vector<UncorrectedReturn> result;
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
         const auto beam = find_beam_of_return(sequence, frame, ray, kMaxRange_m);
         if (!beam) continue;
@@ -58,82 +58,86 @@ std::vector<Observation> collect_observations(const Sequence& sequence, const Fr
 
 /// Returns of a log, sorted by cell and, within a cell, by frame. Range offsets move
 /// returns by centimetres, but do not change their cells.
-struct Cells {
-    std::vector<Observation> seen;
-    std::vector<std::size_t> first;  ///< [cells + 1] index into `seen`
+struct ReturnsByCell {
+    std::vector<UncorrectedReturn> returns;
+    std::vector<std::size_t> first;  ///< [cells + 1] index into `returns`
 
     std::size_t size() const { return first.size() - 1; }
-    std::span<const Observation> of(std::size_t cell) const {
-        return std::span(seen).subspan(first[cell], first[cell + 1] - first[cell]);
+    std::span<const UncorrectedReturn> get_cell_returns(std::size_t cell_index) const {
+        return std::span(returns).subspan(first[cell_index], first[cell_index + 1] - first[cell_index]);
     }
 };
 
-Cells collect_observation_cells(const Sequence& sequence, const std::vector<int>& positions) {
-    const std::vector<Observation> all =
-        concatenate(read_frames(sequence, positions, kMostOffsetReturns,
-                                [&](const Frame& frame) { return collect_observations(sequence, frame); }));
-    const ItemsOfCells items(assign_cell_numbers(all.size(), [&](std::size_t index) {
-        return make_cell_key(glm::dvec3(all[index].point_m), kCell_m);
+ReturnsByCell group_returns_by_cell(const LidarSequence& sequence, const std::vector<int>& frame_indices) {
+    const std::vector<UncorrectedReturn> all = concatenate_vectors(
+        collect_from_frames(sequence, frame_indices, kMostOffsetReturns,
+                            [&](const LidarFrame& frame) { return collect_world_returns(sequence, frame); }));
+    const CellItemLists items(assign_cell_numbers(all.size(), [&](std::size_t index) {
+        return compute_grid_cell_key(glm::dvec3(all[index].point_m), kCell_m);
     }));
-    Cells cells{std::vector<Observation>(all.size()), {0}};
+    ReturnsByCell cells{std::vector<UncorrectedReturn>(all.size()), {0}};
     for (std::size_t cell = 0; cell < items.size(); ++cell)
-        cells.first.push_back(cells.first.back() + items.of(cell).size());
-    for_each_block(items.size(), [&](std::size_t cell) {
-        for (std::size_t k = 0; k < items.of(cell).size(); ++k)
-            cells.seen[cells.first[cell] + k] = all[items.of(cell)[k]];
+        cells.first.push_back(cells.first.back() + items.get_items_of_cell(cell).size());
+    parallel_for_in_blocks(items.size(), [&](std::size_t cell) {
+        for (std::size_t k = 0; k < items.get_items_of_cell(cell).size(); ++k)
+            cells.returns[cells.first[cell] + k] = all[items.get_items_of_cell(cell)[k]];
     });
     return cells;
 }
 
-glm::dvec3 shift_by_range_offset(const Observation& observation, const std::vector<double>& offset_m) {
-    return glm::dvec3(observation.point_m) - offset_m[observation.beam] * glm::dvec3(observation.direction);
+glm::dvec3 correct_by_range_offset(const UncorrectedReturn& observation,
+                                   const std::vector<double>& beam_offsets_m) {
+    return glm::dvec3(observation.point_m) -
+           beam_offsets_m[observation.beam] * glm::dvec3(observation.direction);
 }
 
 /// Plane of a cell.
-struct Plane {
+struct CellPlane {
     glm::dvec3 point;
     glm::dvec3 normal;
 };
 
-std::optional<Plane> fit_plane_of_cell(std::span<const Observation> observations,
-                                       const std::vector<double>& offset_m) {
-    if (observations.size() < std::size_t(kMinReturns)) return std::nullopt;
-    const glm::dvec3 about = shift_by_range_offset(observations[0], offset_m);
-    PlaneSums sums;
-    for (const Observation& o : observations) sums.add(shift_by_range_offset(o, offset_m) - about);
-    const PlaneFit fit = sums.fit();
+std::optional<CellPlane> fit_plane_to_returns(std::span<const UncorrectedReturn> cell_returns,
+                                              const std::vector<double>& beam_offsets_m) {
+    if (cell_returns.size() < std::size_t(kMinReturns)) return std::nullopt;
+    const glm::dvec3 about = correct_by_range_offset(cell_returns[0], beam_offsets_m);
+    PointMomentSums sums;
+    for (const UncorrectedReturn& o : cell_returns)
+        sums.add_point(correct_by_range_offset(o, beam_offsets_m) - about);
+    const PlaneFit fit = sums.fit_plane();
     if (fit.variance[0] > kMaxThickness_m * kMaxThickness_m ||
         fit.variance[1] < kMaxThickness_m * kMaxThickness_m)
         return std::nullopt;
-    return Plane{about + fit.mean, fit.axes[0]};
+    return CellPlane{about + fit.mean, fit.axes[0]};
 }
 
 /// Sums over the returns of one beam. `weight`: squared cosines of incidence. `sum`:
 /// distances from planes, multiplied by these cosines.
-struct OffsetFit {
+struct BeamOffsetSums {
     double weight = 0.0;
     double sum = 0.0;
 };
 
 /// Sums of the residuals in some cells, by beam.
-struct Residuals {
-    std::vector<OffsetFit> fits;  ///< [beams]
+struct BeamResiduals {
+    std::vector<BeamOffsetSums> fits;  ///< [beams]
     std::size_t n = 0;
     double squares = 0.0;
 
-    void add(const Observation& observation, const Plane& plane, const std::vector<double>& offset_m) {
+    void add_residual(const UncorrectedReturn& observation, const CellPlane& plane,
+                      const std::vector<double>& beam_offsets_m) {
         const double facing = glm::dot(plane.normal, glm::dvec3(observation.direction)),
-                     residual =
-                         glm::dot(plane.normal, shift_by_range_offset(observation, offset_m) - plane.point);
+                     residual = glm::dot(plane.normal,
+                                         correct_by_range_offset(observation, beam_offsets_m) - plane.point);
         if (facing == 0.0 || std::abs(residual) > kMaxResidual_m) return;
         ++n;
         squares += residual * residual;
         fits[observation.beam].weight += facing * facing;
         // Adds the full offset instead of its change, so that the prior pulls the full
         // offset to zero.
-        fits[observation.beam].sum += facing * (residual + offset_m[observation.beam] * facing);
+        fits[observation.beam].sum += facing * (residual + beam_offsets_m[observation.beam] * facing);
     }
-    Residuals& operator+=(const Residuals& other) {
+    BeamResiduals& operator+=(const BeamResiduals& other) {
         n += other.n;
         squares += other.squares;
         for (std::size_t b = 0; b < fits.size(); ++b) {
@@ -146,16 +150,17 @@ struct Residuals {
 
 /// Computes the distances of all returns from the planes of their cells with the current
 /// offsets. Blocks of cells run in parallel, but sums are added in a fixed order.
-Residuals compute_residuals(const Cells& cells, const std::vector<double>& offset_m) {
+BeamResiduals compute_plane_residuals(const ReturnsByCell& cells, const std::vector<double>& beam_offsets_m) {
     constexpr std::size_t kBlock = 2048;
-    Residuals all{.fits = std::vector<OffsetFit>(offset_m.size(), {.weight = kPriorReturns, .sum = 0.0})};
+    BeamResiduals all{
+        .fits = std::vector<BeamOffsetSums>(beam_offsets_m.size(), {.weight = kPriorReturns, .sum = 0.0})};
     all += parallel_reduce(cells.size(), kBlock, [&](std::size_t begin, std::size_t end) {
-        Residuals block{.fits = std::vector<OffsetFit>(offset_m.size())};
+        BeamResiduals block{.fits = std::vector<BeamOffsetSums>(beam_offsets_m.size())};
         for (std::size_t cell = begin; cell < end; ++cell) {
-            const std::span<const Observation> seen = cells.of(cell);
-            const std::optional<Plane> plane = fit_plane_of_cell(seen, offset_m);
+            const std::span<const UncorrectedReturn> cell_returns = cells.get_cell_returns(cell);
+            const std::optional<CellPlane> plane = fit_plane_to_returns(cell_returns, beam_offsets_m);
             if (!plane) continue;
-            for (const Observation& o : seen) block.add(o, *plane, offset_m);
+            for (const UncorrectedReturn& o : cell_returns) block.add_residual(o, *plane, beam_offsets_m);
         }
         return block;
     });
@@ -164,31 +169,32 @@ Residuals compute_residuals(const Cells& cells, const std::vector<double>& offse
 
 /// Updates the range offsets of all beams once.
 /// @return number and mean square of the residuals before the update
-std::pair<std::size_t, double> fit_offsets(const Cells& cells, std::vector<double>& offset_m) {
-    const Residuals r = compute_residuals(cells, offset_m);
+std::pair<std::size_t, double> update_range_offsets(const ReturnsByCell& cells,
+                                                    std::vector<double>& beam_offsets_m) {
+    const BeamResiduals r = compute_plane_residuals(cells, beam_offsets_m);
     double mean = 0.0, weight = 0.0;
-    for (std::size_t b = 0; b < offset_m.size(); ++b) {
-        offset_m[b] = r.fits[b].sum / r.fits[b].weight;
-        mean += r.fits[b].weight * offset_m[b];
+    for (std::size_t b = 0; b < beam_offsets_m.size(); ++b) {
+        beam_offsets_m[b] = r.fits[b].sum / r.fits[b].weight;
+        mean += r.fits[b].weight * beam_offsets_m[b];
         weight += r.fits[b].weight;
     }
     // An offset that all ranges have in common cannot be distinguished from a different
     // scene, so the mean offset is removed.
-    for (double& offset : offset_m) offset -= mean / weight;
+    for (double& offset : beam_offsets_m) offset -= mean / weight;
     return {r.n, r.n > 0 ? r.squares / double(r.n) : 0.0};
 }
 
 }  // namespace
 
-LaserCalibration calibrate_ranges(Sequence& sequence, const std::vector<int>& positions) {
-    const std::vector<Beam*> beams = list_beams(sequence);
+RangeCalibrationResult calibrate_beam_ranges(LidarSequence& sequence, const std::vector<int>& frame_indices) {
+    const std::vector<Beam*> beams = list_beams_of_all_lidars(sequence);
     for (Beam* beam : beams) beam->range_offset_m = 0.0;
-    const Cells cells = collect_observation_cells(sequence, positions);
-    LaserCalibration result;
-    if (cells.seen.empty()) return result;
+    const ReturnsByCell cells = group_returns_by_cell(sequence, frame_indices);
+    RangeCalibrationResult result;
+    if (cells.returns.empty()) return result;
     std::vector<double> offset_m(beams.size(), 0.0);
     for (int round = 0; round < kRounds; ++round) {
-        const auto [n, mean_square] = fit_offsets(cells, offset_m);
+        const auto [n, mean_square] = update_range_offsets(cells, offset_m);
         result.returns = n;
         result.rms_after = std::sqrt(mean_square);
         if (round == 0) result.rms_before = result.rms_after;

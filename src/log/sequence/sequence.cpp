@@ -19,26 +19,26 @@
 namespace relidar {
 namespace {
 
-TrackPosition find_track_position(const std::vector<double>& time_s, double t_s) {
-    const auto after = std::upper_bound(time_s.begin(), time_s.end(), t_s);
-    const std::ptrdiff_t last = static_cast<std::ptrdiff_t>(time_s.size()) - 2;
+TrackInterpolation find_track_position(const std::vector<double>& track_times_s, double t_s) {
+    const auto after = std::upper_bound(track_times_s.begin(), track_times_s.end(), t_s);
+    const std::ptrdiff_t last = static_cast<std::ptrdiff_t>(track_times_s.size()) - 2;
     const std::size_t left =
-        static_cast<std::size_t>(std::clamp<std::ptrdiff_t>(after - time_s.begin() - 1, 0, last));
-    const double span = time_s[left + 1] - time_s[left];
-    return {left, span > 0.0 ? (t_s - time_s[left]) / span : 0.0};
+        static_cast<std::size_t>(std::clamp<std::ptrdiff_t>(after - track_times_s.begin() - 1, 0, last));
+    const double span = track_times_s[left + 1] - track_times_s[left];
+    return {left, span > 0.0 ? (t_s - track_times_s[left]) / span : 0.0};
 }
 
 }  // namespace
 
 bool BoxTrack::is_present(double t_s) const {
     const PoseTrack& track = world_from_box;
-    if (track.pose.size() < 2) return track.covers(t_s);
+    if (track.pose.size() < 2) return track.contains_time(t_s);
     const double half_step =
         0.5 * (track.time_s.back() - track.time_s.front()) / static_cast<double>(track.time_s.size() - 1);
     return t_s >= track.time_s.front() - half_step && t_s <= track.time_s.back() + half_step;
 }
 
-BoxTrack BoxTrack::get_labelled_part() const {
+BoxTrack BoxTrack::copy_labelled_poses() const {
     BoxTrack part = *this;
     part.n_before = part.n_after = 0;
     const auto first = std::ptrdiff_t(n_before), last = std::ptrdiff_t(world_from_box.pose.size() - n_after);
@@ -48,41 +48,42 @@ BoxTrack BoxTrack::get_labelled_part() const {
     return part;
 }
 
-bool BoxTrack::holds(const glm::dvec3& point_m, double t_s, double margin_m) const {
+bool BoxTrack::contains_point(const glm::dvec3& point_m, double t_s, double margin_m) const {
     const glm::dvec3 half = 0.5 * size_m + glm::dvec3(margin_m);
     const PoseTrack& track = world_from_box;
     // First compares the distance from the centre of the box. This fast test rejects most
     // points, which then need no interpolated rotation.
     if (track.pose.size() > 1) {
-        const TrackPosition at = find_track_position(track.time_s, t_s);
+        const TrackInterpolation at = find_track_position(track.time_s, t_s);
         const glm::dvec3 centre =
             glm::mix(track.pose[at.left].translation, track.pose[at.left + 1].translation, at.s);
         const glm::dvec3 d = point_m - centre;
         if (glm::dot(d, d) > glm::dot(half, half)) return false;
     }
-    const glm::dvec3 local = glm::abs(inverse(track.at(t_s)) * point_m);
+    const glm::dvec3 local = glm::abs(inverse(track.interpolate_pose(t_s)) * point_m);
     return local.x <= half.x && local.y <= half.y && local.z <= half.z;
 }
 
-TrackPosition PoseTrack::place(double t_s) const {
+TrackInterpolation PoseTrack::find_pose_segment(double t_s) const {
     if (pose.empty() || pose.size() != time_s.size()) {
         throw DataError(
             fmt::format("found a pose track with {} poses at {} times, expected at least one of each and the "
                         "same number",
                         pose.size(), time_s.size()));
     }
-    return pose.size() == 1 ? TrackPosition{} : find_track_position(time_s, t_s);
+    return pose.size() == 1 ? TrackInterpolation{} : find_track_position(time_s, t_s);
 }
 
-Pose PoseTrack::at(double t_s) const {
-    const auto [left, s] = place(t_s);
+Pose PoseTrack::interpolate_pose(double t_s) const {
+    const auto [left, s] = find_pose_segment(t_s);
     return pose.size() == 1 ? pose.front() : interpolate(pose[left], pose[left + 1], s);
 }
 
-Pose PoseTrack::at(double t_s, const Pose& mounted) const {
-    const auto [left, s] = place(t_s);
-    return pose.size() == 1 ? pose.front() * mounted
-                            : interpolate(pose[left] * mounted, pose[left + 1] * mounted, s);
+Pose PoseTrack::interpolate_mounted_pose(double t_s, const Pose& carrier_from_mounted) const {
+    const auto [left, s] = find_pose_segment(t_s);
+    return pose.size() == 1
+               ? pose.front() * carrier_from_mounted
+               : interpolate(pose[left] * carrier_from_mounted, pose[left + 1] * carrier_from_mounted, s);
 }
 
 std::size_t Scan::count_returns() const {
@@ -90,19 +91,19 @@ std::size_t Scan::count_returns() const {
         std::count_if(range_m.begin(), range_m.end(), [](float r) { return r > 0.0f; }));
 }
 
-void drop_outside_limits(Scan& scan, const RangeLimits& limits) {
+void remove_returns_outside_limits(Scan& scan, const RangeLimits& limits) {
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
         if (scan.range_m[i] > 0.0f && !limits.contains(scan.range_m[i])) {
             scan.range_m[i] = scan.intensity[i] = 0.0f;
             if (!scan.classes.empty()) scan.classes[i] = SurfaceClass::unknown;
         }
-        for (SecondReturn& f : scan.second_returns)
+        for (AdditionalReturns& f : scan.second_returns)
             if (scan.range_m[i] == 0.0f || !limits.contains(f.range_m[i]))
                 f.range_m[i] = f.intensity[i] = 0.0f;
     }
 }
 
-std::size_t Sequence::get_pose_index(const Frame& frame) const {
+std::size_t LidarSequence::get_pose_index(const LidarFrame& frame) const {
     const std::vector<double>& times = world_from_vehicle.time_s;
     const auto at = std::ranges::lower_bound(times, frame.time_s);
     if (at == times.end() || *at != frame.time_s || times.size() != world_from_vehicle.pose.size())
@@ -112,42 +113,44 @@ std::size_t Sequence::get_pose_index(const Frame& frame) const {
     return std::size_t(at - times.begin());
 }
 
-PoseTrack Sequence::world_from_sensor(int lidar) const {
-    return mount_on_track(world_from_vehicle, lidars[std::size_t(lidar)].vehicle_from_sensor);
+PoseTrack LidarSequence::get_world_from_sensor(int lidar_index) const {
+    return compute_mounted_track(world_from_vehicle, lidars[std::size_t(lidar_index)].vehicle_from_sensor);
 }
 
-int find_lidar(const Sequence& sequence, const std::string& name) {
-    std::vector<std::string> known;
-    for (const Lidar& lidar : sequence.lidars) known.push_back(lidar.name);
-    const auto it = std::find(known.begin(), known.end(), name);
-    if (it == known.end() && !name.empty()) {
-        const std::string expected = known.size() == 1 ? "none, because the log has a single LiDAR"
-                                                       : fmt::format("one of {}", fmt::join(known, ", "));
+int find_lidar_index_by_name(const LidarSequence& sequence, const std::string& name) {
+    std::vector<std::string> lidar_names;
+    for (const Lidar& lidar : sequence.lidars) lidar_names.push_back(lidar.name);
+    const auto it = std::find(lidar_names.begin(), lidar_names.end(), name);
+    if (it == lidar_names.end() && !name.empty()) {
+        const std::string expected = lidar_names.size() == 1
+                                         ? "none, because the log has a single LiDAR"
+                                         : fmt::format("one of {}", fmt::join(lidar_names, ", "));
         throw UsageError(fmt::format("lidar: found \"{}\", expected {}", name, expected));
     }
-    return name.empty() ? 0 : static_cast<int>(it - known.begin());
+    return name.empty() ? 0 : static_cast<int>(it - lidar_names.begin());
 }
 
-std::size_t Sequence::count_beams() const {
+std::size_t LidarSequence::count_beams() const {
     return std::accumulate(
         lidars.begin(), lidars.end(), std::size_t(0),
         [](std::size_t count, const Lidar& lidar) { return count + lidar.sensor.beams.size(); });
 }
 
-std::optional<std::uint16_t> Sequence::find_beam_number(int lidar, std::uint16_t channel) const {
+std::optional<std::uint16_t> LidarSequence::find_global_beam_number(int lidar_index,
+                                                                    std::uint16_t channel) const {
     std::size_t number = channel;
-    if (number >= lidars[std::size_t(lidar)].sensor.beams.size()) return std::nullopt;
-    for (int i = 0; i < lidar; ++i) number += lidars[std::size_t(i)].sensor.beams.size();
+    if (number >= lidars[std::size_t(lidar_index)].sensor.beams.size()) return std::nullopt;
+    for (int i = 0; i < lidar_index; ++i) number += lidars[std::size_t(i)].sensor.beams.size();
     return static_cast<std::uint16_t>(number);
 }
 
-const BoxTrack* find_box(const Sequence& sequence, const std::string& id) {
+const BoxTrack* find_box(const LidarSequence& sequence, const std::string& id) {
     if (id.empty()) return nullptr;
     const auto box = std::ranges::find(sequence.boxes, id, &BoxTrack::id);
     return box == sequence.boxes.end() ? nullptr : &*box;
 }
 
-Sequence copy_without_frames(const Sequence& sequence) {
+LidarSequence copy_without_frames(const LidarSequence& sequence) {
     return {sequence.name,
             sequence.source,
             sequence.lidars,
@@ -163,21 +166,21 @@ Sequence copy_without_frames(const Sequence& sequence) {
             sequence.rolling_shutter};
 }
 
-PoseTrack mount_on_track(PoseTrack track, const Pose& sensor_from_moved) {
-    for (Pose& pose : track.pose) pose = pose * sensor_from_moved;
-    return track;
+PoseTrack compute_mounted_track(PoseTrack carrier_track, const Pose& carrier_from_mounted) {
+    for (Pose& pose : carrier_track.pose) pose = pose * carrier_from_mounted;
+    return carrier_track;
 }
 
-PoseTrack refine_turns(const PoseTrack& track) {
+PoseTrack subdivide_turning_segments(const PoseTrack& track) {
     // Maximum rotation between two poses. Linear interpolation then moves an object 10 m
     // away by at most 0.03 mm from its true arc.
-    constexpr double kTurn_rad = 5e-3;
+    constexpr double kMaxRotation_rad = 5e-3;
     PoseTrack fine;
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         if (i > 0) {
             const Twist twist = compute_twist(track.pose[i - 1], track.pose[i]);
-            const double turn_rad = glm::length(glm::dvec3(twist[3], twist[4], twist[5]));
-            const int n = 1 + static_cast<int>(turn_rad / kTurn_rad);
+            const double rotation_rad = glm::length(glm::dvec3(twist[3], twist[4], twist[5]));
+            const int n = 1 + static_cast<int>(rotation_rad / kMaxRotation_rad);
             for (int k = 1; k < n; ++k) {
                 const double s = double(k) / n;
                 fine.time_s.push_back(track.time_s[i - 1] + s * (track.time_s[i] - track.time_s[i - 1]));
@@ -190,8 +193,8 @@ PoseTrack refine_turns(const PoseTrack& track) {
     return fine;
 }
 
-PoseTrack shift_track(PoseTrack track, const glm::dvec3& by_m) {
-    for (Pose& pose : track.pose) pose.translation += by_m;
+PoseTrack shift_track(PoseTrack track, const glm::dvec3& offset_m) {
+    for (Pose& pose : track.pose) pose.translation += offset_m;
     return track;
 }
 
@@ -219,15 +222,15 @@ bool BoxTrack::is_moving() const {
     const double window_s = std::min(kSmooth_s, 0.5 * (t.back() - t.front())), last_s = t.back() - window_s;
     const double drift_m = std::max(kJitter_m, std::min(kDrift_m, 0.5 * std::max(size_m.x, size_m.y)));
     const double step_m = std::max(kJitter_m, kDrift_mps * window_s);
-    const auto place = [&](double first_s) {
+    const auto compute_window_mean = [&](double first_s) {
         return compute_mean_position(world_from_box, first_s, first_s + window_s);
     };
-    const std::optional<glm::dvec3> start = place(t.front());
+    const std::optional<glm::dvec3> start = compute_window_mean(t.front());
     for (const double time_s : t) {
         // The last window ends with the track.
         const double first_s = std::min(time_s, last_s);
-        const std::optional<glm::dvec3> here = place(first_s),
-                                        next = place(std::min(first_s + window_s, last_s));
+        const std::optional<glm::dvec3> here = compute_window_mean(first_s),
+                                        next = compute_window_mean(std::min(first_s + window_s, last_s));
         if (glm::distance(*here, *start) > drift_m || (next && glm::distance(*next, *here) > step_m))
             return true;
         if (time_s >= last_s) break;
@@ -235,34 +238,36 @@ bool BoxTrack::is_moving() const {
     return false;
 }
 
-void set_vehicle_poses(Sequence& sequence, PoseTrack world_from_vehicle) {
+void set_vehicle_poses(LidarSequence& sequence, PoseTrack world_from_vehicle) {
     for (BoxTrack& box : sequence.boxes)
         for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
             const double t_s = box.world_from_box.time_s[k];
             box.world_from_box.pose[k] =
-                world_from_vehicle.at(t_s) *
-                (inverse(sequence.world_from_vehicle.at(t_s)) * box.world_from_box.pose[k]);
+                world_from_vehicle.interpolate_pose(t_s) *
+                (inverse(sequence.world_from_vehicle.interpolate_pose(t_s)) * box.world_from_box.pose[k]);
         }
     sequence.world_from_vehicle = std::move(world_from_vehicle);
 }
 
 namespace {
 
-double compute_firing_time(double time_s, const RayTable& rays, std::size_t ray, bool rolling_shutter) {
-    return rolling_shutter ? time_s + static_cast<double>(rays.time_offset_s[ray]) : time_s;
+double compute_firing_time_s(double frame_time_s, const RayTable& rays, std::size_t ray,
+                             bool rolling_shutter) {
+    return rolling_shutter ? frame_time_s + static_cast<double>(rays.time_offset_s[ray]) : frame_time_s;
 }
 
-WorldRay make_ray_in_world(const Pose& pose, const RayTable& rays, std::size_t ray) {
-    return {pose * glm::dvec3(rays.origin[ray]),
-            glm::normalize(pose.rotation * glm::dvec3(rays.direction[ray]))};
+WorldRay transform_ray_to_world(const Pose& world_from_sensor, const RayTable& rays, std::size_t ray_index) {
+    return {world_from_sensor * glm::dvec3(rays.origin[ray_index]),
+            glm::normalize(world_from_sensor.rotation * glm::dvec3(rays.direction[ray_index]))};
 }
 
 }  // namespace
 
 WorldRay make_world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays,
                         std::size_t ray, bool rolling_shutter) {
-    return make_ray_in_world(world_from_sensor.at(compute_firing_time(time_s, rays, ray, rolling_shutter)),
-                             rays, ray);
+    return transform_ray_to_world(
+        world_from_sensor.interpolate_pose(compute_firing_time_s(time_s, rays, ray, rolling_shutter)), rays,
+        ray);
 }
 
 namespace {
@@ -271,12 +276,12 @@ namespace {
 constexpr double kUsual = 0.02;
 
 /// Rotation of a LiDAR's head in one sweep, estimated from its rays.
-struct HeadTurn {
+struct HeadRotation {
     /// sum over the rays of exp(i azimuth), with the azimuth of the head at time 0
     std::complex<double> at_zero = 0.0;
     float first_s = std::numeric_limits<float>::infinity();
 
-    HeadTurn& operator+=(const HeadTurn& other) {
+    HeadRotation& operator+=(const HeadRotation& other) {
         at_zero += other.at_zero;
         first_s = std::min(first_s, other.first_s);
         return *this;
@@ -292,8 +297,8 @@ std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningS
     if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
     const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
     const std::size_t step = 1 + rays.size() / 4096, n = (rays.size() + step - 1) / step;
-    const HeadTurn turn = parallel_reduce(n, 256, [&](std::size_t begin, std::size_t end) {
-        HeadTurn part;
+    const HeadRotation head_rotation = parallel_reduce(n, 256, [&](std::size_t begin, std::size_t end) {
+        HeadRotation part;
         const std::size_t last = std::min(end * step, rays.size());
         for (std::size_t i = begin * step; i < last; i += step) {
             const double azimuth = std::atan2(double(rays.direction[i].y), double(rays.direction[i].x));
@@ -303,9 +308,9 @@ std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningS
             part.first_s = std::min(part.first_s, rays.time_offset_s[i]);
         return part;
     });
-    const float first_s = turn.first_s;
-    if (std::abs(turn.at_zero) < kTogether * double(n)) return {};
-    const double at_zero = std::arg(turn.at_zero);
+    const float first_s = head_rotation.first_s;
+    if (std::abs(head_rotation.at_zero) < kTogether * double(n)) return {};
+    const double at_zero = std::arg(head_rotation.at_zero);
     const bool usual = std::abs(at_zero) < 2.0 * kPi * kUsual &&
                        std::abs(double(first_s) + 0.5 * sensor.period_s) < kUsual * sensor.period_s;
     if (usual) return {};
@@ -324,8 +329,8 @@ std::optional<SweepStart> find_sweep_start(const RayTable& rays, const Lidar& li
     return SweepStart{0.0, first_s};
 }
 
-void set_sensor(Lidar& lidar, const SensorModel& sensor) {
-    lidar.pattern = get_fixed_pattern(sensor);
+void set_nominal_sensor(Lidar& lidar, const SensorModel& sensor) {
+    lidar.pattern = get_non_spinning_pattern(sensor);
     if (const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) {
         lidar.sensor = *spinning;
     } else {
@@ -335,7 +340,7 @@ void set_sensor(Lidar& lidar, const SensorModel& sensor) {
     }
 }
 
-SensorModel get_sensor(const Lidar& lidar) {
+SensorModel get_nominal_sensor(const Lidar& lidar) {
     const SpinningSensor& sensor = lidar.sensor;
     return {sensor.name, "", sensor.range_limits(), lidar.pattern ? *lidar.pattern : SensorPattern(sensor)};
 }
@@ -349,24 +354,26 @@ namespace {
 
 /// Returns when a LiDAR that does not spin measures an azimuth, relative to the time of
 /// the frame.
-double compute_facing_offset(const SensorPattern& pattern, double azimuth,
-                             const std::optional<SweepStart>& start) {
-    const auto [n_rays, period_s, by_time, sweep] = describe_pattern(pattern);
-    const double middle_s = start ? start->time_s + 0.5 * period_s : 0.0;
+double compute_measurement_offset_s(const SensorPattern& pattern, double azimuth_rad,
+                                    const std::optional<SweepStart>& sweep_start) {
+    const auto [n_rays, period_s, by_time, sweep] = summarise_scan_pattern(pattern);
+    const double middle_s = sweep_start ? sweep_start->time_s + 0.5 * period_s : 0.0;
     if (!sweep || sweep->columns < 2) return middle_s;
     const double share =
-        glm::clamp((azimuth - sweep->first_rad) / (sweep->last_rad - sweep->first_rad), 0.0, 1.0);
+        glm::clamp((azimuth_rad - sweep->first_rad) / (sweep->last_rad - sweep->first_rad), 0.0, 1.0);
     return middle_s + (share - 0.5) * period_s * (sweep->columns - 1) / sweep->columns;
 }
 
 }  // namespace
 
-double compute_facing_time(const Sequence& sequence, const glm::dvec3& point_m, const SweepMoment& sweep) {
+double compute_point_scan_time_s(const LidarSequence& sequence, const glm::dvec3& point_m,
+                                 const SweepTiming& sweep) {
     const Lidar& lidar = sequence.lidars[std::size_t(sweep.lidar)];
     const SpinningSensor& sensor = lidar.sensor;
     if (!sequence.rolling_shutter) return sweep.time_s;
     const double azimuth = std::atan2(point_m.y, point_m.x);
-    if (lidar.pattern) return sweep.time_s + compute_facing_offset(*lidar.pattern, azimuth, sweep.start);
+    if (lidar.pattern)
+        return sweep.time_s + compute_measurement_offset_s(*lidar.pattern, azimuth, sweep.start);
     if (sweep.start) {
         const double turned =
             (sensor.clockwise ? -1.0 : 1.0) * (azimuth - sweep.start->azimuth_rad) / (2.0 * kPi);
@@ -376,25 +383,26 @@ double compute_facing_time(const Sequence& sequence, const glm::dvec3& point_m, 
     return sweep.time_s + (sensor.clockwise ? -after_s : after_s);
 }
 
-SurfaceReturn compute_surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray,
-                                     std::size_t number) {
+SurfaceReturn compute_surface_return(const LidarSequence& sequence, const LidarFrame& frame, std::size_t ray,
+                                     std::size_t return_index) {
     const Scan& scan = frame.scan;
     const Beam& beam = find_beam(sequence.get_lidar(frame).sensor.beams, scan.rays.channel[ray]);
-    const double measured_m = number == 0 ? scan.range_m[ray] : scan.second_returns[number - 1].range_m[ray],
-                 measured =
-                     number == 0 ? scan.intensity[ray] : scan.second_returns[number - 1].intensity[ray];
+    const double measured_m = return_index == 0 ? scan.range_m[ray]
+                                                : scan.second_returns[return_index - 1].range_m[ray],
+                 measured = return_index == 0 ? scan.intensity[ray]
+                                              : scan.second_returns[return_index - 1].intensity[ray];
     const float range_m = static_cast<float>(beam.to_surface_range(measured_m));
     return {range_m, static_cast<float>(beam.to_surface_intensity(
-                         measured, sequence.intensity_response.at_range(double(range_m))))};
+                         measured, sequence.intensity_response.compute_range_factor(double(range_m))))};
 }
 
-WorldReturn compute_world_return(const Sequence& sequence, const Frame& frame, std::size_t ray,
-                                 std::size_t number) {
-    const double t_s = compute_firing_time(frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
-    const WorldRay w =
-        make_ray_in_world(sequence.world_from_vehicle.at(t_s, sequence.get_lidar(frame).vehicle_from_sensor),
-                          frame.scan.rays, ray);
-    const SurfaceReturn surface = compute_surface_return(sequence, frame, ray, number);
+WorldReturn compute_world_return(const LidarSequence& sequence, const LidarFrame& frame, std::size_t ray,
+                                 std::size_t return_index) {
+    const double t_s = compute_firing_time_s(frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
+    const WorldRay w = transform_ray_to_world(sequence.world_from_vehicle.interpolate_mounted_pose(
+                                                  t_s, sequence.get_lidar(frame).vehicle_from_sensor),
+                                              frame.scan.rays, ray);
+    const SurfaceReturn surface = compute_surface_return(sequence, frame, ray, return_index);
     return {w.origin_m + static_cast<double>(surface.range_m) * w.direction, w.direction, t_s,
             surface.intensity};
 }
@@ -402,7 +410,7 @@ WorldReturn compute_world_return(const Sequence& sequence, const Frame& frame, s
 bool is_in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s,
                       double margin_m) {
     return std::any_of(boxes.begin(), boxes.end(), [&](const BoxTrack& box) {
-        return box.is_present(t_s) && box.holds(point_m, t_s, margin_m) && box.is_moving();
+        return box.is_present(t_s) && box.contains_point(point_m, t_s, margin_m) && box.is_moving();
     });
 }
 

@@ -30,83 +30,85 @@ struct IndexRange {
 
 /// Parses a frame number such as "13" or a range such as "40:45".
 /// @throws UsageError if the text is neither
-IndexRange parse_range(std::string_view text) {
+IndexRange parse_frame_range(std::string_view text) {
     const std::size_t colon = text.find(':');
-    const std::optional<int> first = parse_file_number(std::string(text.substr(0, colon)));
+    const std::optional<int> first = parse_file_stem_as_number(std::string(text.substr(0, colon)));
     const std::optional<int> end = colon == std::string_view::npos
                                        ? first.value_or(0) + 1
-                                       : parse_file_number(std::string(text.substr(colon + 1)));
+                                       : parse_file_stem_as_number(std::string(text.substr(colon + 1)));
     if (!first || !end || *first >= *end)
         throw UsageError(
             fmt::format("{}: found \"{}\", expected frame numbers or FIRST:END with FIRST < END, for example "
                         "13,26,40:45",
-                        kSetting, make_excerpt(text)));
+                        kSetting, shorten_for_error_message(text)));
     return {*first, *end};
 }
 
 /// Returns the indices of all frames in order. An index that several LiDARs share is
 /// listed once.
-std::vector<int> group_frames_by_sweep(const Sequence& sequence) {
+std::vector<int> list_unique_frame_numbers(const LidarSequence& sequence) {
     std::vector<int> sweeps;
-    std::set<int> seen;
-    for (const Frame& frame : sequence.frames)
-        if (seen.insert(frame.index).second) sweeps.push_back(frame.index);
+    std::set<int> added_numbers;
+    for (const LidarFrame& frame : sequence.frames)
+        if (added_numbers.insert(frame.index).second) sweeps.push_back(frame.index);
     return sweeps;
 }
 
 /// Selects every n-th frame for testing, but not the first frame.
 /// @throws UsageError if `test_every` is 1 or negative
-std::set<int> select_every_nth(int test_every, const std::vector<int>& sweeps) {
+std::set<int> select_every_nth_frame(int test_every, const std::vector<int>& frame_numbers) {
     if (test_every < 0 || test_every == 1)
         throw UsageError(
             fmt::format("test_every is {}, expected 0 (hold out no frame) or at least 2", test_every));
     std::set<int> held_out;
-    for (auto i = std::size_t(test_every); test_every > 0 && i < sweeps.size(); i += std::size_t(test_every))
-        held_out.insert(sweeps[i]);
+    for (auto i = std::size_t(test_every); test_every > 0 && i < frame_numbers.size();
+         i += std::size_t(test_every))
+        held_out.insert(frame_numbers[i]);
     return held_out;
 }
 
 /// Returns the test frames of a published split that exist in the log.
-std::set<int> select_published_frames(const std::vector<int>& test_frames, const std::vector<int>& sweeps) {
+std::set<int> select_published_frames(const std::vector<int>& test_frames,
+                                      const std::vector<int>& frame_numbers) {
     std::set<int> held_out;
-    for (const int index : sweeps)
+    for (const int index : frame_numbers)
         if (std::ranges::find(test_frames, index) != test_frames.end()) held_out.insert(index);
     return held_out;
 }
 
 /// Parses a list of frame indices and ranges, for example "13,26,40:45".
 /// @throws UsageError if the log does not have an index, or if an index occurs twice
-std::set<int> parse_frame_list(const std::string& list, const std::vector<int>& sweeps) {
-    const std::set<int> known(sweeps.begin(), sweeps.end());
+std::set<int> parse_frame_list(const std::string& list, const std::vector<int>& frame_numbers) {
+    const std::set<int> log_frames(frame_numbers.begin(), frame_numbers.end());
     std::set<int> held_out;
     for (const std::string_view cell : split_csv_cells(list)) {
-        const IndexRange range = parse_range(cell);
+        const IndexRange range = parse_frame_range(cell);
         for (int index = range.first; index < range.end; ++index) {
-            if (!known.contains(index))
+            if (!log_frames.contains(index))
                 throw UsageError(
                     fmt::format("{}: found frame {}, expected only frames that are read from the log: {}",
-                                kSetting, index, format_number_list(sweeps)));
+                                kSetting, index, format_number_list(frame_numbers)));
             if (!held_out.insert(index).second)
                 throw UsageError(fmt::format("{}: frame {} occurs twice, expected it once", kSetting, index));
         }
     }
-    if (held_out.size() == known.size())
+    if (held_out.size() == log_frames.size())
         throw UsageError(fmt::format(
             "{}: all frames of the log are held out, expected at least one frame for training: {}", kSetting,
-            format_number_list(sweeps)));
+            format_number_list(frame_numbers)));
     return held_out;
 }
 
 }  // namespace
 
-Split split_frames(const Sequence& sequence, int test_every, const std::string& test_frames) {
-    const std::vector<int> sweeps = group_frames_by_sweep(sequence);
+TrainTestSplit split_frames(const LidarSequence& sequence, int test_every, const std::string& test_frames) {
+    const std::vector<int> sweeps = list_unique_frame_numbers(sequence);
     const bool as_published =
         test_frames.empty() && test_every == kPublishedEvery && !sequence.test_frames.empty();
     const std::set<int> held_out = as_published ? select_published_frames(sequence.test_frames, sweeps)
-                                   : test_frames.empty() ? select_every_nth(test_every, sweeps)
+                                   : test_frames.empty() ? select_every_nth_frame(test_every, sweeps)
                                                          : parse_frame_list(test_frames, sweeps);
-    Split split;
+    TrainTestSplit split;
     for (int i = 0; i < static_cast<int>(sequence.frames.size()); ++i)
         (held_out.contains(sequence.frames[std::size_t(i)].index) ? split.test : split.train).push_back(i);
     return split;

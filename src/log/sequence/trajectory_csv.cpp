@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes trajectories as CSV files. read_trajectory() in src/run/edit/actor_path.cpp
+// Writes trajectories as CSV files. read_trajectory_csv() in src/run/edit/actor_path.cpp
 // reads these files.
 #include <relidar/base/files.hpp>
 #include <relidar/log/trajectory_csv.hpp>
@@ -15,7 +15,7 @@ namespace relidar {
 namespace {
 
 /// Returns yaw, pitch and roll in degrees of a rotation R = Rz(yaw) Ry(pitch) Rx(roll).
-glm::dvec3 to_yaw_pitch_roll(const glm::dquat& rotation) {
+glm::dvec3 convert_to_yaw_pitch_roll_deg(const glm::dquat& rotation) {
     const glm::dmat3 r = glm::mat3_cast(rotation);  // r[column][row]
     return 180.0 / kPi *
            glm::dvec3(std::atan2(r[0][1], r[0][0]), std::atan2(-r[0][2], std::hypot(r[0][0], r[0][1])),
@@ -24,14 +24,15 @@ glm::dvec3 to_yaw_pitch_roll(const glm::dquat& rotation) {
 
 }  // namespace
 
-void write_trajectory(const std::filesystem::path& path, const PoseTrack& track) {
+void write_trajectory_csv(const std::filesystem::path& path, const PoseTrack& track) {
     std::string text = "time_s,x,y,z,yaw_deg,pitch_deg,roll_deg\n";
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
-        const glm::dvec3 p = track.pose[i].translation, angles = to_yaw_pitch_roll(track.pose[i].rotation);
+        const glm::dvec3 p = track.pose[i].translation,
+                         angles = convert_to_yaw_pitch_roll_deg(track.pose[i].rotation);
         text += fmt::format("{},{},{},{},{},{},{}\n", track.time_s[i], p.x, p.y, p.z, angles.x, angles.y,
                             angles.z);
     }
-    write_text(path, text);
+    write_text_file(path, text);
 }
 
 }  // namespace relidar

@@ -15,13 +15,13 @@ namespace {
 
 // Boxes farther from the sensor than this are left out, because they have hardly any
 // returns.
-constexpr double kSeen_m = 100.0;
+constexpr double kMaxBoxDistance_m = 100.0;
 
 /// Returns the frames of one block of the log, for training and for testing, in the order
 /// of the log.
-std::vector<int> list_block_frames(const Block& block, const Split& split) {
+std::vector<int> list_frame_indices_of_block(const TrajectoryBlock& block, const TrainTestSplit& split) {
     std::vector<int> frames = block.train;
-    for (const int position : block.own)
+    for (const int position : block.recorded_frames)
         if (std::find(split.test.begin(), split.test.end(), position) != split.test.end())
             frames.push_back(position);
     std::sort(frames.begin(), frames.end());
@@ -31,10 +31,10 @@ std::vector<int> list_block_frames(const Block& block, const Split& split) {
 /// Returns the vehicle poses at the times of some frames, and the poses directly before
 /// and after each frame. The additional poses are needed to interpolate the motion during
 /// a sweep.
-PoseTrack select_poses_around(const Sequence& sequence, const std::vector<int>& frames) {
+PoseTrack select_poses_around_frames(const LidarSequence& sequence, const std::vector<int>& frame_indices) {
     const PoseTrack& all = sequence.world_from_vehicle;
     std::vector<bool> is_used(all.time_s.size(), false);
-    for (const int position : frames) {
+    for (const int position : frame_indices) {
         const double time_s = sequence.frames[std::size_t(position)].time_s;
         const auto at =
             std::size_t(std::lower_bound(all.time_s.begin(), all.time_s.end(), time_s) - all.time_s.begin());
@@ -47,33 +47,35 @@ PoseTrack select_poses_around(const Sequence& sequence, const std::vector<int>& 
     return track;
 }
 
-bool is_near_block(const BoxTrack& box, const Sequence& sequence, const std::vector<int>& frames) {
-    return std::any_of(frames.begin(), frames.end(),
-                       [&](int position) { return is_within(box, sequence, position, kSeen_m); });
+bool is_box_near_any_frame(const BoxTrack& box, const LidarSequence& sequence,
+                           const std::vector<int>& frame_indices) {
+    return std::any_of(frame_indices.begin(), frame_indices.end(), [&](int position) {
+        return is_box_within_distance(box, sequence, position, kMaxBoxDistance_m);
+    });
 }
 
 /// Removes actors that have no box in this part of the log from the user's list of
 /// actors. If the list becomes empty, also clears the actor classes, because an empty
 /// list selects actors by class.
-void remove_tracks_without_boxes(InitialiseOptions& options, const std::vector<BoxTrack>& boxes) {
+void remove_tracks_without_boxes(SceneInitialisationOptions& options, const std::vector<BoxTrack>& boxes) {
     if (options.actor_tracks.empty()) return;
-    std::vector<std::string> kept;
-    for (const std::string& track : split_words(options.actor_tracks))
+    std::vector<std::string> remaining_tracks;
+    for (const std::string& track : split_comma_separated_list(options.actor_tracks))
         if (std::any_of(boxes.begin(), boxes.end(), [&](const BoxTrack& b) { return b.id == track; }))
-            kept.push_back(track);
-    options.actor_tracks = fmt::format("{}", fmt::join(kept, ","));
-    if (kept.empty()) options.actor_classes.clear();
+            remaining_tracks.push_back(track);
+    options.actor_tracks = fmt::format("{}", fmt::join(remaining_tracks, ","));
+    if (remaining_tracks.empty()) options.actor_classes.clear();
 }
 
 }  // namespace
 
-BlockLog load_block_log(const Sequence& sequence, const Split& split, const Block& block,
-                        const Config& config) {
-    const std::vector<int> frames = list_block_frames(block, split);
-    BlockLog log{copy_without_frames(sequence), {}, config};
-    Sequence& part = log.sequence;
+BlockTrainingLog extract_block_log(const LidarSequence& sequence, const TrainTestSplit& split,
+                                   const TrajectoryBlock& block, const Config& config) {
+    const std::vector<int> frames = list_frame_indices_of_block(block, split);
+    BlockTrainingLog log{copy_without_frames(sequence), {}, config};
+    LidarSequence& part = log.sequence;
     part.name = fmt::format("{}, metres {:.0f} to {:.0f}", sequence.name, block.begin_m, block.end_m);
-    part.world_from_vehicle = select_poses_around(sequence, frames);
+    part.world_from_vehicle = select_poses_around_frames(sequence, frames);
     part.boxes.clear();
     for (const int position : frames) {
         const bool trains = std::binary_search(block.train.begin(), block.train.end(), position);
@@ -81,7 +83,7 @@ BlockLog load_block_log(const Sequence& sequence, const Split& split, const Bloc
         part.frames.push_back(sequence.frames[std::size_t(position)]);
     }
     std::copy_if(sequence.boxes.begin(), sequence.boxes.end(), std::back_inserter(part.boxes),
-                 [&](const BoxTrack& box) { return is_near_block(box, sequence, frames); });
+                 [&](const BoxTrack& box) { return is_box_near_any_frame(box, sequence, frames); });
     log.config.blocks.length_m = 0.0;
     remove_tracks_without_boxes(log.config.init, part.boxes);
     return log;

@@ -4,18 +4,19 @@
 
 namespace relidar {
 
-std::vector<glm::dvec3> compute_frame_positions(const Sequence& sequence) {
-    std::vector<glm::dvec3> places;
-    for (const Frame& frame : sequence.frames)
-        places.push_back(sequence.world_from_vehicle.at(frame.time_s).translation);
-    return places;
+std::vector<glm::dvec3> compute_vehicle_position_per_frame(const LidarSequence& sequence) {
+    std::vector<glm::dvec3> positions_m;
+    for (const LidarFrame& frame : sequence.frames)
+        positions_m.push_back(sequence.world_from_vehicle.interpolate_pose(frame.time_s).translation);
+    return positions_m;
 }
 
-bool is_within(const BoxTrack& box, const Sequence& sequence, int position, double metres) {
-    const double time_s = sequence.frames[std::size_t(position)].time_s;
+bool is_box_within_distance(const BoxTrack& box, const LidarSequence& sequence, int frame_index,
+                            double max_distance_m) {
+    const double time_s = sequence.frames[std::size_t(frame_index)].time_s;
     return box.is_present(time_s) &&
-           glm::distance(box.world_from_box.at(time_s).translation,
-                         sequence.world_from_vehicle.at(time_s).translation) <= metres;
+           glm::distance(box.world_from_box.interpolate_pose(time_s).translation,
+                         sequence.world_from_vehicle.interpolate_pose(time_s).translation) <= max_distance_m;
 }
 
 }  // namespace relidar

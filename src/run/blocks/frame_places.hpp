@@ -12,10 +12,11 @@ namespace relidar {
 
 /// Returns the position of the vehicle at each frame of a log.
 /// @return [frames] metres, world frame
-std::vector<glm::dvec3> compute_frame_positions(const Sequence& sequence);
+std::vector<glm::dvec3> compute_vehicle_position_per_frame(const LidarSequence& sequence);
 
-/// Returns true if a labelled box exists at the time of a frame and is at most `metres`
-/// away from the vehicle.
-bool is_within(const BoxTrack& box, const Sequence& sequence, int position, double metres);
+/// Returns true if a labelled box exists at the time of a frame and is at most
+/// `max_distance_m` away from the vehicle.
+bool is_box_within_distance(const BoxTrack& box, const LidarSequence& sequence, int frame_index,
+                            double max_distance_m);
 
 }  // namespace relidar

@@ -18,45 +18,50 @@ namespace {
 
 /// Returns, for each position of the vehicle, the distance in metres that it has driven
 /// so far.
-std::vector<double> compute_driven_distances(const std::vector<glm::dvec3>& places) {
-    std::vector<double> metres(places.size(), 0.0);
-    for (std::size_t i = 1; i < places.size(); ++i)
-        metres[i] = metres[i - 1] + glm::distance(places[i - 1], places[i]);
+std::vector<double> compute_cumulative_distances_m(const std::vector<glm::dvec3>& vehicle_positions) {
+    std::vector<double> metres(vehicle_positions.size(), 0.0);
+    for (std::size_t i = 1; i < vehicle_positions.size(); ++i)
+        metres[i] = metres[i - 1] + glm::distance(vehicle_positions[i - 1], vehicle_positions[i]);
     return metres;
 }
 
 /// Divides the route into sections of equal length, and returns the sweeps in each
 /// section as a block. Sections without sweeps are left out.
-std::vector<Block> divide_route(const std::vector<double>& metres, double length_m) {
-    const double driven_length_m = metres.back();
-    const double n = std::max(1.0, std::ceil(driven_length_m / length_m - 1e-9));
-    std::vector<Block> blocks;
-    for (std::size_t i = 0; i < metres.size(); ++i) {
-        const double k =
-            driven_length_m > 0.0 ? std::min(n - 1.0, std::floor(metres[i] / driven_length_m * n)) : 0.0;
+std::vector<TrajectoryBlock> divide_route_into_blocks(const std::vector<double>& cumulative_distances_m,
+                                                      double block_length_m) {
+    const double driven_length_m = cumulative_distances_m.back();
+    const double n = std::max(1.0, std::ceil(driven_length_m / block_length_m - 1e-9));
+    std::vector<TrajectoryBlock> blocks;
+    for (std::size_t i = 0; i < cumulative_distances_m.size(); ++i) {
+        const double k = driven_length_m > 0.0
+                             ? std::min(n - 1.0, std::floor(cumulative_distances_m[i] / driven_length_m * n))
+                             : 0.0;
         const double begin_m = driven_length_m * k / n;
         if (blocks.empty() || blocks.back().begin_m < begin_m)
             blocks.push_back({begin_m, driven_length_m * (k + 1.0) / n, {}, {}});
-        blocks.back().own.push_back(static_cast<int>(i));
+        blocks.back().recorded_frames.push_back(static_cast<int>(i));
     }
     return blocks;
 }
 
-bool is_near_any(const glm::dvec3& place, const std::vector<glm::dvec3>& places,
-                 const std::vector<int>& indices, double within_m) {
-    return std::any_of(indices.begin(), indices.end(), [&](int index) {
-        return glm::distance(place, places[std::size_t(index)]) <= within_m;
+bool is_near_any_position(const glm::dvec3& query_position, const std::vector<glm::dvec3>& all_positions,
+                          const std::vector<int>& position_indices, double max_distance_m) {
+    return std::any_of(position_indices.begin(), position_indices.end(), [&](int index) {
+        return glm::distance(query_position, all_positions[std::size_t(index)]) <= max_distance_m;
     });
 }
 
 }  // namespace
 
-std::vector<Block> plan_blocks(const Sequence& sequence, const Split& split, const BlockConfig& options) {
-    const std::vector<glm::dvec3> places = compute_frame_positions(sequence);
-    std::vector<Block> blocks = divide_route(compute_driven_distances(places), options.length_m);
-    for (Block& block : blocks) {
+std::vector<TrajectoryBlock> plan_training_blocks(const LidarSequence& sequence, const TrainTestSplit& split,
+                                                  const BlockConfig& options) {
+    const std::vector<glm::dvec3> vehicle_positions = compute_vehicle_position_per_frame(sequence);
+    std::vector<TrajectoryBlock> blocks =
+        divide_route_into_blocks(compute_cumulative_distances_m(vehicle_positions), options.length_m);
+    for (TrajectoryBlock& block : blocks) {
         for (const int position : split.train)
-            if (is_near_any(places[std::size_t(position)], places, block.own, options.halo_m))
+            if (is_near_any_position(vehicle_positions[std::size_t(position)], vehicle_positions,
+                                     block.recorded_frames, options.halo_m))
                 block.train.push_back(position);
         if (block.train.empty())
             throw DataError(fmt::format(
@@ -68,26 +73,27 @@ std::vector<Block> plan_blocks(const Sequence& sequence, const Split& split, con
     return blocks;
 }
 
-void remove_overlap_surfels(Scene& scene, const Sequence& sequence, const std::vector<Block>& blocks,
-                            std::size_t block) {
-    std::vector<bool> is_own(sequence.frames.size(), false);
-    for (const int position : blocks[block].own) is_own[std::size_t(position)] = true;
-    const NearestPlace<double> nearest(compute_frame_positions(sequence));
+void remove_surfels_of_other_blocks(Scene& scene, const LidarSequence& sequence,
+                                    const std::vector<TrajectoryBlock>& blocks, std::size_t block_index) {
+    std::vector<bool> is_block_frame(sequence.frames.size(), false);
+    for (const int position : blocks[block_index].recorded_frames)
+        is_block_frame[std::size_t(position)] = true;
+    const NearestPointFinder<double> nearest(compute_vehicle_position_per_frame(sequence));
     const std::uint32_t n = scene.models.front().count;
     std::vector<glm::vec3> means;
-    std::vector<std::uint32_t> kept;
+    std::vector<std::uint32_t> remaining_surfels;
     for (std::uint32_t i = 0; i < n; ++i) {
-        if (!is_own[nearest.of(glm::dvec3(scene.surfels.mean[i]))]) continue;
-        kept.push_back(i);
+        if (!is_block_frame[nearest.find_nearest_index(glm::dvec3(scene.surfels.mean[i]))]) continue;
+        remaining_surfels.push_back(i);
         means.push_back(scene.surfels.mean[i]);
     }
     std::vector<std::uint32_t> order;
-    for (const std::uint32_t i : compute_kd_order(means)) order.push_back(kept[i]);
+    for (const std::uint32_t i : compute_kd_tree_order(means)) order.push_back(remaining_surfels[i]);
     for (std::uint32_t i = n; i < scene.surfels.size(); ++i) order.push_back(i);
     scene.surfels = scene.surfels.reorder(order);
-    const auto gone = static_cast<std::uint32_t>(n - kept.size());
-    scene.models.front().count -= gone;
-    for (std::size_t m = 1; m < scene.models.size(); ++m) scene.models[m].first -= gone;
+    const auto n_removed = static_cast<std::uint32_t>(n - remaining_surfels.size());
+    scene.models.front().count -= n_removed;
+    for (std::size_t m = 1; m < scene.models.size(); ++m) scene.models[m].first -= n_removed;
 }
 
 }  // namespace relidar

@@ -25,79 +25,81 @@ constexpr const char* kChecksum = "crc32";
 
 class Crc32 {
 public:
-    void add(const void* bytes, std::size_t count) {
+    void update_crc(const void* bytes, std::size_t n_bytes) {
         // Skips empty arrays, because zlib would restart the checksum if the pointer is
         // null.
-        if (count > 0) crc_ = ::crc32_z(crc_, static_cast<const Bytef*>(bytes), count);
+        if (n_bytes > 0) crc_ = ::crc32_z(crc_, static_cast<const Bytef*>(bytes), n_bytes);
     }
     // Includes the terminating zero in the checksum. Without it, "ab","c" and "a","bc"
     // would have the same checksum.
-    void add(const std::string& text) { add(text.c_str(), text.size() + 1); }
-    std::string hex() const { return fmt::format("{:08x}", crc_); }
+    void update_crc_with_text(const std::string& text) { update_crc(text.c_str(), text.size() + 1); }
+    std::string format_crc_as_hex() const { return fmt::format("{:08x}", crc_); }
 
 private:
     uLong crc_ = ::crc32_z(0, nullptr, 0);
 };
 
-std::string compute_checksum(const Texts& texts, const std::vector<NamedArray>& arrays) {
+std::string compute_checksum(const Texts& metadata, const std::vector<NamedArray>& arrays) {
     Crc32 crc;
-    for (const auto& [key, value] : texts) {
+    for (const auto& [key, value] : metadata) {
         if (key == kChecksum) continue;
-        crc.add(key);
-        crc.add(value);
+        crc.update_crc_with_text(key);
+        crc.update_crc_with_text(value);
     }
     for (const NamedArray& array : arrays) {
-        crc.add(array.name);
-        crc.add(array.dtype);
-        crc.add(fmt::format("{}", fmt::join(array.shape, ",")));
-        crc.add(array.bytes.data(), array.bytes.size());
+        crc.update_crc_with_text(array.name);
+        crc.update_crc_with_text(array.dtype);
+        crc.update_crc_with_text(fmt::format("{}", fmt::join(array.shape, ",")));
+        crc.update_crc(array.bytes.data(), array.bytes.size());
     }
-    return crc.hex();
+    return crc.format_crc_as_hex();
 }
 
 /// Removes an entry from the metadata and returns its value. Used for entries of the file
 /// format that callers should not see.
-std::string extract_text(Texts& texts, const std::string& key) {
-    const auto it = texts.find(key);
-    if (it == texts.end()) throw DataError(fmt::format("the metadata key \"{}\" is missing", key));
+std::string pop_metadata_value(Texts& metadata, const std::string& key) {
+    const auto it = metadata.find(key);
+    if (it == metadata.end()) throw DataError(fmt::format("the metadata key \"{}\" is missing", key));
     std::string value = std::move(it->second);
-    texts.erase(it);
+    metadata.erase(it);
     return value;
 }
 
-void expect(const std::string& description, const std::string& found_value, const std::string& expected) {
-    if (found_value != expected)
+void require_equal_text(const std::string& description, const std::string& found_value,
+                        const std::string& expected_value) {
+    if (found_value != expected_value)
         throw DataError(fmt::format("{}: found \"{}\", expected \"{}\"", description,
-                                    make_excerpt(found_value), expected));
+                                    shorten_for_error_message(found_value), expected_value));
 }
 
-int parse_iteration(const std::string& text) {
+int parse_iteration_number(const std::string& text) {
     int iteration = -1;
     const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), iteration);
     if (error != std::errc() || stop != text.data() + text.size() || iteration < 0)
         throw DataError(fmt::format("the metadata key \"iteration\" is \"{}\", expected an integer from 0",
-                                    make_excerpt(text)));
+                                    shorten_for_error_message(text)));
     return iteration;
 }
 
-Checkpoint parse_checkpoint(Texts texts, std::vector<NamedArray> arrays) {
-    const auto format = texts.find("format"), version = texts.find("version");
-    expect("metadata format", format == texts.end() ? "" : format->second, kFormat);
+Checkpoint parse_checkpoint(Texts metadata, std::vector<NamedArray> arrays) {
+    const auto format = metadata.find("format"), version = metadata.find("version");
+    require_equal_text("metadata format", format == metadata.end() ? "" : format->second, kFormat);
     // Checks the version before the checksum, because another version may compute the
     // checksum in a different way.
-    expect("metadata version", version == texts.end() ? "" : version->second, kVersion);
-    const std::string found = compute_checksum(texts, arrays);
-    expect("checksum of the metadata and arrays", found, extract_text(texts, kChecksum));
-    for (const char* key : {"format", "version", "relidar"}) extract_text(texts, key);
-    const int iteration = parse_iteration(extract_text(texts, "iteration"));
-    Checkpoint checkpoint{iteration, std::move(texts), std::move(arrays)};
+    require_equal_text("metadata version", version == metadata.end() ? "" : version->second, kVersion);
+    const std::string computed_checksum = compute_checksum(metadata, arrays);
+    require_equal_text("checksum of the metadata and arrays", computed_checksum,
+                       pop_metadata_value(metadata, kChecksum));
+    for (const char* key : {"format", "version", "relidar"}) pop_metadata_value(metadata, key);
+    const int iteration = parse_iteration_number(pop_metadata_value(metadata, "iteration"));
+    Checkpoint checkpoint{iteration, std::move(metadata), std::move(arrays)};
     check_finite(checkpoint);
     return checkpoint;
 }
 
 /// Returns the iteration number in the name of a checkpoint file, or nothing if the file
 /// is not a checkpoint.
-std::optional<int> parse_iteration_in_name(const std::filesystem::path& path) {
+std::optional<int> parse_iteration_in_file_name(const std::filesystem::path& path) {
     const std::string name = path.filename().string(), start = "iteration_", end = ".safetensors";
     if (!name.starts_with(start) || !name.ends_with(end) || name.size() < start.size() + end.size())
         return std::nullopt;
@@ -133,15 +135,15 @@ std::vector<std::filesystem::path> list_checkpoints(const std::filesystem::path&
     std::vector<std::filesystem::path> paths;
     std::error_code failed;
     for (const auto& entry : std::filesystem::directory_iterator(folder, failed)) {
-        if (parse_iteration_in_name(entry.path())) paths.push_back(entry.path());
+        if (parse_iteration_in_file_name(entry.path())) paths.push_back(entry.path());
     }
     std::sort(paths.begin(), paths.end(), [](const auto& first, const auto& second) {
-        return *parse_iteration_in_name(first) < *parse_iteration_in_name(second);
+        return *parse_iteration_in_file_name(first) < *parse_iteration_in_file_name(second);
     });
     return paths;
 }
 
-void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& checkpoint, int keep) {
+void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& checkpoint, int max_checkpoints) {
     std::error_code failed;
     // If this fails, writing the file below fails too and reports the error.
     std::filesystem::create_directories(folder, failed);
@@ -150,22 +152,22 @@ void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& chec
     write_checkpoint(path, checkpoint);
     std::vector<std::filesystem::path> older;
     for (const std::filesystem::path& other : list_checkpoints(folder)) {
-        const int iteration = *parse_iteration_in_name(other);
+        const int iteration = *parse_iteration_in_file_name(other);
         if (iteration < checkpoint.iteration) older.push_back(other);
         if (iteration > checkpoint.iteration) std::filesystem::remove(other, failed);
     }
-    const std::size_t n_older = static_cast<std::size_t>(std::max(keep, 1) - 1);
+    const std::size_t n_older = static_cast<std::size_t>(std::max(max_checkpoints, 1) - 1);
     for (std::size_t i = 0; i + n_older < older.size(); ++i) std::filesystem::remove(older[i], failed);
 }
 
-std::optional<Checkpoint> load_newest_checkpoint(const std::filesystem::path& folder,
-                                                 const std::function<void(const std::string&)>& note) {
+std::optional<Checkpoint> load_newest_checkpoint(
+    const std::filesystem::path& folder, const std::function<void(const std::string&)>& report_unreadable) {
     const std::vector<std::filesystem::path> paths = list_checkpoints(folder);
     for (auto path = paths.rbegin(); path != paths.rend(); ++path) {
         try {
             return read_checkpoint(*path);
         } catch (const DataError& error) {
-            note(fmt::format("{}; the previous checkpoint is used instead", error.what()));
+            report_unreadable(fmt::format("{}; the previous checkpoint is used instead", error.what()));
         }
     }
     if (!paths.empty())

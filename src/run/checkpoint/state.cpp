@@ -30,14 +30,14 @@ void check_finite(const NamedArray& array) {
 
 }  // namespace
 
-const NamedArray& Checkpoint::array(const std::string& name) const {
+const NamedArray& Checkpoint::get_array(const std::string& name) const {
     const NamedArray* match = find_array(arrays, name);
     if (!match)
         throw DataError(fmt::format("the checkpoint of iteration {} has no array \"{}\"", iteration, name));
     return *match;
 }
 
-const std::string& Checkpoint::text(const std::string& name) const {
+const std::string& Checkpoint::get_text(const std::string& name) const {
     const auto it = texts.find(name);
     if (it == texts.end())
         throw DataError(
@@ -45,23 +45,24 @@ const std::string& Checkpoint::text(const std::string& name) const {
     return it->second;
 }
 
-void StateWriter::put(const std::string& name, const char* dtype, std::vector<std::size_t> shape,
-                      const void* values) {
+void CheckpointWriter::store_array(const std::string& name, const char* dtype, std::vector<std::size_t> shape,
+                                   const void* values) {
     NamedArray& array = checkpoint_.arrays.emplace_back(NamedArray{name, dtype, std::move(shape), {}});
-    array.bytes.resize(array.count() * static_cast<std::size_t>(dtype[1] - '0'));
+    array.bytes.resize(array.count_elements() * static_cast<std::size_t>(dtype[1] - '0'));
     if (!array.bytes.empty()) std::memcpy(array.bytes.data(), values, array.bytes.size());
 }
 
-void StateWriter::operator()(const std::string& name, const SurfelArrays& surfels) {
+void CheckpointWriter::operator()(const std::string& name, const SurfelArrays& surfels) {
     const Surfels host = surfels.download();
-    for (const ParameterGroup& group : list_parameter_groups(surfels.parameters()))
-        put(name + "/" + group.name, "f4", group.shape(host.size()), group.values(host).data());
+    for (const SurfelParameterGroup& group : list_parameter_groups(surfels.get_parameter_set()))
+        store_array(name + "/" + group.name, "f4", group.get_array_shape(host.size()),
+                    group.values(host).data());
     checkpoint_.texts[name + "/" + kPrimitiveKey] = get_primitive_kind(surfels.primitive).name;
 }
 
-const NamedArray& StateReader::find(const std::string& name, const char* dtype,
-                                    const std::vector<std::size_t>& shape) const {
-    const NamedArray& array = checkpoint_.array(name);
+const NamedArray& CheckpointReader::get_checked_array(const std::string& name, const char* dtype,
+                                                      const std::vector<std::size_t>& shape) const {
+    const NamedArray& array = checkpoint_.get_array(name);
     if (array.dtype != dtype || array.shape != shape)
         throw DataError(fmt::format("checkpoint of iteration {}: array {}: found {} [{}], expected {} [{}]",
                                     checkpoint_.iteration, name, array.dtype, fmt::join(array.shape, ", "),
@@ -69,31 +70,32 @@ const NamedArray& StateReader::find(const std::string& name, const char* dtype,
     return array;
 }
 
-const NamedArray& StateReader::find_rows(const std::string& name, const char* dtype) const {
-    return find(name, dtype, {checkpoint_.array(name).count()});
+const NamedArray& CheckpointReader::get_array_of_any_length(const std::string& name,
+                                                            const char* dtype) const {
+    return get_checked_array(name, dtype, {checkpoint_.get_array(name).count_elements()});
 }
 
-Surfels StateReader::surfels(const std::string& name) const {
-    const NamedArray& mean = checkpoint_.array(name + "/mean");
+Surfels CheckpointReader::read_all_surfels(const std::string& name) const {
+    const NamedArray& mean = checkpoint_.get_array(name + "/mean");
     return read_surfels(name, mean.shape.empty() ? 0 : mean.shape[0]);
 }
 
-Surfels StateReader::read_surfels(const std::string& name, std::size_t count) const {
-    const ParameterSet parameters = read_parameter_set(
+Surfels CheckpointReader::read_surfels(const std::string& name, std::size_t n_surfels) const {
+    const SurfelParameterSet parameters = read_parameter_set(
         checkpoint_.texts, name + "/" + kPrimitiveKey,
         [&](const char* group) { return find_array(checkpoint_.arrays, name + "/" + group) != nullptr; });
     // Checks the shapes of all arrays before memory is allocated.
-    for (const ParameterGroup& group : list_parameter_groups(parameters))
-        find(name + "/" + group.name, "f4", group.shape(count));
+    for (const SurfelParameterGroup& group : list_parameter_groups(parameters))
+        get_checked_array(name + "/" + group.name, "f4", group.get_array_shape(n_surfels));
     Surfels host;
-    host.resize(count, parameters);
-    for (const ParameterGroup& group : list_parameter_groups(parameters))
-        copy(checkpoint_.array(name + "/" + group.name), group.mutable_values(host).data());
+    host.resize(n_surfels, parameters);
+    for (const SurfelParameterGroup& group : list_parameter_groups(parameters))
+        copy_array_bytes(checkpoint_.get_array(name + "/" + group.name), group.mutable_values(host).data());
     return host;
 }
 
-void StateReader::copy(const NamedArray& array, void* values) {
-    if (!array.bytes.empty()) std::memcpy(values, array.bytes.data(), array.bytes.size());
+void CheckpointReader::copy_array_bytes(const NamedArray& array, void* destination) {
+    if (!array.bytes.empty()) std::memcpy(destination, array.bytes.data(), array.bytes.size());
 }
 
 void check_finite(const Checkpoint& checkpoint) {

@@ -24,89 +24,96 @@
 namespace relidar {
 namespace {
 
-using config_detail::Accepts;
-using config_detail::describe;
-using config_detail::from_text;
-using config_detail::Help;
+using config_detail::describe_accepted_values;
+using config_detail::format_setting_value;
 using config_detail::is_text;
-using config_detail::to_text;
-using config_detail::visit;
+using config_detail::parse_setting_value;
+using config_detail::SettingHelp;
+using config_detail::SettingValueRange;
+using config_detail::visit_all_settings;
 
 /// Value of a setting as text. A TOML file shows whether the value was in quotes. On the
 /// command line this is unknown, because the shell removes quotes.
 struct ParsedValue {
     std::string text;
-    enum class Quotes { unknown, yes, no } quotes = Quotes::unknown;
+    enum class QuotedState { unknown, yes, no } quotes = QuotedState::unknown;
 };
 
-std::vector<std::string> list_all_keys() {
+std::vector<std::string> list_all_setting_keys() {
     std::vector<std::string> keys;
-    visit(static_cast<const Config&>(Config{}),
-          [&](const char* key, const auto&, const Accepts&, const Help&) { keys.emplace_back(key); });
+    visit_all_settings(static_cast<const Config&>(Config{}),
+                       [&](const char* key, const auto&, const SettingValueRange&, const SettingHelp&) {
+                           keys.emplace_back(key);
+                       });
     return keys;
 }
 
 std::string make_unknown_key_message(const std::string& key) {
-    return fmt::format("setting {}: unknown key{}", make_excerpt(key),
-                       suggest_name(key, list_all_keys(), "",
-                                    ", expected one of the keys that `relidar list settings --all` prints"));
+    return fmt::format(
+        "setting {}: unknown key{}", shorten_for_error_message(key),
+        format_name_suggestion(key, list_all_setting_keys(), "",
+                               ", expected one of the keys that `relidar list settings --all` prints"));
 }
 
 template <class T>
-void assign(T& field, const std::string& key, const Accepts& accepts, const ParsedValue& value) {
-    const bool wrong_kind = value.quotes == (is_text<T> ? ParsedValue::Quotes::no : ParsedValue::Quotes::yes);
-    const std::optional<T> parsed = from_text<T>(value.text, accepts);
+void assign_setting_value(T& field, const std::string& key, const SettingValueRange& accepted_values,
+                          const ParsedValue& parsed_value) {
+    const bool wrong_kind =
+        parsed_value.quotes == (is_text<T> ? ParsedValue::QuotedState::no : ParsedValue::QuotedState::yes);
+    const std::optional<T> parsed = parse_setting_value<T>(parsed_value.text, accepted_values);
     if (wrong_kind || !parsed) {
         const char* hint = wrong_kind && is_text<T> ? " in quotes" : wrong_kind ? " without quotes" : "";
-        throw UsageError(fmt::format("setting {}: found \"{}\", expected {}{}", key, make_excerpt(value.text),
-                                     describe<T>(accepts), hint));
+        throw UsageError(fmt::format("setting {}: found \"{}\", expected {}{}", key,
+                                     shorten_for_error_message(parsed_value.text),
+                                     describe_accepted_values<T>(accepted_values), hint));
     }
     field = *parsed;
 }
 
 void apply_setting(Config& config, const std::string& key, const ParsedValue& value) {
-    bool is_known = false;
-    visit(config, [&](const char* name, auto& field, const Accepts& accepts, const Help&) {
-        if (is_known || key != name) return;
-        is_known = true;
-        assign(field, key, accepts, value);
-    });
-    if (!is_known) throw UsageError(make_unknown_key_message(key));
+    bool is_valid_key = false;
+    visit_all_settings(
+        config, [&](const char* name, auto& field, const SettingValueRange& accepts, const SettingHelp&) {
+            if (is_valid_key || key != name) return;
+            is_valid_key = true;
+            assign_setting_value(field, key, accepts, value);
+        });
+    if (!is_valid_key) throw UsageError(make_unknown_key_message(key));
     if (key == "preset") config = make_preset(config.preset);
 }
 
 /// Converts a TOML scalar to text.
-ParsedValue parse_scalar(const toml::node& node, const std::string& key) {
-    if (const auto* text = node.as_string()) return {text->get(), ParsedValue::Quotes::yes};
+ParsedValue convert_toml_scalar_to_text(const toml::node& node, const std::string& key) {
+    if (const auto* text = node.as_string()) return {text->get(), ParsedValue::QuotedState::yes};
     if (const auto* integer = node.as_integer())
-        return {fmt::format("{}", integer->get()), ParsedValue::Quotes::no};
+        return {fmt::format("{}", integer->get()), ParsedValue::QuotedState::no};
     if (const auto* number = node.as_floating_point())
-        return {format_number_text(number->get()), ParsedValue::Quotes::no};
+        return {format_number_text(number->get()), ParsedValue::QuotedState::no};
     if (const auto* boolean = node.as_boolean())
-        return {boolean->get() ? "true" : "false", ParsedValue::Quotes::no};
+        return {boolean->get() ? "true" : "false", ParsedValue::QuotedState::no};
     std::ostringstream kind;
     kind << node.type();
-    throw UsageError(
-        fmt::format("setting {}: found a TOML {}, expected a single value", make_excerpt(key), kind.str()));
+    throw UsageError(fmt::format("setting {}: found a TOML {}, expected a single value",
+                                 shorten_for_error_message(key), kind.str()));
 }
 
 /// Adds all values of a TOML table and its nested tables to `settings`. The keys are full
 /// names such as "table.key".
-void flatten_table(const toml::table& table, const std::string& prefix,
-                   std::map<std::string, ParsedValue>& settings) {
+void flatten_toml_table(const toml::table& table, const std::string& key_prefix,
+                        std::map<std::string, ParsedValue>& settings) {
     for (const auto& [name, node] : table) {
-        const std::string key = prefix + std::string(name.str());
-        if (const toml::table* inner = node.as_table()) flatten_table(*inner, key + ".", settings);
-        else settings.emplace(key, parse_scalar(node, key));
+        const std::string key = key_prefix + std::string(name.str());
+        if (const toml::table* inner = node.as_table()) flatten_toml_table(*inner, key + ".", settings);
+        else settings.emplace(key, convert_toml_scalar_to_text(node, key));
     }
 }
 
 /// Checks that a settings file contains every setting and no unknown key, like all files
 /// that to_toml() writes.
 /// @throws UsageError if a setting is missing or a key is unknown
-void check_complete(const std::map<std::string, ParsedValue>& settings) {
+void check_settings_complete(const std::map<std::string, ParsedValue>& settings) {
     constexpr const char* kAdvice = "a run that another version of relidar has written must be trained again";
-    const std::vector<std::string> keys = list_all_keys();
+    const std::vector<std::string> keys = list_all_setting_keys();
     for (const auto& [key, found] : settings)
         if (std::ranges::find(keys, key) == keys.end())
             throw UsageError(fmt::format("{}; {}", make_unknown_key_message(key), kAdvice));
@@ -117,7 +124,7 @@ void check_complete(const std::map<std::string, ParsedValue>& settings) {
 }
 
 /// Returns text as a TOML string, with quotes and escaped characters.
-std::string quoted(const std::string& text) {
+std::string quote_toml_string(const std::string& text) {
     std::string result = "\"";
     for (const char c : text) {
         if (c == '"' || c == '\\') result += '\\';
@@ -129,46 +136,49 @@ std::string quoted(const std::string& text) {
 }
 
 template <class T>
-std::string format_toml_value(const T& value, const Accepts& accepts) {
-    const std::string text = to_text(value, accepts);
-    return is_text<T> ? quoted(text) : text;
+std::string format_toml_value(const T& value, const SettingValueRange& accepted_values) {
+    const std::string text = format_setting_value(value, accepted_values);
+    return is_text<T> ? quote_toml_string(text) : text;
 }
 
 }  // namespace
 
 std::vector<ConfigKey> list_config_keys(const Config& config) {
     std::vector<ConfigKey> keys;
-    visit(config, [&](const char* key, const auto& field, const Accepts& accepts, const Help& help) {
+    visit_all_settings(config, [&](const char* key, const auto& field, const SettingValueRange& accepts,
+                                   const SettingHelp& help) {
         using T = std::decay_t<decltype(field)>;
-        keys.push_back({key, to_text(field, accepts), fmt::format("{} ({})", help.text, describe<T>(accepts)),
+        keys.push_back({key, format_setting_value(field, accepts),
+                        fmt::format("{} ({})", help.text, describe_accepted_values<T>(accepts)),
                         help.expert});
     });
     return keys;
 }
 
 void set_config_value(Config& config, const std::string& key, const std::string& value) {
-    apply_setting(config, key, {value, ParsedValue::Quotes::unknown});
+    apply_setting(config, key, {value, ParsedValue::QuotedState::unknown});
 }
 
 namespace {
 
 /// Reads a TOML file and applies its settings to `config`.
-/// @param check  function that checks the settings of the file before they are applied
+/// @param check_file_settings  function that checks the settings of the file before they
+/// are applied
 template <class Check>
-void read_config(Config& config, const std::filesystem::path& path, const Check& check) {
-    const std::string text = read_text(path);
-    check_toml_depth(text, path.string());
+void read_config_file(Config& config, const std::filesystem::path& path, const Check& check_file_settings) {
+    const std::string text = read_text_file(path);
+    check_toml_nesting_depth(text, path.string());
     Config result = config;  // changes a copy, so that `config` stays unchanged if an error is thrown
     try {
         const toml::table table = toml::parse(text, path.string());
         std::map<std::string, ParsedValue> settings;
-        flatten_table(table, "", settings);
-        check(settings);
+        flatten_toml_table(table, "", settings);
+        check_file_settings(settings);
         if (const auto preset = settings.extract("preset")) apply_setting(result, "preset", preset.mapped());
         for (const auto& [key, found] : settings) apply_setting(result, key, found);
     } catch (const toml::parse_error& error) {
         throw DataError(fmt::format("{}:{}: not valid TOML: {}", path.string(), error.source().begin.line,
-                                    make_excerpt(error.description())));
+                                    shorten_for_error_message(error.description())));
     } catch (const UsageError& error) {
         throw UsageError(fmt::format("{}: {}", path.string(), error.what()));
     }
@@ -178,13 +188,13 @@ void read_config(Config& config, const std::filesystem::path& path, const Check&
 }  // namespace
 
 void load_config(Config& config, const std::filesystem::path& path) {
-    read_config(config, path, [](const std::map<std::string, ParsedValue>&) {});
+    read_config_file(config, path, [](const std::map<std::string, ParsedValue>&) {});
 }
 
 Config load_saved_config(const std::filesystem::path& path) {
     Config config;
     try {
-        read_config(config, path, check_complete);
+        read_config_file(config, path, check_settings_complete);
     } catch (const UsageError& error) {
         throw DataError(error.what());
     }
@@ -194,19 +204,20 @@ Config load_saved_config(const std::filesystem::path& path) {
 namespace {
 
 /// Returns the settings as TOML text, grouped by table, with a comment for each setting.
-/// @param is_shown  function that returns true for the keys to include
+/// @param is_key_shown  function that returns true for the keys to include
 template <class Shown>
-std::string format_toml(const Config& config, const Shown& is_shown) {
+std::string format_config_as_toml(const Config& config, const Shown& is_key_shown) {
     std::string text, table;
-    visit(config, [&](const std::string& key, const auto& field, const Accepts& accepts, const Help& help) {
+    visit_all_settings(config, [&](const std::string& key, const auto& field,
+                                   const SettingValueRange& accepts, const SettingHelp& help) {
         using T = std::decay_t<decltype(field)>;
-        if (!is_shown(key)) return;
+        if (!is_key_shown(key)) return;
         const std::size_t dot = key.find('.');
         const std::string key_table = dot == std::string::npos ? "" : key.substr(0, dot);
         if (key_table != table) text += fmt::format("\n[{}]\n", key_table);
         table = key_table;
-        text += fmt::format("# {} ({})\n{} = {}\n", help.text, describe<T>(accepts), key.substr(dot + 1),
-                            format_toml_value(field, accepts));
+        text += fmt::format("# {} ({})\n{} = {}\n", help.text, describe_accepted_values<T>(accepts),
+                            key.substr(dot + 1), format_toml_value(field, accepts));
     });
     return text;
 }
@@ -215,7 +226,7 @@ std::string format_toml(const Config& config, const Shown& is_shown) {
 
 std::string to_toml(const Config& config) {
     return "# All settings of a relidar run. `relidar train --config` can read this file.\n" +
-           format_toml(config, [](const std::string&) { return true; });
+           format_config_as_toml(config, [](const std::string&) { return true; });
 }
 
 std::string to_toml_without_defaults(const Config& config) {
@@ -224,7 +235,7 @@ std::string to_toml_without_defaults(const Config& config) {
                                  preset = list_config_keys(make_preset(config.preset));
     for (std::size_t i = 0; i < keys.size(); ++i)
         if (keys[i].expert && keys[i].value == preset[i].value) left_out.insert(keys[i].key);
-    return format_toml(config, [&](const std::string& key) { return !left_out.contains(key); }) +
+    return format_config_as_toml(config, [&](const std::string& key) { return !left_out.contains(key); }) +
            fmt::format(
                "\n"
                "# {} expert settings with the values of the preset are not shown; `relidar list "

@@ -25,8 +25,8 @@ template <class T>
 constexpr bool is_text = std::is_same_v<T, std::string> || std::is_enum_v<T>;
 
 template <class T>
-std::string to_text(const T& value, const Accepts& accepts) {
-    if constexpr (std::is_enum_v<T>) return accepts.choices.at(static_cast<std::size_t>(value));
+std::string format_setting_value(const T& value, const SettingValueRange& accepted_values) {
+    if constexpr (std::is_enum_v<T>) return accepted_values.choices.at(static_cast<std::size_t>(value));
     else if constexpr (std::is_floating_point_v<T>) return format_number_text(value);
     else return fmt::format("{}", value);
 }
@@ -34,23 +34,25 @@ std::string to_text(const T& value, const Accepts& accepts) {
 /// Returns a description of the values that a setting accepts. Examples: "a number >= 0",
 /// "an integer in 1..64", "one of ray, surfel".
 template <class T>
-std::string describe(const Accepts& accepts) {
+std::string describe_accepted_values(const SettingValueRange& accepted_values) {
     if constexpr (std::is_same_v<T, bool>) return "true or false";
-    if (accepts.several)
-        return fmt::format("some of {}, separated by commas", fmt::join(accepts.choices, ", "));
-    if (!accepts.choices.empty()) return fmt::format("one of {}", fmt::join(accepts.choices, ", "));
+    if (accepted_values.several)
+        return fmt::format("some of {}, separated by commas", fmt::join(accepted_values.choices, ", "));
+    if (!accepted_values.choices.empty())
+        return fmt::format("one of {}", fmt::join(accepted_values.choices, ", "));
     if constexpr (is_text<T>) return "text";
     const std::string kind = std::is_integral_v<T> ? "an integer" : "a number";
     const bool open_end =
-        accepts.high >= (std::is_integral_v<T> ? kMaxCount : std::numeric_limits<double>::max());
-    const char* above = accepts.above_low ? ">" : ">=";
-    if (open_end) return fmt::format("{} {} {:.15g}", kind, above, accepts.low);
-    if (accepts.above_low) return fmt::format("{} > {:.15g} and <= {:.15g}", kind, accepts.low, accepts.high);
-    return fmt::format("{} in {:.15g}..{:.15g}", kind, accepts.low, accepts.high);
+        accepted_values.high >= (std::is_integral_v<T> ? kMaxCount : std::numeric_limits<double>::max());
+    const char* above = accepted_values.above_low ? ">" : ">=";
+    if (open_end) return fmt::format("{} {} {:.15g}", kind, above, accepted_values.low);
+    if (accepted_values.above_low)
+        return fmt::format("{} > {:.15g} and <= {:.15g}", kind, accepted_values.low, accepted_values.high);
+    return fmt::format("{} in {:.15g}..{:.15g}", kind, accepted_values.low, accepted_values.high);
 }
 
 template <class T>
-std::optional<T> parse_number(const std::string& text, const Accepts& accepts) {
+std::optional<T> parse_number_in_range(const std::string& text, const SettingValueRange& accepted_values) {
     T parsed{};
     const char* begin = text.data();
     const char* end = begin + text.size();
@@ -61,7 +63,8 @@ std::optional<T> parse_number(const std::string& text, const Accepts& accepts) {
         if (!std::isfinite(parsed)) return std::nullopt;
     }
     const auto number = static_cast<double>(parsed);
-    if (number > accepts.high || number < accepts.low || (accepts.above_low && number <= accepts.low))
+    if (number > accepted_values.high || number < accepted_values.low ||
+        (accepted_values.above_low && number <= accepted_values.low))
         return std::nullopt;
     return parsed;
 }
@@ -69,17 +72,19 @@ std::optional<T> parse_number(const std::string& text, const Accepts& accepts) {
 /// Converts the text of a setting to its value. Returns nothing if the setting does not
 /// accept this text.
 template <class T>
-std::optional<T> from_text(const std::string& text, const Accepts& accepts) {
+std::optional<T> parse_setting_value(const std::string& text, const SettingValueRange& accepted_values) {
     const auto find = [&](const std::string& word) {
-        return std::find(accepts.choices.begin(), accepts.choices.end(), word);
+        return std::find(accepted_values.choices.begin(), accepted_values.choices.end(), word);
     };
     const auto choice = find(text);
-    const auto is_choice = [&](const std::string& word) { return find(word) != accepts.choices.end(); };
-    if (accepts.several ? !std::ranges::all_of(split_words(text), is_choice)
-                        : !accepts.choices.empty() && choice == accepts.choices.end())
+    const auto is_choice = [&](const std::string& word) {
+        return find(word) != accepted_values.choices.end();
+    };
+    if (accepted_values.several ? !std::ranges::all_of(split_comma_separated_list(text), is_choice)
+                                : !accepted_values.choices.empty() && choice == accepted_values.choices.end())
         return std::nullopt;
     if constexpr (std::is_enum_v<T>) {
-        return static_cast<T>(choice - accepts.choices.begin());
+        return static_cast<T>(choice - accepted_values.choices.begin());
     } else if constexpr (std::is_same_v<T, std::string>) {
         if (text.find_first_of("\n\r") != std::string::npos) return std::nullopt;
         return text;
@@ -87,7 +92,7 @@ std::optional<T> from_text(const std::string& text, const Accepts& accepts) {
         if (text != "true" && text != "false") return std::nullopt;
         return text == "true";
     } else {
-        return parse_number<T>(text, accepts);
+        return parse_number_in_range<T>(text, accepted_values);
     }
 }
 

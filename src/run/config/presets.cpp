@@ -13,7 +13,7 @@ namespace {
 
 /// Returns the settings of the paper, which are mostly the defaults of the structs. As in
 /// the paper's evaluation, ranges are not divided by the sum of the blending weights.
-Config make_paper_config() {
+Config make_paper_preset_config() {
     Config config;
     config.dataset.waymo_intensity = "clamp";
     // as in the paper: only vehicles become actors; people and cyclists are background
@@ -39,8 +39,8 @@ Config make_paper_config() {
 /// includes SSIM, which needs full images. The Chamfer distance has no gradient in that
 /// program, so it is not used for training. Surfels outside their box are penalised. The
 /// errors of the released program (section 10) are not reproduced.
-Config make_released_config() {
-    Config config = make_paper_config();
+Config make_released_code_preset_config() {
+    Config config = make_paper_preset_config();
     config.preset = "released";
     config.loss.intensity_ssim = 0.15f;
     config.loss.chamfer = 0.0f;
@@ -50,7 +50,7 @@ Config make_released_config() {
 
 /// Returns the settings with the best results on a real log (KITTI raw 0005,
 /// docs/results.md). Training starts from dense, smoothed points, so it adds no surfels.
-Config make_standard_config() {
+Config make_default_preset_config() {
     Config config;
     config.preset = "default";
     // 0: uses the maximum range of the sensor, instead of the 80 m of published results
@@ -64,7 +64,7 @@ Config make_standard_config() {
     // Discs of points without a clear normal, for example on leaves, face the sensor.
     config.init.flatness = 0.04;
     // KITTI labels only objects that its front camera sees.
-    config.init.unlabelled_movers = UnlabelledMovers::actors;
+    config.init.unlabelled_movers = UnlabelledMoverPolicy::actors;
     config.init.opacity = 0.8;
     // New surfaces have a ray-drop probability of 12 %, as typical sensors.
     config.init.hit_margin = 2.0;
@@ -112,8 +112,8 @@ Config make_standard_config() {
 
 /// Returns settings for training on a CPU in minutes: small batches of rays and fewer
 /// steps.
-Config make_quick_config() {
-    Config config = make_standard_config();
+Config make_quick_preset_config() {
+    Config config = make_default_preset_config();
     config.preset = "quick";
     config.init.voxel_growth = 0.01;
     // Must be below 1 - alpha_max. Otherwise the ray would end in front of an opaque
@@ -151,21 +151,22 @@ struct Preset {
     const char* name;
     Config (*make)();
 };
-constexpr Preset kPresets[] = {{"paper", make_paper_config},
-                               {"released", make_released_config},
-                               {"default", make_standard_config},
-                               {"quick", make_quick_config}};
+constexpr Preset kPresets[] = {{"paper", make_paper_preset_config},
+                               {"released", make_released_code_preset_config},
+                               {"default", make_default_preset_config},
+                               {"quick", make_quick_preset_config}};
 
 }  // namespace
 
 Config make_preset(const std::string& name) {
-    std::vector<std::string> known;
+    std::vector<std::string> preset_names;
     for (const Preset& preset : kPresets) {
         if (name == preset.name) return preset.make();
-        known.emplace_back(preset.name);
+        preset_names.emplace_back(preset.name);
     }
-    throw UsageError(fmt::format("preset '{}': unknown{} (known: {})", name, suggest_name(name, known, "'"),
-                                 fmt::join(known, ", ")));
+    throw UsageError(fmt::format("preset '{}': unknown{} (known: {})", name,
+                                 format_name_suggestion(name, preset_names, "'"),
+                                 fmt::join(preset_names, ", ")));
 }
 
 }  // namespace relidar

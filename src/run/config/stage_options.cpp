@@ -4,7 +4,7 @@
 
 namespace relidar {
 
-Config use_farthest_return(Config config, const Sequence& sequence) {
+Config resolve_max_range(Config config, const LidarSequence& sequence) {
     if (config.dataset.max_range_m > 0.0) return config;
     for (const Lidar& lidar : sequence.lidars)
         config.dataset.max_range_m = std::max(config.dataset.max_range_m, lidar.sensor.max_range_m);
@@ -19,7 +19,8 @@ TraceOptions make_base_trace_options(const Config& config) {
 
 TraceOptions make_training_trace_options(const Config& config) {
     TraceOptions options = make_base_trace_options(config);
-    if (config.loss.likelihood > 0.0f) options.likelihood = RangeKernel{config.loss.likelihood_scale_m};
+    if (config.loss.likelihood > 0.0f)
+        options.likelihood = RangeLikelihoodKernel{config.loss.likelihood_scale_m};
     return options;
 }
 
@@ -35,7 +36,7 @@ TraceOptions make_rendering_trace_options(const Config& config) {
 
 BackwardOptions make_backward_options(const Config& config) {
     BackwardOptions options;
-    if (config.train.deterministic) options.reduction = Reduction::gather;
+    if (config.train.deterministic) options.reduction = GradientReduction::gather;
     return options;
 }
 

@@ -16,16 +16,17 @@ namespace relidar {
 namespace {
 
 /// Returns true if the line through a ray intersects a box that is centred at the origin.
-bool is_ray_in_box(const glm::dvec3& origin_m, const glm::dvec3& direction, const glm::dvec3& size_m) {
+bool is_box_hit_by_ray(const glm::dvec3& ray_origin_m, const glm::dvec3& ray_direction,
+                       const glm::dvec3& box_size_m) {
     double begin = 0.0, end = std::numeric_limits<double>::infinity();
     for (int axis = 0; axis < 3; ++axis) {
-        const double half_m = 0.5 * size_m[axis];
-        if (direction[axis] == 0.0) {
-            if (std::abs(origin_m[axis]) > half_m) return false;
+        const double half_m = 0.5 * box_size_m[axis];
+        if (ray_direction[axis] == 0.0) {
+            if (std::abs(ray_origin_m[axis]) > half_m) return false;
             continue;
         }
-        const double a = (-half_m - origin_m[axis]) / direction[axis],
-                     b = (half_m - origin_m[axis]) / direction[axis];
+        const double a = (-half_m - ray_origin_m[axis]) / ray_direction[axis],
+                     b = (half_m - ray_origin_m[axis]) / ray_direction[axis];
         begin = std::max(begin, std::min(a, b)), end = std::min(end, std::max(a, b));
     }
     return begin <= end;
@@ -33,51 +34,56 @@ bool is_ray_in_box(const glm::dvec3& origin_m, const glm::dvec3& direction, cons
 
 /// Returns true if the line through a ray intersects the bounding sphere of a box. This
 /// test is fast and rejects most rays before the exact test.
-bool is_ray_near(const glm::vec3& origin_m, const glm::vec3& direction, const glm::vec3& centre_m,
-                 float radius_m) {
-    const glm::vec3 to_centre = centre_m - origin_m;
-    const float along_m = glm::dot(to_centre, direction), distance2 = glm::dot(to_centre, to_centre);
+bool is_sphere_hit_by_ray(const glm::vec3& ray_origin_m, const glm::vec3& ray_direction,
+                          const glm::vec3& sphere_centre_m, float radius_m) {
+    const glm::vec3 to_centre = sphere_centre_m - ray_origin_m;
+    const float along_m = glm::dot(to_centre, ray_direction), distance2 = glm::dot(to_centre, to_centre);
     return distance2 <= radius_m * radius_m ||
            (along_m > 0.0f && distance2 - along_m * along_m <= radius_m * radius_m);
 }
 
 }  // namespace
 
-ActorDetail measure_actor_detail(std::span<const glm::vec3> origin, std::span<const glm::vec3> direction,
-                                 const Pose& box_from_sensor, const glm::dvec3& size_m, std::size_t surfels) {
-    ActorDetail detail{glm::length(box_from_sensor.translation), 0.0, 0, surfels};
+ActorModelResolution measure_actor_resolution(std::span<const glm::vec3> ray_origins,
+                                              std::span<const glm::vec3> ray_directions,
+                                              const Pose& box_from_sensor, const glm::dvec3& size_m,
+                                              std::size_t n_surfels) {
+    ActorModelResolution detail{glm::length(box_from_sensor.translation), 0.0, 0, n_surfels};
     const glm::vec3 centre_m(inverse(box_from_sensor).translation);
     const float radius_m = float(0.5 * glm::length(size_m)) * 1.001f + 0.01f;
-    for (std::size_t i = 0; i < direction.size(); ++i)
-        if (is_ray_near(origin[i], direction[i], centre_m, radius_m))
-            detail.rays += is_ray_in_box(box_from_sensor * glm::dvec3(origin[i]),
-                                         box_from_sensor.rotation * glm::dvec3(direction[i]), size_m);
+    for (std::size_t i = 0; i < ray_directions.size(); ++i)
+        if (is_sphere_hit_by_ray(ray_origins[i], ray_directions[i], centre_m, radius_m))
+            detail.rays +=
+                is_box_hit_by_ray(box_from_sensor * glm::dvec3(ray_origins[i]),
+                                  box_from_sensor.rotation * glm::dvec3(ray_directions[i]), size_m);
     return detail;
 }
 
-ActorDetail measure_actor_detail(const DrivingScene& driving, const std::string& track, int lidar) {
-    const Sequence& log = driving.sequence;
-    const auto instance =
-        std::ranges::find_if(driving.scene.instances, [&](const Instance& i) { return i.track == track; });
+ActorModelResolution measure_actor_resolution(const SceneWithLog& driving, const std::string& track,
+                                              int lidar_index) {
+    const LidarSequence& log = driving.sequence;
+    const auto instance = std::ranges::find_if(driving.scene.instances,
+                                               [&](const ModelInstance& i) { return i.track == track; });
     const auto box = std::ranges::find_if(log.boxes, [&](const BoxTrack& b) { return b.id == track; });
     if (instance == driving.scene.instances.end() || box == log.boxes.end())
         throw UsageError(
             fmt::format("cannot inspect actor \"{}\": the scene has no actor with this track id", track));
-    ActorDetail detail{std::numeric_limits<double>::infinity(), 0.0, 0,
-                       driving.scene.models[instance->model].count};
-    const PoseTrack world_from_sensor = log.world_from_sensor(lidar);
+    ActorModelResolution detail{std::numeric_limits<double>::infinity(), 0.0, 0,
+                                driving.scene.models[instance->model].count};
+    const PoseTrack world_from_sensor = log.get_world_from_sensor(lidar_index);
     Pose box_from_sensor;
-    for (const Frame& frame : log.frames) {
-        if (frame.lidar != lidar || !box->is_present(frame.time_s)) continue;
-        const Pose nearer =
-            inverse(box->world_from_box.at(frame.time_s)) * world_from_sensor.at(frame.time_s);
+    for (const LidarFrame& frame : log.frames) {
+        if (frame.lidar != lidar_index || !box->is_present(frame.time_s)) continue;
+        const Pose nearer = inverse(box->world_from_box.interpolate_pose(frame.time_s)) *
+                            world_from_sensor.interpolate_pose(frame.time_s);
         if (const double distance_m = glm::length(nearer.translation); distance_m < detail.nearest_m)
             box_from_sensor = nearer, detail.nearest_m = distance_m, detail.time_s = frame.time_s;
     }
     if (detail.nearest_m == std::numeric_limits<double>::infinity()) return detail;
-    const RayTable rays = make_nominal_rays(log.lidars[std::size_t(lidar)], detail.time_s);
+    const RayTable rays = make_nominal_rays(log.lidars[std::size_t(lidar_index)], detail.time_s);
     detail.rays =
-        measure_actor_detail(rays.origin, rays.direction, box_from_sensor, box->size_m, detail.surfels).rays;
+        measure_actor_resolution(rays.origin, rays.direction, box_from_sensor, box->size_m, detail.surfels)
+            .rays;
     return detail;
 }
 

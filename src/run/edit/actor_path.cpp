@@ -16,7 +16,7 @@ namespace relidar {
 
 namespace {
 
-enum Field { kTime, kX, kY, kZ, kYaw, kPitch, kRoll, kYawRad, kPitchRad, kRollRad, kFieldCount };
+enum ActorPathField { kTime, kX, kY, kZ, kYaw, kPitch, kRoll, kYawRad, kPitchRad, kRollRad, kFieldCount };
 // Number of columns in a file without a header. The columns are the first names of
 // kNames, in this order.
 constexpr std::size_t kUnnamed = 7;
@@ -28,33 +28,34 @@ const std::vector<std::string> kNames{"time_s",    "x",        "y",       "z",  
                                       "pitch_deg", "roll_deg", "yaw_rad", "pitch_rad", "roll_rad"};
 
 /// Column index of each field, or -1 if the file does not have the field.
-using FieldPlaces = std::vector<int>;
+using FieldColumnIndices = std::vector<int>;
 
 /// Reads the header of a file and returns the column index of each field.
 /// @throws DataError for an unknown name, a missing field, or an angle in both units
-FieldPlaces parse_header_columns(const std::vector<std::string_view>& header, const std::string& location) {
-    FieldPlaces at = find_columns(header, kNames, location);
-    for (const Field field : {kTime, kX, kY, kZ})
+FieldColumnIndices find_columns_in_header(const std::vector<std::string_view>& header,
+                                          const std::string& error_location) {
+    FieldColumnIndices at = find_column_indices(header, kNames, error_location);
+    for (const ActorPathField field : {kTime, kX, kY, kZ})
         if (at[field] < 0)
-            throw DataError(fmt::format("{}: the column '{}' is missing", location, kNames[field]));
+            throw DataError(fmt::format("{}: the column '{}' is missing", error_location, kNames[field]));
     if (at[kYaw] < 0 && at[kYawRad] < 0)
-        throw DataError(fmt::format("{}: the column 'yaw_deg' or 'yaw_rad' is missing", location));
+        throw DataError(fmt::format("{}: the column 'yaw_deg' or 'yaw_rad' is missing", error_location));
     for (int angle = kYaw; angle <= kRoll; ++angle)
         if (const int other = angle + kYawRad - kYaw; at[angle] >= 0 && at[other] >= 0)
             throw DataError(fmt::format("{}: found both columns '{}' and '{}', expected only one of them",
-                                        location, kNames[angle], kNames[other]));
+                                        error_location, kNames[angle], kNames[other]));
     return at;
 }
 
 /// Returns the column index of each field for a file without a header.
 /// @throws DataError if there are too few or too many columns
-FieldPlaces make_default_columns(std::size_t n_cells, const std::string& location) {
-    if (n_cells < kNeeded || n_cells > kUnnamed)
+FieldColumnIndices make_default_column_indices(std::size_t n_columns, const std::string& error_location) {
+    if (n_columns < kNeeded || n_columns > kUnnamed)
         throw DataError(fmt::format(
             "{}: found {} columns, expected time_s,x,y,z,yaw_deg and optionally pitch_deg,roll_deg, "
             "or a header line with the names of the columns",
-            location, n_cells));
-    FieldPlaces at(kFieldCount, -1);
+            error_location, n_columns));
+    FieldColumnIndices at(kFieldCount, -1);
     for (std::size_t i = 0; i < kUnnamed; ++i) at[i] = static_cast<int>(i);
     return at;
 }
@@ -62,41 +63,44 @@ FieldPlaces make_default_columns(std::size_t n_cells, const std::string& locatio
 /// Reads the values of a line. A field without a column gets the value 0. A line may
 /// leave out pitch and roll at its end.
 /// @throws DataError naming the column that is not a number
-std::array<double, kFieldCount> read_row(const std::vector<std::string_view>& cells,
-                                         const FieldPlaces& columns, const std::string& location) {
+std::array<double, kFieldCount> parse_trajectory_row(const std::vector<std::string_view>& cells,
+                                                     const FieldColumnIndices& column_indices,
+                                                     const std::string& error_location) {
     std::array<double, kFieldCount> row{};
     for (std::size_t f = 0; f < row.size(); ++f) {
         const bool may_be_absent = f == kPitch || f == kRoll || f == kPitchRad || f == kRollRad;
-        if (columns[f] < 0 || (may_be_absent && static_cast<std::size_t>(columns[f]) >= cells.size()))
+        if (column_indices[f] < 0 ||
+            (may_be_absent && static_cast<std::size_t>(column_indices[f]) >= cells.size()))
             continue;
-        if (static_cast<std::size_t>(columns[f]) >= cells.size())
+        if (static_cast<std::size_t>(column_indices[f]) >= cells.size())
             throw DataError(fmt::format(
-                "{}: found {} columns, expected {}; the column '{}' is missing", location, cells.size(),
-                std::ranges::count_if(columns, [](int place) { return place >= 0; }), kNames[f]));
-        const std::string_view cell = cells[static_cast<std::size_t>(columns[f])];
+                "{}: found {} columns, expected {}; the column '{}' is missing", error_location, cells.size(),
+                std::ranges::count_if(column_indices, [](int place) { return place >= 0; }), kNames[f]));
+        const std::string_view cell = cells[static_cast<std::size_t>(column_indices[f])];
         const std::optional<double> value = parse_number(cell);
         if (!value || !(std::abs(*value) <= kLargest))
             throw DataError(fmt::format("{}: {}: found \"{}\", expected a finite number of at most {:.0e}",
-                                        location, kNames[f], make_excerpt(cell), kLargest));
+                                        error_location, kNames[f], shorten_for_error_message(cell),
+                                        kLargest));
         row[f] = *value;
     }
     return row;
 }
 
-Pose make_row_pose(const std::array<double, kFieldCount>& row) {
-    const auto angle = [&](Field degrees, Field radians) {
-        return row[degrees] * kPi / 180.0 + row[radians];
+Pose make_pose_from_row(const std::array<double, kFieldCount>& row_values) {
+    const auto angle = [&](ActorPathField degrees, ActorPathField radians) {
+        return row_values[degrees] * kPi / 180.0 + row_values[radians];
     };
     return {make_rotation(angle(kYaw, kYawRad), angle(kPitch, kPitchRad), angle(kRoll, kRollRad)),
-            {row[kX], row[kY], row[kZ]}};
+            {row_values[kX], row_values[kY], row_values[kZ]}};
 }
 
 }  // namespace
 
-PoseTrack read_trajectory(const std::filesystem::path& path) {
-    const std::vector<std::string> lines = split_lines(read_text(path));
+PoseTrack read_trajectory_csv(const std::filesystem::path& path) {
+    const std::vector<std::string> lines = split_lines(read_text_file(path));
     PoseTrack track;
-    FieldPlaces at;
+    FieldColumnIndices at;
     std::size_t n_cells = 0;
     for (std::size_t i = 0; i < lines.size(); ++i) {
         if (trim_spaces(lines[i]).empty()) continue;
@@ -105,19 +109,20 @@ PoseTrack read_trajectory(const std::filesystem::path& path) {
         if (at.empty()) {
             const bool is_header = !parse_number(cells[0]);
             n_cells = is_header ? cells.size() : kUnnamed;
-            at = is_header ? parse_header_columns(cells, where) : make_default_columns(cells.size(), where);
+            at = is_header ? find_columns_in_header(cells, where)
+                           : make_default_column_indices(cells.size(), where);
             if (is_header) continue;
         }
         if (cells.size() > n_cells)
             throw DataError(
                 fmt::format("{}: found {} columns, expected at most {}", where, cells.size(), n_cells));
-        const auto row = read_row(cells, at, where);
+        const auto row = parse_trajectory_row(cells, at, where);
         if (!track.time_s.empty() && !(row[kTime] > track.time_s.back()))
             throw DataError(
                 fmt::format("{}: time_s is {} after {} in the previous line, expected increasing times",
                             where, row[kTime], track.time_s.back()));
         track.time_s.push_back(row[kTime]);
-        track.pose.push_back(make_row_pose(row));
+        track.pose.push_back(make_pose_from_row(row));
     }
     if (track.pose.size() < 2)
         throw DataError(

@@ -56,17 +56,19 @@ constexpr double kNarrowest_m = 0.15;
 constexpr int kDraws = 200;
 // The height of an actor above the ground is measured at about this many positions along
 // its track.
-constexpr int kOwnPlaces = 16;
+constexpr int kClearanceSamples = 16;
 
 /// A plane, stored as a point on the plane and its upward normal.
 struct GroundPlane {
     glm::dvec3 origin_m{0.0};
     glm::dvec3 normal{0.0, 0.0, 1.0};
 
-    double compute_height(const glm::dvec2& xy) const {
+    double compute_plane_height_at(const glm::dvec2& xy) const {
         return origin_m.z - (normal.x * (xy.x - origin_m.x) + normal.y * (xy.y - origin_m.y)) / normal.z;
     }
-    double compute_height_above(const glm::dvec3& point) const { return glm::dot(normal, point - origin_m); }
+    double compute_height_above_plane(const glm::dvec3& point) const {
+        return glm::dot(normal, point - origin_m);
+    }
 };
 
 /// Area on the ground below a box: a rectangle in the x-y plane around the centre of the
@@ -76,55 +78,57 @@ struct Footprint {
     double yaw_rad = 0.0;
     glm::dvec2 half_m{0.0};
 
-    glm::dvec2 to_footprint_frame(const glm::dvec3& point) const {
+    glm::dvec2 transform_to_footprint_frame(const glm::dvec3& point) const {
         const double c = std::cos(yaw_rad), s = std::sin(yaw_rad), dx = point.x - centre_m.x,
                      dy = point.y - centre_m.y;
         return {c * dx + s * dy, c * dy - s * dx};
     }
-    bool holds(const glm::dvec3& point, double margin_m) const {
-        const glm::dvec2 d = glm::abs(to_footprint_frame(point));
+    bool contains_point(const glm::dvec3& point, double margin_m) const {
+        const glm::dvec2 d = glm::abs(transform_to_footprint_frame(point));
         return d.x <= half_m.x + margin_m && d.y <= half_m.y + margin_m;
     }
 };
 
 /// Returns the sensor pose that is nearest to a position in the x-y plane.
-const Pose& find_nearest_pose(const PoseTrack& track, const glm::dvec2& xy) {
-    if (track.pose.empty())
+const Pose& find_nearest_pose(const PoseTrack& sensor_track, const glm::dvec2& xy) {
+    if (sensor_track.pose.empty())
         throw DataError(
             "cannot place an actor on the ground: the log has no poses of the vehicle, which are "
             "needed to find the ground");
     return *std::ranges::min_element(
-        track.pose, {}, [&](const Pose& p) { return glm::distance(glm::dvec2(p.translation), xy); });
+        sensor_track.pose, {}, [&](const Pose& p) { return glm::distance(glm::dvec2(p.translation), xy); });
 }
 
-glm::dvec3 compute_surfel_normal(const glm::vec4& wxyz) {
-    return glm::normalize(glm::dquat(wxyz.x, wxyz.y, wxyz.z, wxyz.w)) * glm::dvec3(0.0, 0.0, 1.0);
+glm::dvec3 compute_surfel_normal(const glm::vec4& rotation_wxyz) {
+    return glm::normalize(glm::dquat(rotation_wxyz.x, rotation_wxyz.y, rotation_wxyz.z, rotation_wxyz.w)) *
+           glm::dvec3(0.0, 0.0, 1.0);
 }
 
 /// The surfels of the background whose normals are nearly vertical. If the background is
 /// stored in blocks, loads only the blocks near the given positions.
-class LevelSurfels {
+class HorizontalSurfels {
 public:
-    LevelSurfels(const DrivingView& driving, const std::vector<glm::dvec2>& places)
-        : way_(driving.sequence.world_from_sensor(0)) {
-        add(driving.scene.surfels, driving.scene.models.front().count);
+    HorizontalSurfels(const SceneWithLogView& driving, const std::vector<glm::dvec2>& positions_xy)
+        : sensor_track_(driving.sequence.get_world_from_sensor(0)) {
+        add_level_surfels(driving.scene.surfels, driving.scene.models.front().count);
         for (const SceneBlock& block : driving.scene.blocks) {
-            const auto is_near = [&](const glm::dvec2& p) {
+            const auto is_near_block = [&](const glm::dvec2& p) {
                 constexpr double kBlockReach_m = 20.0;  // half the length of the longest vehicle
                 return glm::all(glm::greaterThan(p, glm::dvec2(block.low_m) - kBlockReach_m)) &&
                        glm::all(glm::lessThan(p, glm::dvec2(block.high_m) + kBlockReach_m));
             };
-            if (std::ranges::any_of(places, is_near)) add(read_block(block), block.count);
+            if (std::ranges::any_of(positions_xy, is_near_block))
+                add_level_surfels(load_block_surfels(block), block.count);
         }
     }
 
-    std::optional<GroundPlane> fit_plane_below(const Footprint& footprint) const {
-        const glm::dvec3 sensor = find_nearest_pose(way_, footprint.centre_m).translation;
+    std::optional<GroundPlane> fit_ground_plane_below(const Footprint& footprint) const {
+        const glm::dvec3 sensor = find_nearest_pose(sensor_track_, footprint.centre_m).translation;
         const double highest_m = sensor.z + kSteepest * glm::distance(glm::dvec2(sensor), footprint.centre_m);
         for (const double margin_m : kMargins_m) {
             std::vector<glm::dvec3> points;
             for (const glm::dvec3& p : points_)
-                if (p.z < highest_m && footprint.holds(p, margin_m)) points.push_back(p);
+                if (p.z < highest_m && footprint.contains_point(p, margin_m)) points.push_back(p);
             if (const std::optional<GroundPlane> plane = fit_plane_to_points(points, footprint, margin_m))
                 return plane;
         }
@@ -133,7 +137,7 @@ public:
 
     /// Returns a text with the distance to the nearest level surfel, for an error
     /// message.
-    std::string describe_nearest_surfel(const glm::dvec2& xy) const {
+    std::string format_nearest_surfel_distance(const glm::dvec2& xy) const {
         if (points_.empty()) return "the background has no horizontal surfel";
         double nearest_m = std::numeric_limits<double>::infinity();
         for (const glm::dvec3& p : points_) nearest_m = std::min(nearest_m, glm::distance(glm::dvec2(p), xy));
@@ -141,9 +145,9 @@ public:
     }
 
 private:
-    void add(const Surfels& surfels, std::size_t count) {
+    void add_level_surfels(const Surfels& surfels, std::size_t n_surfels) {
         const bool has_normals = get_primitive_kind(surfels.primitive).has_normals;
-        for (std::size_t i = 0; i < count; ++i)
+        for (std::size_t i = 0; i < n_surfels; ++i)
             if (surfels.opacity_logit[i] > kFaintLogit &&
                 (!has_normals || std::abs(compute_surfel_normal(surfels.rotation[i]).z) > kLevelSurfel))
                 points_.emplace_back(surfels.mean[i]);
@@ -153,19 +157,19 @@ private:
                                                           const std::vector<glm::dvec3>& points) {
         std::vector<glm::dvec3> on;
         std::ranges::copy_if(points, std::back_inserter(on), [&](const glm::dvec3& point) {
-            return std::abs(plane.compute_height_above(point)) < kFitted_m;
+            return std::abs(plane.compute_height_above_plane(point)) < kFitted_m;
         });
         return on;
     }
 
     /// Returns the plane with the most points near it (RANSAC). Tests planes through
     /// three random points each. Scores each plane by the distances of all points.
-    static GroundPlane find_most_common_plane(const std::vector<glm::dvec3>& points) {
+    static GroundPlane find_plane_with_most_points(const std::vector<glm::dvec3>& points) {
         Random random(1);
         GroundPlane best{points.front(), {0.0, 0.0, 1.0}};
         double most = 0.0;
         for (int draw = 0; draw < kDraws; ++draw) {
-            const auto any = [&] { return points[random.next() % points.size()]; };
+            const auto any = [&] { return points[random.draw_uint64() % points.size()]; };
             const glm::dvec3 a = any(), b = any(), c = any();
             glm::dvec3 normal = glm::cross(b - a, c - a);
             const double length = glm::length(normal);
@@ -176,7 +180,7 @@ private:
             const GroundPlane plane{a, normal};
             double score = 0.0;
             for (const glm::dvec3& p : points) {
-                const double off = plane.compute_height_above(p) / kOnPlane_m;
+                const double off = plane.compute_height_above_plane(p) / kOnPlane_m;
                 score += std::max(0.0, 1.0 - off * off);
             }
             if (score > most) best = plane, most = score;
@@ -185,84 +189,89 @@ private:
     }
 
     static std::optional<GroundPlane> fit_plane_to_points(const std::vector<glm::dvec3>& points,
-                                                          const Footprint& footprint, double margin_m) {
+                                                          const Footprint& footprint,
+                                                          double footprint_margin_m) {
         if (points.size() < kFewestOnPlane) return {};
-        GroundPlane plane = find_most_common_plane(points);
+        GroundPlane plane = find_plane_with_most_points(points);
         for (int round = 0; round < 3; ++round) {
             const std::vector<glm::dvec3> on = select_points_on_plane(plane, points);
             if (on.size() < kFewestOnPlane) return {};
-            PlaneSums sums;
-            for (const glm::dvec3& p : on) sums.add(p - points.front());
-            const PlaneFit fit = sums.fit();
+            PointMomentSums sums;
+            for (const glm::dvec3& p : on) sums.add_point(p - points.front());
+            const PlaneFit fit = sums.fit_plane();
             plane = {points.front() + fit.mean, fit.axes[0] * (fit.axes[0].z > 0.0 ? 1.0 : -1.0)};
-            const glm::dvec2 beside = glm::abs(footprint.to_footprint_frame(plane.origin_m));
+            const glm::dvec2 beside = glm::abs(footprint.transform_to_footprint_frame(plane.origin_m));
             if (fit.variance[1] < kNarrowest_m * kNarrowest_m || plane.normal.z < kLevelPlane) return {};
             // Rejects the plane if its surfels are not centred below the box, because
             // they then cover only a part of the area.
-            const glm::dvec2 middle_m = 0.5 * (footprint.half_m + margin_m);
+            const glm::dvec2 middle_m = 0.5 * (footprint.half_m + footprint_margin_m);
             if (beside.x > middle_m.x || beside.y > middle_m.y) return {};
         }
         return plane;
     }
 
-    PoseTrack way_;
+    PoseTrack sensor_track_;
     std::vector<glm::dvec3> points_;
 };
 
-double compute_heading(const Pose& pose) {
+double compute_heading_rad(const Pose& pose) {
     const glm::dvec3 ahead = pose.rotation * glm::dvec3(1.0, 0.0, 0.0);
     return std::atan2(ahead.y, ahead.x);
 }
 
-Footprint make_footprint(const glm::dvec2& centre_m, double yaw_rad, const glm::dvec3& size_m) {
-    return {centre_m, yaw_rad, glm::max(0.5 * glm::dvec2(size_m), glm::dvec2(kSmallestBelow_m))};
+Footprint make_footprint(const glm::dvec2& centre_m, double yaw_rad, const glm::dvec3& box_size_m) {
+    return {centre_m, yaw_rad, glm::max(0.5 * glm::dvec2(box_size_m), glm::dvec2(kSmallestBelow_m))};
 }
 
-const BoxTrack& find_box_of_actor(const DrivingView& owner, const std::string& track) {
+const BoxTrack& get_box_track_of_actor(const SceneWithLogView& driving_view, const std::string& track_id) {
     // move_track() throws an error with the reason if the track does not belong to an
     // actor. The moved track is not used.
-    (void)move_track(DrivingScene{copy_layout(owner.scene), owner.sequence}, track, {});
-    return *find_box(owner.sequence, track);
+    (void)move_track(SceneWithLog{copy_scene_without_surfels(driving_view.scene), driving_view.sequence},
+                     track_id, {});
+    return *find_box(driving_view.sequence, track_id);
 }
 
 /// Returns the ground plane below the actor whose box covers a position, or nothing if no
 /// box covers it. Derives the plane from the box, because the actor hides the road from
 /// the sensor.
-/// @param clearance_m  function that returns the height of the bottom of a box above the
-/// ground
+/// @param get_box_clearance_m  function that returns the height of the bottom of a box
+/// above the ground
 std::optional<GroundPlane> estimate_ground_below_actor(
-    const glm::dvec2& xy, const Sequence& sequence,
-    const std::function<double(const BoxTrack&)>& clearance_m) {
+    const glm::dvec2& xy, const LidarSequence& sequence,
+    const std::function<double(const BoxTrack&)>& get_box_clearance_m) {
     const BoxTrack* nearest = nullptr;
     Pose at;
     double nearest_m = std::numeric_limits<double>::infinity();
     for (const BoxTrack& box : sequence.boxes)
         for (const Pose& pose : box.world_from_box.pose) {
             const double apart_m = glm::distance(glm::dvec2(pose.translation), xy);
-            const Footprint footprint{pose.translation, compute_heading(pose), 0.5 * glm::dvec2(box.size_m)};
-            if (apart_m < nearest_m && footprint.holds(glm::dvec3(xy, 0.0), 0.0))
+            const Footprint footprint{pose.translation, compute_heading_rad(pose),
+                                      0.5 * glm::dvec2(box.size_m)};
+            if (apart_m < nearest_m && footprint.contains_point(glm::dvec3(xy, 0.0), 0.0))
                 nearest = &box, at = pose, nearest_m = apart_m;
         }
     if (!nearest) return {};
     const glm::dvec3 up = at.rotation * glm::dvec3(0.0, 0.0, 1.0);
     if (up.z < kLevelPlane) return {};
-    return GroundPlane{at.translation - (0.5 * nearest->size_m.z + clearance_m(*nearest)) * up, up};
+    return GroundPlane{at.translation - (0.5 * nearest->size_m.z + get_box_clearance_m(*nearest)) * up, up};
 }
 
 /// Returns the height of a box's bottom above the ground, as the median over positions
 /// along the box's track.
-std::optional<double> compute_clearance(const DrivingView& owner, const BoxTrack& box) {
-    std::vector<glm::dvec2> places;
+std::optional<double> compute_box_ground_clearance(const SceneWithLogView& driving_view,
+                                                   const BoxTrack& box) {
+    std::vector<glm::dvec2> positions_xy;
     const std::vector<Pose>& poses = box.world_from_box.pose;
-    const std::size_t step = std::max<std::size_t>(1, poses.size() / kOwnPlaces);
-    for (std::size_t i = 0; i < poses.size(); i += step) places.emplace_back(poses[i].translation);
-    const LevelSurfels surfels(owner, places);
+    const std::size_t step = std::max<std::size_t>(1, poses.size() / kClearanceSamples);
+    for (std::size_t i = 0; i < poses.size(); i += step) positions_xy.emplace_back(poses[i].translation);
+    const HorizontalSurfels surfels(driving_view, positions_xy);
     std::vector<double> heights_m;
     for (std::size_t i = 0; i < poses.size(); i += step) {
         const Pose& pose = poses[i];
-        const std::optional<GroundPlane> plane =
-            surfels.fit_plane_below(make_footprint(pose.translation, compute_heading(pose), box.size_m));
-        if (plane) heights_m.push_back(plane->compute_height_above(pose.translation) - 0.5 * box.size_m.z);
+        const std::optional<GroundPlane> plane = surfels.fit_ground_plane_below(
+            make_footprint(pose.translation, compute_heading_rad(pose), box.size_m));
+        if (plane)
+            heights_m.push_back(plane->compute_height_above_plane(pose.translation) - 0.5 * box.size_m.z);
     }
     if (heights_m.empty()) return {};
     return compute_median(heights_m);
@@ -270,7 +279,7 @@ std::optional<double> compute_clearance(const DrivingView& owner, const BoxTrack
 
 /// Returns the rotation of an actor that stands on a plane and faces in the direction
 /// `yaw_rad`.
-glm::dquat make_facing_rotation(const GroundPlane& plane, double yaw_rad) {
+glm::dquat make_rotation_on_plane(const GroundPlane& plane, double yaw_rad) {
     const glm::dvec2 level(std::cos(yaw_rad), std::sin(yaw_rad));
     const double climb = -(plane.normal.x * level.x + plane.normal.y * level.y) / plane.normal.z;
     const glm::dvec3 ahead = glm::normalize(glm::dvec3(level, climb));
@@ -282,46 +291,50 @@ struct GroundMotion {
     glm::dvec2 from_m{0.0};  ///< position at the start of the log, world frame
     double yaw_rad = 0.0, speed_mps = 0.0;
 
-    glm::dvec2 at(double elapsed_s) const {
+    glm::dvec2 compute_position_at(double elapsed_s) const {
         return from_m + speed_mps * elapsed_s * glm::dvec2(std::cos(yaw_rad), std::sin(yaw_rad));
     }
 };
 
 /// Returns the distinct times of the log's frames. LiDARs that sweep at the same time
 /// have the same frame time.
-std::vector<double> list_frame_times(const Sequence& sequence) {
+std::vector<double> list_distinct_frame_times(const LidarSequence& sequence) {
     std::vector<double> times_s;
-    for (const Frame& frame : sequence.frames)
+    for (const LidarFrame& frame : sequence.frames)
         if (times_s.empty() || frame.time_s > times_s.back()) times_s.push_back(frame.time_s);
     return times_s;
 }
 
 }  // namespace
 
-std::optional<double> measure_ground_clearance(const DrivingView& owner, const std::string& track) {
-    return compute_clearance(owner, find_box_of_actor(owner, track));
+std::optional<double> measure_ground_clearance(const SceneWithLogView& actor_scene,
+                                               const std::string& track) {
+    return compute_box_ground_clearance(actor_scene, get_box_track_of_actor(actor_scene, track));
 }
 
-Start compute_start_on_ground(const DrivingView& driving, const GroundPlace& place, const DrivingView& owner,
-                              const std::string& track) {
-    const Sequence& sequence = driving.sequence;
-    const BoxTrack& box = find_box_of_actor(owner, track);
+NewActorMotion compute_actor_start_on_ground(const SceneWithLogView& driving,
+                                             const GroundPlacement& ground_place,
+                                             const SceneWithLogView& actor_scene, const std::string& track) {
+    const LidarSequence& sequence = driving.sequence;
+    const BoxTrack& box = get_box_track_of_actor(actor_scene, track);
     const glm::dvec3 offset_m = sequence.world_offset_m;
-    const glm::dvec2 xy = place.dataset_m - glm::dvec2(offset_m);
-    const double yaw_rad =
-        place.yaw_rad ? *place.yaw_rad : compute_heading(find_nearest_pose(sequence.world_from_vehicle, xy));
-    const GroundMotion motion{xy, yaw_rad, place.speed_mps};
+    const glm::dvec2 xy = ground_place.dataset_m - glm::dvec2(offset_m);
+    const double yaw_rad = ground_place.yaw_rad
+                               ? *ground_place.yaw_rad
+                               : compute_heading_rad(find_nearest_pose(sequence.world_from_vehicle, xy));
+    const GroundMotion motion{xy, yaw_rad, ground_place.speed_mps};
     const std::vector<double> times_s =
-        place.speed_mps != 0.0 ? list_frame_times(sequence) : std::vector<double>();
+        ground_place.speed_mps != 0.0 ? list_distinct_frame_times(sequence) : std::vector<double>();
     std::vector<glm::dvec2> positions{xy};
-    for (const double time_s : times_s) positions.push_back(motion.at(time_s - times_s.front()));
+    for (const double time_s : times_s)
+        positions.push_back(motion.compute_position_at(time_s - times_s.front()));
 
-    const LevelSurfels surfels(driving, positions);
+    const HorizontalSurfels surfels(driving, positions);
     const auto ground_at = [&](const glm::dvec2& position_m) {
         const std::optional<GroundPlane> plane =
-            surfels.fit_plane_below(make_footprint(position_m, yaw_rad, box.size_m));
+            surfels.fit_ground_plane_below(make_footprint(position_m, yaw_rad, box.size_m));
         return plane ? plane : estimate_ground_below_actor(position_m, sequence, [&](const BoxTrack& there) {
-            return compute_clearance(driving, there).value_or(0.0);
+            return compute_box_ground_clearance(driving, there).value_or(0.0);
         });
     };
     std::optional<GroundPlane> plane = ground_at(xy);
@@ -329,16 +342,18 @@ Start compute_start_on_ground(const DrivingView& driving, const GroundPlace& pla
         throw UsageError(fmt::format(
             "cannot place {} on the ground at {:.6g},{:.6g} in the dataset's world: the background "
             "has no surface below its box ({}); choose a position that the log has observed",
-            track, place.dataset_m.x, place.dataset_m.y, surfels.describe_nearest_surfel(xy)));
+            track, ground_place.dataset_m.x, ground_place.dataset_m.y,
+            surfels.format_nearest_surfel_distance(xy)));
     const std::optional<double> clearance_m =
-        place.clearance_m ? place.clearance_m : measure_ground_clearance(owner, track);
+        ground_place.clearance_m ? ground_place.clearance_m : measure_ground_clearance(actor_scene, track);
     const double above_m = 0.5 * box.size_m.z + clearance_m.value_or(0.0);
     const auto pose_on = [&](const GroundPlane& ground, const glm::dvec2& position_m) {
-        const glm::dvec3 centre_m(position_m, ground.compute_height(position_m) + above_m / ground.normal.z);
-        return Pose{make_facing_rotation(ground, yaw_rad), centre_m + offset_m};
+        const glm::dvec3 centre_m(position_m,
+                                  ground.compute_plane_height_at(position_m) + above_m / ground.normal.z);
+        return Pose{make_rotation_on_plane(ground, yaw_rad), centre_m + offset_m};
     };
 
-    Start start{pose_on(*plane, xy), place.speed_mps};
+    NewActorMotion start{pose_on(*plane, xy), ground_place.speed_mps};
     // Continues unobserved ground with the mean normal of the path, because a single
     // normal is noisy.
     glm::dvec3 normal_sum = plane->normal;
@@ -349,8 +364,8 @@ Start compute_start_on_ground(const DrivingView& driving, const GroundPlace& pla
             normal_sum += next->normal;
         } else {
             start.unseen_m += glm::distance(position_m, positions[i]);
-            plane =
-                GroundPlane{{positions[i], plane->compute_height(positions[i])}, glm::normalize(normal_sum)};
+            plane = GroundPlane{{positions[i], plane->compute_plane_height_at(positions[i])},
+                                glm::normalize(normal_sum)};
         }
         start.dataset_path.time_s.push_back(times_s[i]);
         start.dataset_path.pose.push_back(pose_on(*plane, position_m));

@@ -25,7 +25,7 @@ constexpr double kMost = 1e10;
 constexpr double kSlack_s = 1e-6;
 
 /// An XML document and its parameters. Attributes can refer to a parameter by "$name".
-struct Source {
+struct ScenarioDocument {
     std::string file;
     std::map<std::string, std::string> parameters;
 
@@ -35,22 +35,26 @@ struct Source {
     }
     /// Returns the value of an attribute. If the value is "$name", returns the value of
     /// this parameter of the scenario.
-    std::string text(const pugi::xml_node& node, const char* name, const std::string& location) const {
-        const std::string value = node.attribute(name).value();
+    std::string read_attribute_text(const pugi::xml_node& node, const char* attribute_name,
+                                    const std::string& error_location) const {
+        const std::string value = node.attribute(attribute_name).value();
         if (!value.starts_with('$')) return value;
         const auto parameter = parameters.find(value.substr(1));
         if (parameter == parameters.end())
-            fail(fmt::format("{}: {}", location, name), "\"" + make_excerpt(value) + "\"",
+            fail(fmt::format("{}: {}", error_location, attribute_name),
+                 "\"" + shorten_for_error_message(value) + "\"",
                  "a value, or $ followed by the name of a parameter that the scenario declares");
         return parameter->second;
     }
-    double number(const pugi::xml_node& node, const char* name, const std::string& location,
-                  std::optional<double> default_value = {}) const {
-        if (default_value && !node.attribute(name)) return *default_value;
-        const std::string value = text(node, name, location);
+    double read_attribute_number(const pugi::xml_node& node, const char* attribute_name,
+                                 const std::string& error_location,
+                                 std::optional<double> default_value = {}) const {
+        if (default_value && !node.attribute(attribute_name)) return *default_value;
+        const std::string value = read_attribute_text(node, attribute_name, error_location);
         const auto number = parse_number(trim_spaces(value));
         if (!number || !(std::abs(*number) <= kMost))
-            fail(fmt::format("{}: {}", location, name), "\"" + make_excerpt(value) + "\"",
+            fail(fmt::format("{}: {}", error_location, attribute_name),
+                 "\"" + shorten_for_error_message(value) + "\"",
                  fmt::format("a finite number of at most {:.0e}", kMost));
         return *number;
     }
@@ -58,169 +62,186 @@ struct Source {
 
 /// Returns the time at which an OpenSCENARIO start trigger fires: 0 without a condition,
 /// or its fixed simulation time. Returns nothing if other conditions decide the time.
-std::optional<double> read_trigger_time(const Source& source, const pugi::xml_node& trigger,
-                                        const std::string& location) {
+std::optional<double> read_trigger_time_s(const ScenarioDocument& document, const pugi::xml_node& trigger,
+                                          const std::string& error_location) {
     const pugi::xml_node group = trigger.child("ConditionGroup"), condition = group.child("Condition");
     if (!condition) return 0.0;
     const pugi::xml_node time = condition.child("ByValueCondition").child("SimulationTimeCondition");
     const std::string rule = time.attribute("rule").value();
     const bool alone = !group.next_sibling("ConditionGroup") && !condition.next_sibling("Condition");
     if (!alone || (rule != "greaterThan" && rule != "greaterOrEqual")) return {};
-    return source.number(time, "value", location) + source.number(condition, "delay", location, 0.0);
+    return document.read_attribute_number(time, "value", error_location) +
+           document.read_attribute_number(condition, "delay", error_location, 0.0);
 }
 
 /// An action of an entity, and the time at which it starts. The time is missing if it
 /// depends on the simulation.
-struct Action {
+struct ScenarioAction {
     pugi::xml_node node;  ///< A PrivateAction element of the XML document.
     std::optional<double> start_s;
 };
-using ActionsOf = std::map<std::string, std::vector<Action>>;
+using ActionsByEntity = std::map<std::string, std::vector<ScenarioAction>>;
 
-void add_actions_of_story(const Source& source, const pugi::xml_node& story, ActionsOf& actions) {
+void append_story_actions(const ScenarioDocument& document, const pugi::xml_node& story,
+                          ActionsByEntity& actions_by_entity) {
     for (const pugi::xml_node& act : story.children("Act")) {
-        const auto begun =
-            read_trigger_time(source, act.child("StartTrigger"),
-                              fmt::format("Act {}", make_excerpt(act.attribute("name").value())));
+        const auto begun = read_trigger_time_s(
+            document, act.child("StartTrigger"),
+            fmt::format("Act {}", shorten_for_error_message(act.attribute("name").value())));
         for (const pugi::xml_node& group : act.children("ManeuverGroup"))
             for (const pugi::xml_node& maneuver : group.children("Maneuver"))
                 for (const pugi::xml_node& event : maneuver.children("Event")) {
                     const std::string where =
-                        fmt::format("Event {}", make_excerpt(event.attribute("name").value()));
-                    const auto event_start_s = read_trigger_time(source, event.child("StartTrigger"), where);
+                        fmt::format("Event {}", shorten_for_error_message(event.attribute("name").value()));
+                    const auto event_start_s =
+                        read_trigger_time_s(document, event.child("StartTrigger"), where);
                     const std::optional<double> start_s =
                         begun && event_start_s ? std::optional(std::max(*begun, *event_start_s))
                                                : std::nullopt;
                     for (const pugi::xml_node& action : event.children("Action"))
                         for (const pugi::xml_node& entity : group.child("Actors").children("EntityRef"))
                             if (const pugi::xml_node node = action.child("PrivateAction"))
-                                actions[source.text(entity, "entityRef", where)].push_back({node, start_s});
+                                actions_by_entity[document.read_attribute_text(entity, "entityRef", where)]
+                                    .push_back({node, start_s});
                 }
     }
 }
 
-ActionsOf find_actions(const Source& source, const pugi::xml_node& storyboard) {
-    ActionsOf actions;
+ActionsByEntity read_actions_of_entities(const ScenarioDocument& document, const pugi::xml_node& storyboard) {
+    ActionsByEntity actions;
     for (const pugi::xml_node& entity : storyboard.child("Init").child("Actions").children("Private"))
         for (const pugi::xml_node& node : entity.children("PrivateAction"))
-            actions[source.text(entity, "entityRef", "Init")].push_back({node, 0.0});
+            actions[document.read_attribute_text(entity, "entityRef", "Init")].push_back({node, 0.0});
     for (const pugi::xml_node& story : storyboard.children("Story"))
-        add_actions_of_story(source, story, actions);
+        append_story_actions(document, story, actions);
     return actions;
 }
 
 /// Offset and scale that convert the times of an action to times of the scenario.
-struct Timing {
+struct ScenarioTiming {
     double offset_s = 0.0, scale = 1.0;
 };
 
-Timing read_timing(const Source& source, const pugi::xml_node& action, std::optional<double> start_s,
-                   const std::string& location) {
+ScenarioTiming read_trajectory_timing(const ScenarioDocument& document, const pugi::xml_node& action,
+                                      std::optional<double> action_start_s,
+                                      const std::string& error_location) {
     const pugi::xml_node timing = action.child("TimeReference").child("Timing");
     if (!timing)
-        source.fail(location, "no element TimeReference/Timing",
-                    "this element, because the times of vertices have no meaning without it");
-    if (!start_s)
-        source.fail(location, "a trajectory that starts with an unsupported condition",
-                    "a single SimulationTimeCondition with the rule greaterThan, or no condition");
-    const std::string domain = source.text(timing, "domainAbsoluteRelative", location);
+        document.fail(error_location, "no element TimeReference/Timing",
+                      "this element, because the times of vertices have no meaning without it");
+    if (!action_start_s)
+        document.fail(error_location, "a trajectory that starts with an unsupported condition",
+                      "a single SimulationTimeCondition with the rule greaterThan, or no condition");
+    const std::string domain = document.read_attribute_text(timing, "domainAbsoluteRelative", error_location);
     if (domain != "absolute" && domain != "relative")
-        source.fail(location + ": domainAbsoluteRelative", "\"" + make_excerpt(domain) + "\"",
-                    "absolute or relative");
-    const double scale = source.number(timing, "scale", location, 1.0);
-    if (!(scale > 0.0)) source.fail(location + ": scale", fmt::format("{}", scale), "a number above 0");
-    return {source.number(timing, "offset", location, 0.0) + (domain == "relative" ? *start_s : 0.0), scale};
+        document.fail(error_location + ": domainAbsoluteRelative",
+                      "\"" + shorten_for_error_message(domain) + "\"", "absolute or relative");
+    const double scale = document.read_attribute_number(timing, "scale", error_location, 1.0);
+    if (!(scale > 0.0))
+        document.fail(error_location + ": scale", fmt::format("{}", scale), "a number above 0");
+    return {document.read_attribute_number(timing, "offset", error_location, 0.0) +
+                (domain == "relative" ? *action_start_s : 0.0),
+            scale};
 }
 
-Pose read_position(const Source& source, const pugi::xml_node& vertex, const std::string& location) {
+Pose read_vertex_pose(const ScenarioDocument& document, const pugi::xml_node& vertex,
+                      const std::string& error_location) {
     const pugi::xml_node kind = vertex.child("Position").first_child(),
                          world = vertex.child("Position").child("WorldPosition");
     if (!world)
-        source.fail(location, kind ? "a " + make_excerpt(kind.name()) : "no Position", "a WorldPosition");
+        document.fail(error_location, kind ? "a " + shorten_for_error_message(kind.name()) : "no Position",
+                      "a WorldPosition");
     const auto get = [&](const char* name, std::optional<double> default_value) {
-        return source.number(world, name, location, default_value);
+        return document.read_attribute_number(world, name, error_location, default_value);
     };
     return {make_rotation(get("h", 0.0), get("p", 0.0), get("r", 0.0)),
             {get("x", {}), get("y", {}), get("z", 0.0)}};
 }
 
-PoseTrack read_polyline(const Source& source, const Action& action, const std::string& location) {
+PoseTrack read_polyline_trajectory(const ScenarioDocument& document, const ScenarioAction& action,
+                                   const std::string& error_location) {
     const pugi::xml_node follow = action.node.child("RoutingAction").child("FollowTrajectoryAction");
     // In version 1.1 and later, the trajectory is a child of TrajectoryRef. In version
     // 1.0, it is a direct child of the action.
     pugi::xml_node trajectory = follow.child("TrajectoryRef").child("Trajectory");
     if (!trajectory) trajectory = follow.child("Trajectory");
     if (!trajectory)
-        source.fail(location, "no Trajectory", "a Trajectory in this file; catalogs are not supported");
+        document.fail(error_location, "no Trajectory",
+                      "a Trajectory in this file; catalogs are not supported");
     const pugi::xml_node polyline = trajectory.child("Shape").child("Polyline"),
                          other = trajectory.child("Shape").first_child();
     if (!polyline)
-        source.fail(location, other ? "a " + make_excerpt(other.name()) : "no Shape", "a Polyline");
-    if (source.text(trajectory, "closed", location) == "true")
-        source.fail(location, "a closed trajectory", "a trajectory with closed=\"false\"");
-    if (source.number(follow, "initialDistanceOffset", location, 0.0) != 0.0)
-        source.fail(location, "an initialDistanceOffset",
-                    "a trajectory that is followed from its first vertex");
-    const Timing timing = read_timing(source, follow, action.start_s, location);
+        document.fail(error_location, other ? "a " + shorten_for_error_message(other.name()) : "no Shape",
+                      "a Polyline");
+    if (document.read_attribute_text(trajectory, "closed", error_location) == "true")
+        document.fail(error_location, "a closed trajectory", "a trajectory with closed=\"false\"");
+    if (document.read_attribute_number(follow, "initialDistanceOffset", error_location, 0.0) != 0.0)
+        document.fail(error_location, "an initialDistanceOffset",
+                      "a trajectory that is followed from its first vertex");
+    const ScenarioTiming timing = read_trajectory_timing(document, follow, action.start_s, error_location);
     PoseTrack track;
     for (const pugi::xml_node& vertex : polyline.children("Vertex")) {
-        const std::string at = fmt::format("{}: Vertex {}", location, track.pose.size() + 1);
-        const double time_s = timing.offset_s + timing.scale * source.number(vertex, "time", at);
+        const std::string at = fmt::format("{}: Vertex {}", error_location, track.pose.size() + 1);
+        const double time_s =
+            timing.offset_s + timing.scale * document.read_attribute_number(vertex, "time", at);
         if (!track.time_s.empty() && !(time_s > track.time_s.back()))
-            source.fail(at + ": time", fmt::format("{} s after {} s", time_s, track.time_s.back()),
-                        "increasing times");
+            document.fail(at + ": time", fmt::format("{} s after {} s", time_s, track.time_s.back()),
+                          "increasing times");
         track.time_s.push_back(time_s);
-        track.pose.push_back(read_position(source, vertex, at));
+        track.pose.push_back(read_vertex_pose(document, vertex, at));
     }
     if (track.pose.size() < 2)
-        source.fail(location, fmt::format("{} vertices", track.pose.size()), "at least two");
+        document.fail(error_location, fmt::format("{} vertices", track.pose.size()), "at least two");
     if (*action.start_s > track.time_s.front() + kSlack_s)
-        source.fail(location,
-                    fmt::format("a start time of {} s, which is after the time {} s of the first vertex",
-                                *action.start_s, track.time_s.front()),
-                    "a start time at or before the time of the first vertex");
+        document.fail(error_location,
+                      fmt::format("a start time of {} s, which is after the time {} s of the first vertex",
+                                  *action.start_s, track.time_s.front()),
+                      "a start time at or before the time of the first vertex");
     return track;
 }
 
-void read_box(const Source& source, const pugi::xml_node& object, const std::string& location,
-              ScenarioEntity& entity) {
+void read_bounding_box(const ScenarioDocument& document, const pugi::xml_node& object,
+                       const std::string& error_location, ScenarioEntity& entity) {
     pugi::xml_node box;
     for (const char* kind : {"Vehicle", "Pedestrian", "MiscObject"})
         if (!box) box = object.child(kind).child("BoundingBox");
     if (!box)
-        source.fail(location, "no BoundingBox",
-                    "a BoundingBox in this file, because it relates the reference point of the trajectory to "
-                    "the box");
+        document.fail(
+            error_location, "no BoundingBox",
+            "a BoundingBox in this file, because it relates the reference point of the trajectory to "
+            "the box");
     const pugi::xml_node centre = box.child("Center"), size = box.child("Dimensions");
-    entity.centre_m = {source.number(centre, "x", location), source.number(centre, "y", location),
-                       source.number(centre, "z", location)};
-    entity.size_m = {source.number(size, "length", location), source.number(size, "width", location),
-                     source.number(size, "height", location)};
+    entity.centre_m = {document.read_attribute_number(centre, "x", error_location),
+                       document.read_attribute_number(centre, "y", error_location),
+                       document.read_attribute_number(centre, "z", error_location)};
+    entity.size_m = {document.read_attribute_number(size, "length", error_location),
+                     document.read_attribute_number(size, "width", error_location),
+                     document.read_attribute_number(size, "height", error_location)};
 }
 
-ScenarioEntity read_entity(const Source& source, const pugi::xml_node& object,
-                           const std::vector<Action>& actions) {
+ScenarioEntity read_scenario_entity(const ScenarioDocument& document, const pugi::xml_node& object,
+                                    const std::vector<ScenarioAction>& actions) {
     ScenarioEntity entity;
     entity.name = object.attribute("name").value();
-    const std::string where = fmt::format("entity {}", make_excerpt(entity.name));
-    for (const Action& action : actions) {
+    const std::string where = fmt::format("entity {}", shorten_for_error_message(entity.name));
+    for (const ScenarioAction& action : actions) {
         const pugi::xml_node kind = action.node.first_child();
         if (!kind.child("FollowTrajectoryAction")) {
-            entity.ignored.emplace_back(make_excerpt(kind.name()));
+            entity.ignored.emplace_back(shorten_for_error_message(kind.name()));
             continue;
         }
         if (!entity.world_from_reference.pose.empty())
-            source.fail(where, "a second trajectory", "at most one trajectory");
-        entity.world_from_reference = read_polyline(source, action, where);
+            document.fail(where, "a second trajectory", "at most one trajectory");
+        entity.world_from_reference = read_polyline_trajectory(document, action, where);
     }
-    if (!entity.world_from_reference.pose.empty()) read_box(source, object, where, entity);
+    if (!entity.world_from_reference.pose.empty()) read_bounding_box(document, object, where, entity);
     return entity;
 }
 
 }  // namespace
 
-std::vector<ScenarioEntity> read_scenario(const std::filesystem::path& path) {
-    const std::string text = read_text(path);
+std::vector<ScenarioEntity> read_openscenario_entities(const std::filesystem::path& path) {
+    const std::string text = read_text_file(path);
     pugi::xml_document document;
     const pugi::xml_parse_result parsed = document.load_buffer(text.data(), text.size());
     if (!parsed)
@@ -232,29 +253,32 @@ std::vector<ScenarioEntity> read_scenario(const std::filesystem::path& path) {
             "{}: the element OpenSCENARIO/Storyboard is missing, expected a scenario in OpenSCENARIO "
             "XML 1.x",
             path.string()));
-    Source source{path.string(), {}};
+    ScenarioDocument source{path.string(), {}};
     for (const pugi::xml_node& parameter :
          root.child("ParameterDeclarations").children("ParameterDeclaration"))
         source.parameters.emplace(parameter.attribute("name").value(), parameter.attribute("value").value());
-    ActionsOf actions = find_actions(source, root.child("Storyboard"));
+    ActionsByEntity actions = read_actions_of_entities(source, root.child("Storyboard"));
     std::vector<ScenarioEntity> entities;
     for (const pugi::xml_node& object : root.child("Entities").children("ScenarioObject")) {
         const auto entity_actions = actions.extract(object.attribute("name").value());
-        entities.push_back(
-            read_entity(source, object, entity_actions ? entity_actions.mapped() : std::vector<Action>()));
+        entities.push_back(read_scenario_entity(
+            source, object, entity_actions ? entity_actions.mapped() : std::vector<ScenarioAction>()));
     }
     if (!actions.empty())
-        source.fail("Storyboard",
-                    fmt::format("actions of the entity \"{}\"", make_excerpt(actions.begin()->first)),
-                    "a ScenarioObject with that name in the list of entities");
+        source.fail(
+            "Storyboard",
+            fmt::format("actions of the entity \"{}\"", shorten_for_error_message(actions.begin()->first)),
+            "a ScenarioObject with that name in the list of entities");
     return entities;
 }
 
-PoseTrack make_box_track(const ScenarioEntity& entity, double begin_s, const glm::dvec3& size_m) {
+PoseTrack convert_to_box_track(const ScenarioEntity& entity, double scenario_start_s,
+                               const glm::dvec3& box_size_m) {
     const glm::dvec3 centre_m(entity.centre_m.x, entity.centre_m.y,
-                              entity.centre_m.z - 0.5 * entity.size_m.z + 0.5 * size_m.z);
-    PoseTrack track = mount_on_track(refine_turns(entity.world_from_reference), {{1, 0, 0, 0}, centre_m});
-    for (double& time_s : track.time_s) time_s += begin_s;
+                              entity.centre_m.z - 0.5 * entity.size_m.z + 0.5 * box_size_m.z);
+    PoseTrack track = compute_mounted_track(subdivide_turning_segments(entity.world_from_reference),
+                                            {{1, 0, 0, 0}, centre_m});
+    for (double& time_s : track.time_s) time_s += scenario_start_s;
     return track;
 }
 

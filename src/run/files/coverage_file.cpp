@@ -25,109 +25,113 @@ constexpr const char* kCell = "cell_m";
 
 /// Reads the arrays of a file with cells. Checks the format of the file and the size of
 /// its cells.
-std::vector<NamedArray> read_cells(const std::filesystem::path& path, const char* format, const char* version,
-                                   double cell_m) {
+std::vector<NamedArray> read_cell_arrays(const std::filesystem::path& path, const char* expected_format,
+                                         const char* expected_version, double expected_cell_size_m) {
     std::map<std::string, std::string> metadata;
     std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
-    check_format(metadata, path.string(), format, version);
-    if (const std::string expected = fmt::format("{}", cell_m); metadata[kCell] != expected)
+    check_format_and_version(metadata, path.string(), expected_format, expected_version);
+    if (const std::string expected = fmt::format("{}", expected_cell_size_m); metadata[kCell] != expected)
         throw DataError(
             fmt::format("{}: {}: found {}, expected {}", path.string(), kCell, metadata[kCell], expected));
     return arrays;
 }
 
 /// Writes the arrays of a file with cells.
-void write_cells(const std::filesystem::path& path, const std::vector<NamedArray>& arrays, const char* format,
-                 const char* version, double cell_m) {
+void write_cell_arrays(const std::filesystem::path& path, const std::vector<NamedArray>& arrays,
+                       const char* format, const char* version, double cell_size_m) {
     write_safetensors(path, arrays,
                       {{"format", format},
                        {"version", version},
                        {"relidar", RELIDAR_VERSION},
-                       {kCell, fmt::format("{}", cell_m)}});
+                       {kCell, fmt::format("{}", cell_size_m)}});
 }
 
 /// Returns an array of the file by its name, and checks its type and its number of
 /// columns.
 /// @throws DataError if the file has no such array of this type and width
-const NamedArray& find_coverage_array(const std::vector<NamedArray>& arrays, const char* name,
-                                      const char* dtype, std::size_t width, const std::string& file,
-                                      const char* rows = "blocks") {
+const NamedArray& require_array_with_columns(const std::vector<NamedArray>& arrays, const char* name,
+                                             const char* dtype, std::size_t n_columns,
+                                             const std::string& file_name, const char* row_unit = "blocks") {
     const NamedArray* array = find_array(arrays, name);
-    if (!array) throw DataError(fmt::format("{}: array {} is missing", file, name));
-    if (array->dtype != dtype || array->shape.size() != 2 || array->shape[1] != width)
-        throw DataError(fmt::format("{}: array {}: found {} [{}], expected {} [{}, {}]", file, name,
-                                    array->dtype, fmt::join(array->shape, ", "), dtype, rows, width));
+    if (!array) throw DataError(fmt::format("{}: array {} is missing", file_name, name));
+    if (array->dtype != dtype || array->shape.size() != 2 || array->shape[1] != n_columns)
+        throw DataError(fmt::format("{}: array {}: found {} [{}], expected {} [{}, {}]", file_name, name,
+                                    array->dtype, fmt::join(array->shape, ", "), dtype, row_unit, n_columns));
     return *array;
 }
 
 /// @throws DataError if the two arrays have different numbers of rows
-void check_rows(const NamedArray& places, const NamedArray& values, const std::string& file) {
-    if (places.shape[0] != values.shape[0])
+void check_equal_row_counts(const NamedArray& positions, const NamedArray& values,
+                            const std::string& file_name) {
+    if (positions.shape[0] != values.shape[0])
         throw DataError(
             fmt::format("{}: the array of places has {} rows and the array of {} has {}, expected the same "
                         "number of rows",
-                        file, places.shape[0], values.name, values.shape[0]));
+                        file_name, positions.shape[0], values.name, values.shape[0]));
 }
 
 }  // namespace
 
-void save_coverage(const std::filesystem::path& path, const Coverage& coverage) {
+void save_coverage(const std::filesystem::path& path, const ObservedVoxelSet& coverage) {
     if (coverage.empty()) return void(std::filesystem::remove(path));
-    std::vector<std::int32_t> places;
+    std::vector<std::int32_t> block_coordinates;
     std::vector<std::uint16_t> cells;
-    for (const Coverage::Block& block : coverage.blocks()) {
-        for (int axis = 0; axis < 3; ++axis) places.push_back(block.place[axis]);
+    for (const ObservedVoxelSet::VoxelBlock& block : coverage.list_cell_blocks()) {
+        for (int axis = 0; axis < 3; ++axis) block_coordinates.push_back(block.grid_index[axis]);
         cells.insert(cells.end(), block.cells.begin(), block.cells.end());
     }
-    const std::size_t n = places.size() / 3;
-    write_cells(path,
-                {make_array("place", {n, 3}, places.data(), places.size()),
-                 make_array("cells", {n, Coverage::kWords}, cells.data(), cells.size())},
-                kCoverageFormat, kCoverageVersion, Coverage::kCell_m);
+    const std::size_t n = block_coordinates.size() / 3;
+    write_cell_arrays(path,
+                      {make_array("place", {n, 3}, block_coordinates.data(), block_coordinates.size()),
+                       make_array("cells", {n, ObservedVoxelSet::kWords}, cells.data(), cells.size())},
+                      kCoverageFormat, kCoverageVersion, ObservedVoxelSet::kCell_m);
 }
 
-Coverage load_coverage(const std::filesystem::path& path) {
+ObservedVoxelSet load_coverage(const std::filesystem::path& path) {
     const std::string file = path.string();
     const std::vector<NamedArray> arrays =
-        read_cells(path, kCoverageFormat, kCoverageVersion, Coverage::kCell_m);
-    const NamedArray &places = find_coverage_array(arrays, "place", "i4", 3, file),
-                     &cells = find_coverage_array(arrays, "cells", "u2", Coverage::kWords, file);
-    check_rows(places, cells, file);
-    Coverage coverage;
-    for (std::size_t i = 0; i < places.shape[0]; ++i) {
-        Coverage::Block block;
-        std::memcpy(&block.place.x, places.bytes.data() + i * 3 * sizeof(std::int32_t),
+        read_cell_arrays(path, kCoverageFormat, kCoverageVersion, ObservedVoxelSet::kCell_m);
+    const NamedArray &block_coordinates = require_array_with_columns(arrays, "place", "i4", 3, file),
+                     &cells =
+                         require_array_with_columns(arrays, "cells", "u2", ObservedVoxelSet::kWords, file);
+    check_equal_row_counts(block_coordinates, cells, file);
+    ObservedVoxelSet coverage;
+    for (std::size_t i = 0; i < block_coordinates.shape[0]; ++i) {
+        ObservedVoxelSet::VoxelBlock block;
+        std::memcpy(&block.grid_index.x, block_coordinates.bytes.data() + i * 3 * sizeof(std::int32_t),
                     3 * sizeof(std::int32_t));
-        std::memcpy(block.cells.data(), cells.bytes.data() + i * sizeof(Coverage::Cells),
-                    sizeof(Coverage::Cells));
-        coverage.add(block);
+        std::memcpy(block.cells.data(), cells.bytes.data() + i * sizeof(ObservedVoxelSet::VoxelBits),
+                    sizeof(ObservedVoxelSet::VoxelBits));
+        coverage.add_block(block);
     }
     return coverage;
 }
 
-void save_classes(const std::filesystem::path& path, const ClassMap& map) {
-    if (map.empty()) return void(std::filesystem::remove(path));
-    std::vector<std::int32_t> places;
+void save_class_map(const std::filesystem::path& path, const SurfaceClassMap& class_map) {
+    if (class_map.empty()) return void(std::filesystem::remove(path));
+    std::vector<std::int32_t> cell_coordinates;
     std::vector<std::uint16_t> classes;
-    for (const ClassCell& cell : map) {
-        for (int axis = 0; axis < 3; ++axis) places.push_back(cell.place[axis]);
+    for (const SurfaceClassCell& cell : class_map) {
+        for (int axis = 0; axis < 3; ++axis) cell_coordinates.push_back(cell.grid_index[axis]);
         classes.push_back(std::uint16_t(cell.surface));
     }
-    write_cells(path,
-                {make_array("place", {map.size(), 3}, places.data(), places.size()),
-                 make_array("class", {map.size(), 1}, classes.data(), classes.size())},
-                kClassesFormat, kClassesVersion, kClassCell_m);
+    write_cell_arrays(
+        path,
+        {make_array("place", {class_map.size(), 3}, cell_coordinates.data(), cell_coordinates.size()),
+         make_array("class", {class_map.size(), 1}, classes.data(), classes.size())},
+        kClassesFormat, kClassesVersion, kClassCell_m);
 }
 
-ClassMap load_classes(const std::filesystem::path& path) {
+SurfaceClassMap load_class_map(const std::filesystem::path& path) {
     const std::string file = path.string();
-    const std::vector<NamedArray> arrays = read_cells(path, kClassesFormat, kClassesVersion, kClassCell_m);
-    const NamedArray &places = find_coverage_array(arrays, "place", "i4", 3, file, "cells"),
-                     &classes = find_coverage_array(arrays, "class", "u2", 1, file, "cells");
-    check_rows(places, classes, file);
-    ClassMap map(places.shape[0]);
+    const std::vector<NamedArray> arrays =
+        read_cell_arrays(path, kClassesFormat, kClassesVersion, kClassCell_m);
+    const NamedArray &cell_coordinates = require_array_with_columns(arrays, "place", "i4", 3, file, "cells"),
+                     &classes = require_array_with_columns(arrays, "class", "u2", 1, file, "cells");
+    check_equal_row_counts(cell_coordinates, classes, file);
+    SurfaceClassMap map(cell_coordinates.shape[0]);
     for (std::size_t i = 0; i < map.size(); ++i) {
-        std::memcpy(&map[i].place.x, places.bytes.data() + i * 3 * sizeof(std::int32_t),
+        std::memcpy(&map[i].grid_index.x, cell_coordinates.bytes.data() + i * 3 * sizeof(std::int32_t),
                     3 * sizeof(std::int32_t));
         std::uint16_t number;
         std::memcpy(&number, classes.bytes.data() + i * sizeof number, sizeof number);

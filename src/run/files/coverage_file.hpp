@@ -13,19 +13,19 @@ namespace relidar::run_detail {
 
 /// Writes to a file which space the log has observed. `place` [blocks,3] i4 contains the
 /// position of each block of cells, in block sizes. `cells` [blocks,32] u2 contains the
-/// observed cells (Coverage::Cells). Writes no file if the coverage is empty.
-void save_coverage(const std::filesystem::path& path, const Coverage& coverage);
+/// observed cells (ObservedVoxelSet::Cells). Writes no file if the coverage is empty.
+void save_coverage(const std::filesystem::path& path, const ObservedVoxelSet& coverage);
 /// Reads from a file which space the log of a run has observed.
 /// @throws DataError for missing arrays, wrong shapes, or cells of another size
-Coverage load_coverage(const std::filesystem::path& path);
+ObservedVoxelSet load_coverage(const std::filesystem::path& path);
 
 /// Writes a class map to a file. The array `place` [cells,3] i4 has the position of each
 /// cell, in units of cells. The array `class` [cells,1] u2 has the classes. Writes no
 /// file if the map is empty.
-void save_classes(const std::filesystem::path& path, const ClassMap& map);
+void save_class_map(const std::filesystem::path& path, const SurfaceClassMap& class_map);
 /// Reads the class map of a run from a file.
 /// @throws DataError for missing arrays, wrong shapes, an unknown class, or cells of
 /// another size
-ClassMap load_classes(const std::filesystem::path& path);
+SurfaceClassMap load_class_map(const std::filesystem::path& path);
 
 }  // namespace relidar::run_detail

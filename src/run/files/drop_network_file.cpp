@@ -20,40 +20,41 @@ namespace {
 constexpr const char* kNetworkFormat = "relidar drop network";
 constexpr const char* kNetworkVersion = "1";
 
-std::vector<float> read_float_array(const std::vector<NamedArray>& arrays, const char* name,
-                                    const std::string& file) {
+std::vector<float> get_finite_float_array(const std::vector<NamedArray>& arrays, const char* name,
+                                          const std::string& file_name) {
     const NamedArray* array = find_array(arrays, name);
     if (!array || array->dtype != "f4")
-        throw DataError(fmt::format("{}: the array {} is missing or its type is not f4", file, name));
-    std::vector<float> values = array->as_float();
+        throw DataError(fmt::format("{}: the array {} is missing or its type is not f4", file_name, name));
+    std::vector<float> values = array->convert_to_floats();
     for (std::size_t i = 0; i < values.size(); ++i)
         if (!std::isfinite(values[i]))
-            throw DataError(fmt::format("{}: array {}: entry {} is {}, expected a finite number", file, name,
-                                        i, values[i]));
+            throw DataError(fmt::format("{}: array {}: entry {} is {}, expected a finite number", file_name,
+                                        name, i, values[i]));
     return values;
 }
 
-void read_shape(const JsonField& shape, DropNetwork& network) {
-    network.image = shape.at("image").text();
-    const JsonField inputs = shape.at("inputs"), widths = shape.at("widths");
+void read_network_architecture(const JsonField& architecture, RayDropNetwork& network) {
+    network.image = architecture.at("image").get_string();
+    const JsonField inputs = architecture.at("inputs"), widths = architecture.at("widths");
     if (inputs.size() < 1 || inputs.size() > 64)
-        inputs.fail(fmt::format("found {} inputs", inputs.size()), "expected 1 to 64");
+        inputs.throw_field_error(fmt::format("found {} inputs", inputs.size()), "expected 1 to 64");
     if (widths.size() < 1 || widths.size() > 8)
-        widths.fail(fmt::format("found {} sizes", widths.size()), "expected 1 to 8");
-    for (std::size_t i = 0; i < inputs.size(); ++i) network.inputs.push_back(inputs.at(i).text());
+        widths.throw_field_error(fmt::format("found {} sizes", widths.size()), "expected 1 to 8");
+    for (std::size_t i = 0; i < inputs.size(); ++i) network.inputs.push_back(inputs.at(i).get_string());
     for (std::size_t i = 0; i < widths.size(); ++i)
-        network.widths.push_back(std::uint32_t(widths.at(i).integer(2, 4096)));
-    network.heads = std::uint32_t(shape.at("heads").integer(0, network.widths.back()));
+        network.widths.push_back(std::uint32_t(widths.at(i).get_integer(2, 4096)));
+    network.heads = std::uint32_t(architecture.at("heads").get_integer(0, network.widths.back()));
     if (network.heads > 0 && network.widths.back() % network.heads != 0)
-        shape.at("heads").fail(fmt::format("found {}", network.heads),
-                               fmt::format("expected a divisor of {}", network.widths.back()));
-    network.taps = std::uint32_t(shape.at("taps").integer(1, 9));
-    network.residual = shape.at("residual").integer(0, 1) != 0;
+        architecture.at("heads").throw_field_error(
+            fmt::format("found {}", network.heads),
+            fmt::format("expected a divisor of {}", network.widths.back()));
+    network.taps = std::uint32_t(architecture.at("taps").get_integer(1, 9));
+    network.residual = architecture.at("residual").get_integer(0, 1) != 0;
 }
 
 }  // namespace
 
-void save_drop_network(const std::filesystem::path& path, const DropNetwork& network) {
+void save_ray_drop_network(const std::filesystem::path& path, const RayDropNetwork& network) {
     const auto array = [](const char* name, const std::vector<float>& values) {
         return make_array(name, {values.size()}, values.data(), values.size());
     };
@@ -69,18 +70,18 @@ void save_drop_network(const std::filesystem::path& path, const DropNetwork& net
                        {"shape", shape.dump()}});
 }
 
-DropNetwork load_drop_network(const std::filesystem::path& path) {
+RayDropNetwork load_ray_drop_network(const std::filesystem::path& path) {
     const std::string file = path.string();
     std::map<std::string, std::string> metadata;
     const std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
-    run_detail::check_format(metadata, file, kNetworkFormat, kNetworkVersion);
-    DropNetwork network;
+    run_detail::check_format_and_version(metadata, file, kNetworkFormat, kNetworkVersion);
+    RayDropNetwork network;
     const std::string where = file + ": metadata shape";
     const nlohmann::json shape = parse_json(metadata["shape"], where);
-    read_shape(JsonField(shape, where, ""), network);
-    network.normalisation = read_float_array(arrays, "normalisation", file);
-    network.parameters = read_float_array(arrays, "parameters", file);
-    network.running = read_float_array(arrays, "running", file);
+    read_network_architecture(JsonField(shape, where, ""), network);
+    network.normalisation = get_finite_float_array(arrays, "normalisation", file);
+    network.parameters = get_finite_float_array(arrays, "parameters", file);
+    network.running = get_finite_float_array(arrays, "running", file);
     return network;
 }
 

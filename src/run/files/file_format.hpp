@@ -14,20 +14,21 @@ namespace relidar::run_detail {
 /// Checks the format name and the version in the metadata of a safetensors file.
 /// @throws DataError if one of them is not the expected value. The message contains the
 /// value in the file
-inline void check_format(const std::map<std::string, std::string>& metadata, const std::string& file,
-                         const std::string& format, const std::string& version) {
+inline void check_format_and_version(const std::map<std::string, std::string>& metadata,
+                                     const std::string& file_name, const std::string& expected_format,
+                                     const std::string& expected_version) {
     const auto value = [&](const char* key) {
         const auto it = metadata.find(key);
         return it == metadata.end() ? std::string() : it->second;
     };
-    if (value("format") != format)
-        throw DataError(
-            fmt::format("{}: metadata format: found \"{}\", expected \"{}\"", file, value("format"), format));
-    if (value("version") != version)
+    if (value("format") != expected_format)
+        throw DataError(fmt::format("{}: metadata format: found \"{}\", expected \"{}\"", file_name,
+                                    value("format"), expected_format));
+    if (value("version") != expected_version)
         throw DataError(fmt::format(
             "{}: metadata version: found \"{}\", but relidar {} reads only version {}; train the run "
             "again",
-            file, value("version"), RELIDAR_VERSION, version));
+            file_name, value("version"), RELIDAR_VERSION, expected_version));
 }
 
 }  // namespace relidar::run_detail

@@ -30,147 +30,153 @@ constexpr const char* kModelFormat = "relidar model";
 constexpr const char* kModelVersion = "1";
 constexpr std::int64_t kMaxSurfels = 4294967295;
 
-void check_finite(const ParameterGroup& group, const Surfels& surfels, const std::string& file) {
+void check_parameters_finite(const SurfelParameterGroup& group, const Surfels& surfels,
+                             const std::string& file_name) {
     const std::span<const float> values = group.values(surfels);
     const auto bad = std::ranges::find_if(values, [](float v) { return !std::isfinite(v); });
     if (bad == values.end()) return;
-    const auto row = static_cast<std::size_t>(bad - values.begin()) / group.floats();
-    throw DataError(fmt::format("{}: array {}: row {} contains {}, expected finite numbers", file, group.name,
-                                row, *bad));
+    const auto row = static_cast<std::size_t>(bad - values.begin()) / group.count_floats();
+    throw DataError(fmt::format("{}: array {}: row {} contains {}, expected finite numbers", file_name,
+                                group.name, row, *bad));
 }
 
-const NamedArray& find_array_by_name(const std::vector<NamedArray>& arrays, std::string_view name,
-                                     const std::string& file) {
+const NamedArray& require_array_by_name(const std::vector<NamedArray>& arrays, std::string_view name,
+                                        const std::string& file_name) {
     const NamedArray* array = find_array(arrays, name);
-    if (!array) throw DataError(fmt::format("{}: the array {} is missing", file, name));
+    if (!array) throw DataError(fmt::format("{}: the array {} is missing", file_name, name));
     return *array;
 }
 
-void read_group(const ParameterGroup& group, const NamedArray& array, Surfels& surfels,
-                const std::string& file) {
-    const std::vector<std::size_t> expected = group.shape(surfels.size());
+void read_parameter_group(const SurfelParameterGroup& group, const NamedArray& array, Surfels& surfels,
+                          const std::string& file_name) {
+    const std::vector<std::size_t> expected = group.get_array_shape(surfels.size());
     if (array.shape != expected || array.dtype != "f4") {
-        throw DataError(fmt::format("{}: array {}: found {} [{}], expected f4 [{}]", file, group.name,
+        throw DataError(fmt::format("{}: array {}: found {} [{}], expected f4 [{}]", file_name, group.name,
                                     array.dtype, fmt::join(array.shape, ", "), fmt::join(expected, ", ")));
     }
-    const std::vector<float> values = array.as_float();
+    const std::vector<float> values = array.convert_to_floats();
     std::ranges::copy(values, group.mutable_values(surfels).begin());
-    check_finite(group, surfels, file);
+    check_parameters_finite(group, surfels, file_name);
 }
 
 /// Reads the half size of a model's bounding box. The size 0, 0, 0 means that the model
 /// is unbounded.
-glm::vec3 read_half_size(const JsonField& model) {
-    const std::array<double, 3> v = model.at("half_size_m").numbers<3>();
-    for (std::size_t k = 0; k < 3; ++k) model.at("half_size_m").at(k).number(0.0, 1e6);
+glm::vec3 read_box_half_size_m(const JsonField& model) {
+    const std::array<double, 3> v = model.at("half_size_m").get_numbers<3>();
+    for (std::size_t k = 0; k < 3; ++k) model.at("half_size_m").at(k).get_number(0.0, 1e6);
     return {float(v[0]), float(v[1]), float(v[2])};
 }
 
 /// Reads the distance that a person walks until the leg motion repeats. Returns 0 for a
 /// rigid model.
-float read_stride(const JsonField& model) {
-    return model.has("stride_m") ? static_cast<float>(model.at("stride_m").number(1e-3, 1e6)) : 0.0f;
+float read_walking_stride_m(const JsonField& model) {
+    return model.has_member("stride_m") ? static_cast<float>(model.at("stride_m").get_number(1e-3, 1e6))
+                                        : 0.0f;
 }
 
 constexpr const char* kSurface = "surface";
 
 /// Reads which parts of an actor's box surface the log has observed. Returns nothing if
 /// the file has no such data.
-std::optional<BoxSurface> read_surface(const JsonField& model) {
-    if (!model.has(kSurface)) return {};
+std::optional<ObservedBoxSurface> read_box_surface(const JsonField& model) {
+    if (!model.has_member(kSurface)) return {};
     const JsonField field = model.at(kSurface), size = field.at("size_m");
-    const std::array<double, 3> size_m = size.numbers<3>();
-    for (std::size_t k = 0; k < 3; ++k) size.at(k).number(1e-3, 1e4);
-    BoxSurface surface({size_m[0], size_m[1], size_m[2]});
-    surface.is_completed = field.at("completed").boolean();
+    const std::array<double, 3> size_m = size.get_numbers<3>();
+    for (std::size_t k = 0; k < 3; ++k) size.at(k).get_number(1e-3, 1e4);
+    ObservedBoxSurface surface({size_m[0], size_m[1], size_m[2]});
+    surface.is_completed = field.at("completed").get_boolean();
     for (std::size_t s = 0; s < kBoxSides; ++s) {
         const JsonField side = field.at(get_name(BoxSide(s)));
-        if (!surface.parse_patches(BoxSide(s), side.text()))
-            side.fail("found a text of " + std::to_string(side.text().size()) + " characters",
-                      "expected a 0 or 1 for each of " + std::to_string(surface.patches(BoxSide(s)).size()) +
-                          " patches");
+        if (!surface.parse_observed_patches(BoxSide(s), side.get_string()))
+            side.throw_field_error(
+                "found a text of " + std::to_string(side.get_string().size()) + " characters",
+                "expected a 0 or 1 for each of " +
+                    std::to_string(surface.format_observed_patches(BoxSide(s)).size()) + " patches");
     }
     return surface;
 }
 
-nlohmann::ordered_json surface_to_json(const BoxSurface& surface) {
+nlohmann::ordered_json make_box_surface_json(const ObservedBoxSurface& surface) {
     const glm::dvec3 size_m = 2.0 * surface.half_size_m();
     nlohmann::ordered_json json = {{"size_m", {size_m.x, size_m.y, size_m.z}},
                                    {"completed", surface.is_completed}};
-    for (std::size_t s = 0; s < kBoxSides; ++s) json[get_name(BoxSide(s))] = surface.patches(BoxSide(s));
+    for (std::size_t s = 0; s < kBoxSides; ++s)
+        json[get_name(BoxSide(s))] = surface.format_observed_patches(BoxSide(s));
     return json;
 }
 
-void read_layout(const JsonField& layout, Scene& scene) {
+void read_models_and_instances(const JsonField& layout, Scene& scene) {
     const auto n = static_cast<std::int64_t>(scene.surfels.size());
     const JsonField models = layout.at("models"), instances = layout.at("instances");
     std::int64_t next = 0;
     for (std::size_t i = 0; i < models.size(); ++i) {
         const JsonField m = models.at(i);
-        const std::int64_t first = m.at("first").integer(0, kMaxSurfels),
-                           count = m.at("count").integer(0, kMaxSurfels);
+        const std::int64_t first = m.at("first").get_integer(0, kMaxSurfels),
+                           count = m.at("count").get_integer(0, kMaxSurfels);
         if (first != next)
-            m.at("first").fail(fmt::format("found {}", first),
-                               fmt::format("expected {}, the first surfel after the previous model", next));
+            m.at("first").throw_field_error(
+                fmt::format("found {}", first),
+                fmt::format("expected {}, the first surfel after the previous model", next));
         next = first + count;
-        scene.models.push_back({m.at("name").text(), static_cast<std::uint32_t>(first),
-                                static_cast<std::uint32_t>(count), read_half_size(m), read_stride(m),
-                                read_surface(m)});
+        scene.models.push_back({m.at("name").get_string(), static_cast<std::uint32_t>(first),
+                                static_cast<std::uint32_t>(count), read_box_half_size_m(m),
+                                read_walking_stride_m(m), read_box_surface(m)});
     }
     if (next != n)
-        models.fail(fmt::format("found models of {} surfels", next), fmt::format("expected {}", n));
+        models.throw_field_error(fmt::format("found models of {} surfels", next),
+                                 fmt::format("expected {}", n));
     if (models.size() == 0 || instances.size() == 0)
-        models.fail("found no model or no instance", "expected at least one of each");
+        models.throw_field_error("found no model or no instance", "expected at least one of each");
     for (std::size_t i = 0; i < instances.size(); ++i) {
         const JsonField instance = instances.at(i);
         const std::int64_t model =
-            instance.at("model").integer(0, static_cast<std::int64_t>(models.size()) - 1);
-        scene.instances.push_back({static_cast<std::uint32_t>(model), instance.at("track").text()});
+            instance.at("model").get_integer(0, static_cast<std::int64_t>(models.size()) - 1);
+        scene.instances.push_back({static_cast<std::uint32_t>(model), instance.at("track").get_string()});
     }
 }
 
-void check_metadata(const std::map<std::string, std::string>& metadata, const std::string& file) {
-    run_detail::check_format(metadata, file, kModelFormat, kModelVersion);
+void check_model_metadata(const std::map<std::string, std::string>& metadata, const std::string& file_name) {
+    run_detail::check_format_and_version(metadata, file_name, kModelFormat, kModelVersion);
     if (!metadata.contains("layout"))
-        throw DataError(fmt::format("{}: the metadata key \"layout\" is missing", file));
+        throw DataError(fmt::format("{}: the metadata key \"layout\" is missing", file_name));
 }
 
 constexpr const char* kBlocks = "blocks";
 
 /// Converts the list of background blocks to JSON. File names are relative to the model's
 /// folder.
-std::string format_blocks_json(const Scene& scene, const std::filesystem::path& folder) {
+std::string format_blocks_json(const Scene& scene, const std::filesystem::path& model_folder) {
     nlohmann::ordered_json json = nlohmann::ordered_json::array();
     for (const SceneBlock& b : scene.blocks)
-        json.push_back({{"file", b.file.lexically_relative(folder).generic_string()},
+        json.push_back({{"file", b.file.lexically_relative(model_folder).generic_string()},
                         {"surfels", b.count},
                         {"low_m", {b.low_m.x, b.low_m.y, b.low_m.z}},
                         {"high_m", {b.high_m.x, b.high_m.y, b.high_m.z}}});
     return json.dump();
 }
 
-glm::vec3 read_corner(const JsonField& field) {
-    const std::array<double, 3> v = field.numbers<3>();
-    for (std::size_t k = 0; k < 3; ++k) field.at(k).number(-1e7, 1e7);
+glm::vec3 read_bounding_box_corner(const JsonField& field) {
+    const std::array<double, 3> v = field.get_numbers<3>();
+    for (std::size_t k = 0; k < 3; ++k) field.at(k).get_number(-1e7, 1e7);
     return {float(v[0]), float(v[1]), float(v[2])};
 }
 
 /// Reads the list of background blocks from JSON.
-/// @param folder  folder of the model, which must contain the files of the blocks
-void read_blocks_json(const std::string& text, const std::string& location,
-                      const std::filesystem::path& folder, Scene& scene) {
-    const nlohmann::json json = parse_json(text, location);
-    const JsonField blocks(json, location, "");
+/// @param model_folder  folder of the model, which must contain the files of the blocks
+void parse_blocks_json(const std::string& json_text, const std::string& error_location,
+                       const std::filesystem::path& model_folder, Scene& scene) {
+    const nlohmann::json json = parse_json(json_text, error_location);
+    const JsonField blocks(json, error_location, "");
     for (std::size_t i = 0; i < blocks.size(); ++i) {
         const JsonField block = blocks.at(i);
-        const std::filesystem::path file = block.at("file").text();
+        const std::filesystem::path file = block.at("file").get_string();
         const bool goes_up = std::ranges::find(file, std::filesystem::path("..")) != file.end();
         if (file.empty() || file.is_absolute() || goes_up)
-            block.at("file").fail("found " + file.string(),
-                                  "expected the name of a file in the folder of the model");
-        scene.blocks.push_back({folder / file,
-                                static_cast<std::uint32_t>(block.at("surfels").integer(0, kMaxSurfels)),
-                                read_corner(block.at("low_m")), read_corner(block.at("high_m"))});
+            block.at("file").throw_field_error("found " + file.string(),
+                                               "expected the name of a file in the folder of the model");
+        scene.blocks.push_back(
+            {model_folder / file, static_cast<std::uint32_t>(block.at("surfels").get_integer(0, kMaxSurfels)),
+             read_bounding_box_corner(block.at("low_m")), read_bounding_box_corner(block.at("high_m"))});
     }
 }
 
@@ -178,53 +184,55 @@ constexpr const char* kSensorDrop = "sensor_drop";
 
 /// Reads the table [channels, bins] of the sensor's ray-drop probabilities, if the file
 /// contains it.
-void read_sensor_drop(const std::vector<NamedArray>& arrays, Scene& scene, const std::string& file) {
+void read_sensor_drop_table(const std::vector<NamedArray>& arrays, Scene& scene,
+                            const std::string& file_name) {
     const auto it =
         std::find_if(arrays.begin(), arrays.end(), [](const NamedArray& a) { return a.name == kSensorDrop; });
     if (it == arrays.end()) return;
     if (it->shape.size() != 2 || it->dtype != "f4" || it->shape[0] > 65536 || it->shape[1] > 65536)
-        throw DataError(fmt::format("{}: array {}: found {} [{}], expected f4 [channels, bins]", file,
+        throw DataError(fmt::format("{}: array {}: found {} [{}], expected f4 [channels, bins]", file_name,
                                     kSensorDrop, it->dtype, fmt::join(it->shape, ", ")));
-    scene.sensor_drop = {static_cast<int>(it->shape[0]), static_cast<int>(it->shape[1]), it->as_float()};
+    scene.sensor_drop = {static_cast<int>(it->shape[0]), static_cast<int>(it->shape[1]),
+                         it->convert_to_floats()};
     for (const float p : scene.sensor_drop.probability)
         if (!(p >= 0.0f && p <= 1.0f))
-            throw DataError(fmt::format("{}: array {}: found {}, expected probabilities from 0 to 1", file,
-                                        kSensorDrop, p));
+            throw DataError(fmt::format("{}: array {}: found {}, expected probabilities from 0 to 1",
+                                        file_name, kSensorDrop, p));
 }
 
 }  // namespace
 
-std::string layout_to_json(const Scene& scene) {
+std::string format_scene_layout_json(const Scene& scene) {
     nlohmann::ordered_json json = {{"models", nlohmann::ordered_json::array()},
                                    {"instances", nlohmann::ordered_json::array()}};
-    for (const Model& m : scene.models) {
+    for (const SurfelModel& m : scene.models) {
         json["models"].push_back({{"name", m.name},
                                   {"first", m.first},
                                   {"count", m.count},
                                   {"half_size_m", {m.half_size_m.x, m.half_size_m.y, m.half_size_m.z}}});
         if (m.stride_m > 0.0f) json["models"].back()["stride_m"] = m.stride_m;
-        if (m.surface) json["models"].back()[kSurface] = surface_to_json(*m.surface);
+        if (m.surface) json["models"].back()[kSurface] = make_box_surface_json(*m.surface);
     }
-    for (const Instance& i : scene.instances)
+    for (const ModelInstance& i : scene.instances)
         json["instances"].push_back({{"model", i.model}, {"track", i.track}});
     return json.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
 }
 
-void read_layout_json(const std::string& text, const std::string& location, Scene& scene) {
-    const nlohmann::json layout = parse_json(text, location);
-    read_layout(JsonField(layout, location, ""), scene);
+void parse_scene_layout_json(const std::string& text, const std::string& error_location, Scene& scene) {
+    const nlohmann::json layout = parse_json(text, error_location);
+    read_models_and_instances(JsonField(layout, error_location, ""), scene);
 }
 
 void save_model(const std::filesystem::path& path, const Scene& scene) {
-    scene.surfels.check_shapes();
+    scene.surfels.check_array_lengths();
     std::vector<NamedArray> arrays;
-    for (const ParameterGroup& group : list_parameter_groups(scene.surfels.parameters())) {
-        check_finite(group, scene.surfels, path.string());
+    for (const SurfelParameterGroup& group : list_parameter_groups(scene.surfels.get_parameter_set())) {
+        check_parameters_finite(group, scene.surfels, path.string());
         const std::span<const float> values = group.values(scene.surfels);
-        arrays.push_back(
-            make_array(group.name, group.shape(scene.surfels.size()), values.data(), values.size()));
+        arrays.push_back(make_array(group.name, group.get_array_shape(scene.surfels.size()), values.data(),
+                                    values.size()));
     }
-    const DropTable& drop = scene.sensor_drop;
+    const RayDropTable& drop = scene.sensor_drop;
     if (!drop.empty())
         arrays.push_back(make_array(kSensorDrop, {std::size_t(drop.channels), std::size_t(drop.bins)},
                                     drop.probability.data(), drop.probability.size()));
@@ -233,7 +241,7 @@ void save_model(const std::filesystem::path& path, const Scene& scene) {
         {"version", kModelVersion},
         {"relidar", RELIDAR_VERSION},
         {kPrimitiveKey, get_primitive_kind(scene.surfels.primitive).name},
-        {"layout", layout_to_json(scene)}};
+        {"layout", format_scene_layout_json(scene)}};
     if (!scene.blocks.empty()) metadata[kBlocks] = format_blocks_json(scene, path.parent_path());
     write_safetensors(path, arrays, metadata);
 }
@@ -243,16 +251,16 @@ Scene load_model(const std::filesystem::path& path) {
     if (!does_path_exist(path)) throw DataError(fmt::format("{}: no such file", file));
     std::map<std::string, std::string> metadata;
     const std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
-    check_metadata(metadata, file);
-    const NamedArray& mean = find_array_by_name(arrays, "mean", file);
+    check_model_metadata(metadata, file);
+    const NamedArray& mean = require_array_by_name(arrays, "mean", file);
     if (mean.shape.empty() || mean.shape[0] > static_cast<std::size_t>(kMaxSurfels))
         throw DataError(fmt::format("{}: array mean: found shape [{}], expected [n, 3]", file,
                                     fmt::join(mean.shape, ", ")));
-    const ParameterSet parameters = read_parameter_set(
+    const SurfelParameterSet parameters = read_parameter_set(
         metadata, kPrimitiveKey, [&](const char* name) { return find_array(arrays, name) != nullptr; });
     // Checks the number of rows of every array before memory is allocated.
-    for (const ParameterGroup& group : list_parameter_groups(parameters)) {
-        const NamedArray& array = find_array_by_name(arrays, group.name, file);
+    for (const SurfelParameterGroup& group : list_parameter_groups(parameters)) {
+        const NamedArray& array = require_array_by_name(arrays, group.name, file);
         if (array.shape.empty() || array.shape[0] != mean.shape[0])
             throw DataError(
                 fmt::format("{}: array {}: found shape [{}], expected {} rows like in the array mean", file,
@@ -260,12 +268,12 @@ Scene load_model(const std::filesystem::path& path) {
     }
     Scene scene;
     scene.surfels.resize(mean.shape[0], parameters);
-    for (const ParameterGroup& group : list_parameter_groups(parameters))
-        read_group(group, find_array_by_name(arrays, group.name, file), scene.surfels, file);
-    read_layout_json(metadata.at("layout"), file + ": metadata layout", scene);
-    read_sensor_drop(arrays, scene, file);
+    for (const SurfelParameterGroup& group : list_parameter_groups(parameters))
+        read_parameter_group(group, require_array_by_name(arrays, group.name, file), scene.surfels, file);
+    parse_scene_layout_json(metadata.at("layout"), file + ": metadata layout", scene);
+    read_sensor_drop_table(arrays, scene, file);
     if (const auto blocks = metadata.find(kBlocks); blocks != metadata.end())
-        read_blocks_json(blocks->second, file + ": metadata " + kBlocks, path.parent_path(), scene);
+        parse_blocks_json(blocks->second, file + ": metadata " + kBlocks, path.parent_path(), scene);
     return scene;
 }
 

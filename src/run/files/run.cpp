@@ -37,7 +37,7 @@ constexpr const char* kCoverageFile = "coverage.safetensors";
 constexpr const char* kClassesFile = "classes.safetensors";
 constexpr const char* kScatterFile = "intensity_scatter.safetensors";
 
-void make_folder(const fs::path& folder) {
+void create_folder(const fs::path& folder) {
     std::error_code failed;
     fs::create_directories(folder, failed);
     std::error_code unknown;
@@ -48,39 +48,41 @@ void make_folder(const fs::path& folder) {
 
 /// Creates a hard link to a file. If the file system cannot create the link, copies the
 /// file.
-void link_or_copy(const fs::path& source, const fs::path& target) {
-    make_folder(target.parent_path());
+void link_or_copy_file(const fs::path& source_file, const fs::path& target_file) {
+    create_folder(target_file.parent_path());
     std::error_code failed;
-    fs::remove(target, failed);
-    fs::create_hard_link(source, target, failed);
+    fs::remove(target_file, failed);
+    fs::create_hard_link(source_file, target_file, failed);
     if (!failed) return;
-    write_atomically(target, [&](const fs::path& temporary) {
+    write_file_atomically(target_file, [&](const fs::path& temporary) {
         std::error_code why;
-        if (!fs::copy_file(source, temporary, why))
-            throw DataError(fmt::format("cannot copy {}: {}", source.string(), why.message()));
+        if (!fs::copy_file(source_file, temporary, why))
+            throw DataError(fmt::format("cannot copy {}: {}", source_file.string(), why.message()));
     });
 }
 
-/// Links or copies the files of the background blocks to `folder`. Returns the blocks
-/// with the new file paths.
-/// @param keep  true to skip files that are already in the folder of the run
-std::vector<SceneBlock> copy_blocks(const Run& run, const fs::path& folder, bool keep) {
+/// Links or copies the files of the background blocks to `target_folder`. Returns the
+/// blocks with the new file paths.
+/// @param keep_existing_files  true to skip files that are already in the folder of the
+/// run
+std::vector<SceneBlock> link_block_files(const TrainedRun& run, const fs::path& target_folder,
+                                         bool keep_existing_files) {
     std::vector<SceneBlock> blocks = run.scene.blocks;
     for (std::size_t i = 0; i < blocks.size(); ++i) {
         const fs::path file = fs::path("blocks") / fmt::format("{:03}", i) / kModelFile;
         std::error_code failed;
-        if (!keep || !fs::equivalent(blocks[i].file, run.folder / file, failed))
-            link_or_copy(blocks[i].file, folder / file);
-        blocks[i].file = folder / file;
+        if (!keep_existing_files || !fs::equivalent(blocks[i].file, run.folder / file, failed))
+            link_or_copy_file(blocks[i].file, target_folder / file);
+        blocks[i].file = target_folder / file;
     }
     return blocks;
 }
 
 /// Writes the settings of a run to config.toml. Some options are not settings, so the
 /// file cannot store them. Throws an error if such an option differs from the preset.
-void save_config(const Run& run, const fs::path& folder) {
+void save_run_config(const TrainedRun& run, const fs::path& folder) {
     const fs::path path = folder / kConfigFile;
-    write_text(path, to_toml(run.config));
+    write_text_file(path, to_toml(run.config));
     if (load_saved_config(path) != run.config)
         throw DataError(fmt::format(
             "cannot save {}: an option that is not a setting differs from preset {}; change only the "
@@ -88,36 +90,37 @@ void save_config(const Run& run, const fs::path& folder) {
             (run.folder / kConfigFile).string(), run.config.preset));
 }
 
-void save_scene(const Run& run, const fs::path& folder, bool keep_blocks) {
+void save_scene(const TrainedRun& run, const fs::path& folder, bool keep_block_files) {
     if (run.scene.blocks.empty()) return save_model(folder / kModelFile, run.scene);
     // This scene contains only the actors, because the background is stored in blocks.
     Scene scene = run.scene;
-    scene.blocks = copy_blocks(run, folder, keep_blocks);
+    scene.blocks = link_block_files(run, folder, keep_block_files);
     save_model(folder / kModelFile, scene);
 }
 
-void write_files(const Run& run, const fs::path& folder, bool keep_blocks) {
+void write_run_files(const TrainedRun& run, const fs::path& folder, bool keep_block_files) {
     // Writes the small text files first, so that an invalid value causes an error early.
-    write_text(folder / kSceneFile, run_detail::to_scene_json(run));
-    save_config(run, folder);
-    save_scene(run, folder, keep_blocks);
-    if (!run.drop_network.empty()) save_drop_network(folder / kDropNetworkFile, run.drop_network);
-    run_detail::save_sweeps(folder / kSweepsFile, run.sequence);
+    write_text_file(folder / kSceneFile, run_detail::format_scene_json(run));
+    save_run_config(run, folder);
+    save_scene(run, folder, keep_block_files);
+    if (!run.drop_network.empty()) save_ray_drop_network(folder / kDropNetworkFile, run.drop_network);
+    run_detail::save_azimuth_corrections(folder / kSweepsFile, run.sequence);
     run_detail::save_coverage(folder / kCoverageFile, run.coverage);
-    run_detail::save_classes(folder / kClassesFile, run.classes);
-    run_detail::save_scatter(folder / kScatterFile, run.intensity_scatter);
+    run_detail::save_class_map(folder / kClassesFile, run.classes);
+    run_detail::save_intensity_scatter(folder / kScatterFile, run.intensity_scatter);
 }
 
 /// Writes all files of a run to a temporary folder. Error messages name the final files
 /// in the run's folder instead of the temporary files.
-void write_staged_files(const Run& run, const fs::path& staged, bool keep_blocks) {
+void write_run_to_staging_folder(const TrainedRun& run, const fs::path& staging_folder,
+                                 bool keep_block_files) {
     try {
-        write_files(run, staged, keep_blocks);
+        write_run_files(run, staging_folder, keep_block_files);
     } catch (const DataError& error) {
         std::string message = error.what();
-        for (std::size_t at = 0; (at = message.find(staged.string(), at)) != std::string::npos;
+        for (std::size_t at = 0; (at = message.find(staging_folder.string(), at)) != std::string::npos;
              at += run.folder.string().size())
-            message.replace(at, staged.string().size(), run.folder.string());
+            message.replace(at, staging_folder.string().size(), run.folder.string());
         throw DataError(message);
     }
 }
@@ -127,7 +130,7 @@ struct TemporaryFolder {
     fs::path path;
 
     explicit TemporaryFolder(const fs::path& parent) : path(make_temporary_path(parent / "run")) {
-        make_folder(path);
+        create_folder(path);
     }
     ~TemporaryFolder() {
         std::error_code failed;
@@ -145,68 +148,72 @@ void rename_file(const fs::path& source, const fs::path& target) {
                                     target.string(), failed.message()));
 }
 
-/// Returns true if a file exists and its contents equal `bytes`.
-bool holds(const fs::path& file, const std::string& bytes) {
-    return does_path_exist(file) && read_file(file) == bytes;
+/// Returns true if a file exists and its contents equal `expected_bytes`.
+bool has_file_content(const fs::path& file, const std::string& expected_bytes) {
+    return does_path_exist(file) && read_file(file) == expected_bytes;
 }
 
-/// Moves the files of `staged` to the run's folder. An unchanged config.toml stays in
-/// place, so that training can be resumed even if the process is killed during the move.
-void move_files(const fs::path& staged, const fs::path& folder, const std::function<void()>& remove_earlier) {
-    const bool same_config = holds(folder / kConfigFile, read_file(staged / kConfigFile));
-    if (!same_config || remove_earlier) fs::remove(folder / kConfigFile);
-    fs::remove(folder / kSceneFile);
-    if (remove_earlier) remove_earlier();
+/// Moves the files of `staging_folder` to the run's folder. An unchanged config.toml
+/// stays in place, so that training can be resumed even if the process is killed during
+/// the move.
+void move_staged_files(const fs::path& staging_folder, const fs::path& run_folder,
+                       const std::function<void()>& remove_old_files) {
+    const bool same_config =
+        has_file_content(run_folder / kConfigFile, read_file(staging_folder / kConfigFile));
+    if (!same_config || remove_old_files) fs::remove(run_folder / kConfigFile);
+    fs::remove(run_folder / kSceneFile);
+    if (remove_old_files) remove_old_files();
     for (const char* name : {kDropNetworkFile, kSweepsFile, kCoverageFile, kClassesFile, kScatterFile})
-        if (!does_path_exist(staged / name)) fs::remove(folder / name);
+        if (!does_path_exist(staging_folder / name)) fs::remove(run_folder / name);
     std::vector<fs::path> files;
-    for (const auto& entry : fs::recursive_directory_iterator(staged))
-        if (entry.is_regular_file()) files.push_back(entry.path().lexically_relative(staged));
+    for (const auto& entry : fs::recursive_directory_iterator(staging_folder))
+        if (entry.is_regular_file()) files.push_back(entry.path().lexically_relative(staging_folder));
     std::erase(files, kSceneFile), std::erase(files, kConfigFile);
     for (const fs::path& file : files) {
-        make_folder((folder / file).parent_path());
-        rename_file(staged / file, folder / file);
+        create_folder((run_folder / file).parent_path());
+        rename_file(staging_folder / file, run_folder / file);
     }
-    rename_file(staged / kSceneFile, folder / kSceneFile);
-    if (!same_config || remove_earlier) rename_file(staged / kConfigFile, folder / kConfigFile);
+    rename_file(staging_folder / kSceneFile, run_folder / kSceneFile);
+    if (!same_config || remove_old_files) rename_file(staging_folder / kConfigFile, run_folder / kConfigFile);
 }
 
 }  // namespace
 
-void save_run(const Run& run) { replace_run(run, {}); }
+void save_run(const TrainedRun& run) { overwrite_run(run, {}); }
 
-void replace_folder(const Run& run) {
+void replace_run_folder(const TrainedRun& run) {
     const StagedFolder staged(run.folder);
-    write_staged_files(run, staged.path(), false);
-    staged.finish();
+    write_run_to_staging_folder(run, staged.path(), false);
+    staged.move_folder_to_final_path();
 }
 
-void replace_run(const Run& run, const std::function<void()>& remove_earlier) {
+void overwrite_run(const TrainedRun& run, const std::function<void()>& remove_earlier_files) {
     if (!does_path_exist(run.folder)) {
         const StagedFolder staged(run.folder);
-        write_staged_files(run, staged.path(), false);
-        return staged.finish_without_replacing();
+        write_run_to_staging_folder(run, staged.path(), false);
+        return staged.move_folder_without_replacing();
     }
-    make_folder(run.folder);  // throws an error with the reason if the path is a file and not a folder
+    create_folder(run.folder);  // throws an error with the reason if the path is a file and not a folder
     const TemporaryFolder staged(run.folder);
-    write_staged_files(run, staged.path, !remove_earlier);
-    move_files(staged.path, run.folder, remove_earlier);
+    write_run_to_staging_folder(run, staged.path, !remove_earlier_files);
+    move_staged_files(staged.path, run.folder, remove_earlier_files);
 }
 
-Run load_run(const fs::path& folder) {
-    check_folder(folder, "a run folder");
+TrainedRun load_run(const fs::path& folder) {
+    check_is_folder(folder, "a run folder");
     for (const char* name : {kConfigFile, kSceneFile, kModelFile}) {
         if (!does_path_exist(folder / name))
             throw DataError(
                 fmt::format("{} is missing, but every run folder must contain it", (folder / name).string()));
     }
-    Run run;
+    TrainedRun run;
     run.folder = folder;
     run.config = load_saved_config(folder / kConfigFile);
     const fs::path scene_path = folder / kSceneFile;
-    run_detail::SceneFile scene = run_detail::parse_scene_json(read_text(scene_path), scene_path.string());
+    run_detail::SceneJsonContents scene =
+        run_detail::parse_scene_json(read_text_file(scene_path), scene_path.string());
     run.sequence = std::move(scene.sequence);
-    run.config = use_farthest_return(std::move(run.config), run.sequence);
+    run.config = resolve_max_range(std::move(run.config), run.sequence);
     run.split = std::move(scene.split);
     run.edits = std::move(scene.edits);
     run.held_out_placed = scene.held_out_placed;
@@ -216,14 +223,17 @@ Run load_run(const fs::path& folder) {
         if (!does_path_exist(block.file))
             throw DataError(fmt::format("{} is missing, but this run has {} blocks with one file each",
                                         block.file.string(), run.scene.blocks.size()));
-    if (does_path_exist(folder / kSweepsFile)) run_detail::load_sweeps(folder / kSweepsFile, run.sequence);
+    if (does_path_exist(folder / kSweepsFile))
+        run_detail::load_azimuth_corrections(folder / kSweepsFile, run.sequence);
     if (does_path_exist(folder / kCoverageFile))
         run.coverage = run_detail::load_coverage(folder / kCoverageFile);
-    if (does_path_exist(folder / kClassesFile)) run.classes = run_detail::load_classes(folder / kClassesFile);
+    if (does_path_exist(folder / kClassesFile))
+        run.classes = run_detail::load_class_map(folder / kClassesFile);
     if (does_path_exist(folder / kScatterFile))
-        run.intensity_scatter = run_detail::load_scatter(folder / kScatterFile, run.sequence.lidars.size());
+        run.intensity_scatter =
+            run_detail::load_intensity_scatter(folder / kScatterFile, run.sequence.lidars.size());
     if (does_path_exist(folder / kDropNetworkFile))
-        run.drop_network = load_drop_network(folder / kDropNetworkFile);
+        run.drop_network = load_ray_drop_network(folder / kDropNetworkFile);
     if (run.scene.surfels.size() != scene.n_surfels) {
         throw DataError(fmt::format("{}: counts.surfels is {}, but {} contains {} surfels",
                                     scene_path.string(), scene.n_surfels, kModelFile,
@@ -237,15 +247,15 @@ Run load_run(const fs::path& folder) {
     return run;
 }
 
-bool is_run(const fs::path& path) {
+bool is_run_folder(const fs::path& path) {
     std::error_code failed;
     return fs::is_regular_file(path / kSceneFile, failed) || fs::is_regular_file(path / kModelFile, failed);
 }
 
 void check_writable(const fs::path& folder) {
-    make_folder(folder);
+    create_folder(folder);
     // Several processes may test the same folder, so the name of the test file contains
-    // the process id. If the process is killed here, remove_temporaries() deletes the
+    // the process id. If the process is killed here, remove_temporary_files() deletes the
     // file later.
     const std::string probe = (folder / fmt::format(".probe.tmp-{}-0", ::getpid())).string();
     const int file = ::open(probe.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0600);

@@ -22,14 +22,15 @@ namespace {
 constexpr const char* kScatterFormat = "relidar intensity scatter";
 constexpr const char* kScatterVersion = "1";
 
-using Node = IntensityScatter::Node;
+using Node = IntensityScatterModel::DecisionTreeNode;
 
 template <class Value>
-NamedArray find_array_by_name(const std::string& name, const std::vector<Value>& values) {
+NamedArray make_one_dimensional_array(const std::string& name, const std::vector<Value>& values) {
     return make_array(name, {values.size()}, values.data(), values.size());
 }
 
-void add_arrays(std::vector<NamedArray>& arrays, std::size_t lidar, const IntensityScatter& scatter) {
+void append_scatter_arrays(std::vector<NamedArray>& arrays, std::size_t lidar_index,
+                           const IntensityScatterModel& scatter) {
     std::vector<std::int32_t> feature, child, first, count;
     std::vector<float> at;
     for (const Node& node : scatter.nodes) {
@@ -39,14 +40,14 @@ void add_arrays(std::vector<NamedArray>& arrays, std::size_t lidar, const Intens
         count.push_back(std::int32_t(node.count));
         at.push_back(node.at);
     }
-    const auto name = [&](const char* description) { return fmt::format("{}.{}", lidar, description); };
-    arrays.push_back(find_array_by_name(name("feature"), feature));
-    arrays.push_back(find_array_by_name(name("child"), child));
-    arrays.push_back(find_array_by_name(name("first"), first));
-    arrays.push_back(find_array_by_name(name("count"), count));
-    arrays.push_back(find_array_by_name(name("at"), at));
-    arrays.push_back(find_array_by_name(name("values"), scatter.values));
-    arrays.push_back(find_array_by_name(name("step"), std::vector{scatter.step}));
+    const auto name = [&](const char* description) { return fmt::format("{}.{}", lidar_index, description); };
+    arrays.push_back(make_one_dimensional_array(name("feature"), feature));
+    arrays.push_back(make_one_dimensional_array(name("child"), child));
+    arrays.push_back(make_one_dimensional_array(name("first"), first));
+    arrays.push_back(make_one_dimensional_array(name("count"), count));
+    arrays.push_back(make_one_dimensional_array(name("at"), at));
+    arrays.push_back(make_one_dimensional_array(name("values"), scatter.values));
+    arrays.push_back(make_one_dimensional_array(name("step"), std::vector{scatter.step}));
 }
 
 /// Reads the arrays that describe the intensity noise of one LiDAR.
@@ -55,35 +56,41 @@ struct ScatterArrays {
     const std::string& file;
     const std::size_t lidar;
 
-    /// Reads an array of `count` finite numbers. If `count` is 0, the array may have any
-    /// length.
-    std::vector<double> read(const char* description, const char* dtype, std::size_t count = 0) const {
-        const std::string name = fmt::format("{}.{}", lidar, description);
+    /// Reads an array of `expected_count` finite numbers. If `expected_count` is 0, the
+    /// array may have any length.
+    std::vector<double> read_finite_array(const char* array_suffix, const char* dtype,
+                                          std::size_t expected_count = 0) const {
+        const std::string name = fmt::format("{}.{}", lidar, array_suffix);
         const NamedArray* array = find_array(arrays, name);
         if (!array) throw DataError(fmt::format("{}: array {} is missing", file, name));
-        if (array->dtype != dtype || array->shape.size() != 1 || array->count() == 0 ||
-            (count > 0 && array->count() != count))
-            throw DataError(fmt::format("{}: array {}: found type {} with {} numbers, expected {}{}", file,
-                                        name, array->dtype, array->count(), dtype,
-                                        count > 0 ? fmt::format(" with {} numbers", count) : ""));
-        std::vector<double> values = array->as_double();
+        if (array->dtype != dtype || array->shape.size() != 1 || array->count_elements() == 0 ||
+            (expected_count > 0 && array->count_elements() != expected_count))
+            throw DataError(
+                fmt::format("{}: array {}: found type {} with {} numbers, expected {}{}", file, name,
+                            array->dtype, array->count_elements(), dtype,
+                            expected_count > 0 ? fmt::format(" with {} numbers", expected_count) : ""));
+        std::vector<double> values = array->convert_to_doubles();
         if (!std::ranges::all_of(values, [](double value) { return std::isfinite(value); }))
             throw DataError(fmt::format(
                 "{}: array {}: found a number that is not finite, expected only finite numbers", file, name));
         return values;
     }
-    IntensityScatter read() const {
-        IntensityScatter result;
-        const std::vector<double> feature = read("feature", "i4"), values = read("values", "f4");
+    IntensityScatterModel read_intensity_scatter() const {
+        IntensityScatterModel result;
+        const std::vector<double> feature = read_finite_array("feature", "i4"),
+                                  values = read_finite_array("values", "f4");
         const std::size_t n = feature.size();
-        const std::vector<double> child = read("child", "i4", n), first = read("first", "i4", n),
-                                  count = read("count", "i4", n), at = read("at", "f4", n);
+        const std::vector<double> child = read_finite_array("child", "i4", n),
+                                  first = read_finite_array("first", "i4", n),
+                                  count = read_finite_array("count", "i4", n),
+                                  at = read_finite_array("at", "f4", n);
         result.values.assign(values.begin(), values.end());
         for (std::size_t i = 0; i < n; ++i) {
             const bool is_leaf = feature[i] == -1.0,
                        has_feature =
                            feature[i] >= 0.0 &&
-                           feature[i]<double(count_scatter_features()), has_children = child[i]> double(i) &&
+                           feature[i]<double(count_intensity_features()), has_children = child[i]> double(
+                               i) &&
                            child[i] + 1.0 < double(n),
                        has_values =
                            first[i] >= 0.0 && count[i] > 0.0 && first[i] + count[i] <= double(values.size());
@@ -95,7 +102,7 @@ struct ScatterArrays {
             result.nodes.push_back({std::int32_t(feature[i]), float(at[i]), std::int32_t(child[i]),
                                     std::uint32_t(first[i]), std::uint32_t(count[i])});
         }
-        result.step = read("step", "f8", 1)[0];
+        result.step = read_finite_array("step", "f8", 1)[0];
         if (result.step < 0.0)
             throw DataError(
                 fmt::format("{}: array {}.step: found {}, expected 0 or more", file, lidar, result.step));
@@ -105,25 +112,27 @@ struct ScatterArrays {
 
 }  // namespace
 
-void save_scatter(const std::filesystem::path& path, const std::vector<IntensityScatter>& scatter) {
+void save_intensity_scatter(const std::filesystem::path& path,
+                            const std::vector<IntensityScatterModel>& scatter_per_lidar) {
     std::vector<NamedArray> arrays;
-    for (std::size_t lidar = 0; lidar < scatter.size(); ++lidar)
-        if (!scatter[lidar].empty()) add_arrays(arrays, lidar, scatter[lidar]);
+    for (std::size_t lidar = 0; lidar < scatter_per_lidar.size(); ++lidar)
+        if (!scatter_per_lidar[lidar].empty()) append_scatter_arrays(arrays, lidar, scatter_per_lidar[lidar]);
     if (arrays.empty()) return void(std::filesystem::remove(path));
     write_safetensors(
         path, arrays,
         {{"format", kScatterFormat}, {"version", kScatterVersion}, {"relidar", RELIDAR_VERSION}});
 }
 
-std::vector<IntensityScatter> load_scatter(const std::filesystem::path& path, std::size_t n_lidars) {
+std::vector<IntensityScatterModel> load_intensity_scatter(const std::filesystem::path& path,
+                                                          std::size_t n_lidars) {
     const std::string file = path.string();
     std::map<std::string, std::string> metadata;
     const std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
-    check_format(metadata, file, kScatterFormat, kScatterVersion);
-    std::vector<IntensityScatter> result(n_lidars);
+    check_format_and_version(metadata, file, kScatterFormat, kScatterVersion);
+    std::vector<IntensityScatterModel> result(n_lidars);
     for (std::size_t lidar = 0; lidar < n_lidars; ++lidar)
         if (find_array(arrays, fmt::format("{}.feature", lidar)))
-            result[lidar] = ScatterArrays{arrays, file, lidar}.read();
+            result[lidar] = ScatterArrays{arrays, file, lidar}.read_intensity_scatter();
     return result;
 }
 

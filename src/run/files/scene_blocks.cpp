@@ -10,9 +10,9 @@
 
 namespace relidar {
 
-Surfels read_block(const SceneBlock& block) {
+Surfels load_block_surfels(const SceneBlock& block) {
     const Scene scene = load_model(block.file);
-    const Model& background = scene.models.front();
+    const SurfelModel& background = scene.models.front();
     if (background.count != block.count)
         throw DataError(
             fmt::format("{}: the block has {} surfels of the background, expected {} as stored in the run",
@@ -20,17 +20,17 @@ Surfels read_block(const SceneBlock& block) {
     return scene.surfels.slice(0, background.count);
 }
 
-Scene read_blocks(const Scene& scene, const std::vector<std::size_t>& blocks) {
+Scene load_selected_blocks(const Scene& scene, const std::vector<std::size_t>& block_indices) {
     Surfels background = scene.surfels.slice(0, scene.models.front().count);
-    for (const std::size_t i : blocks) background.append(read_block(scene.blocks[i]));
-    return add_background(scene, background);
+    for (const std::size_t i : block_indices) background.append(load_block_surfels(scene.blocks[i]));
+    return replace_background(scene, background);
 }
 
 Scene load_all_blocks(const Scene& scene) {
     if (scene.blocks.empty()) return scene;
     std::vector<std::size_t> all(scene.blocks.size());
     std::iota(all.begin(), all.end(), std::size_t(0));
-    return read_blocks(scene, all);
+    return load_selected_blocks(scene, all);
 }
 
 }  // namespace relidar

@@ -60,29 +60,29 @@ Json to_json(const BoxTrack& box) {
     return json;
 }
 
-Json to_json(const RangeNoise& noise) {
+Json to_json(const RangeNoiseTable& noise) {
     return {{"range_m", noise.range_m}, {"cosine", noise.cosine}, {"sigma_m", noise.sigma_m}};
 }
 
-Json make_lidars_json(const Sequence& sequence) {
+Json make_lidars_json(const LidarSequence& sequence) {
     Json json = Json::array();
     for (const Lidar& lidar : sequence.lidars) {
         json.push_back({{"name", lidar.name},
                         {"vehicle_from_sensor", to_json(lidar.vehicle_from_sensor)},
-                        {"sensor", Json::parse(write_sensor_json(get_sensor(lidar)))}});
+                        {"sensor", Json::parse(format_sensor_json(get_nominal_sensor(lidar)))}});
         if (!lidar.range_noise.sigma_m.empty()) json.back()["range_noise"] = to_json(lidar.range_noise);
     }
     return json;
 }
 
-Json make_frames_json(const Sequence& sequence, const Split& split) {
+Json make_frames_json(const LidarSequence& sequence, const TrainTestSplit& split) {
     Json frames = Json::array();
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
         const auto in = [&](const std::vector<int>& positions) {
             return std::find(positions.begin(), positions.end(), static_cast<int>(i)) != positions.end();
         };
         const char* part = in(split.train) ? "train" : in(split.test) ? "test" : "unused";
-        const Frame& frame = sequence.frames[i];
+        const LidarFrame& frame = sequence.frames[i];
         const Pose& pose = sequence.world_from_vehicle.pose[sequence.get_pose_index(frame)];
         frames.push_back({{"index", frame.index},
                           {"time_s", frame.time_s},
@@ -93,41 +93,45 @@ Json make_frames_json(const Sequence& sequence, const Split& split) {
     return frames;
 }
 
-/// Checks that no value is greater than `limit` or less than `-limit`.
+/// Checks that no value is greater than `max_absolute_value` or less than `-limit`.
 /// @throws DataError for the first value outside these limits
-void check_within(const JsonField& field, std::initializer_list<double> values, double limit) {
+void check_absolute_values(const JsonField& field, std::initializer_list<double> values,
+                           double max_absolute_value) {
     for (const double v : values)
-        if (std::abs(v) > limit)
-            field.fail(fmt::format("found {}", v),
-                       fmt::format("expected an absolute value of at most {:.15g}", limit));
+        if (std::abs(v) > max_absolute_value)
+            field.throw_field_error(
+                fmt::format("found {}", v),
+                fmt::format("expected an absolute value of at most {:.15g}", max_absolute_value));
 }
 
 Pose read_pose(const JsonField& field) {
-    const auto v = field.numbers<7>();
+    const auto v = field.get_numbers<7>();
     const glm::dquat q(v[3], v[4], v[5], v[6]);
     const double length = glm::length(q);
     if (std::abs(length - 1.0) > 1e-6)
-        field.fail(fmt::format("found a quaternion of length {}", length), "expected 1");
-    check_within(field, {v[0], v[1], v[2]}, kFarthest_m);
+        field.throw_field_error(fmt::format("found a quaternion of length {}", length), "expected 1");
+    check_absolute_values(field, {v[0], v[1], v[2]}, kFarthest_m);
     // Does not normalise the quaternion again, because rounding would change its last
     // digit.
     return {q, {v[0], v[1], v[2]}};
 }
 
-glm::dvec3 read_vector(const JsonField& field, double limit) {
-    const auto v = field.numbers<3>();
-    check_within(field, {v[0], v[1], v[2]}, limit);
+glm::dvec3 read_vector(const JsonField& field, double max_absolute_value) {
+    const auto v = field.get_numbers<3>();
+    check_absolute_values(field, {v[0], v[1], v[2]}, max_absolute_value);
     return {v[0], v[1], v[2]};
 }
 
-RangeNoise read_range_noise(const JsonField& field) {
-    const RangeNoise n{field.at("range_m").numbers(), field.at("cosine").numbers(),
-                       field.at("sigma_m").numbers()};
+RangeNoiseTable read_range_noise(const JsonField& field) {
+    const RangeNoiseTable n{field.at("range_m").get_numbers(), field.at("cosine").get_numbers(),
+                            field.at("sigma_m").get_numbers()};
     if (n.sigma_m.size() != n.range_m.size() * n.cosine.size() || n.sigma_m.empty())
-        field.at("sigma_m").fail(fmt::format("found {} numbers", n.sigma_m.size()),
-                                 fmt::format("expected {} x {}", n.range_m.size(), n.cosine.size()));
+        field.at("sigma_m").throw_field_error(
+            fmt::format("found {} numbers", n.sigma_m.size()),
+            fmt::format("expected {} x {}", n.range_m.size(), n.cosine.size()));
     if (!std::all_of(n.sigma_m.begin(), n.sigma_m.end(), [](double s) { return s >= 0.0 && s < 1e3; }))
-        field.at("sigma_m").fail("found a value outside 0 to 1000", "expected standard deviations in metres");
+        field.at("sigma_m").throw_field_error("found a value outside 0 to 1000",
+                                              "expected standard deviations in metres");
     return n;
 }
 
@@ -136,104 +140,106 @@ std::vector<Lidar> read_lidars(const JsonField& root) {
     std::vector<Lidar> lidars;
     for (std::size_t i = 0; i < field.size(); ++i) {
         lidars.push_back(
-            {field.at(i).at("name").text(), {}, read_pose(field.at(i).at("vehicle_from_sensor"))});
-        set_sensor(lidars.back(), read_sensor_json(field.at(i).at("sensor"), ""));
-        if (field.at(i).has("range_noise"))
+            {field.at(i).at("name").get_string(), {}, read_pose(field.at(i).at("vehicle_from_sensor"))});
+        set_nominal_sensor(lidars.back(), read_sensor_json(field.at(i).at("sensor"), ""));
+        if (field.at(i).has_member("range_noise"))
             lidars.back().range_noise = read_range_noise(field.at(i).at("range_noise"));
     }
-    if (lidars.empty()) field.fail("found no LiDAR", "expected at least one");
+    if (lidars.empty()) field.throw_field_error("found no LiDAR", "expected at least one");
     return lidars;
 }
 
 /// Reads the model of how measured intensities depend on range and angle of incidence.
 IntensityResponse read_intensity_response(const JsonField& field) {
-    const IntensityResponse r{field.at("range_m").numbers(), field.at("factor").numbers(),
-                              field.at("incidence").number(0.0, 1.0)};
+    const IntensityResponse r{field.at("range_m").get_numbers(), field.at("factor").get_numbers(),
+                              field.at("incidence").get_number(0.0, 1.0)};
     if (r.factor.size() != r.range_m.size())
-        field.at("factor").fail(fmt::format("found {} factors", r.factor.size()),
-                                fmt::format("expected {}, one for each knot", r.range_m.size()));
+        field.at("factor").throw_field_error(fmt::format("found {} factors", r.factor.size()),
+                                             fmt::format("expected {}, one for each knot", r.range_m.size()));
     if (!std::is_sorted(r.range_m.begin(), r.range_m.end()))
-        field.at("range_m").fail("found decreasing ranges", "expected increasing ranges");
+        field.at("range_m").throw_field_error("found decreasing ranges", "expected increasing ranges");
     if (!std::all_of(r.factor.begin(), r.factor.end(), [](double f) { return f > 0.0 && f < kHuge; }))
-        field.at("factor").fail("found a factor of 0 or less", "expected all above 0");
+        field.at("factor").throw_field_error("found a factor of 0 or less", "expected all above 0");
     return r;
 }
 
 /// Reads the pose of a frame and appends it to the track. Frames at the same time share
 /// one pose.
-void read_pose_of(const JsonField& entry, double time_s, PoseTrack& track) {
-    const Pose pose = read_pose(entry.at("world_from_vehicle"));
+void append_frame_pose(const JsonField& frame_json, double time_s, PoseTrack& track) {
+    const Pose pose = read_pose(frame_json.at("world_from_vehicle"));
     if (!track.time_s.empty() && track.time_s.back() == time_s) return;
     track.time_s.push_back(time_s);
     track.pose.push_back(pose);
 }
 
-void read_frames(const JsonField& field, SceneFile& scene) {
+void read_frames_and_split(const JsonField& field, SceneJsonContents& scene) {
     const auto last_lidar = static_cast<std::int64_t>(scene.sequence.lidars.size()) - 1;
     for (std::size_t i = 0; i < field.size(); ++i) {
         const JsonField entry = field.at(i);
-        Frame frame;
-        frame.index = static_cast<int>(entry.at("index").integer(0, kMaxFrame));
-        frame.time_s = entry.at("time_s").number(-kHuge, kHuge);
-        frame.lidar = static_cast<int>(entry.at("lidar").integer(0, last_lidar));
+        LidarFrame frame;
+        frame.index = static_cast<int>(entry.at("index").get_integer(0, kMaxFrame));
+        frame.time_s = entry.at("time_s").get_number(-kHuge, kHuge);
+        frame.lidar = static_cast<int>(entry.at("lidar").get_integer(0, last_lidar));
         if (i > 0 && std::pair(frame.time_s, frame.lidar) <=
                          std::pair(scene.sequence.frames.back().time_s, scene.sequence.frames.back().lidar))
-            entry.at("time_s").fail(fmt::format("found {}", frame.time_s),
-                                    "expected increasing times, or the next LiDAR at the same time");
-        const std::string part = entry.at("split").text();
+            entry.at("time_s").throw_field_error(
+                fmt::format("found {}", frame.time_s),
+                "expected increasing times, or the next LiDAR at the same time");
+        const std::string part = entry.at("split").get_string();
         if (part == "train") scene.split.train.push_back(static_cast<int>(i));
         else if (part == "test") scene.split.test.push_back(static_cast<int>(i));
         else if (part != "unused")
-            entry.at("split").fail("found \"" + part + "\"", "expected train, test or unused");
-        read_pose_of(entry, frame.time_s, scene.sequence.world_from_vehicle);
+            entry.at("split").throw_field_error("found \"" + part + "\"", "expected train, test or unused");
+        append_frame_pose(entry, frame.time_s, scene.sequence.world_from_vehicle);
         scene.sequence.frames.push_back(std::move(frame));
     }
-    if (scene.sequence.frames.empty()) field.fail("found no frame", "expected at least one");
+    if (scene.sequence.frames.empty()) field.throw_field_error("found no frame", "expected at least one");
 }
 
-BoxTrack read_box(const JsonField& field) {
+BoxTrack read_box_track(const JsonField& field) {
     BoxTrack box;
-    box.id = field.at("id").text();
-    box.category = field.at("category").text();
+    box.id = field.at("id").get_string();
+    box.category = field.at("category").get_string();
     box.size_m = read_vector(field.at("size_m"), kFarthest_m);
     if (!(std::min({box.size_m.x, box.size_m.y, box.size_m.z}) > 0.0))
-        field.at("size_m").fail(fmt::format("found {} x {} x {} m", box.size_m.x, box.size_m.y, box.size_m.z),
-                                "expected all above 0");
-    box.world_from_box.time_s = field.at("time_s").numbers();
+        field.at("size_m").throw_field_error(
+            fmt::format("found {} x {} x {} m", box.size_m.x, box.size_m.y, box.size_m.z),
+            "expected all above 0");
+    box.world_from_box.time_s = field.at("time_s").get_numbers();
     const JsonField poses = field.at("world_from_box");
     for (std::size_t i = 0; i < poses.size(); ++i) box.world_from_box.pose.push_back(read_pose(poses.at(i)));
     const std::size_t n = box.world_from_box.time_s.size();
-    for (const double t : box.world_from_box.time_s) check_within(field.at("time_s"), {t}, kHuge);
+    for (const double t : box.world_from_box.time_s) check_absolute_values(field.at("time_s"), {t}, kHuge);
     if (poses.size() != n)
-        poses.fail(fmt::format("found {} poses", poses.size()),
-                   fmt::format("expected {}, one for each time", n));
+        poses.throw_field_error(fmt::format("found {} poses", poses.size()),
+                                fmt::format("expected {}, one for each time", n));
     if (!std::is_sorted(box.world_from_box.time_s.begin(), box.world_from_box.time_s.end()))
-        field.at("time_s").fail("found decreasing times", "expected increasing times");
-    if (field.has("size_guess")) box.size_guess = field.at("size_guess").text();
-    if (field.has("beside_labels")) {
+        field.at("time_s").throw_field_error("found decreasing times", "expected increasing times");
+    if (field.has_member("size_guess")) box.size_guess = field.at("size_guess").get_string();
+    if (field.has_member("beside_labels")) {
         const JsonField beside = field.at("beside_labels");
         const auto most = static_cast<std::int64_t>(n);
-        box.n_before = static_cast<std::size_t>(beside.at(0).integer(0, most));
-        box.n_after =
-            static_cast<std::size_t>(beside.at(1).integer(0, most - static_cast<std::int64_t>(box.n_before)));
+        box.n_before = static_cast<std::size_t>(beside.at(0).get_integer(0, most));
+        box.n_after = static_cast<std::size_t>(
+            beside.at(1).get_integer(0, most - static_cast<std::int64_t>(box.n_before)));
     }
     return box;
 }
 
 /// Reads the list of edits that were applied to a scene after training.
-void read_edits(const JsonField& field, SceneFile& scene) {
+void read_scene_edits(const JsonField& field, SceneJsonContents& scene) {
     for (std::size_t i = 0; i < field.size(); ++i)
-        scene.edits.push_back({field.at(i).at("run").text(), field.at(i).at("edit").text()});
+        scene.edits.push_back({field.at(i).at("run").get_string(), field.at(i).at("edit").get_string()});
 }
 
 /// Compares each count in the file with the length of its list. This detects entries that
 /// were lost by a manual edit or a wrong merge.
-void check_counts(const JsonField& root, const SceneFile& scene) {
+void check_entry_counts(const JsonField& root, const SceneJsonContents& scene) {
     const auto check = [&](const char* name, std::size_t n) {
         const JsonField count = root.at("counts").at(name);
-        if (count.integer(0, kMaxInt) != static_cast<std::int64_t>(n))
-            count.fail(fmt::format("found {}", count.integer(0, kMaxInt)),
-                       fmt::format("expected {}, the number of listed entries", n));
+        if (count.get_integer(0, kMaxInt) != static_cast<std::int64_t>(n))
+            count.throw_field_error(fmt::format("found {}", count.get_integer(0, kMaxInt)),
+                                    fmt::format("expected {}, the number of listed entries", n));
     };
     check("frames", scene.sequence.frames.size());
     check("boxes", scene.sequence.boxes.size());
@@ -241,8 +247,8 @@ void check_counts(const JsonField& root, const SceneFile& scene) {
 
 }  // namespace
 
-std::string to_scene_json(const Run& run) {
-    const Sequence& s = run.sequence;
+std::string format_scene_json(const TrainedRun& run) {
+    const LidarSequence& s = run.sequence;
     Json boxes = Json::array();
     for (const BoxTrack& box : s.boxes) boxes.push_back(to_json(box));
     Json json = {
@@ -267,7 +273,7 @@ std::string to_scene_json(const Run& run) {
             {"range_m", r.range_m}, {"factor", r.factor}, {"incidence", r.incidence}};
     if (run.held_out_placed) json["held_out_placed"] = true;
     if (!run.refined_poses.empty()) json["refined_poses"] = run.refined_poses;
-    for (const RunEdit& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
+    for (const EditHistoryEntry& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     const std::string text = json.dump(1, ' ', false, Json::error_handler_t::replace);
     // Parses the new text once, to reject values that cannot be read again, for example a
     // NaN in a pose.
@@ -275,35 +281,37 @@ std::string to_scene_json(const Run& run) {
     return text + "\n";
 }
 
-SceneFile parse_scene_json(const std::string& text, const std::string& file) {
-    const nlohmann::json json = parse_json(text, file);
-    const JsonField root(json, file, "");
-    if (const std::string format = root.at("format").text(); format != kSceneFormat)
-        root.at("format").fail("found \"" + format + "\"", fmt::format("expected \"{}\"", kSceneFormat));
-    if (const std::int64_t version = root.at("version").integer(0, kMaxInt); version != kSceneVersion)
-        root.at("version").fail(fmt::format("found {}", version),
-                                fmt::format("relidar {} reads only version {}; train the run again",
-                                            RELIDAR_VERSION, kSceneVersion));
-    SceneFile scene;
-    Sequence& s = scene.sequence;
-    s.name = root.at("name").text();
-    s.source = root.at("source").text();
-    s.conventions = root.at("source_conventions").text();
+SceneJsonContents parse_scene_json(const std::string& json_text, const std::string& file_name) {
+    const nlohmann::json json = parse_json(json_text, file_name);
+    const JsonField root(json, file_name, "");
+    if (const std::string format = root.at("format").get_string(); format != kSceneFormat)
+        root.at("format").throw_field_error("found \"" + format + "\"",
+                                            fmt::format("expected \"{}\"", kSceneFormat));
+    if (const std::int64_t version = root.at("version").get_integer(0, kMaxInt); version != kSceneVersion)
+        root.at("version").throw_field_error(
+            fmt::format("found {}", version),
+            fmt::format("relidar {} reads only version {}; train the run again", RELIDAR_VERSION,
+                        kSceneVersion));
+    SceneJsonContents scene;
+    LidarSequence& s = scene.sequence;
+    s.name = root.at("name").get_string();
+    s.source = root.at("source").get_string();
+    s.conventions = root.at("source_conventions").get_string();
     for (std::size_t i = 0; i < root.at("notes").size(); ++i)
-        s.notes.push_back(root.at("notes").at(i).text());
+        s.notes.push_back(root.at("notes").at(i).get_string());
     s.world_offset_m = read_vector(root.at("world_offset_m"), kFarthestWorld_m);
-    s.rolling_shutter = root.at("rolling_shutter").boolean();
+    s.rolling_shutter = root.at("rolling_shutter").get_boolean();
     s.lidars = read_lidars(root);
-    read_frames(root.at("frames"), scene);
+    read_frames_and_split(root.at("frames"), scene);
     const JsonField boxes = root.at("boxes");
-    for (std::size_t i = 0; i < boxes.size(); ++i) s.boxes.push_back(read_box(boxes.at(i)));
-    if (root.has("intensity_response"))
+    for (std::size_t i = 0; i < boxes.size(); ++i) s.boxes.push_back(read_box_track(boxes.at(i)));
+    if (root.has_member("intensity_response"))
         s.intensity_response = read_intensity_response(root.at("intensity_response"));
-    if (root.has("edits")) read_edits(root.at("edits"), scene);
-    scene.held_out_placed = root.has("held_out_placed") && root.at("held_out_placed").boolean();
-    if (root.has("refined_poses")) scene.refined_poses = root.at("refined_poses").text();
-    check_counts(root, scene);
-    scene.n_surfels = static_cast<std::size_t>(root.at("counts").at("surfels").integer(0, 4294967295));
+    if (root.has_member("edits")) read_scene_edits(root.at("edits"), scene);
+    scene.held_out_placed = root.has_member("held_out_placed") && root.at("held_out_placed").get_boolean();
+    if (root.has_member("refined_poses")) scene.refined_poses = root.at("refined_poses").get_string();
+    check_entry_counts(root, scene);
+    scene.n_surfels = static_cast<std::size_t>(root.at("counts").at("surfels").get_integer(0, 4294967295));
     return scene;
 }
 

@@ -11,20 +11,20 @@ namespace relidar::run_detail {
 
 /// Converts the log of a run and its split into training and test frames to JSON text.
 /// @throws DataError if the sequence is inconsistent or not finite
-std::string to_scene_json(const Run& run);
+std::string format_scene_json(const TrainedRun& run);
 
 /// Contents of scene.json.
-struct SceneFile {
-    Sequence sequence;  ///< frames without scans
-    Split split;
-    std::vector<RunEdit> edits;
+struct SceneJsonContents {
+    LidarSequence sequence;  ///< frames without scans
+    TrainTestSplit split;
+    std::vector<EditHistoryEntry> edits;
     bool held_out_placed = false;
     std::string refined_poses;
     std::size_t n_surfels = 0;
 };
 /// Parses the text of scene.json.
-/// @param file  name of the file in error messages
+/// @param file_name  name of the file in error messages
 /// @throws DataError naming the file and the field
-SceneFile parse_scene_json(const std::string& text, const std::string& file);
+SceneJsonContents parse_scene_json(const std::string& json_text, const std::string& file_name);
 
 }  // namespace relidar::run_detail

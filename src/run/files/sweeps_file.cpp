@@ -19,19 +19,22 @@ namespace {
 constexpr const char* kSweepsFormat = "relidar sweeps";
 constexpr const char* kSweepsVersion = "1";
 
-Frame& find_frame(const std::string& name, Sequence& sequence, const std::string& file) {
+LidarFrame& get_frame_of_array(const std::string& array_name, LidarSequence& sequence,
+                               const std::string& file_name) {
     std::size_t position = sequence.frames.size();
-    const auto [end, error] = std::from_chars(name.data(), name.data() + name.size(), position);
-    if (error != std::errc{} || end != name.data() + name.size() || position >= sequence.frames.size())
+    const auto [end, error] =
+        std::from_chars(array_name.data(), array_name.data() + array_name.size(), position);
+    if (error != std::errc{} || end != array_name.data() + array_name.size() ||
+        position >= sequence.frames.size())
         throw DataError(
             fmt::format("{}: the name of array {} is not a frame of the log, expected a number below {}",
-                        file, name, sequence.frames.size()));
+                        file_name, array_name, sequence.frames.size()));
     return sequence.frames[position];
 }
 
 }  // namespace
 
-void save_sweeps(const std::filesystem::path& path, const Sequence& sequence) {
+void save_azimuth_corrections(const std::filesystem::path& path, const LidarSequence& sequence) {
     std::vector<NamedArray> arrays;
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
         const std::vector<float>& shift_rad = sequence.frames[i].azimuth_shift_rad;
@@ -44,19 +47,19 @@ void save_sweeps(const std::filesystem::path& path, const Sequence& sequence) {
                       {{"format", kSweepsFormat}, {"version", kSweepsVersion}, {"relidar", RELIDAR_VERSION}});
 }
 
-void load_sweeps(const std::filesystem::path& path, Sequence& sequence) {
+void load_azimuth_corrections(const std::filesystem::path& path, LidarSequence& sequence) {
     const std::string file = path.string();
     std::map<std::string, std::string> metadata;
     const std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
-    check_format(metadata, file, kSweepsFormat, kSweepsVersion);
+    check_format_and_version(metadata, file, kSweepsFormat, kSweepsVersion);
     for (const NamedArray& array : arrays) {
-        Frame& frame = find_frame(array.name, sequence, file);
+        LidarFrame& frame = get_frame_of_array(array.name, sequence, file);
         const auto columns = std::size_t(sequence.get_lidar(frame).sensor.columns);
         if (array.dtype != "f4" || array.shape != std::vector<std::size_t>{columns})
             throw DataError(fmt::format(
                 "{}: array {}: found {} [{}], expected f4 [{}] with one value per column of the LiDAR", file,
                 array.name, array.dtype, fmt::join(array.shape, ", "), columns));
-        frame.azimuth_shift_rad = array.as_float();
+        frame.azimuth_shift_rad = array.convert_to_floats();
         for (const float shift : frame.azimuth_shift_rad)
             if (!(std::abs(shift) <= float(kPi)))
                 throw DataError(fmt::format("{}: array {}: found {}, expected radians from -pi to pi", file,

@@ -12,10 +12,10 @@ namespace relidar::run_detail {
 /// Writes the azimuth corrections of each frame as an array [columns] f4 in radians. The
 /// name of the array is the index of the frame in scene.json. Frames without corrections
 /// are left out. Writes no file if no frame has corrections.
-void save_sweeps(const std::filesystem::path& path, const Sequence& sequence);
+void save_azimuth_corrections(const std::filesystem::path& path, const LidarSequence& sequence);
 /// Reads the azimuth corrections of all frames and stores them in the frames.
 /// @throws DataError for an array without a frame, with a wrong size, or with values
 /// outside -pi ... pi
-void load_sweeps(const std::filesystem::path& path, Sequence& sequence);
+void load_azimuth_corrections(const std::filesystem::path& path, LidarSequence& sequence);
 
 }  // namespace relidar::run_detail

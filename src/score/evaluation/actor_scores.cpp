@@ -19,46 +19,50 @@ constexpr double kMargin_m = 0.1, kSilhouette_m = 0.3;
 // Points less than this height above the bottom of a box are ignored, because they are on
 // the ground.
 constexpr double kFloor_m = 0.15;
-constexpr double kNear_m = 0.03, kLargeError_m = 0.3;
+constexpr double kInlierDistance_m = 0.03, kLargeError_m = 0.3;
 constexpr double kSweep_m = 2.0;  // Maximum distance that a box moves within one sweep.
 // Persons with fewer real points are not scored.
 constexpr std::size_t kFewest = 10;
 
 /// A box in a scan. Converts points from the sensor frame to the frame of the box, at the
 /// time when the LiDAR measured them.
-struct InScan {
-    const Sequence& sequence;
-    const SweepMoment& seen;
+struct BoxInScan {
+    const LidarSequence& sequence;
+    const SweepTiming& sweep_timing;
     const BoxTrack& box;
     glm::dvec3 centre_m;  ///< centre of the box at the scan's time, sensor frame
 
-    InScan(const Sequence& s, const SweepMoment& at, const BoxTrack& b)
+    BoxInScan(const LidarSequence& s, const SweepTiming& at, const BoxTrack& b)
         : sequence(s),
-          seen(at),
+          sweep_timing(at),
           box(b),
-          centre_m(inverse(sensor(at.time_s)) * b.world_from_box.at(at.time_s).translation) {}
+          centre_m(inverse(get_world_from_sensor(at.time_s)) *
+                   b.world_from_box.interpolate_pose(at.time_s).translation) {}
 
-    Pose sensor(double t_s) const {
-        return sequence.world_from_vehicle.at(t_s,
-                                              sequence.lidars[std::size_t(seen.lidar)].vehicle_from_sensor);
+    Pose get_world_from_sensor(double t_s) const {
+        return sequence.world_from_vehicle.interpolate_mounted_pose(
+            t_s, sequence.lidars[std::size_t(sweep_timing.lidar)].vehicle_from_sensor);
     }
     /// Converts a point to the frame of the box, with the poses at the time when the
     /// LiDAR's head faces the point. Returns nothing if the point is far from the box.
-    std::optional<glm::dvec3> to_box_frame(const glm::dvec3& in_sensor) const {
-        if (glm::distance(in_sensor, centre_m) > 0.5 * glm::length(box.size_m) + kSilhouette_m + kSweep_m)
+    std::optional<glm::dvec3> transform_to_box_frame(const glm::dvec3& sensor_point_m) const {
+        if (glm::distance(sensor_point_m, centre_m) >
+            0.5 * glm::length(box.size_m) + kSilhouette_m + kSweep_m)
             return std::nullopt;
-        const double t_s = compute_facing_time(sequence, in_sensor, seen);
-        return inverse(box.world_from_box.at(t_s)) * (sensor(t_s) * in_sensor);
+        const double t_s = compute_point_scan_time_s(sequence, sensor_point_m, sweep_timing);
+        return inverse(box.world_from_box.interpolate_pose(t_s)) *
+               (get_world_from_sensor(t_s) * sensor_point_m);
     }
-    bool holds(const std::optional<glm::dvec3>& point, double margin_m) const {
+    bool is_point_in_box(const std::optional<glm::dvec3>& box_point_m, double margin_m) const {
         const glm::dvec3 half = 0.5 * box.size_m;
-        return point && std::abs(point->x) <= half.x + margin_m && std::abs(point->y) <= half.y + margin_m &&
-               point->z <= half.z + margin_m && point->z >= kFloor_m - half.z;
+        return box_point_m && std::abs(box_point_m->x) <= half.x + margin_m &&
+               std::abs(box_point_m->y) <= half.y + margin_m && box_point_m->z <= half.z + margin_m &&
+               box_point_m->z >= kFloor_m - half.z;
     }
 };
 
-glm::dvec3 compute_ray_end_point(const RangeImage& image, std::size_t ray, float range_m) {
-    return glm::dvec3(image.origin[ray] + range_m * image.direction[ray]);
+glm::dvec3 compute_ray_end_point(const RangeImage& image, std::size_t ray_index, float range_m) {
+    return glm::dvec3(image.origin[ray_index] + range_m * image.direction[ray_index]);
 }
 
 double compute_mean(const std::vector<double>& values) {
@@ -69,26 +73,27 @@ double compute_mean(const std::vector<double>& values) {
 
 /// Adds the median, the bias and the fraction of large values of range errors to a row of
 /// metrics. Adds nothing if there are no errors.
-/// @param prefix  prefix of the metric names
-void add_range_errors(MetricRow& row, const std::string& prefix, const std::vector<double>& error_m) {
-    if (error_m.empty()) return;
+/// @param name_prefix  prefix of the metric names
+void add_range_error_metrics(MetricValues& row, const std::string& name_prefix,
+                             const std::vector<double>& range_errors_m) {
+    if (range_errors_m.empty()) return;
     std::vector<double> absolute_m, large;
-    for (const double error : error_m) {
+    for (const double error : range_errors_m) {
         absolute_m.push_back(std::abs(error));
         large.push_back(std::abs(error) > kLargeError_m ? 1.0 : 0.0);
     }
-    row[prefix + "medae_m"] = compute_median(absolute_m);
-    row[prefix + "bias_m"] = compute_median(error_m);
-    row[prefix + "above_30cm"] = compute_mean(large);
+    row[name_prefix + "medae_m"] = compute_median(absolute_m);
+    row[name_prefix + "bias_m"] = compute_median(range_errors_m);
+    row[name_prefix + "above_30cm"] = compute_mean(large);
 }
 
 /// Errors of a group of boxes: either all people and cyclists, or all other labelled
 /// boxes.
-struct GroupErrors {
-    std::vector<double> range_error_m, chamfer_m, near;
+struct BoxGroupErrors {
+    std::vector<double> range_error_m, chamfer_m, inlier_flags;
     double both = 0.0, either = 0.0;
 
-    void add(const BoxPoints& points) {
+    void add_box_errors(const MovingBoxPoints& points) {
         range_error_m.insert(range_error_m.end(), points.range_error_m.begin(), points.range_error_m.end());
         both += double(points.n_both);
         either += double(points.n_both) + 0.5 * double(points.n_missed + points.n_false);
@@ -96,26 +101,26 @@ struct GroupErrors {
         const std::vector<double> to_real = compute_nearest_distances(points.simulated_m, points.real_m);
         chamfer_m.push_back(compute_mean(to_real) +
                             compute_mean(compute_nearest_distances(points.real_m, points.simulated_m)));
-        for (const double d : to_real) near.push_back(d <= kNear_m ? 1.0 : 0.0);
+        for (const double d : to_real) inlier_flags.push_back(d <= kInlierDistance_m ? 1.0 : 0.0);
     }
-    void add_scores(MetricRow& row, const std::string& prefix) const {
-        add_range_errors(row, prefix, range_error_m);
-        if (either > 0.0) row[prefix + "f1"] = both / either;
+    void add_scores_to_row(MetricValues& row, const std::string& name_prefix) const {
+        add_range_error_metrics(row, name_prefix, range_error_m);
+        if (either > 0.0) row[name_prefix + "f1"] = both / either;
         if (chamfer_m.empty()) return;
-        row[prefix + "cd_m"] = compute_mean(chamfer_m);
-        row[prefix + "3cm"] = compute_mean(near);
+        row[name_prefix + "cd_m"] = compute_mean(chamfer_m);
+        row[name_prefix + "3cm"] = compute_mean(inlier_flags);
     }
 };
 
-bool is_person(const BoxTrack& box) {
+bool is_person_or_cyclist(const BoxTrack& box) {
     const ObjectKind kind = parse_object_kind(box.category);
     return kind == ObjectKind::person || kind == ObjectKind::cyclist;
 }
 
-MetricRow score_box(const BoxPoints& points) {
-    MetricRow row{{"points", double(points.simulated_m.size())},
-                  {"points_real", double(points.real_m.size())}};
-    add_range_errors(row, "range_", points.range_error_m);
+MetricValues compute_box_metrics(const MovingBoxPoints& points) {
+    MetricValues row{{"points", double(points.simulated_m.size())},
+                     {"points_real", double(points.real_m.size())}};
+    add_range_error_metrics(row, "range_", points.range_error_m);
     const double either = double(points.n_both) + 0.5 * double(points.n_missed + points.n_false);
     if (either > 0.0) row["f1"] = double(points.n_both) / either;
     return row;
@@ -123,24 +128,25 @@ MetricRow score_box(const BoxPoints& points) {
 
 }  // namespace
 
-BoxPoints collect_points_in_box(const RangeImage& rendered, const std::vector<float>& points_m,
-                                const RangeImage& real, const Sequence& sequence, const SweepMoment& sweep,
-                                const BoxTrack& box) {
-    const InScan in_scan(sequence, sweep, box);
-    BoxPoints result;
-    for (std::size_t i = 0; i < points_m.size(); ++i) {
+MovingBoxPoints collect_points_in_box(const RangeImage& rendered, const std::vector<float>& point_ranges_m,
+                                      const RangeImage& real, const LidarSequence& sequence,
+                                      const SweepTiming& sweep, const BoxTrack& box) {
+    const BoxInScan in_scan(sequence, sweep, box);
+    MovingBoxPoints result;
+    for (std::size_t i = 0; i < point_ranges_m.size(); ++i) {
         std::optional<glm::dvec3> measured, simulated;
-        const bool returns = is_returned(rendered.drop_prob[i], points_m[i]);
+        const bool returns = is_ray_returned(rendered.drop_prob[i], point_ranges_m[i]);
         if (real.range_m[i] > 0.0f)
-            measured = in_scan.to_box_frame(compute_ray_end_point(real, i, real.range_m[i]));
-        if (returns) simulated = in_scan.to_box_frame(compute_ray_end_point(rendered, i, points_m[i]));
-        if (in_scan.holds(measured, kMargin_m)) {
+            measured = in_scan.transform_to_box_frame(compute_ray_end_point(real, i, real.range_m[i]));
+        if (returns)
+            simulated = in_scan.transform_to_box_frame(compute_ray_end_point(rendered, i, point_ranges_m[i]));
+        if (in_scan.is_point_in_box(measured, kMargin_m)) {
             result.real_m.push_back(*measured);
-            if (returns) result.range_error_m.push_back(double(points_m[i]) - double(real.range_m[i]));
+            if (returns) result.range_error_m.push_back(double(point_ranges_m[i]) - double(real.range_m[i]));
         }
-        if (in_scan.holds(simulated, kMargin_m)) result.simulated_m.push_back(*simulated);
-        const bool in_real = in_scan.holds(measured, kSilhouette_m),
-                   in_simulated = in_scan.holds(simulated, kSilhouette_m);
+        if (in_scan.is_point_in_box(simulated, kMargin_m)) result.simulated_m.push_back(*simulated);
+        const bool in_real = in_scan.is_point_in_box(measured, kSilhouette_m),
+                   in_simulated = in_scan.is_point_in_box(simulated, kSilhouette_m);
         result.n_both += in_real && in_simulated;
         result.n_missed += in_real && !in_simulated;
         result.n_false += in_simulated && !in_real;
@@ -148,38 +154,39 @@ BoxPoints collect_points_in_box(const RangeImage& rendered, const std::vector<fl
     return result;
 }
 
-ActorScores compute_actor_scores(const RangeImage& rendered, const std::vector<float>& points_m,
-                                 const RangeImage& real, const Sequence& sequence, const SweepMoment& sweep) {
-    ActorScores scores;
-    const TailCounts tails = count_points_in_tails(rendered, points_m, sequence, sweep),
-                     real_tails = count_points_in_tails(real, real.range_m, sequence, sweep);
+FrameActorScores compute_actor_scores(const RangeImage& rendered, const std::vector<float>& point_ranges_m,
+                                      const RangeImage& real, const LidarSequence& sequence,
+                                      const SweepTiming& sweep) {
+    FrameActorScores scores;
+    const CometTailStatistics tails = count_motion_trail_points(rendered, point_ranges_m, sequence, sweep),
+                              real_tails = count_motion_trail_points(real, real.range_m, sequence, sweep);
     if (tails.n_of_box.empty()) return scores;
     scores.metrics["actors/tail_share"] = tails.share;
     scores.metrics["actors/tail_share_real"] = real_tails.share;
-    GroupErrors people, vehicles;
+    BoxGroupErrors people, vehicles;
     for (const BoxTrack& box : sequence.boxes) {
         if (!tails.n_of_box.contains(box.id)) continue;  // a box that does not move has no tail
-        BoxPoints p;
+        MovingBoxPoints p;
         if (box.is_present(sweep.time_s))
-            p = collect_points_in_box(rendered, points_m, real, sequence, sweep, box);
-        scores.actors.push_back({box.id, box.category, score_box(p)});
+            p = collect_points_in_box(rendered, point_ranges_m, real, sequence, sweep, box);
+        scores.actors.push_back({box.id, box.category, compute_box_metrics(p)});
         scores.actors.back().metrics["tail"] = double(tails.n_of_box.at(box.id));
         scores.actors.back().metrics["tail_real"] = double(real_tails.n_of_box.at(box.id));
         if (p.real_m.size() < kFewest || box.category == kDiscoveredCategory) continue;
-        (is_person(box) ? people : vehicles).add(p);
+        (is_person_or_cyclist(box) ? people : vehicles).add_box_errors(p);
     }
-    people.add_scores(scores.metrics, "actors/people_");
-    vehicles.add_scores(scores.metrics, "actors/vehicles_");
+    people.add_scores_to_row(scores.metrics, "actors/people_");
+    vehicles.add_scores_to_row(scores.metrics, "actors/vehicles_");
     return scores;
 }
 
-std::vector<ActorScore> average_over_frames(const std::vector<std::vector<ActorScore>>& frames) {
+std::vector<ActorScore> average_actor_scores(const std::vector<std::vector<ActorScore>>& scores_per_frame) {
     struct Sums {
         std::string category;
-        MetricRow counts, weighted, weight;
+        MetricValues counts, weighted, weight;
     };
     std::map<std::string, Sums> sums;
-    for (const std::vector<ActorScore>& frame : frames)
+    for (const std::vector<ActorScore>& frame : scores_per_frame)
         for (const ActorScore& actor : frame) {
             Sums& s = sums[actor.track];
             s.category = actor.category;

@@ -13,7 +13,7 @@
 namespace relidar {
 
 /// Scores of each moving box in a frame, and metrics over groups of boxes such as people.
-struct ActorScores {
+struct FrameActorScores {
     std::vector<ActorScore> actors;  ///< scores of the labelled and the discovered boxes
     /// Metrics over all points, and over the labelled boxes with at least ten real
     /// points.
@@ -26,17 +26,18 @@ struct ActorScores {
     ///   actors/*_3cm               fraction of the simulated points with a real point
     ///                              within 3 cm
     ///   actors/*_f1                F1 score of the rays that return from the boxes
-    MetricRow metrics;
+    MetricValues metrics;
 };
 
 /// Computes the scores of all moving boxes in a frame.
-/// @param points_m [n] range of the simulated point on each ray
-ActorScores compute_actor_scores(const RangeImage& rendered, const std::vector<float>& points_m,
-                                 const RangeImage& real, const Sequence& sequence, const SweepMoment& sweep);
+/// @param point_ranges_m [n] range of the simulated point on each ray
+FrameActorScores compute_actor_scores(const RangeImage& rendered, const std::vector<float>& point_ranges_m,
+                                      const RangeImage& real, const LidarSequence& sequence,
+                                      const SweepTiming& sweep);
 
 /// Combines the scores of each actor over several frames. Adds the numbers of points.
 /// Averages all other metrics, weighted by the number of real points.
-/// @param frames [frames][actors]
-std::vector<ActorScore> average_over_frames(const std::vector<std::vector<ActorScore>>& frames);
+/// @param scores_per_frame [frames][actors]
+std::vector<ActorScore> average_actor_scores(const std::vector<std::vector<ActorScore>>& scores_per_frame);
 
 }  // namespace relidar

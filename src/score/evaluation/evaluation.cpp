@@ -28,8 +28,9 @@ constexpr std::size_t kScoredAtOnce = 16;
 /// Returns the sensor with which a frame is rendered, as set by config.sensor. For the
 /// grid "native", renders exactly the rays of the recorded scan.
 /// @param frame  the frame, with its scan
-SensorChoice make_sensor_of_frame(const Config& config, const Sequence& sequence, const Frame& frame) {
-    SensorChoice sensor = make_configured_sensor(config, sequence, frame.lidar);
+SimulatedSensor make_sensor_for_frame(const Config& config, const LidarSequence& sequence,
+                                      const LidarFrame& frame) {
+    SimulatedSensor sensor = make_configured_sensor(config, sequence, frame.lidar);
     if (config.sensor.grid == "native") sensor.rays = frame.scan.rays, sensor.follows_sweeps = false;
     sensor.rolling_shutter = sequence.rolling_shutter;
     return sensor;
@@ -37,11 +38,11 @@ SensorChoice make_sensor_of_frame(const Config& config, const Sequence& sequence
 
 /// Converts one flag per return of a scan to one flag per image pixel. Stores the flags
 /// as intensities of the scan and projects the scan into the image.
-std::vector<bool> convert_return_flags_to_pixels(const std::vector<bool>& returns, const Config& config,
-                                                 const Frame& frame) {
+std::vector<bool> convert_return_flags_to_pixels(const std::vector<bool>& return_flags, const Config& config,
+                                                 const LidarFrame& frame) {
     Scan flags = frame.scan;
-    std::copy(returns.begin(), returns.end(), flags.intensity.begin());
-    const RangeImage binned = make_real_image(config, flags);
+    std::copy(return_flags.begin(), return_flags.end(), flags.intensity.begin());
+    const RangeImage binned = make_measured_image(config, flags);
     return {binned.intensity.begin(), binned.intensity.end()};
 }
 
@@ -53,74 +54,75 @@ struct RenderedFrame {
     /// [n] true for pixels whose return is in the box of a moving object that has no
     /// label. Empty if the run has no such boxes.
     std::vector<bool> discovered;
-    MetricRow class_scores;  ///< scores of the channel `class`; empty without labels
+    MetricValues class_scores;  ///< scores of the channel `class`; empty without labels
 
-    std::vector<Region> make_frame_regions() const {
-        std::vector<Region> regions = make_standard_regions(frame.real, moving);
+    std::vector<PixelRegion> make_evaluation_regions() const {
+        std::vector<PixelRegion> regions = make_standard_regions(frame.real, moving);
         if (!discovered.empty()) regions.push_back({"discovered_boxes", discovered});
         return regions;
     }
 };
 
-RenderedFrame make_real_frame(const Config& config, const Sequence& sequence, const Frame& frame,
-                              const Pose& sensor_offset) {
+RenderedFrame make_frame_with_real_image(const Config& config, const LidarSequence& sequence,
+                                         const LidarFrame& frame, const Pose& sensor_offset) {
     RenderedFrame result;
     result.frame.frame = frame.index;
     result.frame.lidar = frame.lidar;
     result.frame.time_s = frame.time_s;
     result.frame.start = frame.start;
-    result.frame.real = make_real_image(config, frame.scan);
-    result.moving =
-        convert_return_flags_to_pixels(find_moving_returns(sequence, frame, sensor_offset), config, frame);
+    result.frame.real = make_measured_image(config, frame.scan);
+    result.moving = convert_return_flags_to_pixels(
+        mask_returns_in_labelled_movers(sequence, frame, sensor_offset), config, frame);
     if (std::ranges::find(sequence.boxes, kDiscoveredCategory, &BoxTrack::category) != sequence.boxes.end())
         result.discovered = convert_return_flags_to_pixels(
-            find_discovered_returns(sequence, frame, sensor_offset), config, frame);
+            mask_returns_in_discovered_movers(sequence, frame, sensor_offset), config, frame);
     return result;
 }
 
 /// Returns true if the classes of a rendered frame can be compared with labels. With
 /// another grid, labels and pixels do not correspond.
-bool has_class_scores(const ScanRenderer& renderer, const Config& config, const Frame& frame) {
-    return renderer.has_classes() && config.sensor.grid == "native" && !frame.scan.classes.empty();
+bool can_score_classes(const ScanRenderer& renderer, const Config& config, const LidarFrame& frame) {
+    return renderer.has_background_classes() && config.sensor.grid == "native" && !frame.scan.classes.empty();
 }
 
-RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence,
-                           const Frame& frame, const Pose& sensor_offset) {
-    RenderedFrame result = make_real_frame(config, sequence, frame, sensor_offset);
-    const SensorChoice sensor = make_sensor_of_frame(config, sequence, frame);
+RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const LidarSequence& sequence,
+                           const LidarFrame& frame, const Pose& sensor_offset) {
+    RenderedFrame result = make_frame_with_real_image(config, sequence, frame, sensor_offset);
+    const SimulatedSensor sensor = make_sensor_for_frame(config, sequence, frame);
     result.frame.n_rays = sensor.rays.size();
     result.frame.rendered = renderer.render(sensor, frame.time_s, sensor_offset);
-    const auto* classes = find_values<std::int32_t>(result.frame.rendered.channels, "class");
-    if (classes && has_class_scores(renderer, config, frame))
+    const auto* classes = find_channel_values<std::int32_t>(result.frame.rendered.channels, "class");
+    if (classes && can_score_classes(renderer, config, frame))
         result.class_scores = evaluate_classes(*classes, frame.scan.classes);
     return result;
 }
 
 /// Loads the LPIPS network if a file with weights is set. Returns null otherwise.
-std::unique_ptr<Lpips> load_lpips() {
-    const std::string file = find_lpips_weights();
+std::unique_ptr<Lpips> load_lpips_network() {
+    const std::string file = find_lpips_weights_path();
     return file.empty() ? nullptr : std::make_unique<Lpips>(read_lpips_weights(file));
 }
 
 /// Computes the metrics of several rendered frames in parallel.
-/// @param lpips  network for the LPIPS metric; null: leaves out this metric
-std::vector<ScoredFrame> score_rendered_frames(std::vector<RenderedFrame> rendered, const Config& config,
-                                               const Sequence& sequence, const Lpips* lpips) {
+/// @param lpips_network  network for the LPIPS metric; null: leaves out this metric
+std::vector<ScoredFrame> score_rendered_frames(std::vector<RenderedFrame> rendered_frames,
+                                               const Config& config, const LidarSequence& sequence,
+                                               const Lpips* lpips_network) {
     MetricOptions options;
-    options.max_range_m = use_farthest_return(config, sequence).dataset.max_range_m;
+    options.max_range_m = resolve_max_range(config, sequence).dataset.max_range_m;
     if (config.sensor.grid != "native")
-        options.max_range_m = std::min(options.max_range_m, find_grid(config.sensor.grid).max_range_m);
-    options.lpips = lpips;
-    std::vector<Comparison> comparisons;
-    for (const RenderedFrame& r : rendered)
-        comparisons.push_back({&r.frame.rendered.image, &r.frame.real, r.make_frame_regions(),
+        options.max_range_m = std::min(options.max_range_m, find_range_grid(config.sensor.grid).max_range_m);
+    options.lpips = lpips_network;
+    std::vector<RangeImageComparison> comparisons;
+    for (const RenderedFrame& r : rendered_frames)
+        comparisons.push_back({&r.frame.rendered.image, &r.frame.real, r.make_evaluation_regions(),
                                select_point_ranges(r.frame.rendered, config)});
-    const std::vector<MetricRow> rows = evaluate_all(comparisons, options);
+    const std::vector<MetricValues> rows = evaluate_all(comparisons, options);
     std::vector<ScoredFrame> frames;
-    for (std::size_t i = 0; i < rendered.size(); ++i) {
-        frames.push_back(std::move(rendered[i].frame));
+    for (std::size_t i = 0; i < rendered_frames.size(); ++i) {
+        frames.push_back(std::move(rendered_frames[i].frame));
         frames.back().metrics = rows[i];
-        frames.back().metrics.merge(rendered[i].class_scores);
+        frames.back().metrics.merge(rendered_frames[i].class_scores);
         if (!has_intensities(frames.back().real))
             std::erase_if(frames.back().metrics, [](const auto& metric) {
                 return metric.first.find("intensity") != std::string::npos;
@@ -129,15 +131,15 @@ std::vector<ScoredFrame> score_rendered_frames(std::vector<RenderedFrame> render
     return frames;
 }
 
-void add_actor_scores(std::vector<ScoredFrame>& frames, const Sequence& sequence, const Config& config) {
+void add_actor_scores(std::vector<ScoredFrame>& frames, const LidarSequence& sequence, const Config& config) {
     for (ScoredFrame& frame : frames) {
-        const SweepMoment sweep{frame.time_s, frame.lidar, frame.start};
+        const SweepTiming sweep{frame.time_s, frame.lidar, frame.start};
         const RangeImage& rendered = frame.rendered.image;
         // Empty for a baseline without a renderer. In this case, the ranges of the image
         // are used.
         const std::vector<float>& points_m = select_point_ranges(frame.rendered, config);
-        ActorScores scores = compute_actor_scores(rendered, points_m.empty() ? rendered.range_m : points_m,
-                                                  frame.real, sequence, sweep);
+        FrameActorScores scores = compute_actor_scores(
+            rendered, points_m.empty() ? rendered.range_m : points_m, frame.real, sequence, sweep);
         frame.metrics.merge(scores.metrics);
         frame.actors = std::move(scores.actors);
     }
@@ -154,7 +156,7 @@ RangeErrorCounts count_range_errors(const RangeImage& rendered, const RangeImage
             std::size_t(std::lower_bound(kRanges.begin(), kRanges.end(), range_m) - kRanges.begin()) - 1;
         const auto band =
             std::size_t(std::upper_bound(kErrors.begin(), kErrors.end(), error_m) - kErrors.begin());
-        counts.rays[row][is_returned(rendered.drop_prob[i], rendered.range_m[i])
+        counts.rays[row][is_ray_returned(rendered.drop_prob[i], rendered.range_m[i])
                              ? band
                              : RangeErrorCounts::kBands - 1] += 1.0;
     }
@@ -170,50 +172,51 @@ void clear_frame_images(ScoredFrame& frame) {
 
 /// Parameters of an evaluation of many frames. To limit memory, frames are rendered and
 /// scored in small batches. Each batch frees its images before the next one starts.
-struct ManyFrames {
+struct BatchEvaluationParams {
     const std::vector<int>& positions;  ///< indices into sequence.frames
-    const Sequence& sequence;
+    const LidarSequence& sequence;
     const Config& config;
-    const Progress& progress;
-    const FrameCallback& see;
+    const ProgressReporter& progress;
+    const ScoredFrameCallback& see;
 };
 
 /// Renders all frames and computes their metrics, in batches of kScoredAtOnce frames.
-/// @param description  text shown with the progress
-/// @param render  function that renders one frame
-std::vector<ScoredFrame> score_frames(
-    const ManyFrames& frames, const char* description,
-    const std::function<RenderedFrame(int position, const Frame&)>& render) {
-    const std::unique_ptr<Lpips> lpips = load_lpips();
-    const std::size_t n = frames.positions.size();
+/// @param progress_text  text shown with the progress
+/// @param render_one_frame  function that renders one frame
+std::vector<ScoredFrame> render_and_score_frames(
+    const BatchEvaluationParams& frame_batch, const char* progress_text,
+    const std::function<RenderedFrame(int position, const LidarFrame&)>& render_one_frame) {
+    const std::unique_ptr<Lpips> lpips = load_lpips_network();
+    const std::size_t n = frame_batch.positions.size();
     std::vector<ScoredFrame> scored;
     for (std::size_t first = 0; first < n; first += kScoredAtOnce) {
         std::vector<RenderedFrame> batch;
         for (std::size_t i = first; i < std::min(first + kScoredAtOnce, n); ++i) {
-            if (frames.progress) frames.progress(description, double(i) / double(n));
+            if (frame_batch.progress) frame_batch.progress(progress_text, double(i) / double(n));
             batch.push_back(
-                render(frames.positions[i], frames.sequence.frames.at(std::size_t(frames.positions[i]))));
+                render_one_frame(frame_batch.positions[i],
+                                 frame_batch.sequence.frames.at(std::size_t(frame_batch.positions[i]))));
         }
         std::vector<ScoredFrame> scored_batch =
-            score_rendered_frames(std::move(batch), frames.config, frames.sequence, lpips.get());
-        add_actor_scores(scored_batch, frames.sequence, frames.config);
+            score_rendered_frames(std::move(batch), frame_batch.config, frame_batch.sequence, lpips.get());
+        add_actor_scores(scored_batch, frame_batch.sequence, frame_batch.config);
         for (ScoredFrame& frame : scored_batch) {
             frame.range_errors = count_range_errors(frame.rendered.image, frame.real);
-            if (frames.see) frames.see(frame);
+            if (frame_batch.see) frame_batch.see(frame);
             if (scored.size() != n / 2) clear_frame_images(frame);
             scored.push_back(std::move(frame));
         }
     }
-    if (frames.progress && n > 0) frames.progress(description, 1.0);
+    if (frame_batch.progress && n > 0) frame_batch.progress(progress_text, 1.0);
     return scored;
 }
 
 }  // namespace
 
-void attach_scans(Run& run, const std::vector<int>& positions, const Sequence& log) {
-    for (const int position : positions) {
-        Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
-        const auto it = std::find_if(log.frames.begin(), log.frames.end(), [&](const Frame& f) {
+void copy_scans_into_run(TrainedRun& run, const std::vector<int>& frame_indices, const LidarSequence& log) {
+    for (const int position : frame_indices) {
+        LidarFrame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
+        const auto it = std::find_if(log.frames.begin(), log.frames.end(), [&](const LidarFrame& f) {
             return f.index == frame.index && f.lidar == frame.lidar;
         });
         if (it == log.frames.end())
@@ -230,84 +233,87 @@ void attach_scans(Run& run, const std::vector<int>& positions, const Sequence& l
     }
 }
 
-ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence,
-                        const Frame& frame, const Pose& sensor_offset) {
-    const std::unique_ptr<Lpips> lpips = load_lpips();
+ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const LidarSequence& sequence,
+                        const LidarFrame& frame, const Pose& sensor_offset) {
+    const std::unique_ptr<Lpips> lpips = load_lpips_network();
     return score_rendered_frames({render_frame(renderer, config, sequence, frame, sensor_offset)}, config,
                                  sequence, lpips.get())
         .front();
 }
 
-Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Sequence& sequence,
-                           const std::vector<int>& positions, const Progress& progress,
-                           const FrameCallback& on_frame) {
+EvaluationResult evaluate_frames(ScanRenderer& renderer, const Config& config, const LidarSequence& sequence,
+                                 const std::vector<int>& frame_indices, const ProgressReporter& progress,
+                                 const ScoredFrameCallback& on_frame) {
     // Also renders the drop probability without the correction by the neural network,
     // because reports show both.
-    if (on_frame && renderer.refines(make_configured_sensor(config, sequence)))
-        renderer.enable_channels("surfel_drop_prob");
-    if (std::ranges::any_of(positions, [&](int position) {
-            return has_class_scores(renderer, config, sequence.frames.at(std::size_t(position)));
+    if (on_frame && renderer.has_drop_network_for(make_configured_sensor(config, sequence)))
+        renderer.enable_optional_channels("surfel_drop_prob");
+    if (std::ranges::any_of(frame_indices, [&](int position) {
+            return can_score_classes(renderer, config, sequence.frames.at(std::size_t(position)));
         }))
-        renderer.enable_channels("class");
-    std::vector<ScoredFrame> scored = score_frames(
-        {positions, sequence, config, progress, on_frame}, "rendering held-out frames",
-        [&](int, const Frame& frame) { return render_frame(renderer, config, sequence, frame, {}); });
-    return summarise(std::move(scored), renderer.times());
+        renderer.enable_optional_channels("class");
+    std::vector<ScoredFrame> scored = render_and_score_frames(
+        {frame_indices, sequence, config, progress, on_frame}, "rendering held-out frames",
+        [&](int, const LidarFrame& frame) { return render_frame(renderer, config, sequence, frame, {}); });
+    return summarise_evaluation(std::move(scored), renderer.times());
 }
 
-BoxMotion find_baseline(const std::string& name) {
-    if (name == "nearest") return BoxMotion::stay;
-    if (name == "nearest-actors") return BoxMotion::follow;
+BoxPointMotion parse_baseline_motion(const std::string& name) {
+    if (name == "nearest") return BoxPointMotion::stay;
+    if (name == "nearest-actors") return BoxPointMotion::follow;
     throw UsageError(fmt::format("baseline: found \"{}\", expected nearest or nearest-actors", name));
 }
 
-Evaluation evaluate_baseline(const std::string& name, const Config& config, const Sequence& sequence,
-                             const Split& split, const Progress& progress, const FrameCallback& on_frame) {
-    const BoxMotion boxes = find_baseline(name);
-    const auto project = [&](int position, const Frame& frame) {
-        RenderedFrame result = make_real_frame(config, sequence, frame, {});
-        Scan points = predict_neighbour_points(sequence, position, split.train, boxes);
-        drop_outside_limits(points, make_configured_sensor(config, sequence, frame.lidar).limits);
-        result.frame.rendered.image = make_real_image(
-            config, config.sensor.grid == "native" ? bin_onto_rays(frame.scan.rays, points) : points);
+EvaluationResult evaluate_baseline(const std::string& baseline_name, const Config& config,
+                                   const LidarSequence& sequence, const TrainTestSplit& split,
+                                   const ProgressReporter& progress, const ScoredFrameCallback& on_frame) {
+    const BoxPointMotion boxes = parse_baseline_motion(baseline_name);
+    const auto project = [&](int position, const LidarFrame& frame) {
+        RenderedFrame result = make_frame_with_real_image(config, sequence, frame, {});
+        Scan points = predict_scan_from_neighbours(sequence, position, split.train, boxes);
+        remove_returns_outside_limits(points, make_configured_sensor(config, sequence, frame.lidar).limits);
+        result.frame.rendered.image = make_measured_image(
+            config, config.sensor.grid == "native" ? bin_points_onto_rays(frame.scan.rays, points) : points);
         return result;
     };
-    Evaluation evaluation = summarise(score_frames({split.test, sequence, config, progress, on_frame},
-                                                   "projecting neighbours of held-out frames", project),
-                                      {});
-    evaluation.title = "baseline " + name;
+    EvaluationResult evaluation =
+        summarise_evaluation(render_and_score_frames({split.test, sequence, config, progress, on_frame},
+                                                     "projecting neighbours of held-out frames", project),
+                             {});
+    evaluation.title = "baseline " + baseline_name;
     return evaluation;
 }
 
-void check_lpips_weights() { load_lpips(); }
+void check_lpips_weights() { load_lpips_network(); }
 
-std::string find_lpips_weights() {
+std::string find_lpips_weights_path() {
     const char* file = std::getenv("RELIDAR_LPIPS_WEIGHTS");
     return file ? file : "";
 }
 
-MetricRow compute_mean_times(const KernelTimes& times) {
-    MetricRow row;
-    for (const auto& [kernel, total] : times.totals) row[kernel] = total.ms / total.launches;
+MetricValues compute_mean_kernel_ms(const KernelTimes& kernel_times) {
+    MetricValues row;
+    for (const auto& [kernel, total] : kernel_times.totals) row[kernel] = total.ms / total.launches;
     return row;
 }
 
-Evaluation summarise(std::vector<ScoredFrame> frames, const KernelTimes& times) {
-    Evaluation evaluation;
-    std::vector<MetricRow> rows;
+EvaluationResult summarise_evaluation(std::vector<ScoredFrame> scored_frames,
+                                      const KernelTimes& kernel_times) {
+    EvaluationResult evaluation;
+    std::vector<MetricValues> rows;
     std::vector<std::vector<ActorScore>> actors;
     double n_rays = 0.0;
-    for (const ScoredFrame& frame : frames) {
+    for (const ScoredFrame& frame : scored_frames) {
         rows.push_back(frame.metrics);
         actors.push_back(frame.actors);
-        evaluation.trace_ms += frame.rendered.trace_ms / static_cast<double>(frames.size());
-        n_rays += static_cast<double>(frame.n_rays) / static_cast<double>(frames.size());
+        evaluation.trace_ms += frame.rendered.trace_ms / static_cast<double>(scored_frames.size());
+        n_rays += static_cast<double>(frame.n_rays) / static_cast<double>(scored_frames.size());
     }
-    evaluation.mean = mean(rows);
-    evaluation.actors = average_over_frames(actors);
-    evaluation.kernel_ms = compute_mean_times(times);
+    evaluation.mean = compute_mean_metrics(rows);
+    evaluation.actors = average_actor_scores(actors);
+    evaluation.kernel_ms = compute_mean_kernel_ms(kernel_times);
     if (evaluation.trace_ms > 0.0) evaluation.mrays_per_s = n_rays / (1000.0 * evaluation.trace_ms);
-    evaluation.frames = std::move(frames);
+    evaluation.frames = std::move(scored_frames);
     return evaluation;
 }
 

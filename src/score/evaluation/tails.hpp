@@ -14,7 +14,7 @@
 namespace relidar {
 
 /// Points in the comet tails of a scan.
-struct TailCounts {
+struct CometTailStatistics {
     double share = 0.0;  ///< Fraction of all returned points that are in a tail.
     /// For each moving box, by its id, the number of points in its tail. Tails of several
     /// boxes can contain the same point.
@@ -25,8 +25,9 @@ struct TailCounts {
 /// now is not part of a tail. The current boxes are enlarged by 0.3 m. Points in the
 /// lowest 0.3 m of a box count as ground, not as tail. Each point is tested at the time
 /// at which the LiDAR's head faces the point.
-/// @param points_m [n] ranges of the points of the image
-TailCounts count_points_in_tails(const RangeImage& image, const std::vector<float>& points_m,
-                                 const Sequence& sequence, const SweepMoment& sweep);
+/// @param point_ranges_m [n] ranges of the points of the image
+CometTailStatistics count_motion_trail_points(const RangeImage& image,
+                                              const std::vector<float>& point_ranges_m,
+                                              const LidarSequence& sequence, const SweepTiming& sweep);
 
 }  // namespace relidar

@@ -21,7 +21,7 @@ namespace relidar {
 namespace {
 
 using namespace metrics_detail;
-using Positions = std::vector<glm::dvec3>;
+using PointPositions = std::vector<glm::dvec3>;
 
 // Minimum mean squared error. It keeps the PSNR of identical images finite.
 constexpr double kMinSquaredError = 1e-20;
@@ -34,8 +34,8 @@ constexpr int kSsimWindow = 7;
 // to nothing.
 constexpr int kLpipsEdge = 31;
 
-Positions select_points(const RangeImage& image, const Mask& mask) {
-    Positions result;
+PointPositions compute_points_of_masked_pixels(const RangeImage& image, const PixelMask& mask) {
+    PointPositions result;
     for (std::size_t i = 0; i < mask.size(); ++i)
         if (mask[i])
             result.push_back(glm::dvec3(image.origin[i]) +
@@ -45,41 +45,48 @@ Positions select_points(const RangeImage& image, const Mask& mask) {
 
 /// A full rendered image, and the full real image to which it is compared.
 struct ImagePair {
-    Values rendered, real;
+    PixelValues rendered, real;
     int rows, columns;
     double peak;
 };
 
 /// Returns the rendered and the real range image. Dropped pixels have the range 0.
-/// @param threshold  rendered pixels with at least this drop probability are dropped
-ImagePair make_depth_pair(const RangeImage& rendered, const RangeImage& real, double threshold,
-                          double max_range_m) {
-    return {clamp_masked_values(rendered.range_m, make_return_mask(rendered, threshold), max_range_m),
-            clamp_masked_values(real.range_m, make_return_mask(real, kRealDropThreshold), max_range_m),
-            real.rows, real.columns, max_range_m};
+/// @param drop_threshold  rendered pixels with at least this drop probability are dropped
+ImagePair make_depth_image_pair(const RangeImage& rendered, const RangeImage& real, double drop_threshold,
+                                double max_range_m) {
+    return {
+        clamp_masked_values(rendered.range_m, make_undropped_pixel_mask(rendered, drop_threshold),
+                            max_range_m),
+        clamp_masked_values(real.range_m, make_undropped_pixel_mask(real, kRealDropThreshold), max_range_m),
+        real.rows, real.columns, max_range_m};
 }
-ImagePair make_intensity_pair(const RangeImage& rendered, const RangeImage& real, double threshold) {
-    return {clamp_masked_values(rendered.intensity, make_return_mask(rendered, threshold), kMaxIntensity),
-            clamp_masked_values(real.intensity, make_return_mask(real, kRealDropThreshold), kMaxIntensity),
+ImagePair make_intensity_image_pair(const RangeImage& rendered, const RangeImage& real,
+                                    double drop_threshold) {
+    return {clamp_masked_values(rendered.intensity, make_undropped_pixel_mask(rendered, drop_threshold),
+                                kMaxIntensity),
+            clamp_masked_values(real.intensity, make_undropped_pixel_mask(real, kRealDropThreshold),
+                                kMaxIntensity),
             real.rows, real.columns, kMaxIntensity};
 }
 
 /// Computes errors, PSNR, SSIM and LPIPS of full images. Leaves out SSIM if the real
 /// image is constant, or if the image is smaller than the SSIM window.
-void add_image(MetricRow& row, const std::string& prefix, const std::string& unit, const ImagePair& image,
-               const Lpips* lpips) {
-    const double squared = add_errors(row, prefix, unit, image.rendered, image.real);
-    row[prefix + "psnr_db"] =
-        10.0 * std::log10(image.peak * image.peak / std::max(squared, kMinSquaredError));
-    const auto [low, high] = std::minmax_element(image.real.begin(), image.real.end());
-    if (image.rows >= kSsimWindow && image.columns >= kSsimWindow && *high > *low)
-        row[prefix + "ssim"] =
-            compute_ssim(image.rendered, image.real, image.rows, image.columns, *high - *low);
-    if (lpips && image.rows >= kLpipsEdge && image.columns >= kLpipsEdge)
-        row[prefix + "lpips"] = lpips->distance(image.rendered, image.real, image.rows, image.columns);
+void add_image_metrics(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
+                       const ImagePair& image_pair, const Lpips* lpips_network) {
+    const double squared =
+        add_error_metrics(row, name_prefix, unit_suffix, image_pair.rendered, image_pair.real);
+    row[name_prefix + "psnr_db"] =
+        10.0 * std::log10(image_pair.peak * image_pair.peak / std::max(squared, kMinSquaredError));
+    const auto [low, high] = std::minmax_element(image_pair.real.begin(), image_pair.real.end());
+    if (image_pair.rows >= kSsimWindow && image_pair.columns >= kSsimWindow && *high > *low)
+        row[name_prefix + "ssim"] = compute_ssim(image_pair.rendered, image_pair.real, image_pair.rows,
+                                                 image_pair.columns, *high - *low);
+    if (lpips_network && image_pair.rows >= kLpipsEdge && image_pair.columns >= kLpipsEdge)
+        row[name_prefix + "lpips"] = lpips_network->compute_perceptual_distance(
+            image_pair.rendered, image_pair.real, image_pair.rows, image_pair.columns);
 }
 
-double compute_share_below(const Values& distances, double threshold) {
+double compute_fraction_below(const PixelValues& distances, double threshold) {
     const auto n = std::count_if(distances.begin(), distances.end(), [=](double d) { return d < threshold; });
     return double(n) / double(distances.size());
 }
@@ -87,47 +94,52 @@ double compute_share_below(const Values& distances, double threshold) {
 /// Distances from each point of a cloud to the nearest point of the other cloud, in both
 /// directions.
 struct CloudDistances {
-    Values to_truth, to_rendered;
+    PixelValues to_truth, to_rendered;
 
-    CloudDistances(const Positions& rendered, const Positions& truth) {
+    CloudDistances(const PointPositions& rendered, const PointPositions& truth) {
         if (rendered.empty() || truth.empty()) return;
         to_truth = compute_nearest_distances(rendered, truth);
         to_rendered = compute_nearest_distances(truth, rendered);
     }
     bool has_distances() const { return !to_truth.empty(); }
-    double chamfer() const { return compute_values_mean(to_truth) + compute_values_mean(to_rendered); }
-    double compute_squared_chamfer() const {
+    double compute_chamfer_distance() const {
+        return compute_values_mean(to_truth) + compute_values_mean(to_rendered);
+    }
+    double compute_squared_chamfer_distance() const {
         return compute_mean_square(to_truth) + compute_mean_square(to_rendered);
     }
     /// Returns the F-score: the harmonic mean of precision and recall. Returns 0 if a
     /// cloud is empty.
     double compute_f_score(double threshold_m) const {
         if (!has_distances()) return 0.0;
-        const double precision = compute_share_below(to_truth, threshold_m),
-                     recall = compute_share_below(to_rendered, threshold_m);
+        const double precision = compute_fraction_below(to_truth, threshold_m),
+                     recall = compute_fraction_below(to_rendered, threshold_m);
         return 2.0 * precision * recall / std::max(precision + recall, 1e-12);
     }
 };
 
-void add_published_metrics(MetricRow& row, const RangeImage& rendered, const RangeImage& real,
-                           const MetricOptions& options) {
+void add_published_protocol_metrics(MetricValues& row, const RangeImage& rendered, const RangeImage& real,
+                                    const MetricOptions& options) {
     const double threshold = options.peer_drop_threshold;
-    add_image(row, "peer/depth_", "_m", make_depth_pair(rendered, real, threshold, options.max_range_m),
-              options.lpips);
-    add_image(row, "peer/intensity_", "", make_intensity_pair(rendered, real, threshold), options.lpips);
+    add_image_metrics(row, "peer/depth_", "_m",
+                      make_depth_image_pair(rendered, real, threshold, options.max_range_m), options.lpips);
+    add_image_metrics(row, "peer/intensity_", "", make_intensity_image_pair(rendered, real, threshold),
+                      options.lpips);
 
-    const Positions a = select_points(rendered, make_positive_range_mask(rendered, threshold));
-    const Positions b = select_points(real, make_positive_range_mask(real, kRealDropThreshold));
+    const PointPositions a =
+        compute_points_of_masked_pixels(rendered, make_positive_range_mask(rendered, threshold));
+    const PointPositions b =
+        compute_points_of_masked_pixels(real, make_positive_range_mask(real, kRealDropThreshold));
     if (a.empty() && b.empty()) return;
     const CloudDistances distances(a, b);
-    if (distances.has_distances()) row["peer/cd_sq_m2"] = distances.compute_squared_chamfer();
+    if (distances.has_distances()) row["peer/cd_sq_m2"] = distances.compute_squared_chamfer_distance();
     row["peer/f_score"] = distances.compute_f_score(kPeerThreshold_m);
 }
 
 /// Compares the rendered drop probability with the real drop (0 or 1) without a
 /// threshold. Returns the root mean square difference over all pixels.
-double compute_drop_rmse(const RangeImage& rendered, const RangeImage& real) {
-    Values error(real.drop_prob.size());
+double compute_drop_probability_rmse(const RangeImage& rendered, const RangeImage& real) {
+    PixelValues error(real.drop_prob.size());
     for (std::size_t i = 0; i < error.size(); ++i)
         error[i] = double(rendered.drop_prob[i]) - double(real.drop_prob[i]);
     return std::sqrt(compute_mean_square(error));
@@ -135,18 +147,19 @@ double compute_drop_rmse(const RangeImage& rendered, const RangeImage& real) {
 
 /// Adds metrics of a classifier that predicts for each pixel whether its ray is dropped.
 /// "Dropped" is the positive class.
-void add_ray_drop_metrics(MetricRow& row, const Mask& rendered, const Mask& real) {
+void add_ray_drop_metrics(MetricValues& row, const PixelMask& rendered_returns,
+                          const PixelMask& real_returns) {
     std::size_t hits = 0, false_drops = 0, missed_drops = 0, equal = 0;
-    for (std::size_t i = 0; i < real.size(); ++i) {
-        hits += !rendered[i] && !real[i];
-        false_drops += !rendered[i] && real[i];
-        missed_drops += rendered[i] && !real[i];
-        equal += rendered[i] == real[i];
+    for (std::size_t i = 0; i < real_returns.size(); ++i) {
+        hits += !rendered_returns[i] && !real_returns[i];
+        false_drops += !rendered_returns[i] && real_returns[i];
+        missed_drops += rendered_returns[i] && !real_returns[i];
+        equal += rendered_returns[i] == real_returns[i];
     }
     const auto ratio = [](std::size_t first, std::size_t second) {
         return double(first) / double(std::max<std::size_t>(second, 1));
     };
-    row["strict/drop_accuracy"] = ratio(equal, real.size());
+    row["strict/drop_accuracy"] = ratio(equal, real_returns.size());
     row["strict/drop_precision"] = ratio(hits, hits + false_drops);
     row["strict/drop_recall"] = ratio(hits, hits + missed_drops);
     row["strict/drop_f1"] = ratio(2 * hits, 2 * hits + false_drops + missed_drops);
@@ -154,65 +167,70 @@ void add_ray_drop_metrics(MetricRow& row, const Mask& rendered, const Mask& real
 
 /// Computes range errors of the pixels that have a return in both images. Also computes
 /// distances between the rendered and the real point cloud.
-void add_points(MetricRow& row, const std::string& prefix, const RangeImage& rendered, const RangeImage& real,
-                const MetricOptions& options) {
-    const Mask kept = make_positive_range_mask(rendered, options.strict_drop_threshold),
-               truth = make_positive_range_mask(real, kRealDropThreshold);
-    Mask both(truth.size());
-    for (std::size_t i = 0; i < both.size(); ++i) both[i] = kept[i] && truth[i];
-    add_errors(row, prefix + "depth_", "_m", select_values(rendered.range_m, both, options.max_range_m),
-               select_values(real.range_m, both, options.max_range_m));
-    const Positions a = select_points(rendered, kept), b = select_points(real, truth);
+void add_point_metrics(MetricValues& row, const std::string& name_prefix, const RangeImage& rendered,
+                       const RangeImage& real, const MetricOptions& options) {
+    const PixelMask rendered_returns = make_positive_range_mask(rendered, options.strict_drop_threshold),
+                    real_returns = make_positive_range_mask(real, kRealDropThreshold);
+    PixelMask both(real_returns.size());
+    for (std::size_t i = 0; i < both.size(); ++i) both[i] = rendered_returns[i] && real_returns[i];
+    add_error_metrics(row, name_prefix + "depth_", "_m",
+                      select_masked_values(rendered.range_m, both, options.max_range_m),
+                      select_masked_values(real.range_m, both, options.max_range_m));
+    const PointPositions a = compute_points_of_masked_pixels(rendered, rendered_returns),
+                         b = compute_points_of_masked_pixels(real, real_returns);
     if (a.empty() && b.empty()) return;
     const CloudDistances distances(a, b);
     if (distances.has_distances()) {
-        row[prefix + "cd_mean_m"] = distances.chamfer();
-        row[prefix + "cd_sq_m2"] = distances.compute_squared_chamfer();
+        row[name_prefix + "cd_mean_m"] = distances.compute_chamfer_distance();
+        row[name_prefix + "cd_sq_m2"] = distances.compute_squared_chamfer_distance();
     }
-    row[prefix + "f_5cm"] = distances.compute_f_score(kFineThreshold_m);
-    row[prefix + "f_22cm"] = distances.compute_f_score(kPeerThreshold_m);
+    row[name_prefix + "f_5cm"] = distances.compute_f_score(kFineThreshold_m);
+    row[name_prefix + "f_22cm"] = distances.compute_f_score(kPeerThreshold_m);
 }
 
-void add_strict_metrics(MetricRow& row, const RangeImage& rendered, const RangeImage& real,
-                        const MetricOptions& options) {
-    const Mask kept = make_positive_range_mask(rendered, options.strict_drop_threshold);
-    const Mask truth = make_positive_range_mask(real, kRealDropThreshold);
-    Mask both(truth.size());
-    for (std::size_t i = 0; i < both.size(); ++i) both[i] = kept[i] && truth[i];
-    add_errors(row, "strict/intensity_", "", select_values(rendered.intensity, both, kMaxIntensity),
-               select_values(real.intensity, both, kMaxIntensity));
-    add_ray_drop_metrics(row, kept, truth);
-    row["strict/drop_rmse"] = compute_drop_rmse(rendered, real);
+void add_strict_protocol_metrics(MetricValues& row, const RangeImage& rendered, const RangeImage& real,
+                                 const MetricOptions& options) {
+    const PixelMask rendered_returns = make_positive_range_mask(rendered, options.strict_drop_threshold);
+    const PixelMask real_returns = make_positive_range_mask(real, kRealDropThreshold);
+    PixelMask both(real_returns.size());
+    for (std::size_t i = 0; i < both.size(); ++i) both[i] = rendered_returns[i] && real_returns[i];
+    add_error_metrics(row, "strict/intensity_", "",
+                      select_masked_values(rendered.intensity, both, kMaxIntensity),
+                      select_masked_values(real.intensity, both, kMaxIntensity));
+    add_ray_drop_metrics(row, rendered_returns, real_returns);
+    row["strict/drop_rmse"] = compute_drop_probability_rmse(rendered, real);
     const double threshold = options.strict_drop_threshold;
-    add_image(row, "strict/image_depth_", "_m",
-              make_depth_pair(rendered, real, threshold, options.max_range_m), nullptr);
-    add_image(row, "strict/image_intensity_", "", make_intensity_pair(rendered, real, threshold), nullptr);
-    add_points(row, "strict/", rendered, real, options);
+    add_image_metrics(row, "strict/image_depth_", "_m",
+                      make_depth_image_pair(rendered, real, threshold, options.max_range_m), nullptr);
+    add_image_metrics(row, "strict/image_intensity_", "",
+                      make_intensity_image_pair(rendered, real, threshold), nullptr);
+    add_point_metrics(row, "strict/", rendered, real, options);
 }
 
 }  // namespace
 
-MetricRow evaluate(const RangeImage& rendered, const RangeImage& real, const MetricOptions& options) {
-    check_pair(rendered, real);
-    MetricRow row;
-    add_published_metrics(row, rendered, real, options);
-    add_strict_metrics(row, rendered, real, options);
+MetricValues evaluate(const RangeImage& rendered, const RangeImage& real, const MetricOptions& options) {
+    check_images_comparable(rendered, real);
+    MetricValues row;
+    add_published_protocol_metrics(row, rendered, real, options);
+    add_strict_protocol_metrics(row, rendered, real, options);
     return row;
 }
 
-MetricRow evaluate_points(const RangeImage& rendered, const RangeImage& real, const MetricOptions& options) {
-    check_pair(rendered, real);
-    MetricRow row;
-    add_points(row, "points/", rendered, real, options);
+MetricValues evaluate_points(const RangeImage& rendered, const RangeImage& real,
+                             const MetricOptions& options) {
+    check_images_comparable(rendered, real);
+    MetricValues row;
+    add_point_metrics(row, "points/", rendered, real, options);
     return row;
 }
 
-std::vector<MetricRow> evaluate_all(const std::vector<Comparison>& comparisons,
-                                    const MetricOptions& options) {
-    std::vector<MetricRow> rows(comparisons.size());
+std::vector<MetricValues> evaluate_all(const std::vector<RangeImageComparison>& comparisons,
+                                       const MetricOptions& options) {
+    std::vector<MetricValues> rows(comparisons.size());
     parallel_for(static_cast<int>(comparisons.size()), [&](int index) {
-        const Comparison& c = comparisons[static_cast<std::size_t>(index)];
-        MetricRow& row = rows[static_cast<std::size_t>(index)];
+        const RangeImageComparison& c = comparisons[static_cast<std::size_t>(index)];
+        MetricValues& row = rows[static_cast<std::size_t>(index)];
         row = evaluate(*c.rendered, *c.real, options);
         row.merge(evaluate_regions(*c.rendered, *c.real, c.regions, options));
         if (c.point_range_m.empty()) return;
@@ -223,10 +241,10 @@ std::vector<MetricRow> evaluate_all(const std::vector<Comparison>& comparisons,
     return rows;
 }
 
-MetricRow mean(const std::vector<MetricRow>& rows) {
-    MetricRow sum;
+MetricValues compute_mean_metrics(const std::vector<MetricValues>& metric_rows) {
+    MetricValues sum;
     std::map<std::string, int> count;
-    for (const MetricRow& row : rows)
+    for (const MetricValues& row : metric_rows)
         for (const auto& [name, value] : row) {
             sum[name] += value;
             ++count[name];

@@ -30,21 +30,21 @@ constexpr float kColourScale[3] = {0.458f, 0.448f, 0.450f};
 
 /// A convolution layer of AlexNet. If `pooled` is set, 3 x 3 max-pooling with stride
 /// 2 precedes the convolution.
-struct Layer {
+struct ConvLayerShape {
     int out, in, edge, stride, padding;
     bool pooled;
-    std::size_t weights() const {
+    std::size_t count_weights() const {
         return std::size_t(out) * std::size_t(in) * std::size_t(edge) * std::size_t(edge);
     }
 };
-constexpr Layer kAlexNet[kLayers] = {{64, 3, 11, 4, 2, false},
-                                     {192, 64, 5, 1, 2, true},
-                                     {384, 192, 3, 1, 1, true},
-                                     {256, 384, 3, 1, 1, false},
-                                     {256, 256, 3, 1, 1, false}};
+constexpr ConvLayerShape kAlexNet[kLayers] = {{64, 3, 11, 4, 2, false},
+                                              {192, 64, 5, 1, 2, true},
+                                              {384, 192, 3, 1, 1, true},
+                                              {256, 384, 3, 1, 1, false},
+                                              {256, 256, 3, 1, 1, false}};
 
 /// Output of a network layer: one image of rows x columns pixels for each channel.
-struct Features {
+struct FeatureMap {
     int rows = 0, columns = 0;
     Matrix values;  ///< [channels, rows*columns]
 };
@@ -52,20 +52,22 @@ struct Features {
 /// Copies the window around each output pixel of a convolution to a column of a matrix
 /// (im2col). Pixels outside the image are 0.
 /// @return [in*edge*edge, rows*columns of the result]
-Matrix unroll_patches(const Features& image, const Layer& layer, int rows, int columns) {
-    Matrix windows =
-        Matrix::Zero(Eigen::Index(layer.in) * layer.edge * layer.edge, Eigen::Index(rows) * columns);
+Matrix unroll_patches(const FeatureMap& input_features, const ConvLayerShape& layer, int output_rows,
+                      int output_columns) {
+    Matrix windows = Matrix::Zero(Eigen::Index(layer.in) * layer.edge * layer.edge,
+                                  Eigen::Index(output_rows) * output_columns);
     for (Eigen::Index k = 0; k < windows.rows(); ++k) {
         const int dy = int(k) / layer.edge % layer.edge - layer.padding,
                   dx = int(k) % layer.edge - layer.padding;
-        const float* channel = image.values.row(k / (layer.edge * layer.edge)).data();
-        for (int row = 0; row < rows; ++row) {
+        const float* channel = input_features.values.row(k / (layer.edge * layer.edge)).data();
+        for (int row = 0; row < output_rows; ++row) {
             const int y = row * layer.stride + dy;
-            if (y < 0 || y >= image.rows) continue;
-            for (int column = 0; column < columns; ++column) {
+            if (y < 0 || y >= input_features.rows) continue;
+            for (int column = 0; column < output_columns; ++column) {
                 const int x = column * layer.stride + dx;
-                if (x >= 0 && x < image.columns)
-                    windows(k, Eigen::Index(row) * columns + column) = channel[y * image.columns + x];
+                if (x >= 0 && x < input_features.columns)
+                    windows(k, Eigen::Index(row) * output_columns + column) =
+                        channel[y * input_features.columns + x];
             }
         }
     }
@@ -73,25 +75,27 @@ Matrix unroll_patches(const Features& image, const Layer& layer, int rows, int c
 }
 
 /// Applies a convolution and a ReLU to feature images.
-Features convolve(const Features& image, const Layer& layer, const std::vector<float>& weight,
-                  const std::vector<float>& bias) {
-    Features result;
-    result.rows = (image.rows + 2 * layer.padding - layer.edge) / layer.stride + 1;
-    result.columns = (image.columns + 2 * layer.padding - layer.edge) / layer.stride + 1;
-    const Eigen::Map<const Matrix> filters(weight.data(), layer.out,
+FeatureMap apply_convolution_and_relu(const FeatureMap& input_features, const ConvLayerShape& layer,
+                                      const std::vector<float>& filter_weights,
+                                      const std::vector<float>& bias) {
+    FeatureMap result;
+    result.rows = (input_features.rows + 2 * layer.padding - layer.edge) / layer.stride + 1;
+    result.columns = (input_features.columns + 2 * layer.padding - layer.edge) / layer.stride + 1;
+    const Eigen::Map<const Matrix> filters(filter_weights.data(), layer.out,
                                            Eigen::Index(layer.in) * layer.edge * layer.edge);
-    result.values.noalias() = filters * unroll_patches(image, layer, result.rows, result.columns);
+    result.values.noalias() = filters * unroll_patches(input_features, layer, result.rows, result.columns);
     result.values.colwise() += Eigen::Map<const Eigen::VectorXf>(bias.data(), layer.out);
     result.values = result.values.cwiseMax(0.0f);
     return result;
 }
 
 /// Applies a 3 x 3 max-pooling with stride 2 to feature images.
-Features pool(const Features& image) {
-    Features result{(image.rows - 3) / 2 + 1, (image.columns - 3) / 2 + 1, {}};
-    result.values.resize(image.values.rows(), Eigen::Index(result.rows) * result.columns);
-    for (Eigen::Index channel = 0; channel < image.values.rows(); ++channel) {
-        const Eigen::Map<const Matrix> in(image.values.row(channel).data(), image.rows, image.columns);
+FeatureMap apply_max_pooling(const FeatureMap& input_features) {
+    FeatureMap result{(input_features.rows - 3) / 2 + 1, (input_features.columns - 3) / 2 + 1, {}};
+    result.values.resize(input_features.values.rows(), Eigen::Index(result.rows) * result.columns);
+    for (Eigen::Index channel = 0; channel < input_features.values.rows(); ++channel) {
+        const Eigen::Map<const Matrix> in(input_features.values.row(channel).data(), input_features.rows,
+                                          input_features.columns);
         for (int row = 0; row < result.rows; ++row)
             for (int column = 0; column < result.columns; ++column)
                 result.values(channel, Eigen::Index(row) * result.columns + column) =
@@ -103,10 +107,14 @@ Features pool(const Features& image) {
 /// Returns the LPIPS distance of two feature images. At each pixel, normalises both
 /// feature vectors to unit length and computes their weighted squared difference.
 /// Averages over all pixels.
-double compute_distance(const Features& first, const Features& second, const std::vector<float>& linear) {
-    const Eigen::ArrayXXd fa = first.values.cast<double>().array(), fb = second.values.cast<double>().array();
+double compute_feature_distance(const FeatureMap& first_features, const FeatureMap& second_features,
+                                const std::vector<float>& channel_weights) {
+    const Eigen::ArrayXXd fa = first_features.values.cast<double>().array(),
+                          fb = second_features.values.cast<double>().array();
     const Eigen::ArrayXd weight =
-        Eigen::Map<const Eigen::VectorXf>(linear.data(), Eigen::Index(linear.size())).cast<double>().array();
+        Eigen::Map<const Eigen::VectorXf>(channel_weights.data(), Eigen::Index(channel_weights.size()))
+            .cast<double>()
+            .array();
     double sum = 0.0;
     for (Eigen::Index pixel = 0; pixel < fa.cols(); ++pixel) {
         const double na = std::sqrt(fa.col(pixel).square().sum()) + kNormFloor,
@@ -116,21 +124,23 @@ double compute_distance(const Features& first, const Features& second, const std
     return sum / double(fa.cols());
 }
 
-Features normalise_colours(const std::vector<float>& image, int rows, int columns) {
-    Features result{rows, columns, Eigen::Map<const Matrix>(image.data(), 3, Eigen::Index(rows) * columns)};
+FeatureMap normalise_colours(const std::vector<float>& image, int rows, int columns) {
+    FeatureMap result{rows, columns, Eigen::Map<const Matrix>(image.data(), 3, Eigen::Index(rows) * columns)};
     for (int colour = 0; colour < 3; ++colour)
         result.values.row(colour) =
             (result.values.row(colour).array() - kColourShift[colour]) / kColourScale[colour];
     return result;
 }
 
-void check_weights(const char* name, int layer, const std::vector<float>& values, std::size_t expected) {
-    if (values.size() != expected)
-        throw DataError(fmt::format("cannot use the weights of LPIPS: {}{} has {} values, expected {}", name,
-                                    layer, values.size(), expected));
+void check_weights(const char* weights_name, int layer_index, const std::vector<float>& values,
+                   std::size_t expected_count) {
+    if (values.size() != expected_count)
+        throw DataError(fmt::format("cannot use the weights of LPIPS: {}{} has {} values, expected {}",
+                                    weights_name, layer_index, values.size(), expected_count));
     if (!std::all_of(values.begin(), values.end(), [](float v) { return std::isfinite(v); }))
-        throw DataError(fmt::format(
-            "cannot use the weights of LPIPS: {}{} contains a value that is not finite", name, layer));
+        throw DataError(
+            fmt::format("cannot use the weights of LPIPS: {}{} contains a value that is not finite",
+                        weights_name, layer_index));
 }
 
 }  // namespace
@@ -142,7 +152,7 @@ struct Lpips::Impl {
 Lpips::Lpips(LpipsWeights weights) : impl_(new Impl{std::move(weights)}) {
     for (int l = 0; l < kLayers; ++l) {
         const std::size_t k = std::size_t(l), channels = std::size_t(kAlexNet[l].out);
-        check_weights("weight of convolution ", l, impl_->weights.weight[k], kAlexNet[l].weights());
+        check_weights("weight of convolution ", l, impl_->weights.weight[k], kAlexNet[l].count_weights());
         check_weights("bias of convolution ", l, impl_->weights.bias[k], channels);
         check_weights("linear weights of layer ", l, impl_->weights.linear[k], channels);
     }
@@ -160,20 +170,20 @@ std::array<double, 5> Lpips::compute_layer_distances(const std::vector<float>& f
         throw DataError(
             fmt::format("cannot compute LPIPS: the images have {} and {} values, expected {} values each",
                         first.size(), second.size(), n));
-    Features fa = normalise_colours(first, rows, columns), fb = normalise_colours(second, rows, columns);
+    FeatureMap fa = normalise_colours(first, rows, columns), fb = normalise_colours(second, rows, columns);
     std::array<double, 5> distance{};
     for (std::size_t l = 0; l < distance.size(); ++l) {
-        const Layer& layer = kAlexNet[l];
-        for (Features* f : {&fa, &fb})
-            *f = convolve(layer.pooled ? pool(*f) : *f, layer, impl_->weights.weight[l],
-                          impl_->weights.bias[l]);
-        distance[l] = compute_distance(fa, fb, impl_->weights.linear[l]);
+        const ConvLayerShape& layer = kAlexNet[l];
+        for (FeatureMap* f : {&fa, &fb})
+            *f = apply_convolution_and_relu(layer.pooled ? apply_max_pooling(*f) : *f, layer,
+                                            impl_->weights.weight[l], impl_->weights.bias[l]);
+        distance[l] = compute_feature_distance(fa, fb, impl_->weights.linear[l]);
     }
     return distance;
 }
 
-double Lpips::distance(const std::vector<double>& first, const std::vector<double>& second, int rows,
-                       int columns) const {
+double Lpips::compute_perceptual_distance(const std::vector<double>& first, const std::vector<double>& second,
+                                          int rows, int columns) const {
     const auto colours = [](const std::vector<double>& image) {
         std::vector<float> result;
         result.reserve(3 * image.size());

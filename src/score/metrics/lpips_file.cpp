@@ -18,7 +18,7 @@ LpipsWeights read_lpips_weights(const std::filesystem::path& path) {
         if (!array)
             throw DataError(fmt::format("{}: the array {} is missing, expected the weights of LPIPS",
                                         path.string(), name));
-        return array->as_float();
+        return array->convert_to_floats();
     };
     LpipsWeights weights;
     for (std::size_t l = 0; l < weights.weight.size(); ++l) {

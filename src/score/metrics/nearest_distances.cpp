@@ -19,7 +19,7 @@ namespace {
 
 /// Adapter that gives nanoflann access to a list of points. nanoflann defines the names
 /// of the members.
-struct TargetCloud {
+struct KdTreeTargetCloud {
     const std::vector<glm::dvec3>& points;
 
     std::size_t kdtree_get_point_count() const { return points.size(); }
@@ -32,18 +32,18 @@ struct TargetCloud {
     }
 };
 
-using Metric = nanoflann::L2_Simple_Adaptor<double, TargetCloud>;
-using Tree = nanoflann::KDTreeSingleIndexAdaptor<Metric, TargetCloud, 3, std::uint32_t>;
+using Metric = nanoflann::L2_Simple_Adaptor<double, KdTreeTargetCloud>;
+using Tree = nanoflann::KDTreeSingleIndexAdaptor<Metric, KdTreeTargetCloud, 3, std::uint32_t>;
 
 constexpr std::size_t kLeafSize = 16;
 
-void check_finite(const std::vector<glm::dvec3>& points, const char* name) {
+void check_finite(const std::vector<glm::dvec3>& points, const char* cloud_name) {
     for (std::size_t i = 0; i < points.size(); ++i)
         if (!std::isfinite(points[i].x + points[i].y + points[i].z))
             throw DataError(fmt::format(
                 "cannot search nearest points: {} point {} is ({}, {}, {}), expected finite coordinates "
                 "in metres",
-                name, i, points[i].x, points[i].y, points[i].z));
+                cloud_name, i, points[i].x, points[i].y, points[i].z));
 }
 
 }  // namespace
@@ -58,9 +58,9 @@ std::vector<double> compute_nearest_distances(const std::vector<glm::dvec3>& que
     check_finite(query, "query");
     check_finite(target, "target");
 
-    const TargetCloud cloud{target};
+    const KdTreeTargetCloud cloud{target};
     const Tree tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(kLeafSize));
-    for_each_block(query.size(), [&](std::size_t i) {
+    parallel_for_in_blocks(query.size(), [&](std::size_t i) {
         std::uint32_t index = 0;
         double squared = 0.0;
         tree.knnSearch(&query[i].x, 1, &index, &squared);

@@ -22,14 +22,14 @@ constexpr int kColumnSearch = 4;
 
 /// Returns the nearest training frame before a position of the log and the nearest one
 /// after it, from the same LiDAR. Returns only one frame if the other does not exist.
-std::vector<int> find_neighbour_frames(const Sequence& sequence, int position,
-                                       const std::vector<int>& train) {
+std::vector<int> find_neighbouring_training_frames(const LidarSequence& sequence, int frame_index,
+                                                   const std::vector<int>& training_frames) {
     const auto get_lidar = [&](int p) { return sequence.frames[std::size_t(p)].lidar; };
     int before = -1, after = -1;
-    for (const int p : train) {
-        if (get_lidar(p) != get_lidar(position)) continue;
-        if (p < position) before = std::max(before, p);
-        if (p > position && (after < 0 || p < after)) after = p;
+    for (const int p : training_frames) {
+        if (get_lidar(p) != get_lidar(frame_index)) continue;
+        if (p < frame_index) before = std::max(before, p);
+        if (p > frame_index && (after < 0 || p < after)) after = p;
     }
     std::vector<int> neighbours;
     for (const int p : {before, after})
@@ -38,112 +38,117 @@ std::vector<int> find_neighbour_frames(const Sequence& sequence, int position,
         throw DataError(fmt::format(
             "cannot project neighbouring scans: no training frame is before or after position {} of "
             "the log",
-            position));
+            frame_index));
     return neighbours;
 }
 
 /// Returns the moving box that contains a world point at a time, or null if no box
 /// contains the point.
-const BoxTrack* find_containing_box(const std::vector<const BoxTrack*>& moving, const glm::dvec3& point_m,
-                                    double time_s) {
-    const auto it = std::find_if(moving.begin(), moving.end(), [&](const BoxTrack* box) {
-        return box->is_present(time_s) && box->holds(point_m, time_s, 0.0);
+const BoxTrack* find_containing_box(const std::vector<const BoxTrack*>& moving_boxes,
+                                    const glm::dvec3& point_m, double time_s) {
+    const auto it = std::find_if(moving_boxes.begin(), moving_boxes.end(), [&](const BoxTrack* box) {
+        return box->is_present(time_s) && box->contains_point(point_m, time_s, 0.0);
     });
-    return it == moving.end() ? nullptr : *it;
+    return it == moving_boxes.end() ? nullptr : *it;
 }
 
 /// Converts a point from the world frame to the sensor frame at the time when the
 /// rotating LiDAR faces the point.
-glm::dvec3 place_in_sweep(const Sequence& sequence, const glm::dvec3& world_m, const Frame& frame) {
+glm::dvec3 transform_world_point_to_sensor(const LidarSequence& sequence, const glm::dvec3& world_point_m,
+                                           const LidarFrame& frame) {
     const Pose& mounted = sequence.get_lidar(frame).vehicle_from_sensor;
-    const glm::dvec3 at_reference = inverse(sequence.world_from_vehicle.at(frame.time_s, mounted)) * world_m;
-    const double facing_s = compute_facing_time(sequence, at_reference, get_sweep_moment(frame));
-    return inverse(sequence.world_from_vehicle.at(facing_s, mounted)) * world_m;
+    const glm::dvec3 at_reference =
+        inverse(sequence.world_from_vehicle.interpolate_mounted_pose(frame.time_s, mounted)) * world_point_m;
+    const double facing_s = compute_point_scan_time_s(sequence, at_reference, get_sweep_moment(frame));
+    return inverse(sequence.world_from_vehicle.interpolate_mounted_pose(facing_s, mounted)) * world_point_m;
 }
 
-void append_point(Scan& points, const glm::dvec3& sensor_m, float intensity) {
-    const double range = glm::length(sensor_m);
+void append_point_to_scan(Scan& scan, const glm::dvec3& sensor_point_m, float intensity) {
+    const double range = glm::length(sensor_point_m);
     if (!(range > 0.0)) return;
-    points.rays.origin.emplace_back(0.0f);
-    points.rays.direction.emplace_back(sensor_m / range);
-    points.rays.time_offset_s.push_back(0.0f);
-    points.rays.channel.push_back(0);
-    points.range_m.push_back(float(range));
-    points.intensity.push_back(intensity);
+    scan.rays.origin.emplace_back(0.0f);
+    scan.rays.direction.emplace_back(sensor_point_m / range);
+    scan.rays.time_offset_s.push_back(0.0f);
+    scan.rays.channel.push_back(0);
+    scan.range_m.push_back(float(range));
+    scan.intensity.push_back(intensity);
 }
 
 /// Row and column of a ray in a table.
-struct Place {
+struct RayPixel {
     int row = 0, column = 0;
 };
 
-double compute_elevation_of(const glm::dvec3& vector) {
+double compute_elevation_rad(const glm::dvec3& vector) {
     return std::asin(std::clamp(vector.z / glm::length(vector), -1.0, 1.0));
 }
 
 /// Assigns points to the rays of a table. Computes in double precision, because the
 /// cosine of 0.02 degrees rounds to 1 in single precision.
-struct Beams {
+struct RayTableNeighbours {
     const RayTable& rays;
 
-    std::size_t at(Place place) const {
-        const int wrapped = (place.column % rays.columns + rays.columns) % rays.columns;
-        return std::size_t(place.row) * std::size_t(rays.columns) + std::size_t(wrapped);
+    std::size_t get_ray_index(RayPixel ray_cell) const {
+        const int wrapped = (ray_cell.column % rays.columns + rays.columns) % rays.columns;
+        return std::size_t(ray_cell.row) * std::size_t(rays.columns) + std::size_t(wrapped);
     }
-    glm::dvec3 to_direction_from_origin(Place place, const glm::vec3& point_m) const {
-        return glm::dvec3(point_m) - glm::dvec3(rays.origin[at(place)]);
+    glm::dvec3 compute_vector_from_ray_origin(RayPixel ray_cell, const glm::vec3& point_m) const {
+        return glm::dvec3(point_m) - glm::dvec3(rays.origin[get_ray_index(ray_cell)]);
     }
-    glm::dvec3 direction(Place place) const { return rays.direction[at(place)]; }
+    glm::dvec3 get_ray_direction(RayPixel ray_cell) const { return rays.direction[get_ray_index(ray_cell)]; }
     /// Returns the elevation of a point minus the elevation of a ray, both seen from the
     /// origin of the ray.
-    double compute_angle_above_beam(Place place, const glm::vec3& point_m) const {
-        return compute_elevation_of(to_direction_from_origin(place, point_m)) -
-               compute_elevation_of(direction(place));
+    double compute_elevation_above_ray_rad(RayPixel ray_cell, const glm::vec3& point_m) const {
+        return compute_elevation_rad(compute_vector_from_ray_origin(ray_cell, point_m)) -
+               compute_elevation_rad(get_ray_direction(ray_cell));
     }
-    double compute_cosine(Place place, const glm::vec3& point_m) const {
-        const glm::dvec3 v = to_direction_from_origin(place, point_m);
-        return glm::dot(v, direction(place)) / glm::length(v);
+    double compute_cosine_to_ray(RayPixel ray_cell, const glm::vec3& point_m) const {
+        const glm::dvec3 v = compute_vector_from_ray_origin(ray_cell, point_m);
+        return glm::dot(v, get_ray_direction(ray_cell)) / glm::length(v);
     }
     /// Returns the ray with the smallest angle to a point. Finds the row with the nearest
     /// elevation, then compares the rays of this row and of the two neighbouring rows.
-    Place nearest(const glm::vec3& point_m) const {
+    RayPixel find_nearest_ray_cell(const glm::vec3& point_m) const {
         const double azimuth = std::atan2(double(point_m.y), double(point_m.x));
         const int column = int(std::lround((1.0 - azimuth / kPi) / 2.0 * rays.columns));
         int row = 0;
-        double least = std::abs(compute_angle_above_beam({0, column}, point_m));
+        double least = std::abs(compute_elevation_above_ray_rad({0, column}, point_m));
         for (int r = 1; r < rays.rows; ++r)
-            if (const double off = std::abs(compute_angle_above_beam({r, column}, point_m)); off < least)
+            if (const double off = std::abs(compute_elevation_above_ray_rad({r, column}, point_m));
+                off < least)
                 least = off, row = r;
-        Place best{row, column};
-        double most = compute_cosine(best, point_m);
+        RayPixel best{row, column};
+        double most = compute_cosine_to_ray(best, point_m);
         for (int r = std::max(row - 1, 0); r <= std::min(row + 1, rays.rows - 1); ++r)
             for (int c = column - kColumnSearch; c <= column + kColumnSearch; ++c)
-                if (const double cos = compute_cosine({r, c}, point_m); cos > most) most = cos, best = {r, c};
+                if (const double cos = compute_cosine_to_ray({r, c}, point_m); cos > most)
+                    most = cos, best = {r, c};
         return best;
     }
     /// Returns true if a point is above the highest or below the lowest row of rays, by
     /// more than half the spacing of the rows.
-    bool is_outside_beam_angle(Place place, const glm::vec3& point_m) const {
+    bool is_point_outside_ray_rows(RayPixel ray_cell, const glm::vec3& point_m) const {
         const double half_spacing =
-            0.5 *
-            std::abs(compute_elevation_of(direction(place)) -
-                     compute_elevation_of(direction({place.row == 0 ? 1 : place.row - 1, place.column})));
-        return (place.row == 0 && compute_angle_above_beam(place, point_m) > half_spacing) ||
-               (place.row == rays.rows - 1 && compute_angle_above_beam(place, point_m) < -half_spacing);
+            0.5 * std::abs(compute_elevation_rad(get_ray_direction(ray_cell)) -
+                           compute_elevation_rad(get_ray_direction(
+                               {ray_cell.row == 0 ? 1 : ray_cell.row - 1, ray_cell.column})));
+        return (ray_cell.row == 0 && compute_elevation_above_ray_rad(ray_cell, point_m) > half_spacing) ||
+               (ray_cell.row == rays.rows - 1 &&
+                compute_elevation_above_ray_rad(ray_cell, point_m) < -half_spacing);
     }
 };
 
 }  // namespace
 
-Scan predict_neighbour_points(const Sequence& sequence, int position, const std::vector<int>& train,
-                              BoxMotion boxes) {
-    const Frame& sweep = sequence.frames.at(std::size_t(position));
+Scan predict_scan_from_neighbours(const LidarSequence& sequence, int frame_index,
+                                  const std::vector<int>& train_frames, BoxPointMotion box_motion) {
+    const LidarFrame& sweep = sequence.frames.at(std::size_t(frame_index));
     std::vector<const BoxTrack*> moving;
     for (const BoxTrack& box : sequence.boxes)
-        if (boxes == BoxMotion::follow && box.is_moving()) moving.push_back(&box);
+        if (box_motion == BoxPointMotion::follow && box.is_moving()) moving.push_back(&box);
     Scan points;
-    for (const int neighbour : find_neighbour_frames(sequence, position, train)) {
-        const Frame& frame = sequence.frames.at(std::size_t(neighbour));
+    for (const int neighbour : find_neighbouring_training_frames(sequence, frame_index, train_frames)) {
+        const LidarFrame& frame = sequence.frames.at(std::size_t(neighbour));
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f)) continue;
             WorldReturn w = compute_world_return(sequence, frame, ray);
@@ -158,10 +163,11 @@ Scan predict_neighbour_points(const Sequence& sequence, int position, const std:
                 // relative to the time of the frame.
                 const double then_s = sweep.time_s + (w.time_s - frame.time_s);
                 if (!box->is_present(then_s)) continue;
-                world_m =
-                    box->world_from_box.at(then_s) * (inverse(box->world_from_box.at(w.time_s)) * w.point_m);
+                world_m = box->world_from_box.interpolate_pose(then_s) *
+                          (inverse(box->world_from_box.interpolate_pose(w.time_s)) * w.point_m);
             }
-            append_point(points, place_in_sweep(sequence, world_m, sweep), frame.scan.intensity[ray]);
+            append_point_to_scan(points, transform_world_point_to_sensor(sequence, world_m, sweep),
+                                 frame.scan.intensity[ray]);
         }
     }
     points.rays.rows = 1;
@@ -169,19 +175,19 @@ Scan predict_neighbour_points(const Sequence& sequence, int position, const std:
     return points;
 }
 
-Scan bin_onto_rays(const RayTable& rays, const Scan& points) {
+Scan bin_points_onto_rays(const RayTable& rays, const Scan& points) {
     if (rays.rows < 2 || rays.columns < 2 * kColumnSearch + 1)
         throw DataError(fmt::format(
             "cannot project points into an image: the sensor has {} x {} rays, expected rays that "
             "are ordered in rows and columns",
             rays.rows, rays.columns));
-    const Beams beams{rays};
+    const RayTableNeighbours beams{rays};
     Scan scan{rays, ScanArray<float>(rays.size()), ScanArray<float>(rays.size())};
     for (std::size_t i = 0; i < points.range_m.size(); ++i) {
-        const glm::vec3 point = points.point(i);
-        const Place place = beams.nearest(point);
-        if (beams.is_outside_beam_angle(place, point)) continue;
-        const std::size_t ray = beams.at(place);
+        const glm::vec3 point = points.compute_end_point(i);
+        const RayPixel ray_cell = beams.find_nearest_ray_cell(point);
+        if (beams.is_point_outside_ray_rows(ray_cell, point)) continue;
+        const std::size_t ray = beams.get_ray_index(ray_cell);
         const float range = glm::distance(point, rays.origin[ray]);
         if (!(range > 0.0f) || (scan.range_m[ray] > 0.0f && scan.range_m[ray] <= range)) continue;
         scan.range_m[ray] = range;

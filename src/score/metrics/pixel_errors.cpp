@@ -16,55 +16,56 @@ namespace {
 // this value.
 constexpr double kClampLow = 1e-6;
 
-double clamp_value(float value, double high) { return std::clamp(double(value), kClampLow, high); }
+double clamp_value(float value, double maximum) { return std::clamp(double(value), kClampLow, maximum); }
 
 /// Returns the median of values. For an even number of values, returns the mean of the
 /// two middle values.
-double median(Values values) {
+double compute_values_median(PixelValues values) {
     const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);
     std::nth_element(values.begin(), middle, values.end());
     if (values.size() % 2 == 1) return *middle;
     return 0.5 * (*middle + *std::max_element(values.begin(), middle));
 }
 
-void check_values(const std::vector<float>& values, std::size_t count, const char* image, const char* array) {
-    if (values.size() != count)
+void check_pixel_values(const std::vector<float>& values, std::size_t expected_count, const char* image_name,
+                        const char* array_name) {
+    if (values.size() != expected_count)
         throw DataError(fmt::format(
-            "cannot compare range images: array {1} of the {0} image has {2} values, expected {3}", image,
-            array, values.size(), count));
+            "cannot compare range images: array {1} of the {0} image has {2} values, expected {3}",
+            image_name, array_name, values.size(), expected_count));
     const auto bad = std::find_if(values.begin(), values.end(), [](float v) { return !std::isfinite(v); });
     if (bad != values.end())
         throw DataError(fmt::format(
             "cannot compare range images: array {1} of the {0} image is {2} at pixel {3}, expected a "
             "finite value",
-            image, array, *bad, bad - values.begin()));
+            image_name, array_name, *bad, bad - values.begin()));
 }
 
-void check_vectors(const std::vector<glm::vec3>& values, std::size_t count, const char* image,
-                   const char* array) {
-    if (values.size() != count)
+void check_vector_count(const std::vector<glm::vec3>& values, std::size_t expected_count,
+                        const char* image_name, const char* array_name) {
+    if (values.size() != expected_count)
         throw DataError(fmt::format(
-            "cannot compare range images: array {1} of the {0} image has {2} values, expected {3}", image,
-            array, values.size(), count));
+            "cannot compare range images: array {1} of the {0} image has {2} values, expected {3}",
+            image_name, array_name, values.size(), expected_count));
 }
 
-void check_image(const RangeImage& image, const char* name) {
+void check_image(const RangeImage& image, const char* image_name) {
     if (image.rows <= 0 || image.columns <= 0)
         throw DataError(
             fmt::format("cannot compare range images: the {} image has {} x {} pixels, expected at least one "
                         "pixel",
-                        name, image.rows, image.columns));
+                        image_name, image.rows, image.columns));
     const std::size_t n = std::size_t(image.rows) * std::size_t(image.columns);
-    check_values(image.range_m, n, name, "range_m");
-    check_values(image.intensity, n, name, "intensity");
-    check_values(image.drop_prob, n, name, "drop_prob");
-    check_vectors(image.origin, n, name, "origin");
-    check_vectors(image.direction, n, name, "direction");
+    check_pixel_values(image.range_m, n, image_name, "range_m");
+    check_pixel_values(image.intensity, n, image_name, "intensity");
+    check_pixel_values(image.drop_prob, n, image_name, "drop_prob");
+    check_vector_count(image.origin, n, image_name, "origin");
+    check_vector_count(image.direction, n, image_name, "direction");
 }
 
 }  // namespace
 
-void check_pair(const RangeImage& rendered, const RangeImage& real) {
+void check_images_comparable(const RangeImage& rendered, const RangeImage& real) {
     check_image(rendered, "rendered");
     check_image(real, "real");
     if (rendered.rows == real.rows && rendered.columns == real.columns) return;
@@ -74,52 +75,53 @@ void check_pair(const RangeImage& rendered, const RangeImage& real) {
                     rendered.rows, rendered.columns, real.rows, real.columns));
 }
 
-Mask make_return_mask(const RangeImage& image, double threshold) {
-    Mask mask(image.drop_prob.size());
-    for (std::size_t i = 0; i < mask.size(); ++i) mask[i] = double(image.drop_prob[i]) < threshold;
+PixelMask make_undropped_pixel_mask(const RangeImage& image, double drop_threshold) {
+    PixelMask mask(image.drop_prob.size());
+    for (std::size_t i = 0; i < mask.size(); ++i) mask[i] = double(image.drop_prob[i]) < drop_threshold;
     return mask;
 }
 
-Mask make_positive_range_mask(const RangeImage& image, double threshold) {
-    Mask mask = make_return_mask(image, threshold);
+PixelMask make_positive_range_mask(const RangeImage& image, double drop_threshold) {
+    PixelMask mask = make_undropped_pixel_mask(image, drop_threshold);
     for (std::size_t i = 0; i < mask.size(); ++i) mask[i] = mask[i] && image.range_m[i] > 0.0f;
     return mask;
 }
 
-Values clamp_masked_values(const std::vector<float>& values, const Mask& mask, double high) {
-    Values result(values.size());
-    for (std::size_t i = 0; i < values.size(); ++i) result[i] = clamp_value(mask[i] ? values[i] : 0.0f, high);
-    return result;
-}
-
-Values select_values(const std::vector<float>& values, const Mask& mask, double high) {
-    Values result;
+PixelValues clamp_masked_values(const std::vector<float>& values, const PixelMask& mask, double maximum) {
+    PixelValues result(values.size());
     for (std::size_t i = 0; i < values.size(); ++i)
-        if (mask[i]) result.push_back(clamp_value(values[i], high));
+        result[i] = clamp_value(mask[i] ? values[i] : 0.0f, maximum);
     return result;
 }
 
-double compute_values_mean(const Values& values) {
+PixelValues select_masked_values(const std::vector<float>& values, const PixelMask& mask, double maximum) {
+    PixelValues result;
+    for (std::size_t i = 0; i < values.size(); ++i)
+        if (mask[i]) result.push_back(clamp_value(values[i], maximum));
+    return result;
+}
+
+double compute_values_mean(const PixelValues& values) {
     double sum = 0.0;
     for (double v : values) sum += v;
     return sum / double(values.size());
 }
 
-double compute_mean_square(const Values& values) {
+double compute_mean_square(const PixelValues& values) {
     double sum = 0.0;
     for (double v : values) sum += v * v;
     return sum / double(values.size());
 }
 
-double add_errors(MetricRow& row, const std::string& prefix, const std::string& unit, const Values& first,
-                  const Values& second) {
+double add_error_metrics(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
+                         const PixelValues& first, const PixelValues& second) {
     if (first.empty()) return -1.0;
-    Values error(first.size());
+    PixelValues error(first.size());
     for (std::size_t i = 0; i < first.size(); ++i) error[i] = std::abs(first[i] - second[i]);
     const double squared = compute_mean_square(error);
-    row[prefix + "rmse" + unit] = std::sqrt(squared);
-    row[prefix + "mae" + unit] = compute_values_mean(error);
-    row[prefix + "medae" + unit] = median(std::move(error));
+    row[name_prefix + "rmse" + unit_suffix] = std::sqrt(squared);
+    row[name_prefix + "mae" + unit_suffix] = compute_values_mean(error);
+    row[name_prefix + "medae" + unit_suffix] = compute_values_median(std::move(error));
     return squared;
 }
 

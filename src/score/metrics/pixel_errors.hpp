@@ -11,8 +11,8 @@
 
 namespace relidar::metrics_detail {
 
-using Mask = std::vector<bool>;
-using Values = std::vector<double>;
+using PixelMask = std::vector<bool>;
+using PixelValues = std::vector<double>;
 
 // A pixel of a real image is dropped above this drop probability. Any threshold works,
 // because real drop probabilities are 0 or 1.
@@ -22,27 +22,27 @@ inline constexpr double kMaxIntensity = 1.0;
 /// Checks that a rendered and a real image can be compared.
 /// @throws DataError if the images are empty, differ in shape, or contain a value that is
 /// not finite
-void check_pair(const RangeImage& rendered, const RangeImage& real);
+void check_images_comparable(const RangeImage& rendered, const RangeImage& real);
 
 /// Returns a mask of the pixels whose drop probability is below the threshold.
-Mask make_return_mask(const RangeImage& image, double threshold);
+PixelMask make_undropped_pixel_mask(const RangeImage& image, double drop_threshold);
 /// Returns a mask of the pixels that have a return: the drop probability is below the
 /// threshold and the range is above 0. The range 0 means that the ray hit no surface.
-Mask make_positive_range_mask(const RangeImage& image, double threshold);
+PixelMask make_positive_range_mask(const RangeImage& image, double drop_threshold);
 
 /// Returns all pixels, clamped to [1e-6, high]. Pixels outside the mask get the lowest
 /// value.
-Values clamp_masked_values(const std::vector<float>& values, const Mask& mask, double high);
+PixelValues clamp_masked_values(const std::vector<float>& values, const PixelMask& mask, double maximum);
 /// Returns only the values of pixels in the mask, clamped to [1e-6, high].
-Values select_values(const std::vector<float>& values, const Mask& mask, double high);
+PixelValues select_masked_values(const std::vector<float>& values, const PixelMask& mask, double maximum);
 
-double compute_values_mean(const Values& values);
-double compute_mean_square(const Values& values);
+double compute_values_mean(const PixelValues& values);
+double compute_mean_square(const PixelValues& values);
 
 /// Adds the metrics <prefix>rmse<unit>, <prefix>mae<unit> and <prefix>medae<unit> to the
 /// row. Adds nothing if there are no pixels.
 /// @return mean squared error, or -1 if there are no pixels
-double add_errors(MetricRow& row, const std::string& prefix, const std::string& unit, const Values& first,
-                  const Values& second);
+double add_error_metrics(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
+                         const PixelValues& first, const PixelValues& second);
 
 }  // namespace relidar::metrics_detail

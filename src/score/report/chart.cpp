@@ -26,43 +26,44 @@ constexpr std::size_t kManyPoints = 250;
 constexpr std::size_t kBuckets = 500;
 
 /// Value range of an axis and its position on the page.
-struct Axis {
+struct ChartAxis {
     double low = 0.0, high = 1.0;
     double at_low = 0.0, at_high = 1.0;
     bool logarithmic = false;
 
-    double scale(double value) const { return logarithmic ? std::log10(value) : value; }
-    double place(double value) const {
-        return at_low + (scale(value) - scale(low)) / (scale(high) - scale(low)) * (at_high - at_low);
+    double apply_log_scale_if_set(double value) const { return logarithmic ? std::log10(value) : value; }
+    double compute_page_position(double value) const {
+        return at_low + (apply_log_scale_if_set(value) - apply_log_scale_if_set(low)) /
+                            (apply_log_scale_if_set(high) - apply_log_scale_if_set(low)) * (at_high - at_low);
     }
 };
 
-struct Extent {
+struct ValueInterval {
     double low = std::numeric_limits<double>::infinity();
     double high = -std::numeric_limits<double>::infinity();
 
-    void add(double value) {
+    void extend_range_to_value(double value) {
         low = std::min(low, value);
         high = std::max(high, value);
     }
     bool empty() const { return low > high; }
 };
 
-/// Returns true if point `index` of a curve can be drawn: it is finite and does not
+/// Returns true if point `point_index` of a curve can be drawn: it is finite and does not
 /// overflow the axis.
-bool is_drawable(const ReportCurve& curve, std::size_t index) {
-    return std::abs(curve.x[index]) < 1e100 && std::abs(curve.y[index]) < 1e100;
+bool is_curve_point_drawable(const ReportCurve& curve, std::size_t point_index) {
+    return std::abs(curve.x[point_index]) < 1e100 && std::abs(curve.y[point_index]) < 1e100;
 }
 
-double choose_nice_step(double span, int n_ticks) {
+double choose_round_tick_step(double span, int n_ticks) {
     const double raw = span / n_ticks, decade = std::pow(10.0, std::floor(std::log10(raw)));
     for (double factor : {1.0, 2.0, 5.0})
         if (raw <= factor * decade) return factor * decade;
     return 10.0 * decade;
 }
 
-std::vector<double> make_linear_ticks(const Axis& axis, int n_ticks) {
-    const double step = choose_nice_step(axis.high - axis.low, n_ticks);
+std::vector<double> make_linear_ticks(const ChartAxis& axis, int n_ticks) {
+    const double step = choose_round_tick_step(axis.high - axis.low, n_ticks);
     std::vector<double> ticks;
     for (double k = std::ceil(axis.low / step - 1e-9);
          k * step <= axis.high + 1e-9 * step && ticks.size() < 50; ++k)
@@ -73,7 +74,7 @@ std::vector<double> make_linear_ticks(const Axis& axis, int n_ticks) {
 /// Returns the ticks of a logarithmic axis, usually the powers of ten. If there are too
 /// many powers, returns only some. If there are few, adds ticks at 2 and 5 times each
 /// power.
-std::vector<double> make_log_ticks(const Axis& axis) {
+std::vector<double> make_log_ticks(const ChartAxis& axis) {
     const int first = int(std::floor(std::log10(axis.low))), last = int(std::ceil(std::log10(axis.high)));
     const int every = std::max(1, (last - first) / 6);
     std::vector<double> ticks;
@@ -93,9 +94,9 @@ std::string format_tick_label(double value) {
     return fmt::format("{:.6g}", value);
 }
 
-Axis make_y_axis(const Extent& extent, double at_low, double at_high) {
-    Axis axis{extent.low, extent.high, at_low, at_high, false};
-    if (extent.empty()) axis.low = 0.0, axis.high = 1.0;
+ChartAxis make_y_axis(const ValueInterval& value_extent, double page_low, double page_high) {
+    ChartAxis axis{value_extent.low, value_extent.high, page_low, page_high, false};
+    if (value_extent.empty()) axis.low = 0.0, axis.high = 1.0;
     axis.logarithmic = axis.low > 0.0 && axis.high > 4.0 * axis.low;
     if (axis.logarithmic) {
         const double margin = std::pow(axis.high / axis.low, 0.05);
@@ -108,9 +109,9 @@ Axis make_y_axis(const Extent& extent, double at_low, double at_high) {
     return axis;
 }
 
-Axis make_x_axis(const Extent& extent, double at_low, double at_high) {
-    Axis axis{extent.low, extent.high, at_low, at_high, false};
-    if (extent.empty()) axis.low = 0.0, axis.high = 1.0;
+ChartAxis make_x_axis(const ValueInterval& value_extent, double page_low, double page_high) {
+    ChartAxis axis{value_extent.low, value_extent.high, page_low, page_high, false};
+    if (value_extent.empty()) axis.low = 0.0, axis.high = 1.0;
     if (!(axis.high > axis.low)) axis.low -= 0.5, axis.high += 0.5;
     return axis;
 }
@@ -118,36 +119,36 @@ Axis make_x_axis(const Extent& extent, double at_low, double at_high) {
 /// Returns the indices of the points to draw: the minimum and the maximum of each
 /// interval of the x axis, so that spikes remain visible. Values that are not finite
 /// become gaps.
-std::vector<std::size_t> thin_curve(const ReportCurve& curve) {
+std::vector<std::size_t> select_drawn_point_indices(const ReportCurve& curve) {
     const std::size_t n = curve.y.size(), width = std::max<std::size_t>(1, n / kBuckets);
-    std::vector<std::size_t> kept;
+    std::vector<std::size_t> point_indices;
     for (std::size_t first = 0; first < n; first += width) {
         std::size_t low = first, high = first;
         for (std::size_t i = first; i < std::min(n, first + width); ++i) {
             // Keeps a value that is not finite, because it is drawn as a gap.
-            if (!is_drawable(curve, i)) low = high = i;
-            else if (is_drawable(curve, low) && curve.y[i] < curve.y[low]) low = i;
-            else if (is_drawable(curve, high) && curve.y[i] > curve.y[high]) high = i;
+            if (!is_curve_point_drawable(curve, i)) low = high = i;
+            else if (is_curve_point_drawable(curve, low) && curve.y[i] < curve.y[low]) low = i;
+            else if (is_curve_point_drawable(curve, high) && curve.y[i] > curve.y[high]) high = i;
         }
-        kept.push_back(std::min(low, high));
-        if (low != high) kept.push_back(std::max(low, high));
+        point_indices.push_back(std::min(low, high));
+        if (low != high) point_indices.push_back(std::max(low, high));
     }
-    return kept;
+    return point_indices;
 }
 
 /// Returns the running mean of a curve at a few hundred points. Each value is the mean of
 /// the finite values in a centred window. The width of the window is 1/40 of the curve.
 ReportCurve compute_running_mean(const ReportCurve& curve) {
-    const std::size_t n = curve.y.size(), half = n / 80, n_places = std::min(n, kBuckets);
+    const std::size_t n = curve.y.size(), half = n / 80, n_samples = std::min(n, kBuckets);
     ReportCurve result{curve.name, {}, {}};
-    for (std::size_t place = 0; place < n_places; ++place) {
-        const std::size_t middle = place * (n - 1) / (n_places - 1);
+    for (std::size_t sample = 0; sample < n_samples; ++sample) {
+        const std::size_t middle = sample * (n - 1) / (n_samples - 1);
         // Near the ends of the curve, the window becomes shorter but stays symmetric.
         // Otherwise the mean would be biased there.
         const std::size_t reach = std::min({half, middle, n - 1 - middle});
         double sum = 0.0, count = 0.0;
         for (std::size_t i = middle - reach; i <= middle + reach; ++i)
-            if (is_drawable(curve, i)) sum += curve.y[i], ++count;
+            if (is_curve_point_drawable(curve, i)) sum += curve.y[i], ++count;
         result.x.push_back(curve.x[middle]);
         // If the window has no finite value, this is NaN, which is drawn as a gap.
         result.y.push_back(sum / count);
@@ -155,71 +156,76 @@ ReportCurve compute_running_mean(const ReportCurve& curve) {
     return result;
 }
 
-std::string draw_path(const ReportCurve& curve, const Axis& x, const Axis& y, const std::string& style) {
+std::string draw_curve_as_svg_path(const ReportCurve& curve, const ChartAxis& x_axis, const ChartAxis& y_axis,
+                                   const std::string& css_class) {
     std::string path, dots;
     bool connected = false;
-    const std::vector<std::size_t> kept = thin_curve(curve);
-    for (std::size_t i : kept) {
-        if (!is_drawable(curve, i)) {
+    const std::vector<std::size_t> point_indices = select_drawn_point_indices(curve);
+    for (std::size_t i : point_indices) {
+        if (!is_curve_point_drawable(curve, i)) {
             connected = false;
             continue;
         }
-        const double px = x.place(curve.x[i]), py = y.place(curve.y[i]);
+        const double px = x_axis.compute_page_position(curve.x[i]),
+                     py = y_axis.compute_page_position(curve.y[i]);
         path += fmt::format("{}{:.1f} {:.1f}", connected ? "L" : "M", px, py);
-        if (kept.size() <= 30)
-            dots +=
-                fmt::format("<circle class=\"{}\" cx=\"{:.1f}\" cy=\"{:.1f}\" r=\"2.6\"/>", style, px, py);
+        if (point_indices.size() <= 30)
+            dots += fmt::format("<circle class=\"{}\" cx=\"{:.1f}\" cy=\"{:.1f}\" r=\"2.6\"/>", css_class, px,
+                                py);
         connected = true;
     }
-    return fmt::format("<path class=\"line {}\" d=\"{}\"/>{}", style, path, dots);
+    return fmt::format("<path class=\"line {}\" d=\"{}\"/>{}", css_class, path, dots);
 }
 
-std::string draw_axes(const Axis& x, const Axis& y) {
+std::string draw_axes_as_svg(const ChartAxis& x_axis, const ChartAxis& y_axis) {
     std::string svg;
-    for (double tick : y.logarithmic ? make_log_ticks(y) : make_linear_ticks(y, 5))
+    for (double tick : y_axis.logarithmic ? make_log_ticks(y_axis) : make_linear_ticks(y_axis, 5))
         svg += fmt::format(
             "<line class=\"grid\" x1=\"{0:.1f}\" x2=\"{1:.1f}\" y1=\"{2:.1f}\" y2=\"{2:.1f}\"/>"
             "<text class=\"axis\" x=\"{3:.1f}\" y=\"{4:.1f}\" text-anchor=\"end\">{5}</text>\n",
-            x.at_low, x.at_high, y.place(tick), x.at_low - 8, y.place(tick) + 4, format_tick_label(tick));
-    for (double tick : make_linear_ticks(x, x.at_high - x.at_low > 600 ? 10 : 5))
+            x_axis.at_low, x_axis.at_high, y_axis.compute_page_position(tick), x_axis.at_low - 8,
+            y_axis.compute_page_position(tick) + 4, format_tick_label(tick));
+    for (double tick : make_linear_ticks(x_axis, x_axis.at_high - x_axis.at_low > 600 ? 10 : 5))
         svg += fmt::format(
             "<line class=\"tick\" x1=\"{0:.1f}\" x2=\"{0:.1f}\" y1=\"{1:.1f}\" y2=\"{2:.1f}\"/>"
             "<text class=\"axis\" x=\"{0:.1f}\" y=\"{3:.1f}\" text-anchor=\"middle\">{4}</text>\n",
-            x.place(tick), y.at_low, y.at_low + 4, y.at_low + 18, format_tick_label(tick));
+            x_axis.compute_page_position(tick), y_axis.at_low, y_axis.at_low + 4, y_axis.at_low + 18,
+            format_tick_label(tick));
     return svg +
            fmt::format("<line class=\"tick\" x1=\"{0:.1f}\" x2=\"{1:.1f}\" y1=\"{2:.1f}\" y2=\"{2:.1f}\"/>\n",
-                       x.at_low, x.at_high, y.at_low);
+                       x_axis.at_low, x_axis.at_high, y_axis.at_low);
 }
 
 }  // namespace
 
-bool has_running_mean(const std::vector<const ReportCurve*>& curves) {
+bool should_draw_running_mean(const std::vector<const ReportCurve*>& curves) {
     return std::any_of(curves.begin(), curves.end(),
                        [](const ReportCurve* curve) { return curve->y.size() > kManyPoints; });
 }
 
 std::string draw_svg_chart(const std::vector<const ReportCurve*>& curves, int width, int height) {
-    Extent x_extent, y_extent;
+    ValueInterval x_extent, y_extent;
     for (const ReportCurve* curve : curves) {
         if (curve->x.size() != curve->y.size())
             throw DataError(fmt::format(
                 "cannot draw the curve '{}': it has {} x values and {} y values, expected the same number",
                 curve->name, curve->x.size(), curve->y.size()));
         for (std::size_t i = 0; i < curve->x.size(); ++i)
-            if (is_drawable(*curve, i)) x_extent.add(curve->x[i]), y_extent.add(curve->y[i]);
+            if (is_curve_point_drawable(*curve, i))
+                x_extent.extend_range_to_value(curve->x[i]), y_extent.extend_range_to_value(curve->y[i]);
     }
-    const Axis x = make_x_axis(x_extent, kLeft, width - kRight),
-               y = make_y_axis(y_extent, height - kBottom, kTop);
+    const ChartAxis x = make_x_axis(x_extent, kLeft, width - kRight),
+                    y = make_y_axis(y_extent, height - kBottom, kTop);
     std::string names;
     for (const ReportCurve* curve : curves) names += (names.empty() ? "" : ", ") + curve->name;
     std::string svg = fmt::format("<svg viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"Curves of {}\">\n{}",
-                                  width, height, escape_html(names), draw_axes(x, y));
+                                  width, height, escape_html(names), draw_axes_as_svg(x, y));
     for (std::size_t i = 0; i < curves.size(); ++i) {
         const std::string colour = fmt::format("c{}", i % kChartColours);
         const bool many = curves[i]->y.size() > kManyPoints;
         svg += fmt::format("<g><title>{}</title>", escape_html(curves[i]->name));
-        svg += draw_path(*curves[i], x, y, many ? colour + " faint" : colour);
-        if (many) svg += draw_path(compute_running_mean(*curves[i]), x, y, colour);
+        svg += draw_curve_as_svg_path(*curves[i], x, y, many ? colour + " faint" : colour);
+        if (many) svg += draw_curve_as_svg_path(compute_running_mean(*curves[i]), x, y, colour);
         svg += "</g>\n";
     }
     return svg + "</svg>\n";

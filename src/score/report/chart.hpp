@@ -22,6 +22,6 @@ std::string draw_svg_chart(const std::vector<const ReportCurve*>& curves, int wi
 
 /// Returns true if draw_svg_chart() draws a running mean for at least one of these
 /// curves.
-bool has_running_mean(const std::vector<const ReportCurve*>& curves);
+bool should_draw_running_mean(const std::vector<const ReportCurve*>& curves);
 
 }  // namespace relidar::report_detail

@@ -31,39 +31,39 @@ using report_detail::format_number;
 // pixels, is stretched vertically so that its rows remain visible.
 constexpr double kMaxAspect = 10.0;
 
-std::string make_section(const std::string& title, const std::string& body) {
+std::string make_html_section(const std::string& title, const std::string& body) {
     return body.empty() ? ""
                         : fmt::format("<section>\n<h2>{}</h2>\n{}</section>\n", escape_html(title), body);
 }
 
 /// Returns a section of the HTML page that is collapsed until the user opens it.
-std::string make_folded_section(const std::string& title, const std::string& body) {
+std::string make_collapsed_html_section(const std::string& title, const std::string& body) {
     return body.empty()
                ? ""
                : fmt::format("<details>\n<summary>{}</summary>\n{}</details>\n", escape_html(title), body);
 }
 
 /// Returns an HTML table that scrolls horizontally on a narrow screen.
-std::string make_table_html(const std::string& head, const std::string& rows) {
+std::string make_table_html(const std::string& header_cells, const std::string& rows) {
     return fmt::format(
         "<div class=\"scroll\"><table>\n<thead><tr>{}</tr></thead>\n<tbody>\n{}</tbody></table></div>\n",
-        head, rows);
+        header_cells, rows);
 }
 
-std::string make_text_table(const ReportTable& texts) {
-    if (texts.rows.size() < 2) return "";
+std::string make_report_table_html(const ReportTable& table) {
+    if (table.rows.size() < 2) return "";
     std::string head, rows;
-    for (const std::string& cell : texts.rows.front()) head += "<th>" + escape_html(cell) + "</th>";
-    for (std::size_t r = 1; r < texts.rows.size(); ++r) {
+    for (const std::string& cell : table.rows.front()) head += "<th>" + escape_html(cell) + "</th>";
+    for (std::size_t r = 1; r < table.rows.size(); ++r) {
         std::string cells;
-        for (const std::string& cell : texts.rows[r])
+        for (const std::string& cell : table.rows[r])
             cells += fmt::format("<td{}>{}</td>", cells.empty() ? " class=\"name\"" : "", escape_html(cell));
         rows += "<tr>" + cells + "</tr>\n";
     }
-    return make_table_html(head, rows) + "<p class=\"note\">" + escape_html(texts.note) + "</p>\n";
+    return make_table_html(head, rows) + "<p class=\"note\">" + escape_html(table.note) + "</p>\n";
 }
 
-std::string make_fact_table(const Report& report) {
+std::string make_facts_html(const Report& report) {
     if (report.facts.empty()) return "";
     std::string body;
     for (const auto& [name, value] : report.facts)
@@ -74,15 +74,15 @@ std::string make_fact_table(const Report& report) {
 /// Splits a metric's name into its group and the remainder, for example
 /// "peer/depth_rmse_m" into "peer" and "depth_rmse_m". A name without '/' has an empty
 /// group.
-std::pair<std::string, std::string> split_group(const std::string& name) {
-    const std::size_t slash = name.find('/');
-    if (slash == std::string::npos) return {"", name};
-    return {name.substr(0, slash), name.substr(slash + 1)};
+std::pair<std::string, std::string> split_metric_group(const std::string& metric_name) {
+    const std::size_t slash = metric_name.find('/');
+    if (slash == std::string::npos) return {"", metric_name};
+    return {metric_name.substr(0, slash), metric_name.substr(slash + 1)};
 }
 
 /// Returns +1 if larger values of a metric are better. Returns -1 if smaller values are
 /// better, and 0 if this is unknown.
-int get_better_direction(const std::string& metric) {
+int get_improvement_sign(const std::string& metric) {
     const auto has = [&](std::string_view part) { return metric.find(part) != std::string::npos; };
     for (const char* part : {"rmse", "mae", "medae", "cd_", "lpips"})
         if (has(part)) return -1;
@@ -91,38 +91,38 @@ int get_better_direction(const std::string& metric) {
     return 0;
 }
 
-std::optional<double> find_metric_value(const MetricRow& row, const std::string& name) {
-    const auto it = row.find(name);
+std::optional<double> find_metric_value(const MetricValues& row, const std::string& metric_name) {
+    const auto it = row.find(metric_name);
     return it == row.end() ? std::nullopt : std::optional(it->second);
 }
 
 /// Returns the best value of a metric among all columns of the report. Returns nothing if
 /// it is unknown whether larger values are better, or if fewer than two columns have the
 /// metric.
-std::optional<double> find_best_value(const Report& report, const std::string& name) {
-    const int direction = get_better_direction(name);
+std::optional<double> find_best_metric_value(const Report& report, const std::string& metric_name) {
+    const int direction = get_improvement_sign(metric_name);
     std::optional<double> best;
     int count = 0;
     for (const auto& [column, row] : report.metrics)
-        if (const auto value = find_metric_value(row, name); value && !std::isnan(*value)) {
+        if (const auto value = find_metric_value(row, metric_name); value && !std::isnan(*value)) {
             ++count;
             if (!best || direction * (*value - *best) > 0.0) best = value;
         }
     return report.same_scans && direction != 0 && count > 1 ? best : std::nullopt;
 }
 
-std::string make_metric_cells(const Report& report, const std::string& name) {
-    const std::optional<double> best = find_best_value(report, name);
+std::string make_metric_cells_html(const Report& report, const std::string& metric_name) {
+    const std::optional<double> best = find_best_metric_value(report, metric_name);
     std::string cells;
     for (const auto& [column, row] : report.metrics) {
-        const auto value = find_metric_value(row, name);
+        const auto value = find_metric_value(row, metric_name);
         const char* style = value && best == value ? " class=\"best\"" : "";
         cells += fmt::format("<td{}>{}</td>", style, format_number(value.value_or(NAN)));
     }
     return cells;
 }
 
-std::string make_metrics(const Report& report) {
+std::string make_metrics_table_html(const Report& report) {
     // Sorts the names, so that the metrics of a group are next to each other.
     std::set<std::string> names;
     for (const auto& [column, row] : report.metrics)
@@ -133,13 +133,13 @@ std::string make_metrics(const Report& report) {
         head += fmt::format("<th style=\"width:{:.1f}%\">{}</th>", 72.0 / double(report.metrics.size()),
                             escape_html(column));
     for (const std::string& name : names) {
-        const auto [name_group, metric] = split_group(name);
+        const auto [name_group, metric] = split_metric_group(name);
         if (name_group != group)
             rows += fmt::format("<tr class=\"group\"><td colspan=\"{}\">{}</td></tr>\n",
                                 report.metrics.size() + 1, escape_html(name_group));
         group = name_group;
         rows += fmt::format("<tr><td class=\"name\">{}</td>{}</tr>\n", escape_html(metric),
-                            make_metric_cells(report, name));
+                            make_metric_cells_html(report, name));
     }
     const char* marks = report.same_scans ? "Green marks the best value of a row."
                                           : "The columns show different scans, so they cannot be compared.";
@@ -152,43 +152,44 @@ std::string make_metrics(const Report& report) {
 }
 
 /// Returns a table with the key metrics and their explanations.
-std::string make_key_metrics(const Report& report) {
+std::string make_key_metrics_table_html(const Report& report) {
     std::string head = "<th>What</th>", rows;
     for (const auto& [column, row] : report.metrics) head += fmt::format("<th>{}</th>", escape_html(column));
     for (const ReportKeyMetric& key : report.key_metrics) {
         const auto has_it = [&](const auto& column) { return column.second.contains(key.metric); };
         if (std::none_of(report.metrics.begin(), report.metrics.end(), has_it)) continue;
         rows += fmt::format("<tr><td class=\"key\">{}<small>{}</small></td>{}</tr>\n", escape_html(key.name),
-                            escape_html(key.hint), make_metric_cells(report, key.metric));
+                            escape_html(key.hint), make_metric_cells_html(report, key.metric));
     }
     return rows.empty() ? "" : make_table_html(head, rows);
 }
 
-std::string make_chart(const std::string& title, const std::vector<const ReportCurve*>& curves, int width) {
+std::string make_chart_html(const std::string& title, const std::vector<const ReportCurve*>& curves,
+                            int width) {
     std::string legend;
     for (std::size_t i = 0; i < curves.size(); ++i)
         legend += fmt::format("<li><i class=\"c{}\"></i>{}</li>", i % report_detail::kChartColours,
-                              escape_html(split_group(curves[i]->name).second));
+                              escape_html(split_metric_group(curves[i]->name).second));
     return fmt::format("<div>{}\n{}<ul class=\"legend\">{}</ul></div>\n",
                        title.empty() ? "" : "<h3>" + escape_html(title) + "</h3>",
                        report_detail::draw_svg_chart(curves, width, 300), legend);
 }
 
-std::string make_curves(const Report& report) {
+std::string make_curves_html(const Report& report) {
     // Titles of the charts with the curves of each chart, in the order of the report.
     std::vector<std::pair<std::string, std::vector<const ReportCurve*>>> charts;
     bool means = false;
     for (const ReportCurve& curve : report.curves) {
-        const std::string group = split_group(curve.name).first;
+        const std::string group = split_metric_group(curve.name).first;
         auto it = std::find_if(charts.begin(), charts.end(),
                                [&](const auto& known) { return known.first == group; });
         if (it == charts.end()) it = charts.insert(charts.end(), {group, {}});
         it->second.push_back(&curve);
-        means = means || report_detail::has_running_mean({&curve});
+        means = means || report_detail::should_draw_running_mean({&curve});
     }
     std::string body;
     for (const auto& [title, members] : charts)
-        body += make_chart(title, members, charts.size() > 1 ? 550 : 1130);
+        body += make_chart_html(title, members, charts.size() > 1 ? 550 : 1130);
     if (body.empty()) return "";
     return "<div class=\"charts\">\n" + body + "</div>\n" +
            (means ? "<p class=\"note\">Faint line: all values. Solid line: running mean over one fortieth of "
@@ -197,25 +198,26 @@ std::string make_curves(const Report& report) {
 }
 
 /// Returns a table row with the time of a kernel, its percentage of `total_ms`, and a
-/// bar. The length of the bar is relative to `longest`; if `longest` is 0, no bar is
-/// drawn.
-std::string make_timing_row(const std::string& name, double ms, double total_ms, double longest) {
-    const bool known = std::isfinite(ms) && ms >= 0.0;
+/// bar. The length of the bar is relative to `longest_ms`; if `longest_ms` is 0, no bar
+/// is drawn.
+std::string make_timing_row_html(const std::string& kernel_name, double ms, double total_ms,
+                                 double longest_ms) {
+    const bool is_valid_time = std::isfinite(ms) && ms >= 0.0;
     const std::string share =
-        known && total_ms > 0.0 ? fmt::format("{:.1f} %", 100.0 * ms / total_ms) : "\u2013";
-    const std::string bar = known && longest > 0.0
-                                ? fmt::format("<div style=\"width:{:.2f}%\"></div>", 100.0 * ms / longest)
+        is_valid_time && total_ms > 0.0 ? fmt::format("{:.1f} %", 100.0 * ms / total_ms) : "\u2013";
+    const std::string bar = is_valid_time && longest_ms > 0.0
+                                ? fmt::format("<div style=\"width:{:.2f}%\"></div>", 100.0 * ms / longest_ms)
                                 : "";
     return fmt::format("<td class=\"name\">{}</td><td>{:.3f}</td><td>{}</td><td class=\"bar\">{}</td></tr>\n",
-                       escape_html(name), ms, share, bar);
+                       escape_html(kernel_name), ms, share, bar);
 }
 
 /// Returns a table of kernel times, the longest first, with the total in the last row.
 /// The total is the entry "total" or, if it is missing, the sum of all entries.
-std::string make_timing_table(const MetricRow& timings) {
+std::string make_timing_table_html(const MetricValues& kernel_times_ms) {
     std::vector<std::pair<std::string, double>> rows;
     double longest = 0.0, sum = 0.0;
-    for (const auto& [name, ms] : timings) {
+    for (const auto& [name, ms] : kernel_times_ms) {
         if (name == "total") continue;
         rows.emplace_back(name, ms);
         if (std::isfinite(ms)) longest = std::max(longest, ms), sum += ms;
@@ -224,25 +226,25 @@ std::string make_timing_table(const MetricRow& timings) {
         return (std::isfinite(first.second) ? first.second : -1.0) >
                (std::isfinite(second.second) ? second.second : -1.0);
     });
-    const auto total = find_metric_value(timings, "total");
+    const auto total = find_metric_value(kernel_times_ms, "total");
     const double total_ms = total.value_or(sum);
     std::string body;
-    for (const auto& [name, ms] : rows) body += "<tr>" + make_timing_row(name, ms, total_ms, longest);
-    body += "<tr class=\"total\">" + make_timing_row(total ? "total" : "sum", total_ms, total_ms, 0.0);
+    for (const auto& [name, ms] : rows) body += "<tr>" + make_timing_row_html(name, ms, total_ms, longest);
+    body += "<tr class=\"total\">" + make_timing_row_html(total ? "total" : "sum", total_ms, total_ms, 0.0);
     return make_table_html(
         "<th style=\"width:26%\">Kernel</th><th style=\"width:12%\">ms</th><th style=\"width:12%\">share</th>"
         "<th>of the longest</th>",
         body);
 }
 
-std::string make_timings(const Report& report) {
+std::string make_all_timings_html(const Report& report) {
     std::string body;
     for (const auto& [title, row] : report.timings_ms)
-        body += fmt::format("<h3>{}</h3>\n{}", escape_html(title), make_timing_table(row));
+        body += fmt::format("<h3>{}</h3>\n{}", escape_html(title), make_timing_table_html(row));
     return body;
 }
 
-std::string make_figure(const ReportFigure& figure) {
+std::string make_figure_html(const ReportFigure& figure) {
     std::vector<std::string> urls(figure.images.size());
     parallel_for(static_cast<int>(urls.size()), [&](int index) {
         urls[std::size_t(index)] = report_detail::make_png_data_url(figure.images[std::size_t(index)].second);
@@ -258,7 +260,7 @@ std::string make_figure(const ReportFigure& figure) {
     return body;
 }
 
-std::string make_page(const Report& report) {
+std::string make_report_page_html(const Report& report) {
     std::string html = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n";
     html += "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n";
     html += fmt::format("<title>{}</title>\n<style>{}</style>\n</head>\n", escape_html(report.title),
@@ -266,30 +268,31 @@ std::string make_page(const Report& report) {
     html += fmt::format("<body>\n<main>\n<h1>{}</h1>\n", escape_html(report.title));
     html += fmt::format("<p class=\"summary\">{}</p>\n", escape_html(report.summary));
     for (const ReportView& view : report.views)
-        html += make_section(view.title, report_detail::make_view_html(view, report.views.size()));
+        html += make_html_section(view.title, report_detail::make_3d_view_html(view, report.views.size()));
     std::vector<std::string> figures(report.figures.size());
     parallel_for(static_cast<int>(figures.size()), [&](int index) {
-        figures[std::size_t(index)] = make_figure(report.figures[std::size_t(index)]);
+        figures[std::size_t(index)] = make_figure_html(report.figures[std::size_t(index)]);
     });
     for (std::size_t i = 0; i < figures.size(); ++i)
-        html += make_section(report.figures[i].title, figures[i]);
-    html += make_section("Curves", make_curves(report));
+        html += make_html_section(report.figures[i].title, figures[i]);
+    html += make_html_section("Curves", make_curves_html(report));
     for (const ReportBars& bars : report.bars)
-        html += make_section(bars.title, report_detail::make_bars_html(bars));
-    for (const ReportTable& texts : report.tables) html += make_section(texts.title, make_text_table(texts));
-    html += make_section("Scores", make_key_metrics(report));
-    html += make_folded_section("All metrics", make_metrics(report)) +
-            make_folded_section("The run", make_fact_table(report)) +
-            make_folded_section("Time by kernel", make_timings(report));
+        html += make_html_section(bars.title, report_detail::make_stacked_bars_html(bars));
+    for (const ReportTable& texts : report.tables)
+        html += make_html_section(texts.title, make_report_table_html(texts));
+    html += make_html_section("Scores", make_key_metrics_table_html(report));
+    html += make_collapsed_html_section("All metrics", make_metrics_table_html(report)) +
+            make_collapsed_html_section("The run", make_facts_html(report)) +
+            make_collapsed_html_section("Time by kernel", make_all_timings_html(report));
     html += "<footer>Written by relidar</footer>\n</main>\n";
-    if (!report.views.empty()) html += report_detail::make_view_script();
+    if (!report.views.empty()) html += report_detail::make_3d_view_script();
     return html + "</body>\n</html>\n";
 }
 
 }  // namespace
 
 void write_report(const std::filesystem::path& path, const Report& report) {
-    write_text(path, make_page(report));
+    write_text_file(path, make_report_page_html(report));
 }
 
 }  // namespace relidar

@@ -10,7 +10,7 @@
 
 namespace relidar::report_detail {
 
-std::string make_bars_html(const ReportBars& bars) {
+std::string make_stacked_bars_html(const ReportBars& bars) {
     std::string head = "<th>Where</th><th class=\"stack\">Shares</th>", rows;
     for (std::size_t b = 0; b < bars.bands.size(); ++b)
         head += fmt::format("<th><i class=\"b{}\"></i>{}</th>", b, escape_html(bars.bands[b]));

@@ -30,12 +30,12 @@ constexpr std::size_t kMaxPoints = 500'000;
 constexpr float kFarthest_m = 300.0f;
 constexpr float kErrorStep_m = 0.004f;
 
-std::uint8_t pack_error(float error_m) {
+std::uint8_t pack_range_error(float error_m) {
     if (!std::isfinite(error_m)) return 255;
     return static_cast<std::uint8_t>(std::lround(std::min(std::abs(error_m) / kErrorStep_m, 254.0f)));
 }
 
-std::vector<std::uint8_t> pack_report_cloud(const ReportCloud& cloud, std::size_t max_points) {
+std::vector<std::uint8_t> pack_point_cloud(const ReportCloud& cloud, std::size_t max_points) {
     const std::size_t n = cloud.position_m.size(),
                       step = std::max<std::size_t>(1, (n + max_points - 1) / max_points);
     std::vector<std::uint8_t> bytes;
@@ -49,19 +49,19 @@ std::vector<std::uint8_t> pack_report_cloud(const ReportCloud& cloud, std::size_
         }
         bytes.push_back(
             static_cast<std::uint8_t>(std::lround(255.0f * std::clamp(cloud.intensity[i], 0.0f, 1.0f))));
-        bytes.push_back(pack_error(cloud.error_m[i]));
+        bytes.push_back(pack_range_error(cloud.error_m[i]));
     }
     return bytes;
 }
 
 /// Converts a JavaScript module so that it can be joined with others into a single
 /// script. Removes imports and the keyword `export`.
-std::string inline_module(std::string_view module) {
+std::string remove_imports_and_exports(std::string_view module_source) {
     std::string script;
-    while (!module.empty()) {
-        const std::size_t end = std::min(module.find('\n'), module.size() - 1);
-        std::string_view line = module.substr(0, end + 1);
-        module.remove_prefix(end + 1);
+    while (!module_source.empty()) {
+        const std::size_t end = std::min(module_source.find('\n'), module_source.size() - 1);
+        std::string_view line = module_source.substr(0, end + 1);
+        module_source.remove_prefix(end + 1);
         if (line.starts_with("import ")) continue;
         constexpr std::string_view kExport = "export ";
         if (line.starts_with(kExport)) line.remove_prefix(kExport.size());
@@ -72,7 +72,7 @@ std::string inline_module(std::string_view module) {
 
 }  // namespace
 
-std::string make_view_html(const ReportView& view, std::size_t n_views) {
+std::string make_3d_view_html(const ReportView& view, std::size_t n_views) {
     const std::size_t max_points = kMaxPoints / std::max<std::size_t>(1, view.clouds.size() * n_views) + 1;
     std::string figures;
     for (const ReportCloud& cloud : view.clouds) {
@@ -82,7 +82,7 @@ std::string make_view_html(const ReportView& view, std::size_t n_views) {
             "aria-label=\"{0}: points in 3D; arrow keys turn, plus and minus zoom\" "
             "data-points=\"{1}\"></canvas>"
             "</figure>\n",
-            name, encode_base64(pack_report_cloud(cloud, max_points)));
+            name, encode_base64(pack_point_cloud(cloud, max_points)));
     }
     return fmt::format(
         "<div class=\"view3d\">\n<div class=\"pair\">\n{}</div>\n<p class=\"controls\"><label>colour <select>"
@@ -96,9 +96,9 @@ std::string make_view_html(const ReportView& view, std::size_t n_views) {
         figures);
 }
 
-std::string make_view_script() {
+std::string make_3d_view_script() {
     std::string script;
-    for (const auto& [name, module] : report_script_texts()) script += inline_module(module);
+    for (const auto& [name, module] : report_script_texts()) script += remove_imports_and_exports(module);
     return "<script>\n(() => {\n'use strict';\n" + script + "})();\n</script>\n";
 }
 

@@ -25,7 +25,7 @@ constexpr double kAssetMost = 1e9;  // largest valid count or length
 constexpr ObjectKind kAssetKinds[] = {ObjectKind::vehicle, ObjectKind::cyclist, ObjectKind::person,
                                       ObjectKind::other};
 
-std::string format_asset_facts(const AssetFacts& facts) {
+std::string format_asset_facts_as_json(const AssetDescription& facts) {
     nlohmann::ordered_json sides;
     for (std::size_t s = 0; s < kBoxSides; ++s) sides[get_name(BoxSide(s))] = facts.seen_sides[s];
     const nlohmann::ordered_json json = {
@@ -36,7 +36,7 @@ std::string format_asset_facts(const AssetFacts& facts) {
         {"kind", get_name(facts.kind)},
         {"size_m", {facts.size_m.x, facts.size_m.y, facts.size_m.z}},
         {"source", {{"run", facts.source_run}, {"track", facts.source_track}, {"sensor", facts.sensor}}},
-        {"score", facts.score()},
+        {"score", facts.compute_covered_fraction()},
         {"seen", facts.seen},
         {"seen_sides", sides},
         {"completed", facts.completed},
@@ -47,57 +47,58 @@ std::string format_asset_facts(const AssetFacts& facts) {
     return json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
 }
 
-ObjectKind read_kind(const JsonField& field) {
-    const std::string word = field.text();
+ObjectKind read_object_kind(const JsonField& field) {
+    const std::string word = field.get_string();
     const auto kind = std::ranges::find_if(kAssetKinds, [&](ObjectKind k) { return word == get_name(k); });
     if (kind == std::end(kAssetKinds))
-        field.fail("found \"" + word + "\"", "expected vehicle, cyclist, person or other");
+        field.throw_field_error("found \"" + word + "\"", "expected vehicle, cyclist, person or other");
     return *kind;
 }
 
 }  // namespace
 
-void save_asset(Asset asset, const fs::path& folder) {
+void save_asset(ActorAsset asset, const fs::path& folder) {
     asset.run.folder = folder;
     save_run(asset.run);
-    write_text(folder / kAssetFile, format_asset_facts(asset.facts));
+    write_text_file(folder / kAssetFile, format_asset_facts_as_json(asset.facts));
 }
 
-AssetFacts read_asset_facts(const fs::path& folder) {
+AssetDescription read_asset_facts(const fs::path& folder) {
     const std::string file = (folder / kAssetFile).string();
-    const nlohmann::json json = parse_json(read_text(file), file);
+    const nlohmann::json json = parse_json(read_text_file(file), file);
     const JsonField root(json, file, "");
-    if (const std::string format = root.at("format").text(); format != kAssetFormat)
-        root.at("format").fail("found \"" + format + "\"", fmt::format("expected \"{}\"", kAssetFormat));
-    root.at("version").integer(kAssetVersion, kAssetVersion);
-    AssetFacts facts;
-    facts.name = root.at("name").text(200);
-    facts.category = root.at("class").text(200);
-    facts.kind = read_kind(root.at("kind"));
-    const std::array<double, 3> size_m = root.at("size_m").numbers<3>();
+    if (const std::string format = root.at("format").get_string(); format != kAssetFormat)
+        root.at("format").throw_field_error("found \"" + format + "\"",
+                                            fmt::format("expected \"{}\"", kAssetFormat));
+    root.at("version").get_integer(kAssetVersion, kAssetVersion);
+    AssetDescription facts;
+    facts.name = root.at("name").get_string(200);
+    facts.category = root.at("class").get_string(200);
+    facts.kind = read_object_kind(root.at("kind"));
+    const std::array<double, 3> size_m = root.at("size_m").get_numbers<3>();
     facts.size_m = {size_m[0], size_m[1], size_m[2]};
-    facts.source_run = root.at("source").at("run").text();
-    facts.source_track = root.at("source").at("track").text();
-    facts.sensor = root.at("source").at("sensor").text(200);
+    facts.source_run = root.at("source").at("run").get_string();
+    facts.source_track = root.at("source").at("track").get_string();
+    facts.sensor = root.at("source").at("sensor").get_string(200);
     for (std::size_t s = 0; s < kBoxSides; ++s)
-        facts.seen_sides[s] = root.at("seen_sides").at(get_name(BoxSide(s))).number(0.0, 1.0);
-    facts.seen = root.at("seen").number(0.0, 1.0);
-    facts.completed = root.at("completed").number(0.0, 1.0);
-    facts.clearance_m = root.at("clearance_m").number(-kAssetMost, kAssetMost);
-    facts.nearest_m = root.at("nearest_m").number(0.0, kAssetMost);
-    facts.surfels = std::size_t(root.at("surfels").integer(0, std::int64_t(kAssetMost)));
-    facts.mirrored = std::size_t(root.at("mirrored_surfels").integer(0, std::int64_t(kAssetMost)));
+        facts.seen_sides[s] = root.at("seen_sides").at(get_name(BoxSide(s))).get_number(0.0, 1.0);
+    facts.seen = root.at("seen").get_number(0.0, 1.0);
+    facts.completed = root.at("completed").get_number(0.0, 1.0);
+    facts.clearance_m = root.at("clearance_m").get_number(-kAssetMost, kAssetMost);
+    facts.nearest_m = root.at("nearest_m").get_number(0.0, kAssetMost);
+    facts.surfels = std::size_t(root.at("surfels").get_integer(0, std::int64_t(kAssetMost)));
+    facts.mirrored = std::size_t(root.at("mirrored_surfels").get_integer(0, std::int64_t(kAssetMost)));
     return facts;
 }
 
-std::optional<double> measure_asset_clearance(const Run& run) {
+std::optional<double> read_asset_ground_clearance(const TrainedRun& run) {
     if (run.folder.empty() || !does_path_exist(run.folder / kAssetFile)) return {};
     return read_asset_facts(run.folder).clearance_m;
 }
 
 std::vector<fs::path> list_asset_folders(const fs::path& folder) {
-    check_folder(folder, "a folder of `relidar assets`");
-    std::vector<fs::path> assets = list_folder(folder);
+    check_is_folder(folder, "a folder of `relidar assets`");
+    std::vector<fs::path> assets = list_folder_entries(folder);
     std::erase_if(assets, [](const fs::path& entry) { return !does_path_exist(entry / kAssetFile); });
     if (assets.empty())
         throw DataError(fmt::format(

@@ -30,48 +30,52 @@ std::string make_asset_name(const BoxTrack& box) {
 
 /// Returns true if a surfel can be visible: its opacity reaches the blending threshold,
 /// and it lies inside the box of its model.
-bool can_surfel_be_visible(const Surfels& surfels, std::size_t index, const Model& model,
-                           const ImageModel& image) {
-    const glm::vec3 outside = glm::abs(surfels.mean[index]) - model.half_size_m;
+bool can_surfel_be_visible(const Surfels& surfels, std::size_t surfel_index, const SurfelModel& model,
+                           const ImageFormationModel& image_model) {
+    const glm::vec3 outside = glm::abs(surfels.mean[surfel_index]) - model.half_size_m;
     const bool bounded = model.half_size_m.x > 0.0f;
     if (bounded && (outside.x > 0.0f || outside.y > 0.0f || outside.z > 0.0f)) return false;
-    return 1.0f / (1.0f + std::exp(-surfels.opacity_logit[index])) >= image.alpha_min;
+    return 1.0f / (1.0f + std::exp(-surfels.opacity_logit[surfel_index])) >= image_model.alpha_min;
 }
 
 /// Returns the frames of a log in which an actor is present, without their scans and
 /// without other actors.
-Sequence select_actor_frames(const Sequence& log, const BoxTrack& box) {
-    Sequence sequence = copy_without_frames(log);
+LidarSequence select_actor_frames(const LidarSequence& sequence_of_log, const BoxTrack& box) {
+    LidarSequence sequence = copy_without_frames(sequence_of_log);
     sequence.boxes = {box};
     sequence.world_from_vehicle = {};
-    for (const Frame& frame : log.frames) {
+    for (const LidarFrame& frame : sequence_of_log.frames) {
         if (!box.is_present(frame.time_s)) continue;
-        Frame kept;
-        kept.index = frame.index, kept.time_s = frame.time_s, kept.lidar = frame.lidar;
-        sequence.frames.push_back(std::move(kept));
+        LidarFrame frame_without_scan;
+        frame_without_scan.index = frame.index, frame_without_scan.time_s = frame.time_s,
+        frame_without_scan.lidar = frame.lidar;
+        sequence.frames.push_back(std::move(frame_without_scan));
         PoseTrack& track = sequence.world_from_vehicle;
         if (!track.time_s.empty() && track.time_s.back() == frame.time_s) continue;
         track.time_s.push_back(frame.time_s);
-        track.pose.push_back(log.world_from_vehicle.pose[log.get_pose_index(frame)]);
+        track.pose.push_back(sequence_of_log.world_from_vehicle.pose[sequence_of_log.get_pose_index(frame)]);
     }
     return sequence;
 }
 
 }  // namespace
 
-BoxSurface compute_visible_surface(const glm::dvec3& size_m, const ActorObservations& sightings) {
-    BoxSurface surface(size_m);
-    for (std::size_t i = 0; i < sightings.points_m.size(); ++i)
-        surface.add(glm::dvec3(sightings.points_m[i]), glm::dvec3(sightings.directions[i]));
+ObservedBoxSurface compute_observed_surface(const glm::dvec3& box_size_m,
+                                            const ActorObservations& observations) {
+    ObservedBoxSurface surface(box_size_m);
+    for (std::size_t i = 0; i < observations.points_m.size(); ++i)
+        surface.mark_patch_observed(glm::dvec3(observations.points_m[i]),
+                                    glm::dvec3(observations.directions[i]));
     return surface;
 }
 
-Asset make_asset(const Run& run, const std::string& track, const ActorObservations& sightings) {
-    DrivingScene alone = run.driving();
+ActorAsset extract_actor_asset(const TrainedRun& run, const std::string& track,
+                               const ActorObservations& observations) {
+    SceneWithLog alone = run.copy_driving_scene();
     std::vector<std::string> others;
-    for (const Instance& instance : alone.scene.instances)
+    for (const ModelInstance& instance : alone.scene.instances)
         if (!instance.track.empty() && instance.track != track) others.push_back(instance.track);
-    alone = keep_actors(std::move(alone));
+    alone = remove_background(std::move(alone));
     for (const std::string& other : others) alone = remove_track(std::move(alone), other);
     const auto box =
         std::ranges::find_if(alone.sequence.boxes, [&](const BoxTrack& b) { return b.id == track; });
@@ -80,9 +84,9 @@ Asset make_asset(const Run& run, const std::string& track, const ActorObservatio
             fmt::format("cannot make an asset of \"{}\": the run has no such actor, expected one of: {}",
                         track, fmt::join(others, ", ")));
 
-    BoxSurface surface = compute_visible_surface(box->size_m, sightings);
-    Asset asset;
-    AssetFacts& facts = asset.facts;
+    ObservedBoxSurface surface = compute_observed_surface(box->size_m, observations);
+    ActorAsset asset;
+    AssetDescription& facts = asset.facts;
     facts = {make_asset_name(*box),
              box->category,
              is_vehicle(*box) ? ObjectKind::vehicle : parse_object_kind(box->category),
@@ -90,22 +94,23 @@ Asset make_asset(const Run& run, const std::string& track, const ActorObservatio
              run.folder.empty() ? "" : std::filesystem::absolute(run.folder).lexically_normal().string(),
              track,
              run.sequence.lidars.front().sensor.name};
-    for (std::size_t s = 0; s < kBoxSides; ++s) facts.seen_sides[s] = surface.seen(BoxSide(s));
-    facts.seen = surface.seen();
-    facts.nearest_m = sightings.nearest_m;
+    for (std::size_t s = 0; s < kBoxSides; ++s)
+        facts.seen_sides[s] = surface.compute_observed_fraction(BoxSide(s));
+    facts.seen = surface.compute_observed_fraction();
+    facts.nearest_m = observations.nearest_m;
     facts.clearance_m = measure_ground_clearance({run.scene, run.sequence}, track).value_or(0.0);
 
-    Model& model = alone.scene.models[1];
+    SurfelModel& model = alone.scene.models[1];
     Surfels& surfels = alone.scene.surfels;
     std::vector<std::uint32_t> shown;
     for (std::uint32_t i = 0; i < surfels.size(); ++i)
         if (can_surfel_be_visible(surfels, i, model, run.config.image)) shown.push_back(i);
     surfels = surfels.reorder(shown);
     if (facts.kind == ObjectKind::vehicle) {
-        facts.mirrored = complete_by_symmetry(surfels, surface);
-        facts.completed = surface.is_completed ? surface.mirrored() : 0.0;
+        facts.mirrored = add_mirrored_surfels(surfels, surface);
+        facts.completed = surface.is_completed ? surface.compute_mirrored_fraction() : 0.0;
     }
-    surfels = surfels.reorder(compute_kd_order(surfels.mean));
+    surfels = surfels.reorder(compute_kd_tree_order(surfels.mean));
     facts.surfels = surfels.size();
 
     BoxTrack named = *box;
@@ -124,9 +129,9 @@ Asset make_asset(const Run& run, const std::string& track, const ActorObservatio
     return asset;
 }
 
-std::string find_only_track(const Run& run) {
+std::string get_only_actor_track(const TrainedRun& run) {
     std::vector<std::string> tracks;
-    for (const Instance& instance : run.scene.instances)
+    for (const ModelInstance& instance : run.scene.instances)
         if (!instance.track.empty()) tracks.push_back(instance.track);
     if (tracks.size() == 1) return tracks.front();
     throw UsageError(fmt::format(

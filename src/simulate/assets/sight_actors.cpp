@@ -14,12 +14,12 @@ namespace {
 // scan.
 constexpr const char* kStandIn = "HDL-64E";
 
-std::vector<SensorChoice> list_sensors(const Run& run) {
-    std::vector<SensorChoice> sensors;
+std::vector<SimulatedSensor> choose_sensor_per_lidar(const TrainedRun& run) {
+    std::vector<SimulatedSensor> sensors;
     for (int i = 0; i < int(run.sequence.lidars.size()); ++i) {
         sensors.push_back(choose_sensor("native", run.config, run.sequence, i));
-        const SensorChoice& own = sensors.back();
-        if (own.rays.size() == 0 && !own.pattern)
+        const SimulatedSensor& log_sensor = sensors.back();
+        if (log_sensor.rays.size() == 0 && !log_sensor.pattern)
             sensors.back() = choose_sensor(kStandIn, run.config, run.sequence, i);
     }
     return sensors;
@@ -27,43 +27,47 @@ std::vector<SensorChoice> list_sensors(const Run& run) {
 
 /// Returns the box of each instance. Returns null for the background and for instances
 /// without a box.
-std::vector<const BoxTrack*> list_boxes(const Run& run) {
+std::vector<const BoxTrack*> find_box_per_instance(const TrainedRun& run) {
     std::vector<const BoxTrack*> boxes;
-    for (const Instance& instance : run.scene.instances)
+    for (const ModelInstance& instance : run.scene.instances)
         boxes.push_back(find_box(run.sequence, instance.track));
     return boxes;
 }
 
 /// Returns the training frames in which any actor is present.
-std::vector<int> list_actor_frames(const Run& run, const std::vector<const BoxTrack*>& boxes) {
+std::vector<int> list_training_frames_with_actors(const TrainedRun& run,
+                                                  const std::vector<const BoxTrack*>& box_per_instance) {
     std::vector<int> positions;
     for (const int i : run.split.train) {
         const double time_s = run.sequence.frames[std::size_t(i)].time_s;
-        if (std::ranges::any_of(boxes, [&](const BoxTrack* b) { return b && b->is_present(time_s); }))
+        if (std::ranges::any_of(box_per_instance,
+                                [&](const BoxTrack* b) { return b && b->is_present(time_s); }))
             positions.push_back(i);
     }
     return positions;
 }
 
-void add_returns(const RenderedScan& scan, const Run& run, const std::vector<const BoxTrack*>& boxes,
-                 std::map<std::string, ActorObservations>& sightings) {
-    FiringPoses firing(scan);
+void add_actor_returns(const RenderedScan& scan, const TrainedRun& run,
+                       const std::vector<const BoxTrack*>& box_per_instance,
+                       std::map<std::string, ActorObservations>& observations_by_track) {
+    FiringPoseInterpolator firing(scan);
     for (std::size_t i = 0; i < scan.instance.size(); ++i) {
-        const BoxTrack* box = scan.instance[i] > 0 ? boxes[std::size_t(scan.instance[i])] : nullptr;
+        const BoxTrack* box =
+            scan.instance[i] > 0 ? box_per_instance[std::size_t(scan.instance[i])] : nullptr;
         const float range_m = scan.median_range_m[i];
         if (!box || !(range_m > 0.0f) || !(scan.image.drop_prob[i] < 0.5f)) continue;
-        const glm::dvec3 seen_m =
+        const glm::dvec3 point_in_firing_m =
             glm::dvec3(scan.image.origin[i]) + double(range_m) * glm::dvec3(scan.image.direction[i]);
         const Pose box_from_world =
-            inverse(box->world_from_box.at(scan.time_s + double(scan.time_offset_s[i])));
-        const Pose& world_from_firing = firing.at(i);
+            inverse(box->world_from_box.interpolate_pose(scan.time_s + double(scan.time_offset_s[i])));
+        const Pose& world_from_firing = firing.compute_firing_pose(i);
         const glm::dvec3 point_m =
-            box_from_world * (world_from_firing * seen_m - run.sequence.world_offset_m);
+            box_from_world * (world_from_firing * point_in_firing_m - run.sequence.world_offset_m);
         // Skips a return from a side of the actor that was completed with mirrored
         // surfels. The log has not observed this side.
-        const Model& model = run.scene.models[run.scene.instances[std::size_t(scan.instance[i])].model];
-        if (model.surface && model.surface->find_completed_side(point_m)) continue;
-        ActorObservations& actor = sightings[box->id];
+        const SurfelModel& model = run.scene.models[run.scene.instances[std::size_t(scan.instance[i])].model];
+        if (model.surface && model.surface->find_mirror_completed_side(point_m)) continue;
+        ActorObservations& actor = observations_by_track[box->id];
         actor.points_m.push_back(glm::vec3(point_m));
         actor.directions.push_back(glm::vec3(box_from_world.rotation * world_from_firing.rotation *
                                              glm::dvec3(scan.image.direction[i])));
@@ -73,17 +77,18 @@ void add_returns(const RenderedScan& scan, const Run& run, const std::vector<con
 
 }  // namespace
 
-std::map<std::string, ActorObservations> observe_actors(Device& device, const Run& run,
-                                                        const Progress& progress) {
-    const std::vector<const BoxTrack*> boxes = list_boxes(run);
-    const std::vector<int> positions = list_actor_frames(run, boxes);
-    const std::vector<SensorChoice> sensors = list_sensors(run);
+std::map<std::string, ActorObservations> collect_actor_observations(Device& device, const TrainedRun& run,
+                                                                    const ProgressReporter& progress) {
+    const std::vector<const BoxTrack*> boxes = find_box_per_instance(run);
+    const std::vector<int> positions = list_training_frames_with_actors(run, boxes);
+    const std::vector<SimulatedSensor> sensors = choose_sensor_per_lidar(run);
     std::map<std::string, ActorObservations> sightings;
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
     for (std::size_t k = 0; k < positions.size(); ++k) {
         if (progress) progress("measuring the visibility of actors", double(k) / double(positions.size()));
-        const Frame& frame = run.sequence.frames[std::size_t(positions[k])];
-        add_returns(renderer.render(sensors[std::size_t(frame.lidar)], frame.time_s), run, boxes, sightings);
+        const LidarFrame& frame = run.sequence.frames[std::size_t(positions[k])];
+        add_actor_returns(renderer.render(sensors[std::size_t(frame.lidar)], frame.time_s), run, boxes,
+                          sightings);
     }
     return sightings;
 }

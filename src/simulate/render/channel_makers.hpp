@@ -16,11 +16,11 @@
 
 namespace relidar {
 
-struct Rendering;
+struct RenderedRayValues;
 
 /// Data from which the channels of a scan are computed.
-struct ScanContext {
-    SeenByLog log;
+struct ChannelInputs {
+    LogObservedSpace log;
     /// Poses of the scanning LiDAR in relidar's world frame
     PoseTrack world_from_sensor;
     /// [instances] poses and motions during the scan
@@ -28,7 +28,7 @@ struct ScanContext {
     /// [instances] values of the channel "class", see compute_instance_classes()
     std::vector<std::int32_t> classes = {};
     /// classes of the background; null if they are unknown
-    const ClassFinder* background = nullptr;
+    const SurfaceClassLookup* background = nullptr;
 };
 
 /// A ray hits nothing if the blending weights of its surfels sum up to less than this
@@ -40,19 +40,19 @@ inline constexpr const char* kIncidence = "incidence";
 /// Returns the class of each instance: 0 for the background, otherwise 1 + ObjectKind. An
 /// actor without a box has the kind `other`.
 /// @return [instances]
-std::vector<std::int32_t> compute_instance_classes(const Scene& scene, const Sequence& sequence);
+std::vector<std::int32_t> compute_instance_classes(const Scene& scene, const LidarSequence& sequence);
 /// Returns true if any of the channels needs the full rendering result, for example the
 /// normals.
-bool needs_rendering(const std::vector<ChannelInfo>& channels);
+bool is_full_rendering_needed(const std::vector<ChannelInfo>& channels);
 /// Adds the optional channels that are computed for each traced ray.
 /// @param scan scan of these rays; its image, poses and times must be set
-/// @param rendering may be empty if needs_rendering() returns false
-void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured,
-                      const Rendering& rendering, const std::vector<ChannelInfo>& channels);
+/// @param rendering may be empty if is_full_rendering_needed() returns false
+void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured_rays,
+                      const RenderedRayValues& rendering, const std::vector<ChannelInfo>& channels);
 /// Adds the optional channels that are computed for each beam, after its sub-rays were
 /// joined. Must be called before a network or random sampling changes the drop
 /// probabilities. Leaves out channels without values.
-void add_scan_channels(RenderedScan& scan, const ScanContext& context,
+void add_scan_channels(RenderedScan& scan, const ChannelInputs& context,
                        const std::vector<ChannelInfo>& channels);
 
 }  // namespace relidar

@@ -16,7 +16,7 @@ namespace relidar {
 /// Calls visit(info, values in `source`, values in `target`) for each basic channel, such
 /// as range or intensity. Leaves out time and ring, because they belong to the rays.
 template <class Visit>
-void for_each_basic_pair(const RenderedScan& source, RenderedScan& target, Visit&& visit) {
+void for_each_basic_channel_pair(const RenderedScan& source, RenderedScan& target, Visit&& visit) {
     const BasicChannels& basic = get_basic_channels();
     visit(basic.range, source.image.range_m, target.image.range_m);
     visit(basic.median_range, source.median_range_m, target.median_range_m);
@@ -32,8 +32,8 @@ void for_each_basic_pair(const RenderedScan& source, RenderedScan& target, Visit
 /// @param target must have the channels of `source` in the same order;
 /// make_scan_without_measurements() creates such a scan
 template <class Visit>
-void for_each_pair(const RenderedScan& source, RenderedScan& target, Visit&& visit) {
-    for_each_basic_pair(source, target, visit);
+void for_each_channel_pair(const RenderedScan& source, RenderedScan& target, Visit&& visit) {
+    for_each_basic_channel_pair(source, target, visit);
     for (std::size_t k = 0; k < target.channels.size(); ++k) {
         const auto both = [&](auto& values) {
             visit(target.channels[k].info,

@@ -16,52 +16,53 @@ namespace {
 // Minimum probability of a drop and of a return. It limits the logits to -9.2 ... 9.2.
 constexpr float kLeastProbability = 1e-4f;
 
-float logit(float probability) {
+float compute_clamped_logit(float probability) {
     const float p = std::clamp(probability, kLeastProbability, 1.0f - kLeastProbability);
     return std::log(p / (1.0f - p));
 }
 
 /// Returns a function that computes one input channel (RELIDAR_DROP_*) for a ray. The
 /// kernel simulate/render/drop_channels computes the same values on the device.
-std::function<float(std::size_t)> get_channel_value(const RenderedScan& scan, std::uint32_t channel,
-                                                    const glm::vec3& origin_m) {
-    if (channel == RELIDAR_DROP_LOG_RANGE)
+std::function<float(std::size_t)> make_channel_value_function(const RenderedScan& scan,
+                                                              std::uint32_t channel_index,
+                                                              const glm::vec3& origin_m) {
+    if (channel_index == RELIDAR_DROP_LOG_RANGE)
         return [&](std::size_t index) { return std::log1p(std::max(scan.median_range_m[index], 0.0f)); };
-    if (channel == RELIDAR_DROP_INTENSITY)
+    if (channel_index == RELIDAR_DROP_INTENSITY)
         return [&](std::size_t index) { return scan.image.intensity[index]; };
-    if (channel == RELIDAR_DROP_LOGIT)
-        return [&](std::size_t index) { return logit(scan.image.drop_prob[index]); };
-    if (channel == RELIDAR_DROP_WEIGHT) return [&](std::size_t index) { return scan.weight[index]; };
-    if (channel == RELIDAR_DROP_SPREAD)
+    if (channel_index == RELIDAR_DROP_LOGIT)
+        return [&](std::size_t index) { return compute_clamped_logit(scan.image.drop_prob[index]); };
+    if (channel_index == RELIDAR_DROP_WEIGHT) return [&](std::size_t index) { return scan.weight[index]; };
+    if (channel_index == RELIDAR_DROP_SPREAD)
         return [&](std::size_t index) {
             return std::log1p(std::abs(scan.median_range_m[index] - scan.mean_range_m[index]));
         };
-    if (channel == RELIDAR_DROP_COSINE) {
-        const std::vector<float>* cosine = find_values<float>(scan.channels, kIncidence);
+    if (channel_index == RELIDAR_DROP_COSINE) {
+        const std::vector<float>* cosine = find_channel_values<float>(scan.channels, kIncidence);
         return [cosine](std::size_t index) { return cosine ? (*cosine)[index] : 0.0f; };
     }
-    if (channel == RELIDAR_DROP_ELEVATION)
+    if (channel_index == RELIDAR_DROP_ELEVATION)
         return [&](std::size_t index) { return scan.image.direction[index].z; };
-    return [of_all = origin_m[int(channel - RELIDAR_DROP_ORIGIN)]](std::size_t) { return of_all; };
+    return [of_all = origin_m[int(channel_index - RELIDAR_DROP_ORIGIN)]](std::size_t) { return of_all; };
 }
 
 }  // namespace
 
-glm::dvec3 get_first_origin(const Sequence& sequence) {
+glm::dvec3 get_first_vehicle_position(const LidarSequence& sequence) {
     const std::vector<Pose>& poses = sequence.world_from_vehicle.pose;
     return sequence.world_offset_m + (poses.empty() ? glm::dvec3(0.0) : poses.front().translation);
 }
 
-DropImage make_drop_image(const RenderedScan& scan, const std::vector<std::string>& channels,
-                          const glm::dvec3& first_origin_m) {
-    DropImage image{scan.image.rows, scan.image.columns, {}, {}};
+RayDropImage make_network_input_image(const RenderedScan& scan, const std::vector<std::string>& channel_names,
+                                      const glm::dvec3& first_origin_m) {
+    RayDropImage image{scan.image.rows, scan.image.columns, {}, {}};
     const glm::vec3 origin_m(scan.world_from_sensor.translation - first_origin_m);
     const std::size_t n = scan.median_range_m.size();
-    image.channels.resize(channels.size() * n);
+    image.channels.resize(channel_names.size() * n);
     std::size_t first = 0;
-    for (const std::uint32_t number : list_drop_channel_indices(channels)) {
-        const auto channel = get_channel_value(scan, number, origin_m);
-        for_each_block(n, [&](std::size_t index) { image.channels[first + index] = channel(index); });
+    for (const std::uint32_t number : list_drop_channel_indices(channel_names)) {
+        const auto channel = make_channel_value_function(scan, number, origin_m);
+        parallel_for_in_blocks(n, [&](std::size_t index) { image.channels[first + index] = channel(index); });
         first += n;
     }
     return image;

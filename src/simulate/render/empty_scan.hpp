@@ -24,7 +24,7 @@ inline RenderedScan make_scan_without_measurements(const RayTable& rays,
     scan.time_s = source_scan.time_s;
     scan.trace_ms = source_scan.trace_ms;
     scan.unseen_share = source_scan.unseen_share;
-    scan.channels = copy_without_values(source_scan.channels);
+    scan.channels = copy_channels_without_values(source_scan.channels);
     return scan;
 }
 

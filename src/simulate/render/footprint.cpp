@@ -25,7 +25,7 @@ std::pair<glm::dvec3, glm::dvec3> make_perpendicular_axes(const glm::dvec3& dire
 }
 
 /// Sub-rays of a beam that together form one return.
-struct Group {
+struct SubRayReturn {
     std::vector<std::size_t> parts;  ///< indices of the sub-rays in their scan, sorted by range
     float light = 0.0f;              ///< sum of the intensities
 };
@@ -33,39 +33,44 @@ struct Group {
 /// Returns true if the hits of sub-rays are on one plane: 1 / range is then a linear
 /// function of the offsets of the sub-rays. At a grazing angle, the ranges on a plane
 /// differ, but they are one return. Returns false for fewer than five sub-rays.
-bool are_on_one_plane(const std::vector<std::size_t>& parts, const std::vector<float>& range_m,
-                      std::size_t first, const std::vector<glm::dvec2>& offsets, double tolerance_m) {
-    if (parts.size() < 5) return false;
+bool are_sub_rays_on_one_plane(const std::vector<std::size_t>& sub_ray_indices,
+                               const std::vector<float>& ranges_m, std::size_t first_sub_ray,
+                               const std::vector<glm::dvec2>& sub_ray_offsets, double range_tolerance_m) {
+    if (sub_ray_indices.size() < 5) return false;
     glm::dmat3 normal_matrix(0.0);
     glm::dvec3 right(0.0);
     const auto row = [&](std::size_t index) {
-        return glm::dvec3(1.0, offsets[index - first].x, offsets[index - first].y);
+        return glm::dvec3(1.0, sub_ray_offsets[index - first_sub_ray].x,
+                          sub_ray_offsets[index - first_sub_ray].y);
     };
-    for (const std::size_t i : parts) {
+    for (const std::size_t i : sub_ray_indices) {
         normal_matrix += glm::outerProduct(row(i), row(i));
-        right += row(i) / double(range_m[i]);
+        right += row(i) / double(ranges_m[i]);
     }
     if (std::abs(glm::determinant(normal_matrix)) < 1e-9) return false;
     const glm::dvec3 plane = glm::inverse(normal_matrix) * right;
-    return std::ranges::all_of(parts, [&](std::size_t index) {
+    return std::ranges::all_of(sub_ray_indices, [&](std::size_t index) {
         const double inverse_m = glm::dot(plane, row(index));
-        return inverse_m > 0.0 && std::abs(1.0 / inverse_m - double(range_m[index])) < tolerance_m;
+        return inverse_m > 0.0 && std::abs(1.0 / inverse_m - double(ranges_m[index])) < range_tolerance_m;
     });
 }
 
 /// Joins consecutive groups of sub-rays that lie on the same plane.
-void join_coplanar_groups(std::vector<Group>& groups, const std::vector<float>& range_m, std::size_t first,
-                          const std::vector<glm::dvec2>& offsets, double tolerance_m) {
+void join_coplanar_groups(std::vector<SubRayReturn>& groups, const std::vector<float>& ranges_m,
+                          std::size_t first_sub_ray, const std::vector<glm::dvec2>& sub_ray_offsets,
+                          double range_tolerance_m) {
     // Tries to join all groups first, then shorter and shorter sequences of groups. A
     // single surface is thus joined in the first try.
     for (std::size_t length = groups.size(); length >= 2; --length) {
         for (std::size_t begin = 0; begin + length <= groups.size(); ++begin) {
-            Group joined;
+            SubRayReturn joined;
             for (std::size_t g = begin; g < begin + length; ++g) {
                 joined.parts.insert(joined.parts.end(), groups[g].parts.begin(), groups[g].parts.end());
                 joined.light += groups[g].light;
             }
-            if (!are_on_one_plane(joined.parts, range_m, first, offsets, tolerance_m)) continue;
+            if (!are_sub_rays_on_one_plane(joined.parts, ranges_m, first_sub_ray, sub_ray_offsets,
+                                           range_tolerance_m))
+                continue;
             groups[begin] = std::move(joined);
             groups.erase(groups.begin() + std::ptrdiff_t(begin) + 1,
                          groups.begin() + std::ptrdiff_t(begin + length));
@@ -73,42 +78,45 @@ void join_coplanar_groups(std::vector<Group>& groups, const std::vector<float>& 
     }
 }
 
-std::vector<Group> group_sub_rays(const RenderedScan& scan, std::size_t first,
-                                  const std::vector<glm::dvec2>& offsets, float separation_m) {
+std::vector<SubRayReturn> group_sub_rays_into_returns(const RenderedScan& scan, std::size_t first_sub_ray,
+                                                      const std::vector<glm::dvec2>& sub_ray_offsets,
+                                                      float min_separation_m) {
     const std::vector<float>& range_m = scan.median_range_m;
     std::vector<std::size_t> hits;
-    for (std::size_t i = first; i < first + offsets.size(); ++i)
-        if (is_returned(scan.image.drop_prob[i], range_m[i])) hits.push_back(i);
+    for (std::size_t i = first_sub_ray; i < first_sub_ray + sub_ray_offsets.size(); ++i)
+        if (is_ray_returned(scan.image.drop_prob[i], range_m[i])) hits.push_back(i);
     std::ranges::stable_sort(hits, {}, [&](std::size_t index) { return range_m[index]; });
-    std::vector<Group> groups;
+    std::vector<SubRayReturn> groups;
     for (const std::size_t i : hits) {
-        if (groups.empty() || range_m[i] - range_m[groups.back().parts.back()] >= separation_m)
+        if (groups.empty() || range_m[i] - range_m[groups.back().parts.back()] >= min_separation_m)
             groups.emplace_back();
         groups.back().parts.push_back(i);
         groups.back().light += std::max(scan.image.intensity[i], kDarkest);
     }
-    join_coplanar_groups(groups, range_m, first, offsets, 0.5 * double(separation_m));
+    join_coplanar_groups(groups, range_m, first_sub_ray, sub_ray_offsets, 0.5 * double(min_separation_m));
     return groups;
 }
 
 /// Returns the mean value of the sub-rays of a group, weighted by intensity.
-float compute_group_mean(const Group& group, const std::vector<float>& values, const RenderedScan& scan) {
+float compute_weighted_group_mean(const SubRayReturn& group, const std::vector<float>& values,
+                                  const RenderedScan& scan) {
     double sum = 0.0;
     for (const std::size_t i : group.parts)
         sum += double(std::max(scan.image.intensity[i], kDarkest)) * double(values[i]);
     return static_cast<float>(sum / double(group.light));
 }
 
-float sum_over_group(const Group& group, const std::vector<float>& values) {
+float sum_over_group(const SubRayReturn& group, const std::vector<float>& values) {
     float sum = 0.0f;
     for (const std::size_t i : group.parts) sum += values[i];
     return sum;
 }
 
-/// Returns the mean of `count` consecutive values, starting at index `first`.
-float compute_mean_of_all(const std::vector<float>& values, std::size_t first, int count) {
+/// Returns the mean of `sub_rays_per_ray` consecutive values, starting at index
+/// `first_index`.
+float compute_mean_of_slice(const std::vector<float>& values, std::size_t first_index, int count) {
     float sum = 0.0f;
-    for (std::size_t i = first; i < first + std::size_t(count); ++i) sum += values[i];
+    for (std::size_t i = first_index; i < first_index + std::size_t(count); ++i) sum += values[i];
     return sum / static_cast<float>(count);
 }
 
@@ -118,65 +126,68 @@ constexpr double kSecondReturnShare = 0.1;
 
 /// Returns the group of sub-rays that forms the second return, or null if there is no
 /// second return.
-const Group* find_second_return(const std::vector<Group>& groups, const Group& strongest) {
-    const Group* second = nullptr;
-    if (&strongest != &groups.back()) {
+const SubRayReturn* find_second_return(const std::vector<SubRayReturn>& groups,
+                                       const SubRayReturn& strongest_group) {
+    const SubRayReturn* second = nullptr;
+    if (&strongest_group != &groups.back()) {
         second = &groups.back();
     } else {
-        for (const Group& group : groups)
-            if (&group != &strongest && (!second || group.light > second->light)) second = &group;
+        for (const SubRayReturn& group : groups)
+            if (&group != &strongest_group && (!second || group.light > second->light)) second = &group;
     }
-    return second && double(second->light) >= kSecondReturnShare * double(strongest.light) ? second : nullptr;
+    return second && double(second->light) >= kSecondReturnShare * double(strongest_group.light) ? second
+                                                                                                 : nullptr;
 }
 
 /// Joins the sub-rays of each beam into returns.
-class Joiner {
+class SubRayMerger {
 public:
-    Joiner(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config)
+    SubRayMerger(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config)
         : parts_(parts),
-          offsets_(make_footprint_pattern(config.sub_rays)),
+          offsets_(make_footprint_offsets(config.sub_rays)),
           config_(config),
           scan_(make_scan_without_measurements(rays, parts)) {
         if (config.returns == 2) scan_.second_returns.resize(1);
     }
 
-    void add(std::size_t ray) {
+    void append_beam_return(std::size_t beam_index) {
         const int n = config_.sub_rays;
-        const std::size_t first = ray * std::size_t(n);
-        const std::vector<Group> groups =
-            group_sub_rays(parts_, first, offsets_, static_cast<float>(config_.return_separation_m));
-        const Group middle{{first}, std::max(parts_.image.intensity[first], kDarkest)};
-        const Group& strongest =
-            groups.empty() ? middle : *std::ranges::max_element(groups, {}, &Group::light);
-        for_each_pair(parts_, scan_,
-                      [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_parts,
-                                   std::vector<T>& of_rays) {
-                          if constexpr (std::is_same_v<T, float>) {
-                              if (channel.join == ChannelJoin::range)
-                                  return of_rays.push_back(compute_group_mean(strongest, of_parts, parts_));
-                              if (channel.join == ChannelJoin::drop)
-                                  return of_rays.push_back(compute_mean_of_all(of_parts, first, n));
-                              if (channel.join == ChannelJoin::intensity)
-                                  return of_rays.push_back(groups.empty()
-                                                               ? of_parts[first]
-                                                               : sum_over_group(strongest, of_parts) /
-                                                                     static_cast<float>(n));
-                          }
-                          // Copies the value of the sub-ray nearest to the centre. It has
-                          // the smallest index, because sub-rays are ordered from the
-                          // centre outwards.
-                          of_rays.push_back(of_parts[std::ranges::min(strongest.parts)]);
-                      });
+        const std::size_t first = beam_index * std::size_t(n);
+        const std::vector<SubRayReturn> groups = group_sub_rays_into_returns(
+            parts_, first, offsets_, static_cast<float>(config_.return_separation_m));
+        const SubRayReturn middle{{first}, std::max(parts_.image.intensity[first], kDarkest)};
+        const SubRayReturn& strongest =
+            groups.empty() ? middle : *std::ranges::max_element(groups, {}, &SubRayReturn::light);
+        for_each_channel_pair(
+            parts_, scan_,
+            [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_parts,
+                         std::vector<T>& of_rays) {
+                if constexpr (std::is_same_v<T, float>) {
+                    if (channel.join == ChannelMergeRule::range)
+                        return of_rays.push_back(compute_weighted_group_mean(strongest, of_parts, parts_));
+                    if (channel.join == ChannelMergeRule::drop)
+                        return of_rays.push_back(compute_mean_of_slice(of_parts, first, n));
+                    if (channel.join == ChannelMergeRule::intensity)
+                        return of_rays.push_back(groups.empty() ? of_parts[first]
+                                                                : sum_over_group(strongest, of_parts) /
+                                                                      static_cast<float>(n));
+                }
+                // Copies the value of the sub-ray nearest to the centre. It has
+                // the smallest index, because sub-rays are ordered from the
+                // centre outwards.
+                of_rays.push_back(of_parts[std::ranges::min(strongest.parts)]);
+            });
         if (scan_.second_returns.empty()) return;
-        const bool returns = is_returned(scan_.image.drop_prob.back(), scan_.median_range_m.back());
-        const Group* second = returns && groups.size() > 1 ? find_second_return(groups, strongest) : nullptr;
+        const bool returns = is_ray_returned(scan_.image.drop_prob.back(), scan_.median_range_m.back());
+        const SubRayReturn* second =
+            returns && groups.size() > 1 ? find_second_return(groups, strongest) : nullptr;
         scan_.second_returns[0].range_m.push_back(
-            second ? compute_group_mean(*second, parts_.median_range_m, parts_) : 0.0f);
+            second ? compute_weighted_group_mean(*second, parts_.median_range_m, parts_) : 0.0f);
         scan_.second_returns[0].intensity.push_back(
             second ? sum_over_group(*second, parts_.image.intensity) / static_cast<float>(n) : 0.0f);
     }
 
-    RenderedScan take() { return std::move(scan_); }
+    RenderedScan take_joined_scan() { return std::move(scan_); }
 
 private:
     const RenderedScan& parts_;
@@ -187,15 +198,16 @@ private:
 
 }  // namespace
 
-RayTable split_rays(const RayTable& rays, int count, double divergence_rad) {
-    const std::vector<glm::dvec2> offsets = make_footprint_pattern(count);
+RayTable split_rays_into_sub_rays(const RayTable& rays, int sub_rays_per_ray, double divergence_rad) {
+    const std::vector<glm::dvec2> offsets = make_footprint_offsets(sub_rays_per_ray);
     RayTable parts;
     parts.rows = rays.rows;
-    parts.columns = rays.columns * count;
+    parts.columns = rays.columns * sub_rays_per_ray;
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const glm::dvec3 direction(rays.direction[i]);
         const auto [left, up] = make_perpendicular_axes(direction);
-        const double half_rad = 0.5 * (divergence_rad > 0.0 ? divergence_rad : rays.compute_divergence(i));
+        const double half_rad =
+            0.5 * (divergence_rad > 0.0 ? divergence_rad : rays.get_beam_divergence_rad(i));
         for (const glm::dvec2& offset : offsets) {
             const glm::dvec2 angle = half_rad * offset;
             parts.origin.push_back(rays.origin[i]);
@@ -208,35 +220,37 @@ RayTable split_rays(const RayTable& rays, int count, double divergence_rad) {
     return parts;
 }
 
-RenderedScan join_footprints(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config) {
-    Joiner joiner(parts, rays, config);
-    for (std::size_t ray = 0; ray < rays.size(); ++ray) joiner.add(ray);
-    return joiner.take();
+RenderedScan join_sub_rays_to_beam_returns(const RenderedScan& sub_ray_scan, const RayTable& beam_rays,
+                                           const SensorConfig& config) {
+    SubRayMerger joiner(sub_ray_scan, beam_rays, config);
+    for (std::size_t ray = 0; ray < beam_rays.size(); ++ray) joiner.append_beam_return(ray);
+    return joiner.take_joined_scan();
 }
 
-std::vector<std::size_t> find_multi_surface_beams(const RenderedScan& parts, const RayTable& rays,
+std::vector<std::size_t> find_multi_surface_beams(const RenderedScan& sub_ray_scan, const RayTable& beam_rays,
                                                   const SensorConfig& config) {
-    const std::vector<glm::dvec2> offsets = make_footprint_pattern(config.sub_rays);
+    const std::vector<glm::dvec2> offsets = make_footprint_offsets(config.sub_rays);
     std::vector<std::size_t> edges;
-    for (std::size_t ray = 0; ray < rays.size(); ++ray)
-        if (group_sub_rays(parts, ray * offsets.size(), offsets,
-                           static_cast<float>(config.return_separation_m))
+    for (std::size_t ray = 0; ray < beam_rays.size(); ++ray)
+        if (group_sub_rays_into_returns(sub_ray_scan, ray * offsets.size(), offsets,
+                                        static_cast<float>(config.return_separation_m))
                 .size() > 1)
             edges.push_back(ray);
     return edges;
 }
 
-void replace_scan_rays(RenderedScan& scan, const std::vector<std::size_t>& places,
-                       const RenderedScan& better) {
+void replace_scan_rays(RenderedScan& scan, const std::vector<std::size_t>& ray_indices,
+                       const RenderedScan& replacement_scan) {
     const auto replace = [&](const auto& from, auto& to) {
-        for (std::size_t i = 0; i < places.size(); ++i) to[places[i]] = from[i];
+        for (std::size_t i = 0; i < ray_indices.size(); ++i) to[ray_indices[i]] = from[i];
     };
-    for_each_pair(better, scan, [&](const ChannelInfo&, const auto& from, auto& to) { replace(from, to); });
+    for_each_channel_pair(replacement_scan, scan,
+                          [&](const ChannelInfo&, const auto& from, auto& to) { replace(from, to); });
     for (std::size_t k = 0; k < scan.second_returns.size(); ++k) {
-        replace(better.second_returns[k].range_m, scan.second_returns[k].range_m);
-        replace(better.second_returns[k].intensity, scan.second_returns[k].intensity);
+        replace(replacement_scan.second_returns[k].range_m, scan.second_returns[k].range_m);
+        replace(replacement_scan.second_returns[k].intensity, scan.second_returns[k].intensity);
     }
-    scan.trace_ms += better.trace_ms;
+    scan.trace_ms += replacement_scan.trace_ms;
 }
 
 }  // namespace relidar

@@ -8,12 +8,13 @@
 
 namespace relidar {
 
-/// Splits each ray into `count` sub-rays, in the order of make_footprint_pattern(). A
-/// sub-ray has the origin, time and channel of its ray.
-/// @param count 1, 5 or 9; any other number gives a spiral that starts next to the centre
+/// Splits each ray into `sub_rays_per_ray` sub-rays, in the order of
+/// make_footprint_offsets(). A sub-ray has the origin, time and channel of its ray.
+/// @param sub_rays_per_ray 1, 5 or 9; any other number gives a spiral that starts next to
+/// the centre
 /// @param divergence_rad full divergence of all rays; if 0, the divergence of each ray is
 /// used
-RayTable split_rays(const RayTable& rays, int count, double divergence_rad);
+RayTable split_rays_into_sub_rays(const RayTable& rays, int sub_rays_per_ray, double divergence_rad);
 
 /// Joins the returns of sub-rays to the returns of the beams. First groups sub-rays by
 /// range. Neighbours are in the same group if their ranges differ by less than
@@ -28,8 +29,9 @@ RayTable split_rays(const RayTable& rays, int count, double divergence_rad);
 /// strongest group's intensity. The drop probability is the mean over the sub-rays,
 /// because the returned light is the sum over the footprint. Weight, normal and instance
 /// are copied from one sub-ray of the strongest group: the sub-ray nearest to the centre.
-/// @param parts scan of split_rays(rays, config.sub_rays, ...)
-RenderedScan join_footprints(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config);
+/// @param sub_ray_scan scan of split_rays_into_sub_rays(rays, config.sub_rays, ...)
+RenderedScan join_sub_rays_to_beam_returns(const RenderedScan& sub_ray_scan, const RayTable& beam_rays,
+                                           const SensorConfig& config);
 
 /// Number of sub-rays of a beam that hits several surfaces. With nine sub-rays, at most
 /// one would hit a surface with a tenth of the light. At a straight edge, one outer
@@ -38,11 +40,11 @@ inline constexpr int kEdgeParts = 40;
 
 /// Returns the indices of the beams that hit several surfaces, so that their sub-rays
 /// form more than one return.
-std::vector<std::size_t> find_multi_surface_beams(const RenderedScan& parts, const RayTable& rays,
+std::vector<std::size_t> find_multi_surface_beams(const RenderedScan& sub_ray_scan, const RayTable& beam_rays,
                                                   const SensorConfig& config);
 /// Replaces some rays of a scan by the rays of a more exact scan.
-/// @param places [rays of `better`] indices of the replaced rays
-void replace_scan_rays(RenderedScan& scan, const std::vector<std::size_t>& places,
-                       const RenderedScan& better);
+/// @param ray_indices [rays of `replacement_scan`] indices of the replaced rays
+void replace_scan_rays(RenderedScan& scan, const std::vector<std::size_t>& ray_indices,
+                       const RenderedScan& replacement_scan);
 
 }  // namespace relidar

@@ -16,20 +16,22 @@ namespace {
 
 constexpr std::size_t kPointsTogether = 4096;
 
-/// A return that becomes a point. See Points::return_number.
-struct Return {
+/// A return that becomes a point. See LidarPoints::return_number.
+struct RayReturnIndex {
     std::size_t ray;
     std::uint8_t number;
 };
 
-std::vector<Return> find_returns(const RenderedScan& scan, const std::vector<float>& range_m,
-                                 PointsOf selection) {
-    std::vector<Return> returns;
-    returns.reserve(range_m.size());
-    for (std::size_t ray = 0; ray < range_m.size(); ++ray) {
-        if (selection != PointsOf::rays && !is_returned(scan.image.drop_prob[ray], range_m[ray])) continue;
+std::vector<RayReturnIndex> list_returns_to_output(const RenderedScan& scan,
+                                                   const std::vector<float>& ranges_m,
+                                                   PointSelection selection) {
+    std::vector<RayReturnIndex> returns;
+    returns.reserve(ranges_m.size());
+    for (std::size_t ray = 0; ray < ranges_m.size(); ++ray) {
+        if (selection != PointSelection::rays && !is_ray_returned(scan.image.drop_prob[ray], ranges_m[ray]))
+            continue;
         returns.push_back({ray, 1});
-        if (selection != PointsOf::returns) continue;
+        if (selection != PointSelection::returns) continue;
         for (std::size_t k = 0; k < scan.second_returns.size(); ++k)
             if (scan.second_returns[k].range_m[ray] > 0.0f) returns.push_back({ray, std::uint8_t(k + 2)});
     }
@@ -38,8 +40,8 @@ std::vector<Return> find_returns(const RenderedScan& scan, const std::vector<flo
 
 /// Returns the poses of the sensor during a scan, in the frame of the points. Returns no
 /// poses if the points stay in the sensor's frame.
-std::vector<shared::SensorPose> list_firing_poses(const RenderedScan& scan,
-                                                  const std::optional<Pose>& dataset_from_points) {
+std::vector<shared::SensorPose> list_sensor_poses_in_points_frame(
+    const RenderedScan& scan, const std::optional<Pose>& dataset_from_points) {
     if (!dataset_from_points || scan.time_offset_s.empty()) return {};
     const PoseTrack track =
         scan.track.pose.empty() ? PoseTrack{{scan.time_s}, {scan.world_from_sensor}} : scan.track;
@@ -59,25 +61,26 @@ const shared::SensorPose& find_pose_before(const std::vector<shared::SensorPose>
 
 }  // namespace
 
-Points place_points(const RenderedScan& scan, const Config& config,
-                    const std::optional<Pose>& dataset_from_points, PointsOf selection) {
+LidarPoints convert_scan_to_points(const RenderedScan& scan, const Config& config,
+                                   const std::optional<Pose>& dataset_from_points, PointSelection selection) {
     const std::vector<float>& range_m = select_point_ranges(scan, config);
-    check_channels(scan.channels, range_m.size(), "a scan");
-    const std::vector<Return> returns = find_returns(scan, range_m, selection);
-    const std::vector<shared::SensorPose> poses = list_firing_poses(scan, dataset_from_points);
+    check_channel_names_and_sizes(scan.channels, range_m.size(), "a scan");
+    const std::vector<RayReturnIndex> returns = list_returns_to_output(scan, range_m, selection);
+    const std::vector<shared::SensorPose> poses =
+        list_sensor_poses_in_points_frame(scan, dataset_from_points);
     const std::size_t n = returns.size();
-    Points points{.position_m = std::vector<glm::vec3>(n),
-                  .intensity = std::vector<float>(n),
-                  .ring = std::vector<std::uint16_t>(n),
-                  .time_offset_s = std::vector<float>(n),
-                  .instance = std::vector<std::int32_t>(n),
-                  .channels = copy_without_values(scan.channels),
-                  .world_from_points = dataset_from_points.value_or(scan.world_from_sensor),
-                  .time_s = scan.time_s};
-    if (selection == PointsOf::returns && !scan.second_returns.empty()) points.return_number.resize(n);
-    const auto place = [&](std::size_t index) {
+    LidarPoints points{.position_m = std::vector<glm::vec3>(n),
+                       .intensity = std::vector<float>(n),
+                       .ring = std::vector<std::uint16_t>(n),
+                       .time_offset_s = std::vector<float>(n),
+                       .instance = std::vector<std::int32_t>(n),
+                       .channels = copy_channels_without_values(scan.channels),
+                       .world_from_points = dataset_from_points.value_or(scan.world_from_sensor),
+                       .time_s = scan.time_s};
+    if (selection == PointSelection::returns && !scan.second_returns.empty()) points.return_number.resize(n);
+    const auto fill_point = [&](std::size_t index) {
         const auto [ray, number] = returns[index];
-        const SecondReturn* second = number > 1 ? &scan.second_returns[number - 2u] : nullptr;
+        const AdditionalReturns* second = number > 1 ? &scan.second_returns[number - 2u] : nullptr;
         const float time_offset_s = scan.time_offset_s[ray];
         const glm::vec3 end = shared::compute_ray_end(scan.image.origin[ray], scan.image.direction[ray],
                                                       second ? second->range_m[ray] : range_m[ray]);
@@ -90,8 +93,8 @@ Points place_points(const RenderedScan& scan, const Config& config,
         points.instance[index] = second ? -1 : scan.instance[ray];
         if (!points.return_number.empty()) points.return_number[index] = number;
     };
-    for_each_range_parallel(n, kPointsTogether, [&](std::size_t begin, std::size_t end) {
-        for (std::size_t i = begin; i < end; ++i) place(i);
+    parallel_for_ranges(n, kPointsTogether, [&](std::size_t begin, std::size_t end) {
+        for (std::size_t i = begin; i < end; ++i) fill_point(i);
     });
     for (std::size_t k = 0; k < points.channels.size(); ++k) {
         for (const auto& [ray, number] : returns)

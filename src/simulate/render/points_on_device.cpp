@@ -9,85 +9,92 @@
 
 namespace relidar {
 
-PointsOnDevice::PointsOnDevice(Device& device)
+DevicePointComputer::DevicePointComputer(Device& device)
     : device_(device),
       mark_(device, "simulate/render/mark_returns"),
       gather_(device, "simulate/render/gather_points"),
       sum_(device),
       count_(device, 1, "number of returned points"),
-      asked_(device, kAskedRays, "ranges of some rays") {}
+      sampled_ranges_(device, kSampledRays, "ranges of some rays") {}
 
-void PointsOnDevice::reserve_rays(Stream& stream, std::size_t n_rays) {
+void DevicePointComputer::reserve_ray_memory(Stream& stream, std::size_t n_rays) {
     if (n_rays <= points_.size()) return;
-    stream.finish();
-    marks_ = {}, places_ = {}, points_ = {};  // frees the old arrays before allocating larger ones
+    stream.submit_and_wait();
+    marks_ = {}, point_indices_ = {}, points_ = {};  // frees the old arrays before allocating larger ones
     marks_ = Array<std::uint32_t, shared::ReturnMarks>(device_, n_rays, "rays that return");
-    places_ = Array<std::uint32_t, shared::ReturnPlaces>(device_, n_rays, "places of points");
+    point_indices_ = Array<std::uint32_t, shared::ReturnPlaces>(device_, n_rays, "places of points");
     sum_.reserve(device_, n_rays);
     points_ = Array<shared::ReturnedPoint>(device_, n_rays, "returned points");
 }
 
-std::shared_ptr<PointsOnDevice::Slot> PointsOnDevice::record(Stream& stream, const SensorRays& rays,
-                                                             const PointMaking& options,
-                                                             const Array<std::uint32_t>& n_capped) {
-    const std::size_t n = rays.table().size();
-    reserve_rays(stream, n);
-    const std::vector<shared::SensorPose> poses = rays.poses(options.points_from_sensor, options.time_s);
+std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::record_point_commands(
+    Stream& stream, const DeviceSensorRays& rays, const PointComputeOptions& options,
+    const Array<std::uint32_t>& capped_ray_count) {
+    const std::size_t n = rays.get_ray_table().size();
+    reserve_ray_memory(stream, n);
+    const std::vector<shared::SensorPose> poses =
+        rays.list_poses_during_sweep(options.points_from_sensor, options.time_s);
     run(stream, mark_, n,
-        {.measured = rays.measured().address(),
-         .drop_prob = rays.drop_probabilities(),
+        {.measured = rays.get_device_measurements().address(),
+         .drop_prob = rays.get_drop_probability_address(),
          .marks = marks_.address(),
          .n_rays = std::uint32_t(n),
          .refined = options.refined ? 1u : 0u,
          .of_image = options.of_image ? 1u : 0u,
          .drop_threshold = kDropThreshold});
     sum_.run(stream, {marks_.address_as<std::uint32_t, shared::ScanCounts>()},
-             places_.address_as<std::uint32_t, shared::ScanPrefix>(), std::uint32_t(n), count_.address());
+             point_indices_.address_as<std::uint32_t, shared::ScanPrefix>(), std::uint32_t(n),
+             count_.address());
     run(stream, gather_, n,
-        {.rays = rays.rays().address(),
-         .measured = rays.measured().address(),
-         .poses = stream.impl().values(poses),
+        {.rays = rays.get_device_rays().address(),
+         .measured = rays.get_device_measurements().address(),
+         .poses = stream.impl().store_host_values(poses),
          .marks = marks_.address(),
-         .places = places_.address(),
+         .places = point_indices_.address(),
          .points = points_.address(),
-         .asked = asked_.address(),
+         .asked = sampled_ranges_.address(),
          .n_rays = std::uint32_t(n),
          .n_poses = std::uint32_t(poses.size()),
-         .n_requested = std::uint32_t(n_requested(n)),
+         .n_requested = std::uint32_t(count_sampled_rays(n)),
          .of_image = options.of_image ? 1u : 0u});
-    return read_back(stream, n, n_capped);
+    return record_copy_to_host(stream, n, capped_ray_count);
 }
 
-PointsOnDevice::Slot::Slot(Device& device)
+DevicePointComputer::PointReadbackSlot::PointReadbackSlot(Device& device)
     : count(device, sizeof(std::uint32_t), "number of returned points"),
-      asked(device, kAskedRays * sizeof(float), "ranges of some rays"),
+      sampled_ranges(device, kSampledRays * sizeof(float), "ranges of some rays"),
       capped(device, sizeof(std::uint32_t), "pass cap count") {}
 
-std::shared_ptr<PointsOnDevice::Slot> PointsOnDevice::read_back(Stream& stream, std::size_t n_rays,
-                                                                const Array<std::uint32_t>& n_capped) {
-    auto place =
-        std::ranges::find_if(slots_, [](const std::shared_ptr<Slot>& slot) { return slot.use_count() == 1; });
-    if (place == slots_.end()) place = slots_.insert(place, std::make_shared<Slot>(device_));
-    Slot& slot = **place;
-    if (n_rays > slot.room) {
+std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::record_copy_to_host(
+    Stream& stream, std::size_t n_rays, const Array<std::uint32_t>& capped_ray_count) {
+    auto free_slot = std::ranges::find_if(
+        slots_, [](const std::shared_ptr<PointReadbackSlot>& slot) { return slot.use_count() == 1; });
+    if (free_slot == slots_.end())
+        free_slot = slots_.insert(free_slot, std::make_shared<PointReadbackSlot>(device_));
+    PointReadbackSlot& slot = **free_slot;
+    if (n_rays > slot.point_capacity) {
         slot.points.emplace(device_, n_rays * sizeof(shared::ReturnedPoint), "returned points");
-        slot.room = n_rays;
+        slot.point_capacity = n_rays;
     }
     slot.n_rays = n_rays;
-    slot.points->record(stream, points_.buffer(), n_rays * sizeof(shared::ReturnedPoint));
-    slot.count.record(stream, count_.buffer(), sizeof(std::uint32_t));
-    slot.asked.record(stream, asked_.buffer(), n_requested(n_rays) * sizeof(float));
-    slot.capped.record(stream, n_capped.buffer(), sizeof(std::uint32_t));
-    return *place;
+    slot.points->record_copy_to_host(stream, points_.buffer(), n_rays * sizeof(shared::ReturnedPoint));
+    slot.count.record_copy_to_host(stream, count_.buffer(), sizeof(std::uint32_t));
+    slot.sampled_ranges.record_copy_to_host(stream, sampled_ranges_.buffer(),
+                                            count_sampled_rays(n_rays) * sizeof(float));
+    slot.capped.record_copy_to_host(stream, capped_ray_count.buffer(), sizeof(std::uint32_t));
+    return *free_slot;
 }
 
-PointsOnDevice::Gathered PointsOnDevice::wait(Stream& stream, Slot& slot) {
-    const auto number = [&](Readback& readback) {
-        return *static_cast<const std::uint32_t*>(readback.wait(stream));
+DevicePointComputer::GatheredPoints DevicePointComputer::wait_for_copied_points(
+    Stream& stream, PointReadbackSlot& host_buffers) {
+    const auto number = [&](ReadbackBuffer& readback) {
+        return *static_cast<const std::uint32_t*>(readback.wait_for_copied_bytes(stream));
     };
-    return {{static_cast<const shared::ReturnedPoint*>(slot.points->wait(stream)), number(slot.count)},
-            {static_cast<const float*>(slot.asked.wait(stream)), n_requested(slot.n_rays)},
-            number(slot.capped)};
+    return {{static_cast<const shared::ReturnedPoint*>(host_buffers.points->wait_for_copied_bytes(stream)),
+             number(host_buffers.count)},
+            {static_cast<const float*>(host_buffers.sampled_ranges.wait_for_copied_bytes(stream)),
+             count_sampled_rays(host_buffers.n_rays)},
+            number(host_buffers.capped)};
 }
 
 }  // namespace relidar

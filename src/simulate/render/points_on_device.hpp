@@ -16,14 +16,14 @@
 
 namespace relidar {
 
-class SensorRays;
+class DeviceSensorRays;
 
 /// Number of rays from which the program estimates how many rays pass through space that
 /// the log did not observe. The error of the estimate is one or two percent.
-inline constexpr std::size_t kAskedRays = 1024;
+inline constexpr std::size_t kSampledRays = 1024;
 
 /// Options for computing the points of a scan.
-struct PointMaking {
+struct PointComputeOptions {
     /// Poses of the sensor in the frame of the points. It has a single pose if the sensor
     /// does not move.
     const PoseTrack& points_from_sensor;
@@ -32,45 +32,46 @@ struct PointMaking {
     bool refined;   ///< true if the drop probabilities of the ray-drop network are used
 };
 
-class PointsOnDevice {
+class DevicePointComputer {
 public:
     /// Host buffers into which the points of one scan are copied.
-    struct Slot {
-        std::optional<Readback> points = {};
-        Readback count, asked, capped;
-        std::size_t room = 0;    ///< capacity, in points
-        std::size_t n_rays = 0;  ///< number of rays of the scan
+    struct PointReadbackSlot {
+        std::optional<ReadbackBuffer> points = {};
+        ReadbackBuffer count, sampled_ranges, capped;
+        std::size_t point_capacity = 0;  ///< capacity, in points
+        std::size_t n_rays = 0;          ///< number of rays of the scan
 
-        explicit Slot(Device& device);
+        explicit PointReadbackSlot(Device& device);
     };
 
-    explicit PointsOnDevice(Device& device);
+    explicit DevicePointComputer(Device& device);
     /// Records GPU commands that compute the points of a measured scan and copy them to
     /// the host.
-    /// @param n_capped device counter of the rays that reached the maximum number of
-    /// traversal passes
+    /// @param capped_ray_count device counter of the rays that reached the maximum number
+    /// of traversal passes
     /// @return host buffers that receive the points; they are reused when the caller
     /// releases them
-    std::shared_ptr<Slot> record(Stream& stream, const SensorRays& rays, const PointMaking& options,
-                                 const Array<std::uint32_t>& n_capped);
+    std::shared_ptr<PointReadbackSlot> record_point_commands(Stream& stream, const DeviceSensorRays& rays,
+                                                             const PointComputeOptions& options,
+                                                             const Array<std::uint32_t>& capped_ray_count);
 
-    struct Gathered {
+    struct GatheredPoints {
         std::span<const shared::ReturnedPoint> points;
-        /// [sampled rays] distance to the surface in metres; get_sampled_ray() returns
-        /// the index of a sampled ray
+        /// [sampled rays] distance to the surface in metres; get_sampled_ray_index()
+        /// returns the index of a sampled ray
         std::span<const float> requested_m;
         std::uint32_t n_capped;
     };
     /// Waits until the points are copied to these host buffers.
     /// @return valid until the buffers are reused
-    static Gathered wait(Stream& stream, Slot& slot);
+    static GatheredPoints wait_for_copied_points(Stream& stream, PointReadbackSlot& host_buffers);
     /// Returns the index of the k-th sampled ray. The distance to its surface is copied
     /// to the host even if the ray has no return.
-    /// @param index index below n_requested()
-    static std::size_t get_sampled_ray(std::size_t index, std::size_t n_rays) {
-        return index * n_rays / n_requested(n_rays);
+    /// @param sample_index index below count_sampled_rays()
+    static std::size_t get_sampled_ray_index(std::size_t sample_index, std::size_t n_rays) {
+        return sample_index * n_rays / count_sampled_rays(n_rays);
     }
-    static std::size_t n_requested(std::size_t n_rays) { return std::min(n_rays, kAskedRays); }
+    static std::size_t count_sampled_rays(std::size_t n_rays) { return std::min(n_rays, kSampledRays); }
 
 private:
     Device& device_;
@@ -78,14 +79,15 @@ private:
     Kernel<shared::GatherPointsParams> gather_;
     PrefixSum sum_;
     Array<std::uint32_t, shared::ReturnMarks> marks_;
-    Array<std::uint32_t, shared::ReturnPlaces> places_;
+    Array<std::uint32_t, shared::ReturnPlaces> point_indices_;
     Array<std::uint32_t, shared::ScanTotal> count_;
     Array<shared::ReturnedPoint> points_;
-    Array<float, shared::RequestedRanges> asked_;
-    std::vector<std::shared_ptr<Slot>> slots_;
+    Array<float, shared::RequestedRanges> sampled_ranges_;
+    std::vector<std::shared_ptr<PointReadbackSlot>> slots_;
 
-    void reserve_rays(Stream& stream, std::size_t n_rays);
-    std::shared_ptr<Slot> read_back(Stream& stream, std::size_t n_rays, const Array<std::uint32_t>& n_capped);
+    void reserve_ray_memory(Stream& stream, std::size_t n_rays);
+    std::shared_ptr<PointReadbackSlot> record_copy_to_host(Stream& stream, std::size_t n_rays,
+                                                           const Array<std::uint32_t>& capped_ray_count);
 };
 
 }  // namespace relidar

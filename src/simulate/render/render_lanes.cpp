@@ -12,15 +12,18 @@
 
 namespace relidar {
 
-RenderLanes::RenderLanes(Device& device, ResidentScene& scene)
-    : device_(device), scene_(scene), first_(device), most_(ScanRenderer::choose_max_lanes(device)) {}
+ParallelScanResourcePool::ParallelScanResourcePool(Device& device, ResidentScene& scene)
+    : device_(device),
+      scene_(scene),
+      first_(device),
+      most_(ScanRenderer::choose_max_parallel_scans(device)) {}
 
-RenderLane& RenderLanes::next() {
+ParallelScanResources& ParallelScanResourcePool::get_next_batch_lane() {
     if (!batch_) {
         while (1 + std::ssize(others_) < most_) {
             const std::size_t n_before = others_.size();
             try {
-                others_.emplace_back(device_).copy = scene_.copy();
+                others_.emplace_back(device_).copy = scene_.copy_to_new_renderer();
                 // If device memory is exhausted, continues with the copies that exist.
             } catch (const OutOfDeviceMemory&) {
                 if (others_.size() > n_before) others_.pop_back();
@@ -31,61 +34,66 @@ RenderLane& RenderLanes::next() {
         n_batch_ = 0;
     }
     const std::size_t lane = n_batch_++ % (1 + others_.size());
-    batch_->select_lane(lane);
+    batch_->select_command_lane(lane);
     return lane == 0 ? first_ : others_[lane - 1];
 }
 
-void RenderLanes::submit_batch() {
+void ParallelScanResourcePool::submit_batch() {
     if (!batch_) return;
     batch_.reset();
-    scene_.renderer().stream().submit();
+    scene_.renderer().stream().submit_commands();
 }
 
-Renderer& RenderLanes::renderer(const RenderLane& lane) { return lane.copy ? *lane.copy : scene_.renderer(); }
+Renderer& ParallelScanResourcePool::get_renderer(const ParallelScanResources& lane) {
+    return lane.copy ? *lane.copy : scene_.renderer();
+}
 
-void RenderLanes::set_network(const DropNetwork& network) {
+void ParallelScanResourcePool::set_drop_network(const RayDropNetwork& network) {
     first_.refiner.reset();
-    for (RenderLane& lane : others_) lane.refiner.reset();
+    for (ParallelScanResources& lane : others_) lane.refiner.reset();
     if (!network.empty()) first_.refiner.emplace(device_, network);
 }
 
-DropRefiner& RenderLanes::refiner(RenderLane& lane) {
+RayDropRefiner& ParallelScanResourcePool::get_or_create_drop_refiner(ParallelScanResources& lane) {
     if (!lane.refiner) lane.refiner.emplace(device_, first_.refiner->network());
     return *lane.refiner;
 }
 
-void RenderLanes::set_max_lanes(int count) {
+void ParallelScanResourcePool::set_max_lanes(int count) {
     most_ = count;
     while (std::ssize(others_) >= count) others_.pop_back();
 }
 
-std::shared_ptr<SensorRays> RenderLane::upload(Device& device, const SensorChoice& sensor,
-                                               const RayTable& table,
-                                               const std::function<float(std::size_t)>& never_seen) {
+std::shared_ptr<DeviceSensorRays> ParallelScanResources::upload_sensor_rays(
+    Device& device, const SimulatedSensor& sensor, const RayTable& ray_table,
+    const std::function<float(std::size_t)>& get_no_return_probability) {
     // limits for the rays that stay in device memory, where they need 0.2 GB
     constexpr std::size_t kMostSensors = 8, kMostRays = std::size_t(1) << 21;
-    const std::string name = fmt::format("{}, LiDAR {}, {}", sensor.name, sensor.lidar, sensor.is_own);
-    const auto known =
-        std::ranges::find_if(known_rays, [&](const auto& rays) { return rays->has(table, name); });
-    if (known != known_rays.end()) {
-        std::rotate(known_rays.begin(), known, known + 1);
-        return known_rays.front();
+    const std::string name = fmt::format("{}, LiDAR {}, {}", sensor.name, sensor.lidar, sensor.is_log_lidar);
+    const auto matching_rays = std::ranges::find_if(
+        cached_sensor_rays, [&](const auto& rays) { return rays->is_ray_table_uploaded(ray_table, name); });
+    if (matching_rays != cached_sensor_rays.end()) {
+        std::rotate(cached_sensor_rays.begin(), matching_rays, matching_rays + 1);
+        return cached_sensor_rays.front();
     }
     // Returns true if an entry can be overwritten: no pending scan uses its rays, and it
     // is empty or belongs to the same sensor.
-    const auto is_free = [&](const std::shared_ptr<SensorRays>& rays) {
-        return rays.use_count() == 1 && (rays->table().size() == 0 || rays->sensor() == name);
+    const auto is_free = [&](const std::shared_ptr<DeviceSensorRays>& rays) {
+        return rays.use_count() == 1 &&
+               (rays->get_ray_table().size() == 0 || rays->get_sensor_name() == name);
     };
     // Overwrites the entry of the same sensor, whose rays may differ from scan to scan.
-    auto place = std::ranges::find_if(known_rays, is_free);
-    if (place == known_rays.end()) place = known_rays.insert(place, std::make_shared<SensorRays>(device));
-    std::rotate(known_rays.begin(), place, place + 1);
-    const std::shared_ptr<SensorRays> rays = known_rays.front();
-    rays->take(table, name, never_seen);
-    std::size_t n_rays = 0, n_kept = 0;
-    for (const auto& kept : known_rays)
-        if ((n_rays += kept->table().size()) <= kMostRays && n_kept < kMostSensors) ++n_kept;
-    known_rays.resize(std::max<std::size_t>(n_kept, 1));
+    auto free_entry = std::ranges::find_if(cached_sensor_rays, is_free);
+    if (free_entry == cached_sensor_rays.end())
+        free_entry = cached_sensor_rays.insert(free_entry, std::make_shared<DeviceSensorRays>(device));
+    std::rotate(cached_sensor_rays.begin(), free_entry, free_entry + 1);
+    const std::shared_ptr<DeviceSensorRays> rays = cached_sensor_rays.front();
+    rays->upload_ray_table(ray_table, name, get_no_return_probability);
+    std::size_t n_rays = 0, n_cached_sensors = 0;
+    for (const auto& sensor_rays : cached_sensor_rays)
+        if ((n_rays += sensor_rays->get_ray_table().size()) <= kMostRays && n_cached_sensors < kMostSensors)
+            ++n_cached_sensors;
+    cached_sensor_rays.resize(std::max<std::size_t>(n_cached_sensors, 1));
     return rays;
 }
 

@@ -23,60 +23,64 @@ class ResidentScene;
 
 /// Device resources for rendering one scan. Scans that are rendered in parallel use
 /// different lanes.
-struct RenderLane {
+struct ParallelScanResources {
     /// copy of the scene on the device; null if this lane uses the original scene
     std::unique_ptr<Renderer> copy = {};
     /// Rays of recently used sensors on the device, sorted from the most to the least
     /// recently used sensor.
-    std::vector<std::shared_ptr<SensorRays>> known_rays;
-    PointsOnDevice points;
-    std::optional<DropRefiner> refiner = {};
+    std::vector<std::shared_ptr<DeviceSensorRays>> cached_sensor_rays;
+    DevicePointComputer points;
+    std::optional<RayDropRefiner> refiner = {};
 
-    explicit RenderLane(Device& device) : known_rays{std::make_shared<SensorRays>(device)}, points(device) {}
+    explicit ParallelScanResources(Device& device)
+        : cached_sensor_rays{std::make_shared<DeviceSensorRays>(device)}, points(device) {}
     /// Returns the rays of a sensor as arrays on the device. The arrays stay on the
     /// device for the next scans of the sensor.
-    /// @param never_seen returns the probability that the sensor never gets a return
-    /// along a ray
-    std::shared_ptr<SensorRays> upload(Device& device, const SensorChoice& sensor, const RayTable& table,
-                                       const std::function<float(std::size_t)>& never_seen);
+    /// @param get_no_return_probability returns the probability that the sensor never
+    /// gets a return along a ray
+    std::shared_ptr<DeviceSensorRays> upload_sensor_rays(
+        Device& device, const SimulatedSensor& sensor, const RayTable& ray_table,
+        const std::function<float(std::size_t)>& get_no_return_probability);
 };
 
 /// All lanes of a scene. A lane has the device resources for one scan at a time, so that
 /// several scans can be rendered in parallel.
-class RenderLanes {
+class ParallelScanResourcePool {
 public:
-    RenderLanes(Device& device, ResidentScene& scene);
+    ParallelScanResourcePool(Device& device, ResidentScene& scene);
 
     /// Returns the lane for a scan that is not part of a batch.
-    RenderLane& first() { return first_; }
+    ParallelScanResources& get_unbatched_lane() { return first_; }
     /// Returns the lane for the next scan of a batch. Begins a batch if none is open.
     /// Creates the lanes at the first call.
-    RenderLane& next();
-    bool has_batch() const { return batch_.has_value(); }
+    ParallelScanResources& get_next_batch_lane();
+    bool has_open_batch() const { return batch_.has_value(); }
     /// Submits the GPU commands of all scans of the batch.
     void submit_batch();
-    Renderer& renderer(const RenderLane& lane);
+    Renderer& get_renderer(const ParallelScanResources& lane);
 
     /// Sets the network that corrects the drop probabilities. An empty network turns the
     /// correction off.
-    void set_network(const DropNetwork& network);
+    void set_drop_network(const RayDropNetwork& network);
     /// Returns the network that corrects the drop probabilities, or null if there is
     /// none.
-    const DropNetwork* network() const { return first_.refiner ? &first_.refiner->network() : nullptr; }
+    const RayDropNetwork* get_drop_network() const {
+        return first_.refiner ? &first_.refiner->network() : nullptr;
+    }
     /// Returns the object that runs the ray-drop network in a lane. Creates the object at
     /// the first call.
-    DropRefiner& refiner(RenderLane& lane);
-    int most() const { return most_; }
+    RayDropRefiner& get_or_create_drop_refiner(ParallelScanResources& lane);
+    int get_max_lanes() const { return most_; }
     void set_max_lanes(int count);
 
 private:
     Device& device_;
     ResidentScene& scene_;
-    RenderLane first_;
-    std::deque<RenderLane> others_ = {};  ///< lanes for further parallel scans
+    ParallelScanResources first_;
+    std::deque<ParallelScanResources> others_ = {};  ///< lanes for further parallel scans
     int most_;
     /// GPU commands of scans that were recorded but not submitted yet
-    std::optional<StreamLanes> batch_ = {};
+    std::optional<ConcurrentSequenceScope> batch_ = {};
     std::size_t n_batch_ = 0;  ///< number of scans in the batch
 };
 

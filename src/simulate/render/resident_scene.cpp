@@ -24,30 +24,31 @@ ResidentScene::ResidentScene(Device& device, const Scene& scene, const Config& c
       scene_(scene.blocks.empty() ? Scene{} : scene),
       last_needed_(scene.blocks.size(), 0) {
     if (scene.blocks.empty())
-        renderer_.emplace(device, has_model_copy_ ? copy_shared_models(scene) : scene, model_, options_);
+        renderer_.emplace(device, has_model_copy_ ? duplicate_shared_models(scene) : scene, model_, options_);
 }
 
-void ResidentScene::load(const std::vector<std::size_t>& blocks) {
-    if (renderer_) past_.add(renderer_->stream().times());
+void ResidentScene::load_blocks(const std::vector<std::size_t>& block_indices) {
+    if (renderer_) past_.add_times(renderer_->stream().times());
     // frees the memory of the old renderer before the new renderer allocates its memory
     renderer_.reset();
     loaded_.clear();
-    Scene scene = read_blocks(scene_, blocks);
-    if (has_model_copy_) scene = copy_shared_models(std::move(scene));
+    Scene scene = load_selected_blocks(scene_, block_indices);
+    if (has_model_copy_) scene = duplicate_shared_models(std::move(scene));
     const std::uint64_t before = device_.allocated_bytes();
     renderer_.emplace(device_, scene, model_, options_);
     bytes_per_surfel_ =
         double(device_.allocated_bytes() - before) / double(std::max<std::size_t>(scene.surfels.size(), 1));
-    loaded_ = blocks;
+    loaded_ = block_indices;
 }
 
 /// Returns the blocks (parts of a large scene) that a scan needs, plus other loaded
 /// blocks that fit into memory. Prefers the most recently needed blocks.
-std::vector<std::size_t> ResidentScene::add_recent_blocks(std::vector<std::size_t> blocks) const {
+std::vector<std::size_t> ResidentScene::add_recently_needed_blocks(
+    std::vector<std::size_t> block_indices) const {
     double bytes = 0.0;
-    for (const std::size_t i : blocks) bytes += scene_.blocks[i].count * bytes_per_surfel_;
+    for (const std::size_t i : block_indices) bytes += scene_.blocks[i].count * bytes_per_surfel_;
     std::vector<std::size_t> others;
-    std::set_difference(loaded_.begin(), loaded_.end(), blocks.begin(), blocks.end(),
+    std::set_difference(loaded_.begin(), loaded_.end(), block_indices.begin(), block_indices.end(),
                         std::back_inserter(others));
     std::sort(others.begin(), others.end(), [this](std::size_t first, std::size_t second) {
         return last_needed_[first] > last_needed_[second];
@@ -55,35 +56,36 @@ std::vector<std::size_t> ResidentScene::add_recent_blocks(std::vector<std::size_
     for (const std::size_t i : others) {
         bytes += scene_.blocks[i].count * bytes_per_surfel_;
         if (bytes > memory_bytes_) break;
-        blocks.push_back(i);
+        block_indices.push_back(i);
     }
-    std::sort(blocks.begin(), blocks.end());
-    return blocks;
+    std::sort(block_indices.begin(), block_indices.end());
+    return block_indices;
 }
 
-void ResidentScene::make_resident(const glm::vec3& sensor_m, double reach_m) {
+void ResidentScene::load_blocks_near_sensor(const glm::vec3& sensor_position_m, double max_range_m) {
     ++scans_;
     std::vector<std::size_t> needed;
     for (std::size_t i = 0; i < scene_.blocks.size(); ++i) {
-        if (scene_.blocks[i].count == 0 || scene_.blocks[i].distance_m(sensor_m) > reach_m + kSweep_m)
+        if (scene_.blocks[i].count == 0 ||
+            scene_.blocks[i].compute_distance_to_box_m(sensor_position_m) > max_range_m + kSweep_m)
             continue;
         needed.push_back(i);
         last_needed_[i] = scans_;
     }
     if (!renderer_ || !std::includes(loaded_.begin(), loaded_.end(), needed.begin(), needed.end()))
-        load(add_recent_blocks(std::move(needed)));
+        load_blocks(add_recently_needed_blocks(std::move(needed)));
 }
 
-std::unique_ptr<Renderer> ResidentScene::copy() {
+std::unique_ptr<Renderer> ResidentScene::copy_to_new_renderer() {
     RendererOptions options = options_;
     options.stream = &renderer_->stream();
-    return std::make_unique<Renderer>(device_, renderer_->download(), model_, options);
+    return std::make_unique<Renderer>(device_, renderer_->download_scene(), model_, options);
 }
 
-const KernelTimes& ResidentScene::times() {
+const KernelTimes& ResidentScene::get_kernel_times() {
     if (renderer_ && past_.milliseconds.empty()) return renderer_->stream().times();
     times_ = past_;
-    if (renderer_) times_.add(renderer_->stream().times());
+    if (renderer_) times_.add_times(renderer_->stream().times());
     return times_;
 }
 

@@ -26,27 +26,27 @@ public:
     ResidentScene(Device& device, const Scene& scene, const Config& config, const RendererOptions& options);
 
     /// Loads all blocks of the scene within the range of a sensor.
-    /// @param sensor_m [3] position of the sensor, world frame
-    /// @param reach_m maximum range of its rays
+    /// @param sensor_position_m [3] position of the sensor, world frame
+    /// @param max_range_m maximum range of its rays
     /// @throws DataError as read_blocks()
-    void make_resident(const glm::vec3& sensor_m, double reach_m);
-    /// Returns the renderer of the loaded scene. Call make_resident() before.
+    void load_blocks_near_sensor(const glm::vec3& sensor_position_m, double max_range_m);
+    /// Returns the renderer of the loaded scene. Call load_blocks_near_sensor() before.
     Renderer& renderer() { return *renderer_; }
     bool is_loaded() const { return renderer_.has_value(); }
     /// Copies a scene without blocks on the device, so that several scans can be rendered
     /// in parallel. The copy uses the stream of renderer(), which must outlive it. Waits
     /// until the copy is finished.
     /// @throws DeviceError if memory is exhausted
-    std::unique_ptr<Renderer> copy();
+    std::unique_ptr<Renderer> copy_to_new_renderer();
     /// Returns the kernel times of all renderings so far.
-    const KernelTimes& times();
+    const KernelTimes& get_kernel_times();
 
 private:
-    void load(const std::vector<std::size_t>& blocks);
-    std::vector<std::size_t> add_recent_blocks(std::vector<std::size_t> needed) const;
+    void load_blocks(const std::vector<std::size_t>& block_indices);
+    std::vector<std::size_t> add_recently_needed_blocks(std::vector<std::size_t> block_indices) const;
 
     Device& device_;
-    const ImageModel model_;
+    const ImageFormationModel model_;
     const RendererOptions options_;
     const double memory_bytes_;
     const bool has_model_copy_;

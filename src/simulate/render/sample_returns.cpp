@@ -20,48 +20,50 @@ constexpr std::uint64_t kOfIntensities = 0x696E74656E736974ull;
 
 }  // namespace
 
-RenderedIntensities get_rendered_intensities(const RenderedScan& scan) {
+RenderedIntensityImage get_rendered_intensities(const RenderedScan& scan) {
     const RangeImage& image = scan.image;
-    const ImageRays rays{image.rows, image.columns, image.origin, image.direction, scan.median_range_m};
-    RenderedIntensities result{
+    const RangeImageRays rays{image.rows, image.columns, image.origin, image.direction, scan.median_range_m};
+    RenderedIntensityImage result{
         image.rows, image.columns, image.intensity, scan.median_range_m, compute_range_spread(scan), {}, {}};
     result.cosine.resize(image.direction.size());
     result.elevation_rad.resize(image.direction.size());
-    for_each_block(image.direction.size(), [&](std::size_t index) {
+    parallel_for_in_blocks(image.direction.size(), [&](std::size_t index) {
         result.cosine[index] = static_cast<float>(compute_incidence_cosine(rays, index));
         result.elevation_rad[index] = std::asin(std::clamp(image.direction[index].z, -1.0f, 1.0f));
     });
     return result;
 }
 
-void sample_returns(RenderedScan& scan, const RangeNoise& noise, const IntensityScatter& scatter,
-                    std::uint64_t seed) {
-    const std::uint64_t of_scan = combine_hashes(seed, std::bit_cast<std::uint64_t>(scan.time_s));
-    const RenderedIntensities likely = get_rendered_intensities(scan);
+void sample_random_returns(RenderedScan& scan, const RangeNoiseTable& noise,
+                           const IntensityScatterModel& scatter, std::uint64_t seed) {
+    const std::uint64_t of_scan = hash_integer_pair(seed, std::bit_cast<std::uint64_t>(scan.time_s));
+    const RenderedIntensityImage likely = get_rendered_intensities(scan);
     const std::vector<float>& likely_m = likely.range_m;
     std::vector<float> ranges_m = likely_m;
     std::vector<std::uint8_t> returning(likely_m.size());
-    for_each_block(ranges_m.size(), [&](std::size_t i) {
-        Random random(combine_hashes(of_scan, i));
-        const bool returns = likely_m[i] > 0.0f && random.uniform() >= double(scan.image.drop_prob[i]);
+    parallel_for_in_blocks(ranges_m.size(), [&](std::size_t i) {
+        Random random(hash_integer_pair(of_scan, i));
+        const bool returns = likely_m[i] > 0.0f && random.draw_uniform() >= double(scan.image.drop_prob[i]);
         returning[i] = returns;
         scan.image.drop_prob[i] = returns ? 0.0f : 1.0f;
         const double cosine = double(likely.cosine[i]),
-                     sigma_m = noise.at(double(likely_m[i]), cosine < 0.0 ? 1.0 : cosine);
-        for (SecondReturn& echo : scan.second_returns) {
+                     sigma_m = noise.get_noise_sigma_m(double(likely_m[i]), cosine < 0.0 ? 1.0 : cosine);
+        for (AdditionalReturns& echo : scan.second_returns) {
             if (!returns) echo.range_m[i] = echo.intensity[i] = 0.0f;
             if (echo.range_m[i] > 0.0f)
                 echo.range_m[i] =
                     std::max(echo.range_m[i] +
-                                 static_cast<float>(noise.at(double(echo.range_m[i]), 1.0) * random.normal()),
+                                 static_cast<float>(noise.get_noise_sigma_m(double(echo.range_m[i]), 1.0) *
+                                                    random.draw_standard_normal()),
                              1e-3f);
         }
         if (returns)
-            ranges_m[i] = std::max(likely_m[i] + static_cast<float>(sigma_m * random.normal()), 1e-3f);
+            ranges_m[i] =
+                std::max(likely_m[i] + static_cast<float>(sigma_m * random.draw_standard_normal()), 1e-3f);
     });
     if (!scatter.empty()) {
         const std::vector<float> drawn =
-            draw_intensities(scatter, likely, returning, combine_hashes(of_scan, kOfIntensities));
+            draw_random_intensities(scatter, likely, returning, hash_integer_pair(of_scan, kOfIntensities));
         for (std::size_t i = 0; i < drawn.size(); ++i)
             if (returning[i] != 0) scan.image.intensity[i] = drawn[i];
     }

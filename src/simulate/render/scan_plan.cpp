@@ -14,7 +14,7 @@ namespace {
 /// names, it corrects the cells of a grid.
 constexpr const char* kNative = "native";
 
-SensorConfig list_beams(const SensorChoice& sensor, const Config& config) {
+SensorConfig make_beam_config(const SimulatedSensor& sensor, const Config& config) {
     SensorConfig beams = config.sensor;
     if (sensor.returns > 0) beams.returns = sensor.returns;
     if (sensor.returns > 1 && beams.sub_rays == 1) beams.sub_rays = 9;
@@ -23,66 +23,71 @@ SensorConfig list_beams(const SensorChoice& sensor, const Config& config) {
 
 /// Checks that the beams of a sensor can be split into sub-rays.
 /// @throws UsageError for a beam without divergence
-void check_beams(const RayTable& rays, const SensorConfig& beams, const SensorChoice& sensor) {
-    if (sensor.grid && beams.returns > 1)
+void check_beams_can_be_split(const RayTable& rays, const SensorConfig& beam_config,
+                              const SimulatedSensor& sensor) {
+    if (sensor.grid && beam_config.returns > 1)
         throw UsageError(fmt::format(
             "sensor.returns: found 2 for {}, expected 1, because its image has one range per pixel",
             sensor.name));
-    if (beams.sub_rays == 1 && beams.returns > 1)
+    if (beam_config.sub_rays == 1 && beam_config.returns > 1)
         throw UsageError(
             "sensor.returns=2 needs sensor.sub_rays of 5 or 9, because a single ray has only one "
             "return");
-    if (beams.sub_rays == 1) return;
-    if (beams.sub_rays != 5 && beams.sub_rays != 9)
-        throw UsageError(fmt::format("sensor.sub_rays: found {}, expected 1, 5 or 9", beams.sub_rays));
-    if (!(beams.divergence_mrad > 0.0 || rays.find_largest_divergence() > 0.0))
+    if (beam_config.sub_rays == 1) return;
+    if (beam_config.sub_rays != 5 && beam_config.sub_rays != 9)
+        throw UsageError(fmt::format("sensor.sub_rays: found {}, expected 1, 5 or 9", beam_config.sub_rays));
+    if (!(beam_config.divergence_mrad > 0.0 || rays.find_max_divergence_rad() > 0.0))
         throw UsageError(
             fmt::format("sensor.sub_rays: the beam divergence of {} is unknown; set sensor.divergence_mrad",
                         sensor.name));
-    if (rays.size() * std::size_t(beams.sub_rays) > kMaxRays)
+    if (rays.size() * std::size_t(beam_config.sub_rays) > kMaxRays)
         throw UsageError(
             fmt::format("sensor.sub_rays: found {} for {} rays, expected at most {} rays in total",
-                        beams.sub_rays, rays.size(), kMaxRays));
+                        beam_config.sub_rays, rays.size(), kMaxRays));
 }
 
 /// Returns true if the network exists and can correct an image with this name and this
 /// number of rows and columns.
-bool has_drop_correction(const DropNetwork* network, const std::string& image, int rows, int columns) {
-    if (!network || network->image != image) return false;
+bool can_network_correct_image(const RayDropNetwork* network, const std::string& image_name, int rows,
+                               int columns) {
+    if (!network || network->image != image_name) return false;
     // A network with 1 x 1 convolutions processes each ray separately, so it needs no
     // image.
-    const int side = network->taps == 1 ? 1 : std::max(2, network->smallest_side());
+    const int side = network->taps == 1 ? 1 : std::max(2, network->compute_min_image_side());
     return rows >= side && columns >= side;
 }
 
-ScanPlan::Network choose_network_stage(const DropNetwork* network, const SensorChoice& sensor,
-                                       const RayTable& rays, bool splits_beams) {
-    using enum ScanPlan::Network;
-    if (has_drop_correction(network, kNative, rays.rows, rays.columns) ||
-        (!sensor.grid && has_drop_correction(network, sensor.name, rays.rows, rays.columns)))
-        return splits_beams ? beams : device;
-    const RangeGrid* grid = sensor.grid ? &*sensor.grid : nullptr;
-    return grid && has_drop_correction(network, grid->name, grid->rows, grid->columns) ? cells : none;
+ScanRenderPlan::RayDropStage choose_network_stage(const RayDropNetwork* network,
+                                                  const SimulatedSensor& sensor, const RayTable& rays,
+                                                  bool has_sub_rays) {
+    using enum ScanRenderPlan::RayDropStage;
+    if (can_network_correct_image(network, kNative, rays.rows, rays.columns) ||
+        (!sensor.grid && can_network_correct_image(network, sensor.name, rays.rows, rays.columns)))
+        return has_sub_rays ? beams : device;
+    const RangeImageGrid* grid = sensor.grid ? &*sensor.grid : nullptr;
+    return grid && can_network_correct_image(network, grid->name, grid->rows, grid->columns) ? cells : none;
 }
 
 }  // namespace
 
-ScanPlan plan_scan(const SensorChoice& sensor, const RayTable& rays, const Config& config,
-                   const ScanSettings& settings, const DropNetwork* network, bool is_sampled) {
-    ScanPlan plan{.beams = list_beams(sensor, config)};
-    check_beams(rays, plan.beams, sensor);
+ScanRenderPlan plan_scan(const SimulatedSensor& sensor, const RayTable& rays, const Config& config,
+                         const ScanRenderSettings& settings, const RayDropNetwork* network,
+                         bool has_random_sampling) {
+    ScanRenderPlan plan{.beams = make_beam_config(sensor, config)};
+    check_beams_can_be_split(rays, plan.beams, sensor);
     if (rays.size() == 0)
         throw UsageError(
             fmt::format("cannot render {}: this sensor does not spin and defines no rays; use another sensor",
                         sensor.name));
-    plan.network = choose_network_stage(network, sensor, rays, plan.splits_beams());
-    plan.points_on_device = !is_sampled && settings.weather.clear() && settings.channels.empty() &&
-                            !sensor.grid && !plan.splits_beams() && sensor.rays.size() > 0;
+    plan.network = choose_network_stage(network, sensor, rays, plan.has_sub_rays());
+    plan.points_on_device = !has_random_sampling && settings.weather.is_clear() &&
+                            settings.channels.empty() && !sensor.grid && !plan.has_sub_rays() &&
+                            sensor.rays.size() > 0;
     return plan;
 }
 
-bool is_drop_correction_used(const DropNetwork* network, const SensorChoice& sensor) {
-    return choose_network_stage(network, sensor, sensor.rays, false) != ScanPlan::Network::none;
+bool is_drop_correction_used(const RayDropNetwork* network, const SimulatedSensor& sensor) {
+    return choose_network_stage(network, sensor, sensor.rays, false) != ScanRenderPlan::RayDropStage::none;
 }
 
 }  // namespace relidar

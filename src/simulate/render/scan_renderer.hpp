@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Declares the steps that make a scan: compute the sweep, trace rays, join sub-rays, run
-// the network, measure, compute points. ScanPlan decides which steps run. Private to
-// render.
+// the network, measure, compute points. ScanRenderPlan decides which steps run. Private
+// to render.
 #pragma once
 
 #include <deque>
@@ -21,40 +21,40 @@
 
 namespace relidar {
 
-struct ScanContext;
-class RenderLanes;
-class SensorRays;
-struct RenderLane;
+struct ChannelInputs;
+class ParallelScanResourcePool;
+class DeviceSensorRays;
+struct ParallelScanResources;
 
 /// Points of a submitted scan. The caller has not collected them with wait_for_points()
 /// yet.
 struct PendingPoints {
     std::optional<RenderedPoints> ready = {};  ///< the points, if the host computed them
-    std::shared_ptr<SensorRays> rays = {};
+    std::shared_ptr<DeviceSensorRays> rays = {};
     /// poses of the sensor; a single pose if the sensor does not move
     PoseTrack dataset_from_sensor = {};
     Pose dataset_from_points = {};
     double time_s = 0.0;
     double max_range_m = 0.0;  ///< maximum range of the sensor
-    double step = 0.0;         ///< step to which intensities are rounded, see IntensityScatter
-    std::shared_ptr<PointsOnDevice::Slot> points = {};
+    double step = 0.0;         ///< step to which intensities are rounded, see IntensityScatterModel
+    std::shared_ptr<DevicePointComputer::PointReadbackSlot> points = {};
     Renderer* renderer = nullptr;
 };
 
 struct ScanRenderer::Impl {
     Device& device;
     const Config config;
-    const glm::dvec3 first_origin_m;  ///< origin of the first ray, see get_first_origin()
-    ScanSettings settings;
-    SweepMaker sweeps;
+    const glm::dvec3 first_origin_m;  ///< origin of the first ray, see get_first_vehicle_position()
+    ScanRenderSettings settings;
+    SimulatedSweepBuilder sweeps;
     ResidentScene scene;
-    std::unique_ptr<RenderLanes> lanes;
-    ClassMap class_map = {};
+    std::unique_ptr<ParallelScanResourcePool> lanes;
+    SurfaceClassMap class_map = {};
     /// Search tree of `class_map`. Null until the first scan with the channel `class`.
-    std::unique_ptr<const ClassFinder> class_finder = {};
+    std::unique_ptr<const SurfaceClassLookup> class_finder = {};
     std::deque<PendingPoints> pending = {};  ///< requested scans, sorted from the oldest to the newest
 
-    Impl(Device& on, const Scene& all, const Config& settings_of_run, const Sequence& sequence);
+    Impl(Device& on, const Scene& all, const Config& settings_of_run, const LidarSequence& sequence);
     /// A scan of traced rays. `drops` has the drop probabilities of the network if the
     /// network ran on the device. It is valid until the next scan is traced.
     struct TracedScan {
@@ -62,26 +62,30 @@ struct ScanRenderer::Impl {
         std::span<const float> drops;
     };
     /// Decides which steps run for a sweep.
-    ScanPlan plan(const Sweep& sweep, bool is_sampled) const;
-    void load_scene(const RenderLane& lane, const Sweep& sweep);
-    std::shared_ptr<SensorRays> record(RenderLane& lane, const Sweep& sweep, const RayTable& rays,
-                                       bool corrects_drops);
-    TracedScan trace(const Sweep& sweep, const RayTable& table, bool corrects_drops = false);
-    RenderedScan trace_beams(const Sweep& sweep, SensorConfig beams);
-    std::vector<ActorView> count_first_hits(const RenderedScan& scan) const;
-    void count_isolated_actor_hits(const Sweep& sweep, const ScanPlan& plan, std::vector<ActorView>& views);
-    void correct_drops(RenderedScan& scan);
-    void measure(RenderedScan& scan, const Sweep& sweep, std::optional<std::uint64_t> sample);
-    RenderedScan render(const Sweep& sweep, std::optional<std::uint64_t> sample);
+    ScanRenderPlan plan_steps_for_sweep(const SimulatedSweep& sweep, bool has_random_sampling) const;
+    void prepare_scene_for_sweep(const ParallelScanResources& lane, const SimulatedSweep& sweep);
+    std::shared_ptr<DeviceSensorRays> record_trace_commands(ParallelScanResources& lane,
+                                                            const SimulatedSweep& sweep, const RayTable& rays,
+                                                            bool with_drop_network);
+    TracedScan trace_rays(const SimulatedSweep& sweep, const RayTable& ray_table,
+                          bool with_drop_network = false);
+    RenderedScan trace_beams_with_sub_rays(const SimulatedSweep& sweep, SensorConfig beam_config);
+    std::vector<ActorVisibility> count_first_hits_per_instance(const RenderedScan& scan) const;
+    void count_hits_without_occluders(const SimulatedSweep& sweep, const ScanRenderPlan& plan,
+                                      std::vector<ActorVisibility>& actor_views);
+    void correct_drops_with_network(RenderedScan& scan);
+    void apply_noise_and_weather(RenderedScan& scan, const SimulatedSweep& sweep,
+                                 std::optional<std::uint64_t> noise_seed);
+    RenderedScan render_sweep(const SimulatedSweep& sweep, std::optional<std::uint64_t> noise_seed);
 
-    PendingPoints record_points(const Sweep& sweep, const Pose& dataset_from_points, const ScanPlan& plan,
-                                Send mode);
-    RenderedPoints collect(PendingPoints& scan, Points memory = {});
-    void finish_pending();
+    PendingPoints record_commands_for_points(const SimulatedSweep& sweep, const Pose& dataset_from_points,
+                                             const ScanRenderPlan& plan, SubmissionTiming submit_mode);
+    RenderedPoints collect_points(PendingPoints& pending_points, LidarPoints reusable_memory = {});
+    void finish_pending_scans();
     void wait_for_device() noexcept;
     bool has_channel(const std::string& name) const;
-    SeenByLog compute_seen_by_log(const SensorChoice& sensor) const;
-    ScanContext make_scan_context(const Sweep& sweep);
+    LogObservedSpace make_observed_space(const SimulatedSensor& sensor) const;
+    ChannelInputs make_scan_context(const SimulatedSweep& sweep);
 };
 
 }  // namespace relidar

@@ -11,52 +11,61 @@ namespace {
 
 // A ray counts as observed by the log if at least this share of its path lies in observed
 // space.
-constexpr float kSeen = 0.5f;
+constexpr float kMinObservedFraction = 0.5f;
 
-bool is_mostly_unseen(float share) { return share < kSeen; }
+bool is_mostly_unobserved(float observed_fraction) { return observed_fraction < kMinObservedFraction; }
 
-LookingRay make_visibility_ray(const RenderedScan& scan, std::size_t index) {
-    return {scan.get_firing_pose(index), glm::dvec3(scan.image.origin[index]),
-            glm::dvec3(scan.image.direction[index]), scan.median_range_m[index]};
+RayWithSurfaceRange make_visibility_ray(const RenderedScan& scan, std::size_t ray_index) {
+    return {scan.get_firing_pose(ray_index), glm::dvec3(scan.image.origin[ray_index]),
+            glm::dvec3(scan.image.direction[ray_index]), scan.median_range_m[ray_index]};
 }
 
 /// Returns the share of a ray's path that lies in space observed by the log. The path
 /// ends at the surface that the ray hits, or at the maximum range.
-float compute_seen_share(const LookingRay& ray, const SeenByLog& log) {
+float compute_observed_path_fraction(const RayWithSurfaceRange& ray, const LogObservedSpace& observed_space) {
     Pose world_from_firing = ray.dataset_from_firing;
-    world_from_firing.translation -= log.world_offset_m;
-    const double length_m = ray.met_m > 0.0f ? std::min(double(ray.met_m), log.max_range_m) : log.max_range_m;
-    return static_cast<float>(log.coverage.share(
+    world_from_firing.translation -= observed_space.world_offset_m;
+    const double length_m = ray.met_m > 0.0f ? std::min(double(ray.met_m), observed_space.max_range_m)
+                                             : observed_space.max_range_m;
+    return static_cast<float>(observed_space.coverage.compute_observed_fraction(
         world_from_firing * ray.origin_m, world_from_firing * (ray.origin_m + length_m * ray.direction)));
 }
 
 }  // namespace
 
-double compute_unseen_share(std::size_t count, const std::function<LookingRay(std::size_t)>& ray_at,
-                            const SeenByLog& log) {
-    std::vector<float> shares(count);
-    for_each_block(count, [&](std::size_t index) { shares[index] = compute_seen_share(ray_at(index), log); });
-    return double(std::ranges::count_if(shares, is_mostly_unseen)) / double(count);
+double compute_unobserved_ray_fraction(std::size_t n_rays,
+                                       const std::function<RayWithSurfaceRange(std::size_t)>& get_ray,
+                                       const LogObservedSpace& observed_space) {
+    std::vector<float> shares(n_rays);
+    parallel_for_in_blocks(n_rays, [&](std::size_t index) {
+        shares[index] = compute_observed_path_fraction(get_ray(index), observed_space);
+    });
+    return double(std::ranges::count_if(shares, is_mostly_unobserved)) / double(n_rays);
 }
 
-std::vector<float> compute_seen_shares(const RenderedScan& scan, const std::vector<std::size_t>& rays,
-                                       const SeenByLog& log) {
-    std::vector<float> shares(rays.size());
-    for_each_block(rays.size(), [&](std::size_t index) {
-        shares[index] = compute_seen_share(make_visibility_ray(scan, rays[index]), log);
+std::vector<float> compute_observed_path_fractions(const RenderedScan& scan,
+                                                   const std::vector<std::size_t>& ray_indices,
+                                                   const LogObservedSpace& observed_space) {
+    std::vector<float> shares(ray_indices.size());
+    parallel_for_in_blocks(ray_indices.size(), [&](std::size_t index) {
+        shares[index] =
+            compute_observed_path_fraction(make_visibility_ray(scan, ray_indices[index]), observed_space);
     });
     return shares;
 }
 
-void set_unseen_share(RenderedScan& scan, const SeenByLog& log) {
+void set_unobserved_ray_fraction(RenderedScan& scan, const LogObservedSpace& observed_space) {
     const std::size_t n = scan.median_range_m.size();
-    if (log.coverage.empty() || n == 0) return;
+    if (observed_space.coverage.empty() || n == 0) return;
     const auto ray_at = [&](std::size_t index) {
-        return make_visibility_ray(scan, PointsOnDevice::get_sampled_ray(index, n));
+        return make_visibility_ray(scan, DevicePointComputer::get_sampled_ray_index(index, n));
     };
-    if (const std::vector<float>* shares = find_values<float>(scan.channels, "seen"))
-        scan.unseen_share = double(std::ranges::count_if(*shares, is_mostly_unseen)) / double(shares->size());
-    else scan.unseen_share = compute_unseen_share(PointsOnDevice::n_requested(n), ray_at, log);
+    if (const std::vector<float>* shares = find_channel_values<float>(scan.channels, "seen"))
+        scan.unseen_share =
+            double(std::ranges::count_if(*shares, is_mostly_unobserved)) / double(shares->size());
+    else
+        scan.unseen_share = compute_unobserved_ray_fraction(DevicePointComputer::count_sampled_rays(n),
+                                                            ray_at, observed_space);
 }
 
 }  // namespace relidar

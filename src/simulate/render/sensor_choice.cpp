@@ -24,103 +24,104 @@ namespace {
 /// this value.
 constexpr float kLeastWeight = 0.05f;
 
-RangeLimits make_configured_limits(const Config& config, const Sequence& sequence) {
-    return {config.dataset.min_range_m, use_farthest_return(config, sequence).dataset.max_range_m};
+RangeLimits get_configured_range_limits(const Config& config, const LidarSequence& sequence) {
+    return {config.dataset.min_range_m, resolve_max_range(config, sequence).dataset.max_range_m};
 }
 
 /// Returns the rays of a sensor, or no rays if the sensor has different rays in every
 /// scan.
 template <class Make>
-RayTable make_rays_of(const std::optional<SensorPattern>& pattern, const Make& make) {
-    return pattern && describe_pattern(*pattern).has_rays_by_time ? RayTable{} : make();
+RayTable make_rays_if_time_invariant(const std::optional<SensorPattern>& pattern, const Make& make_table) {
+    return pattern && summarise_scan_pattern(*pattern).has_rays_by_time ? RayTable{} : make_table();
 }
 
 /// Returns true if the rays of the simulated sensor fire at different times (a rolling
 /// shutter). Either the setting requires a rolling shutter, or the LiDARs of the log have
 /// one.
-bool has_rolling_shutter_of_log(const Config& config, const Sequence& sequence) {
+bool is_rolling_shutter_simulated(const Config& config, const LidarSequence& sequence) {
     return config.sensor.rolling_shutter == RollingShutter::yes || sequence.rolling_shutter;
 }
 
-SensorChoice get_log_sensor(const Config& config, const Sequence& sequence, int lidar) {
-    const Lidar& own = sequence.lidars[std::size_t(lidar)];
-    const SpinningSensor& sensor = own.sensor;
+SimulatedSensor make_log_sensor_choice(const Config& config, const LidarSequence& sequence, int lidar_index) {
+    const Lidar& log_lidar = sequence.lidars[std::size_t(lidar_index)];
+    const SpinningSensor& sensor = log_lidar.sensor;
     const RangeLimits limits =
-        intersect_limits(sensor.range_limits(), make_configured_limits(config, sequence));
-    return {.rays = make_rays_of(own.pattern, [&] { return make_nominal_rays(own, 0.0); }),
-            .is_own = true,
-            .follows_sweeps = config.render.follow_sweeps && !own.pattern,
+        intersect_range_limits(sensor.range_limits(), get_configured_range_limits(config, sequence));
+    return {.rays = make_rays_if_time_invariant(log_lidar.pattern,
+                                                [&] { return make_nominal_rays(log_lidar, 0.0); }),
+            .is_log_lidar = true,
+            .follows_sweeps = config.render.follow_sweeps && !log_lidar.pattern,
             .beams = sensor.beams,
-            .pattern = own.pattern,
+            .pattern = log_lidar.pattern,
             .limits = limits,
             .name = sensor.name,
-            .lidar = lidar,
-            .rolling_shutter = has_rolling_shutter_of_log(config, sequence)};
+            .lidar = lidar_index,
+            .rolling_shutter = is_rolling_shutter_simulated(config, sequence)};
 }
 
-SensorChoice make_grid_choice(const RangeGrid& grid, const Config& config, const Sequence& sequence,
-                              int lidar) {
+SimulatedSensor make_grid_sensor_choice(const RangeImageGrid& grid, const Config& config,
+                                        const LidarSequence& sequence, int lidar_index) {
     const std::string& method = config.sensor.grid_method;
     const RangeLimits limits =
-        intersect_limits({0.0, grid.max_range_m}, make_configured_limits(config, sequence));
+        intersect_range_limits({0.0, grid.max_range_m}, get_configured_range_limits(config, sequence));
     if (method == "cast")
         return {.rays = make_rays(grid),
                 .limits = limits,
                 .name = grid.name,
-                .lidar = lidar,
-                .rolling_shutter = has_rolling_shutter_of_log(config, sequence)};
+                .lidar = lidar_index,
+                .rolling_shutter = is_rolling_shutter_simulated(config, sequence)};
     if (method != "project") {
         throw UsageError(fmt::format("sensor.grid_method: found \"{}\", expected project or cast", method));
     }
-    SensorChoice choice = get_log_sensor(config, sequence, lidar);
+    SimulatedSensor choice = make_log_sensor_choice(config, sequence, lidar_index);
     choice.grid = grid;
-    choice.limits = intersect_limits(choice.limits, limits);
+    choice.limits = intersect_range_limits(choice.limits, limits);
     choice.name = grid.name;
     return choice;
 }
 
 /// Copies all values of a ray to a cell of the grid, except drop probabilities.
-void copy_pixel(const RenderedScan& source_scan, std::size_t source, RenderedScan& target_scan,
-                std::size_t cell) {
-    const glm::vec3 &origin = source_scan.image.origin[source],
-                    &direction = source_scan.image.direction[source];
-    for_each_pair(
+void copy_ray_to_grid_cell(const RenderedScan& source_scan, std::size_t ray_index, RenderedScan& target_scan,
+                           std::size_t cell_index) {
+    const glm::vec3 &origin = source_scan.image.origin[ray_index],
+                    &direction = source_scan.image.direction[ray_index];
+    for_each_channel_pair(
         source_scan, target_scan,
         [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_rays, std::vector<T>& of_cells) {
             if constexpr (std::is_same_v<T, float>) {
-                if (channel.join == ChannelJoin::drop) return;
-                if (channel.join == ChannelJoin::range)
-                    return void(of_cells[cell] = glm::length(origin + of_rays[source] * direction));
+                if (channel.join == ChannelMergeRule::drop) return;
+                if (channel.join == ChannelMergeRule::range)
+                    return void(of_cells[cell_index] = glm::length(origin + of_rays[ray_index] * direction));
             }
-            of_cells[cell] = of_rays[source];
+            of_cells[cell_index] = of_rays[ray_index];
         });
-    target_scan.time_offset_s[cell] = source_scan.time_offset_s[source];
+    target_scan.time_offset_s[cell_index] = source_scan.time_offset_s[ray_index];
 }
 
 /// Sets the drop probability of a cell to the smallest drop probability of its rays,
 /// because one return is enough to fill the cell.
-void join_drops(const RenderedScan& source_scan, std::size_t source, RenderedScan& target_scan,
-                std::size_t cell) {
-    for_each_pair(
+void merge_drop_probability_into_cell(const RenderedScan& source_scan, std::size_t ray_index,
+                                      RenderedScan& target_scan, std::size_t cell_index) {
+    for_each_channel_pair(
         source_scan, target_scan,
         [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_rays, std::vector<T>& of_cells) {
             if constexpr (std::is_same_v<T, float>)
-                if (channel.join == ChannelJoin::drop)
-                    of_cells[cell] = std::min(of_cells[cell], of_rays[source]);
+                if (channel.join == ChannelMergeRule::drop)
+                    of_cells[cell_index] = std::min(of_cells[cell_index], of_rays[ray_index]);
         });
 }
 
 }  // namespace
 
-bool has_rolling_shutter(const SensorChoice& sensor, const Config& config) {
+bool has_rolling_shutter(const SimulatedSensor& sensor, const Config& config) {
     return sensor.rolling_shutter && config.sensor.rolling_shutter != RollingShutter::no;
 }
 
-SensorChoice align_sensor_with_sweep(const SensorChoice& sensor, std::span<const Frame> frames,
-                                     std::span<const Lidar> lidars, double time_s) {
+SimulatedSensor align_sensor_with_sweep(const SimulatedSensor& sensor, std::span<const LidarFrame> frames,
+                                        std::span<const Lidar> lidars, double time_s) {
     constexpr double kSameTime_s = 1e-3;
     if (!sensor.follows_sweeps) return sensor;
-    const auto is_now = [&](const Frame& f) {
+    const auto is_now = [&](const LidarFrame& f) {
         return f.lidar == sensor.lidar && !f.azimuth_shift_rad.empty() &&
                std::abs(f.time_s - time_s) < kSameTime_s;
     };
@@ -128,49 +129,51 @@ SensorChoice align_sensor_with_sweep(const SensorChoice& sensor, std::span<const
     const SpinningSensor& head = lidars[std::size_t(sensor.lidar)].sensor;
     if (sweep == frames.end() || sensor.rays.size() != head.beams.size() * sweep->azimuth_shift_rad.size())
         return sensor;
-    SensorChoice result = sensor;
+    SimulatedSensor result = sensor;
     result.rays = shift_azimuths(std::move(result.rays), head, sweep->azimuth_shift_rad);
     result.follows_sweeps = false;
     return result;
 }
 
-SensorChoice make_configured_sensor(const Config& config, const Sequence& sequence, int lidar) {
-    if (config.sensor.grid == "native") return get_log_sensor(config, sequence, lidar);
-    return make_grid_choice(find_grid(config.sensor.grid), config, sequence, lidar);
+SimulatedSensor make_configured_sensor(const Config& config, const LidarSequence& sequence, int lidar) {
+    if (config.sensor.grid == "native") return make_log_sensor_choice(config, sequence, lidar);
+    return make_grid_sensor_choice(find_range_grid(config.sensor.grid), config, sequence, lidar);
 }
 
-SensorChoice make_sensor_choice(const SensorModel& sensor, int lidar) {
-    const std::optional<SensorPattern> pattern = get_fixed_pattern(sensor);
-    return {.rays = make_rays_of(pattern, [&] { return make_rays(sensor); }),
+SimulatedSensor make_sensor_choice(const SensorModel& sensor, int lidar) {
+    const std::optional<SensorPattern> pattern = get_non_spinning_pattern(sensor);
+    return {.rays = make_rays_if_time_invariant(pattern, [&] { return make_rays(sensor); }),
             .pattern = pattern,
             .limits = sensor.limits,
             .name = sensor.name,
             .lidar = lidar};
 }
 
-SensorChoice make_sensor_choice(const MountedSensor& mounted, int lidar) {
-    SensorChoice choice = make_sensor_choice(mounted.sensor, lidar);
+SimulatedSensor make_sensor_choice(const MountedSensor& mounted, int lidar) {
+    SimulatedSensor choice = make_sensor_choice(mounted.sensor, lidar);
     choice.returns = mounted.returns;
     return choice;
 }
 
-SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence,
-                           int lidar) {
-    if (find_known_name(name_or_file, {"native"})) return get_log_sensor(config, sequence, lidar);
-    if (find_known_name(name_or_file, {make_kitti360_grid().name}))
-        return make_grid_choice(make_kitti360_grid(), config, sequence, lidar);
+SimulatedSensor choose_sensor(const std::string& name_or_file, const Config& config,
+                              const LidarSequence& sequence, int lidar) {
+    if (find_name_ignoring_case(name_or_file, {"native"}))
+        return make_log_sensor_choice(config, sequence, lidar);
+    if (find_name_ignoring_case(name_or_file, {make_kitti360_grid().name}))
+        return make_grid_sensor_choice(make_kitti360_grid(), config, sequence, lidar);
     return make_sensor_choice(find_sensor(name_or_file, {"native"}), lidar);
 }
 
-RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
+RenderedScan bin_scan_into_grid(const RenderedScan& scan, const RangeImageGrid& grid) {
     const RayTable cells = make_rays(grid);
     const std::size_t n = cells.size();
-    check_channels(scan.channels, scan.median_range_m.size(), "a scan that is binned");
+    check_channel_names_and_sizes(scan.channels, scan.median_range_m.size(), "a scan that is binned");
     RenderedScan result = make_scan_without_measurements(cells, scan);
-    for_each_pair(scan, result,
-                  [n]<class T>(const ChannelInfo& channel, const std::vector<T>&, std::vector<T>& of_cells) {
-                      of_cells.assign(n, get_missing_value<T>(channel));
-                  });
+    for_each_channel_pair(
+        scan, result,
+        [n]<class T>(const ChannelInfo& channel, const std::vector<T>&, std::vector<T>& of_cells) {
+            of_cells.assign(n, get_missing_value<T>(channel));
+        });
     result.time_offset_s.assign(n, 0.0f);
     // [cells] drop probability of the ray whose values are stored in the cell; 2 if the
     // cell has no ray yet
@@ -178,22 +181,22 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         if (!(scan.median_range_m[i] > 0.0f) || scan.weight[i] < kLeastWeight) continue;
         const glm::vec3 point = scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i];
-        const std::optional<int> cell = project(grid, glm::dvec3(point));
+        const std::optional<int> cell = project_to_pixel_index(grid, glm::dvec3(point));
         if (!cell) continue;
         const std::size_t c = std::size_t(*cell);
         const float drop = scan.image.drop_prob[i];
-        join_drops(scan, i, result, c);
+        merge_drop_probability_into_cell(scan, i, result, c);
         const bool returns = drop < kDropThreshold, winner_returns = winner_drop[c] < kDropThreshold;
         const bool is_nearer = glm::length(point) < result.median_range_m[c];
         const bool wins = returns != winner_returns ? returns : returns ? is_nearer : drop < winner_drop[c];
         if (!wins && winner_drop[c] < 1.5f) continue;
         winner_drop[c] = drop;
-        copy_pixel(scan, i, result, c);
+        copy_ray_to_grid_cell(scan, i, result, c);
     }
     return result;
 }
 
-RangeImage make_real_image(const Config& config, const Scan& scan) {
+RangeImage make_measured_image(const Config& config, const Scan& scan) {
     RangeImage image;
     if (config.sensor.grid == "native") {
         image = {scan.rays.rows,
@@ -204,15 +207,15 @@ RangeImage make_real_image(const Config& config, const Scan& scan) {
                  to_vector(scan.rays.origin),
                  to_vector(scan.rays.direction)};
     } else {
-        const RangeGrid grid = find_grid(config.sensor.grid);
+        const RangeImageGrid grid = find_range_grid(config.sensor.grid);
         std::vector<glm::vec3> points;
         std::vector<float> intensity;
         for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
             if (!(scan.range_m[i] > 0.0f)) continue;
-            points.push_back(scan.point(i));
+            points.push_back(scan.compute_end_point(i));
             intensity.push_back(scan.intensity[i]);
         }
-        const GridImage binned = project_points(grid, points, intensity);
+        const ProjectedRangeImage binned = project_points(grid, points, intensity);
         const RayTable cells = make_rays(grid);
         image = {grid.rows,
                  grid.columns,

@@ -26,17 +26,17 @@ bool are_bytes_equal(const Values& first, const Values& second) {
     if (first.size() != second.size()) return false;
     constexpr std::size_t kPart = 1 << 14;  // number of values in each parallel part
     std::atomic<bool> same{true};
-    for_each_range_parallel(first.size(), kPart, [&](std::size_t begin, std::size_t end) {
+    parallel_for_ranges(first.size(), kPart, [&](std::size_t begin, std::size_t end) {
         if (same && std::memcmp(&first[begin], &second[begin], (end - begin) * sizeof(first[0])) != 0)
             same = false;
     });
     return same;
 }
 
-std::uint32_t parse_range_kind(const std::string& range) {
-    if (range == "expected") return RELIDAR_RANGE_EXPECTED;
-    if (range == "mode") return RELIDAR_RANGE_MODE;
-    return range == "median" ? RELIDAR_RANGE_MEDIAN : RELIDAR_RANGE_NORMALISED;
+std::uint32_t parse_range_kind(const std::string& range_kind_name) {
+    if (range_kind_name == "expected") return RELIDAR_RANGE_EXPECTED;
+    if (range_kind_name == "mode") return RELIDAR_RANGE_MODE;
+    return range_kind_name == "median" ? RELIDAR_RANGE_MEDIAN : RELIDAR_RANGE_NORMALISED;
 }
 
 std::vector<shared::SensorBeam> make_device_beams(const std::vector<Beam>& beams) {
@@ -48,42 +48,45 @@ std::vector<shared::SensorBeam> make_device_beams(const std::vector<Beam>& beams
     return result;
 }
 
-std::vector<glm::vec2> make_device_response(const IntensityResponse& response) {
+std::vector<glm::vec2> make_device_intensity_response(const IntensityResponse& response) {
     std::vector<glm::vec2> result;
     for (std::size_t k = 0; k < response.factor.size(); ++k)
         result.emplace_back(response.range_m[k], response.factor[k]);
     return result;
 }
 
-std::uint32_t find_device_channel(const std::string& name) {
+std::uint32_t get_drop_channel_index(const std::string& channel_name) {
     constexpr std::pair<const char*, std::uint32_t> kOfRays[] = {
         {"log_range", RELIDAR_DROP_LOG_RANGE}, {"intensity", RELIDAR_DROP_INTENSITY},
         {"drop_logit", RELIDAR_DROP_LOGIT},    {"weight", RELIDAR_DROP_WEIGHT},
         {"spread", RELIDAR_DROP_SPREAD},       {"cosine", RELIDAR_DROP_COSINE},
         {"elevation", RELIDAR_DROP_ELEVATION}};
     for (const auto& [known, channel] : kOfRays)
-        if (name == known) return channel;
+        if (channel_name == known) return channel;
     for (std::uint32_t axis = 0; axis < 3; ++axis)
-        if (name == std::string("origin_") + "xyz"[axis]) return RELIDAR_DROP_ORIGIN + axis;
+        if (channel_name == std::string("origin_") + "xyz"[axis]) return RELIDAR_DROP_ORIGIN + axis;
     throw DataError(
         fmt::format("the ray-drop network needs the input \"{}\", which this version of relidar does not "
                     "render; `relidar refine RUN` trains the network again",
-                    make_excerpt(name)));
+                    shorten_for_error_message(channel_name)));
 }
 
 }  // namespace
 
-std::vector<std::uint32_t> list_drop_channel_indices(const std::vector<std::string>& names) {
+std::vector<std::uint32_t> list_drop_channel_indices(const std::vector<std::string>& channel_names) {
     std::vector<std::uint32_t> result;
-    for (const std::string& name : names) result.push_back(find_device_channel(name));
+    for (const std::string& name : channel_names) result.push_back(get_drop_channel_index(name));
     return result;
 }
 
-std::vector<shared::SensorPose> list_poses_through_sweep(const PoseTrack& world_from_sensor, double time_s,
-                                                         double first_s, double last_s) {
+std::vector<shared::SensorPose> list_poses_through_sweep(const PoseTrack& world_from_sensor,
+                                                         double sweep_time_s, double first_offset_s,
+                                                         double last_offset_s) {
     const std::vector<Pose>& pose = world_from_sensor.pose;
-    const std::size_t first = world_from_sensor.place(time_s + first_s).left,
-                      last = std::min(world_from_sensor.place(time_s + last_s).left + 1, pose.size() - 1);
+    const std::size_t first = world_from_sensor.find_pose_segment(sweep_time_s + first_offset_s).left,
+                      last =
+                          std::min(world_from_sensor.find_pose_segment(sweep_time_s + last_offset_s).left + 1,
+                                   pose.size() - 1);
     std::vector<shared::SensorPose> poses;
     for (std::size_t k = first; k <= last; ++k) {
         const glm::mat3 axes(glm::mat3_cast(pose[k].rotation));
@@ -98,7 +101,7 @@ std::vector<shared::SensorPose> list_poses_through_sweep(const PoseTrack& world_
                          .position_rest = glm::vec3(pose[k].translation - glm::dvec3(position)),
                          .way = glm::vec3(next[0], next[1], next[2]),
                          .turn = glm::vec3(next[3], next[4], next[5]),
-                         .time_offset_s = float(world_from_sensor.time_s[k] - time_s),
+                         .time_offset_s = float(world_from_sensor.time_s[k] - sweep_time_s),
                          .per_s = duration_s > 0.0 ? float(1.0 / duration_s) : 0.0f});
     }
     return poses;
@@ -110,7 +113,7 @@ PoseTrack convert_track_to_frame(PoseTrack track, const Pose& world_from_frame) 
     return track;
 }
 
-SensorRays::SensorRays(Device& device)
+DeviceSensorRays::DeviceSensorRays(Device& device)
     : device_(device),
       fire_(device, "simulate/render/fire_rays"),
       measure_(device, "simulate/render/measure_rays"),
@@ -118,26 +121,26 @@ SensorRays::SensorRays(Device& device)
       no_surfaces_(device, std::span<const shared::RenderedSurface>(std::array{shared::RenderedSurface{}}),
                    "surfaces of no rays") {}
 
-bool SensorRays::has(const RayTable& rays, const std::string& sensor) const {
-    return sensor == sensor_ && rays.rows == table_.rows && rays.columns == table_.columns &&
+bool DeviceSensorRays::is_ray_table_uploaded(const RayTable& rays, const std::string& sensor_name) const {
+    return sensor_name == sensor_ && rays.rows == table_.rows && rays.columns == table_.columns &&
            are_bytes_equal(rays.direction, table_.direction) && are_bytes_equal(rays.origin, table_.origin) &&
            are_bytes_equal(rays.time_offset_s, table_.time_offset_s) &&
            are_bytes_equal(rays.channel, table_.channel);
 }
 
-void SensorRays::take(const RayTable& rays, const std::string& sensor,
-                      const std::function<float(std::size_t)>& never_seen) {
-    if (has(rays, sensor)) return;
+void DeviceSensorRays::upload_ray_table(const RayTable& rays, const std::string& sensor_name,
+                                        const std::function<float(std::size_t)>& get_no_return_probability) {
+    if (is_ray_table_uploaded(rays, sensor_name)) return;
     std::vector<shared::SensorRay> all(rays.size());
-    for_each_block(all.size(), [&](std::size_t index) {
+    parallel_for_in_blocks(all.size(), [&](std::size_t index) {
         all[index] = {.origin = rays.origin[index],
                       .direction = rays.direction[index],
                       .time_offset_s = rays.time_offset_s[index],
-                      .sees = 1.0f - never_seen(index),
+                      .sees = 1.0f - get_no_return_probability(index),
                       .channel = rays.channel[index]};
     });
-    if (all.size() > measured_.size()) {          // measured_ is allocated last
-        table_ = {};                              // has() must not find arrays that could not be allocated
+    if (all.size() > measured_.size()) {  // measured_ is allocated last
+        table_ = {};  // is_ray_table_uploaded() must not find arrays that could not be allocated
         rays_ = {}, fired_ = {}, measured_ = {};  // frees the old arrays before allocating larger ones
         rays_ = Array<shared::SensorRay>(device_, all.size(), "rays of a sensor");
         fired_ = Array<shared::DeviceRay>(device_, all.size(), "rays of a sensor in the world");
@@ -146,42 +149,46 @@ void SensorRays::take(const RayTable& rays, const std::string& sensor,
     }
     rays_.upload(all);
     table_ = rays;
-    sensor_ = sensor;
+    sensor_ = sensor_name;
     const auto [first, last] = std::ranges::minmax_element(rays.time_offset_s);
     first_s_ = *first, last_s_ = *last;
 }
 
-std::vector<shared::SensorPose> SensorRays::poses(const PoseTrack& track, double time_s) const {
-    return list_poses_through_sweep(track, time_s, double(first_s_), double(last_s_));
+std::vector<shared::SensorPose> DeviceSensorRays::list_poses_during_sweep(const PoseTrack& world_from_sensor,
+                                                                          double sweep_time_s) const {
+    return list_poses_through_sweep(world_from_sensor, sweep_time_s, double(first_s_), double(last_s_));
 }
 
-void SensorRays::fire(Stream& stream, const PoseTrack& world_from_sensor, double time_s) {
-    const auto poses = this->poses(world_from_sensor, time_s);
+void DeviceSensorRays::record_transform_to_world(Stream& stream, const PoseTrack& world_from_sensor,
+                                                 double sweep_time_s) {
+    const auto poses = this->list_poses_during_sweep(world_from_sensor, sweep_time_s);
     run(stream, fire_, table_.size(),
         {.rays = rays_.address(),
-         .poses = stream.impl().values(poses),
+         .poses = stream.impl().store_host_values(poses),
          .fired = fired_.address(),
          .n_rays = std::uint32_t(table_.size()),
          .n_poses = std::uint32_t(poses.size())});
 }
 
-RayBatch SensorRays::batch() const {
+RayBatch DeviceSensorRays::get_world_ray_batch() const {
     return {.rays = &fired_,
             .n_rays = std::uint32_t(table_.size()),
             .columns = table_.rows > 1 ? std::uint32_t(table_.columns) : 0};
 }
 
-void SensorRays::measure(Stream& stream, const RenderedBatch& rendered, const RayMeasuring& options) {
+void DeviceSensorRays::record_measurement(Stream& stream, const RenderedBatch& rendered_batch,
+                                          const RayMeasurementOptions& options) {
     const auto beams = make_device_beams(options.beams);
-    const auto response = make_device_response(options.response);
-    const Array<shared::RenderedSurface>& surfaces = rendered.surfaces ? *rendered.surfaces : no_surfaces_;
+    const auto response = make_device_intensity_response(options.response);
+    const Array<shared::RenderedSurface>& surfaces =
+        rendered_batch.surfaces ? *rendered_batch.surfaces : no_surfaces_;
     run(stream, measure_, table_.size(),
         {.rays = rays_.address(),
          .fired = fired_.address(),
-         .rendered = rendered.rendered->address(),
+         .rendered = rendered_batch.rendered->address(),
          .surfaces = surfaces.address(),
-         .beams = stream.impl().values(beams),
-         .response = stream.impl().values(response),
+         .beams = stream.impl().store_host_values(beams),
+         .response = stream.impl().store_host_values(response),
          .measured = measured_.address(),
          .n_rays = std::uint32_t(table_.size()),
          .n_surfaces = std::uint32_t(surfaces.size()),
@@ -194,39 +201,40 @@ void SensorRays::measure(Stream& stream, const RenderedBatch& rendered, const Ra
     refined_ = nullptr;
 }
 
-void SensorRays::refine(Stream& stream, DropPass& network, const glm::vec3& origin_m) {
+void DeviceSensorRays::record_drop_network(Stream& stream, RayDropInference& network,
+                                           const glm::vec3& relative_sensor_position_m) {
     const std::vector<std::uint32_t> channels = list_drop_channel_indices(network.network().inputs);
     if (channels.size() * table_.size() > samples_.size()) {
-        stream.finish();
+        stream.submit_and_wait();
         samples_ =
             Array<float, shared::DropSamples>(device_, channels.size() * table_.size(), "a scan to refine");
     }
     run(stream, drop_channels_, table_.size(),
         {.rays = rays_.address(),
          .measured = measured_.address(),
-         .channels = stream.impl().values(channels).as<shared::DropChannels>(),
+         .channels = stream.impl().store_host_values(channels).cast_meaning<shared::DropChannels>(),
          .samples = samples_.address(),
-         .origin = origin_m,
+         .origin = relative_sensor_position_m,
          .n_channels = std::uint32_t(channels.size()),
          .n_rays = std::uint32_t(table_.size())});
-    refined_ = &network.run(stream, table_.rows, table_.columns, samples_);
+    refined_ = &network.record_network_evaluation(stream, table_.rows, table_.columns, samples_);
 }
 
-std::span<const float> SensorRays::refined(Stream& stream) {
-    return {static_cast<const float*>(refined_readback_->wait(stream)), table_.size()};
+std::span<const float> DeviceSensorRays::wait_for_drop_probabilities(Stream& stream) {
+    return {static_cast<const float*>(refined_readback_->wait_for_copied_bytes(stream)), table_.size()};
 }
 
-std::span<const shared::MeasuredRay> SensorRays::wait(Stream& stream) {
-    const auto read_back = [&](std::optional<Readback>& readback, const Buffer& source, std::size_t n_bytes,
-                               const char* description) {
+std::span<const shared::MeasuredRay> DeviceSensorRays::wait_for_measurements(Stream& stream) {
+    const auto read_back = [&](std::optional<ReadbackBuffer>& readback, const Buffer& source,
+                               std::size_t n_bytes, const char* description) {
         if (!readback) readback.emplace(device_, rays_.size() * (n_bytes / table_.size()), description);
-        readback->record(stream, source, n_bytes);
+        readback->record_copy_to_host(stream, source, n_bytes);
     };
     read_back(readback_, measured_.buffer(), table_.size() * sizeof(shared::MeasuredRay), "measured rays");
     if (refined_)
         read_back(refined_readback_, refined_->buffer(), table_.size() * sizeof(float), "drop probabilities");
-    stream.submit();
-    return {static_cast<const shared::MeasuredRay*>(readback_->wait(stream)), table_.size()};
+    stream.submit_commands();
+    return {static_cast<const shared::MeasuredRay*>(readback_->wait_for_copied_bytes(stream)), table_.size()};
 }
 
 }  // namespace relidar

@@ -20,7 +20,7 @@
 namespace relidar {
 
 /// Options for computing the measurements of rendered rays.
-struct RayMeasuring {
+struct RayMeasurementOptions {
     const std::string& range;  ///< setting `render.range`
     const std::vector<Beam>& beams;
     const IntensityResponse& response;
@@ -30,52 +30,61 @@ struct RayMeasuring {
     float min_weight;
 };
 
-class SensorRays {
+class DeviceSensorRays {
 public:
-    explicit SensorRays(Device& device);
+    explicit DeviceSensorRays(Device& device);
 
     /// Uploads the rays of a sensor if they are not on the device yet. Pending GPU
     /// commands must not use the old rays.
-    /// @param sensor name of the sensor; two sensors with the same rays can have
-    /// different `never_seen`
-    /// @param never_seen returns the probability that the sensor never gets a return
-    /// along a ray
-    void take(const RayTable& rays, const std::string& sensor,
-              const std::function<float(std::size_t)>& never_seen);
+    /// @param sensor_name name of the sensor; two sensors with the same rays can have
+    /// different `get_no_return_probability`
+    /// @param get_no_return_probability returns the probability that the sensor never
+    /// gets a return along a ray
+    void upload_ray_table(const RayTable& rays, const std::string& sensor_name,
+                          const std::function<float(std::size_t)>& get_no_return_probability);
     /// Records GPU commands that transform the rays to the world frame, each with the
-    /// sensor's pose at its firing time. Afterwards batch() returns the transformed rays.
+    /// sensor's pose at its firing time. Afterwards get_world_ray_batch() returns the
+    /// transformed rays.
     /// @param world_from_sensor poses of the sensor; a single pose if the sensor does not
     /// move
-    void fire(Stream& stream, const PoseTrack& world_from_sensor, double time_s);
+    void record_transform_to_world(Stream& stream, const PoseTrack& world_from_sensor, double sweep_time_s);
     /// Returns the rays in the world frame, with the rows and columns of the sensor's ray
     /// table.
-    RayBatch batch() const;
-    /// Records GPU commands that compute the measurements of all rays of batch().
-    void measure(Stream& stream, const RenderedBatch& rendered, const RayMeasuring& options);
+    RayBatch get_world_ray_batch() const;
+    /// Records GPU commands that compute the measurements of all rays of
+    /// get_world_ray_batch().
+    void record_measurement(Stream& stream, const RenderedBatch& rendered_batch,
+                            const RayMeasurementOptions& options);
     /// Records GPU commands that run a ray-drop network on the measured rays. Afterwards
-    /// drop_probabilities() returns the result.
-    /// @param origin_m [3] position of the sensor relative to get_first_origin()
+    /// get_drop_probability_address() returns the result.
+    /// @param relative_sensor_position_m [3] position of the sensor relative to
+    /// get_first_vehicle_position()
     /// @throws DataError if the image or the channels do not match the network
-    void refine(Stream& stream, DropPass& network, const glm::vec3& origin_m);
+    void record_drop_network(Stream& stream, RayDropInference& network,
+                             const glm::vec3& relative_sensor_position_m);
     /// Copies the measurements to the host and waits for them.
     /// @return [rays] valid until the next call
-    std::span<const shared::MeasuredRay> wait(Stream& stream);
-    /// Returns the drop probability that the network computed for each ray. Call wait()
-    /// first. The result is valid until the next call of wait().
-    std::span<const float> refined(Stream& stream);
+    std::span<const shared::MeasuredRay> wait_for_measurements(Stream& stream);
+    /// Returns the drop probability that the network computed for each ray. Call
+    /// wait_for_measurements() first. The result is valid until the next call of
+    /// wait_for_measurements().
+    std::span<const float> wait_for_drop_probabilities(Stream& stream);
 
     /// Returns true if the device already stores the rays of this table and sensor.
-    bool has(const RayTable& rays, const std::string& sensor) const;
-    const RayTable& table() const { return table_; }
-    const std::string& sensor() const { return sensor_; }
-    const Array<shared::SensorRay>& rays() const { return rays_; }
-    const Array<shared::MeasuredRay>& measured() const { return measured_; }
+    bool is_ray_table_uploaded(const RayTable& rays, const std::string& sensor_name) const;
+    const RayTable& get_ray_table() const { return table_; }
+    const std::string& get_sensor_name() const { return sensor_; }
+    const Array<shared::SensorRay>& get_device_rays() const { return rays_; }
+    const Array<shared::MeasuredRay>& get_device_measurements() const { return measured_; }
     /// Returns the device address of the drop probabilities that the last call of
-    /// refine() computed.
-    Address<float, shared::DropProbabilities> drop_probabilities() const { return get_address(refined_); }
+    /// record_drop_network() computed.
+    Address<float, shared::DropProbabilities> get_drop_probability_address() const {
+        return get_address(refined_);
+    }
     /// Returns the poses of the sensor during a sweep. The pose at the firing time of a
     /// ray is interpolated between them.
-    std::vector<shared::SensorPose> poses(const PoseTrack& track, double time_s) const;
+    std::vector<shared::SensorPose> list_poses_during_sweep(const PoseTrack& world_from_sensor,
+                                                            double sweep_time_s) const;
 
 private:
     Device& device_;
@@ -87,26 +96,27 @@ private:
     Array<shared::SensorRay> rays_;
     Array<shared::DeviceRay> fired_;
     Array<shared::MeasuredRay> measured_;
-    std::optional<Readback> readback_, refined_readback_;
+    std::optional<ReadbackBuffer> readback_, refined_readback_;
     Kernel<shared::DropChannelsParams> drop_channels_;
     Array<shared::RenderedSurface> no_surfaces_;  ///< a single entry of zeros
     Array<float, shared::DropSamples> samples_;   ///< inputs of the ray-drop network
     /// output of the ray-drop network; null if the network did not run after the last
-    /// call of measure()
+    /// call of record_measurement()
     const Array<float, shared::DropProbabilities>* refined_ = nullptr;
 };
 
 /// Returns the channel numbers (RELIDAR_DROP_*) of the inputs of a ray-drop network.
 /// @throws DataError for an unknown input
-std::vector<std::uint32_t> list_drop_channel_indices(const std::vector<std::string>& names);
+std::vector<std::uint32_t> list_drop_channel_indices(const std::vector<std::string>& channel_names);
 
 /// Returns the poses of a sensor during a sweep in the format of the kernels. The list
 /// starts with the last pose before the first ray. The list ends with the first pose
 /// after the last ray.
-/// @param first_s time offset of the first ray
-/// @param last_s time offset of the last ray
-std::vector<shared::SensorPose> list_poses_through_sweep(const PoseTrack& world_from_sensor, double time_s,
-                                                         double first_s, double last_s);
+/// @param first_offset_s time offset of the first ray
+/// @param last_offset_s time offset of the last ray
+std::vector<shared::SensorPose> list_poses_through_sweep(const PoseTrack& world_from_sensor,
+                                                         double sweep_time_s, double first_offset_s,
+                                                         double last_offset_s);
 /// Transforms the poses of a track from the world frame to another frame.
 PoseTrack convert_track_to_frame(PoseTrack track, const Pose& world_from_frame);
 

@@ -15,12 +15,12 @@ namespace {
 constexpr double kFarthest = 1e10;  // limit for coordinates in metres and for times in seconds since 1970
 
 /// Checks the track of a sensor or an actor.
-/// @param thing name of the object in the error message
+/// @param object_name name of the object in the error message
 /// @throws DataError if poses or times are invalid
-void check_track(const PoseTrack& track, const std::string& thing) {
+void check_track(const PoseTrack& track, const std::string& object_name) {
     const auto fail = [&](const std::string& found, const char* expected) {
-        throw DataError(
-            fmt::format("cannot render a scan: poses of {}: found {}, expected {}", thing, found, expected));
+        throw DataError(fmt::format("cannot render a scan: poses of {}: found {}, expected {}", object_name,
+                                    found, expected));
     };
     const std::size_t n = track.pose.size();
     if (n == 0 || n != track.time_s.size())
@@ -40,8 +40,8 @@ void check_track(const PoseTrack& track, const std::string& thing) {
     }
 }
 
-Sequence copy_without_scans(const Sequence& sequence) {
-    Sequence result;
+LidarSequence copy_without_scans(const LidarSequence& sequence) {
+    LidarSequence result;
     result.lidars = sequence.lidars;
     result.boxes = sequence.boxes;
     result.world_offset_m = sequence.world_offset_m;
@@ -49,32 +49,34 @@ Sequence copy_without_scans(const Sequence& sequence) {
     return result;
 }
 
-std::vector<Frame> shift_frame_times(const Sequence& sequence) {
-    std::vector<Frame> frames;
-    for (const Frame& frame : sequence.frames)
-        if (!frame.azimuth_shift_rad.empty()) frames.push_back(copy_without_scan(frame));
+std::vector<LidarFrame> list_frames_with_azimuth_shifts(const LidarSequence& sequence) {
+    std::vector<LidarFrame> frames;
+    for (const LidarFrame& frame : sequence.frames)
+        if (!frame.azimuth_shift_rad.empty()) frames.push_back(copy_frame_without_scan(frame));
     return frames;
 }
 
-std::optional<RayTable> make_changed_rays(const SensorChoice& sensor, double time_s, bool rolls) {
+std::optional<RayTable> make_rays_if_changed(const SimulatedSensor& sensor, double time_s,
+                                             bool rolling_shutter) {
     const bool makes_rays = sensor.pattern && sensor.rays.size() == 0;
-    if (rolls && !makes_rays) return {};
+    if (rolling_shutter && !makes_rays) return {};
     RayTable rays = makes_rays ? make_rays(*sensor.pattern, time_s) : sensor.rays;
-    if (!rolls) std::ranges::fill(rays.time_offset_s, 0.0f);
+    if (!rolling_shutter) std::ranges::fill(rays.time_offset_s, 0.0f);
     return rays;
 }
 
 }  // namespace
 
-SweepMaker::SweepMaker(const Config& config, const Scene& scene, const Sequence& sequence)
+SimulatedSweepBuilder::SimulatedSweepBuilder(const Config& config, const Scene& scene,
+                                             const LidarSequence& sequence)
     : config_(config),
-      layout_(copy_layout(scene)),
+      layout_(copy_scene_without_surfels(scene)),
       log_(copy_without_scans(sequence)),
       log_world_from_vehicle_(sequence.world_from_vehicle),
-      shifted_(shift_frame_times(sequence)),
+      shifted_(list_frames_with_azimuth_shifts(sequence)),
       shown_(scene.instances.size(), true) {}
 
-void SweepMaker::set_visible_instances(const std::vector<bool>& shown) {
+void SimulatedSweepBuilder::set_visible_instances(const std::vector<bool>& shown) {
     if (shown.size() != shown_.size())
         throw UsageError(
             fmt::format("cannot select the rendered instances: found {} choices, expected {}, one for each "
@@ -83,48 +85,54 @@ void SweepMaker::set_visible_instances(const std::vector<bool>& shown) {
     shown_ = shown;
 }
 
-SensorChoice SweepMaker::align_with_log(const SensorChoice& sensor, double time_s) const {
+SimulatedSensor SimulatedSweepBuilder::align_azimuths_with_log(const SimulatedSensor& sensor,
+                                                               double time_s) const {
     return align_sensor_with_sweep(sensor, shifted_, log_.lidars, time_s);
 }
 
-PoseTrack SweepMaker::convert_to_dataset(const PoseTrack& world_from_thing) const {
-    return shift_track(world_from_thing, log_.world_offset_m);
+PoseTrack SimulatedSweepBuilder::convert_to_dataset_frame(const PoseTrack& world_from_object) const {
+    return shift_track(world_from_object, log_.world_offset_m);
 }
 
 /// Makes a sweep for a sensor that follows a given track. Moves the vehicle with the
 /// sensor.
 /// @param world_from_actor poses of the actors; if null, uses the tracks of the run
-Sweep SweepMaker::drive(const SensorChoice& sensor, double time_s, PoseTrack world_from_sensor,
-                        const ActorPoses* world_from_actor) {
+SimulatedSweep SimulatedSweepBuilder::make_sweep_along_track(const SimulatedSensor& sensor, double time_s,
+                                                             PoseTrack world_from_sensor,
+                                                             const ActorTracksByName* world_from_actor) {
     Lidar& lidar = log_.lidars[std::size_t(sensor.lidar)];
     log_.world_from_vehicle =
-        mount_on_track(std::move(world_from_sensor), inverse(lidar.vehicle_from_sensor));
+        compute_mounted_track(std::move(world_from_sensor), inverse(lidar.vehicle_from_sensor));
     log_.rolling_shutter = has_rolling_shutter(sensor, config_);
     lidar.pattern = sensor.pattern;
     // The pattern of the sensor determines at which azimuth the sweep starts. Without a
     // pattern, the LiDAR that the sensor replaces determines it.
-    const SweepMoment now{time_s, sensor.lidar, find_sweep_start(sensor.rays, lidar)};
-    Sweep sweep{sensor, time_s, make_changed_rays(sensor, time_s, log_.rolling_shutter),
-                log_.world_from_sensor(sensor.lidar)};
-    sweep.pose = sweep.world_from_sensor.at(time_s);
+    const SweepTiming now{time_s, sensor.lidar, find_sweep_start(sensor.rays, lidar)};
+    SimulatedSweep sweep{sensor, time_s, make_rays_if_changed(sensor, time_s, log_.rolling_shutter),
+                         log_.get_world_from_sensor(sensor.lidar)};
+    sweep.pose = sweep.world_from_sensor.interpolate_pose(time_s);
     if (!log_.rolling_shutter) sweep.world_from_sensor = {{time_s}, {sweep.pose}};
-    sweep.instances = world_from_actor ? place_instances(layout_, log_, now, *world_from_actor)
-                                       : place_instances(layout_, log_, now);
+    sweep.instances = world_from_actor ? compute_instance_poses(layout_, log_, now, *world_from_actor)
+                                       : compute_instance_poses(layout_, log_, now);
     for (std::size_t i = 0; i < sweep.instances.size(); ++i)
         sweep.instances[i].present = sweep.instances[i].present && shown_[i];
     return sweep;
 }
 
-Sweep SweepMaker::make(const SensorChoice& sensor, double time_s, const Pose& sensor_offset) {
+SimulatedSweep SimulatedSweepBuilder::make_sweep_on_recorded_path(const SimulatedSensor& sensor,
+                                                                  double time_s, const Pose& sensor_offset) {
     log_.world_from_vehicle = log_world_from_vehicle_;
     const bool is_elsewhere =
         sensor_offset.translation != glm::dvec3(0.0) || sensor_offset.rotation != Pose{}.rotation;
-    const PoseTrack track = log_.world_from_sensor(sensor.lidar);
-    return drive(sensor, time_s, is_elsewhere ? mount_on_track(refine_turns(track), sensor_offset) : track,
-                 nullptr);
+    const PoseTrack track = log_.get_world_from_sensor(sensor.lidar);
+    return make_sweep_along_track(
+        sensor, time_s,
+        is_elsewhere ? compute_mounted_track(subdivide_turning_segments(track), sensor_offset) : track,
+        nullptr);
 }
 
-Sweep SweepMaker::make(const SensorChoice& sensor, const ScanRequest& request) {
+SimulatedSweep SimulatedSweepBuilder::make_sweep_of_request(const SimulatedSensor& sensor,
+                                                            const ScanRequest& request) {
     const auto in_world = [&](const PoseTrack& dataset_from_thing, const std::string& thing) {
         check_track(dataset_from_thing, thing);
         return shift_track(dataset_from_thing, -log_.world_offset_m);
@@ -135,21 +143,23 @@ Sweep SweepMaker::make(const SensorChoice& sensor, const ScanRequest& request) {
                         request.time_s, kFarthest));
     }
     PoseTrack world_from_sensor = in_world(request.dataset_from_sensor, "the sensor");
-    ActorPoses world_from_actor;
+    ActorTracksByName world_from_actor;
     if (request.dataset_from_actor)
         for (const auto& [name, track] : *request.dataset_from_actor)
             world_from_actor[name] = in_world(track, "actor " + name);
-    return drive(sensor, request.time_s, std::move(world_from_sensor),
-                 request.dataset_from_actor ? &world_from_actor : nullptr);
+    return make_sweep_along_track(sensor, request.time_s, std::move(world_from_sensor),
+                                  request.dataset_from_actor ? &world_from_actor : nullptr);
 }
 
-float SweepMaker::get_permanent_drop_probability(const SensorChoice& sensor, std::uint16_t channel,
-                                                 const glm::vec3& direction) const {
-    const auto own_beam = sensor.is_own ? log_.find_beam_number(sensor.lidar, channel) : std::nullopt;
-    return own_beam ? layout_.sensor_drop.at(*own_beam, direction) : 0.0f;
+float SimulatedSweepBuilder::get_permanent_drop_probability(const SimulatedSensor& sensor,
+                                                            std::uint16_t channel,
+                                                            const glm::vec3& direction) const {
+    const auto log_beam_number =
+        sensor.is_log_lidar ? log_.find_global_beam_number(sensor.lidar, channel) : std::nullopt;
+    return log_beam_number ? layout_.sensor_drop.get_drop_probability(*log_beam_number, direction) : 0.0f;
 }
 
-RangeLimits SweepMaker::get_limits(const SensorChoice& sensor) const {
+RangeLimits SimulatedSweepBuilder::get_range_limits(const SimulatedSensor& sensor) const {
     return {sensor.limits.min_m,
             std::isfinite(sensor.limits.max_m) ? sensor.limits.max_m : config_.dataset.max_range_m};
 }

@@ -12,8 +12,8 @@
 namespace relidar {
 
 /// A sweep to render.
-struct Sweep {
-    const SensorChoice& sensor;
+struct SimulatedSweep {
+    const SimulatedSensor& sensor;
     double time_s = 0.0;
     /// Rays of this sweep, if they differ from the rays of the sensor. They differ if the
     /// pattern changes from scan to scan, or if all rays fire at the same time.
@@ -22,55 +22,57 @@ struct Sweep {
     Pose pose = {};                    ///< pose of the sensor at `time_s`
     std::vector<InstancePose> instances = {};
 
-    const RayTable& rays() const { return changed_rays ? *changed_rays : sensor.rays; }
+    const RayTable& get_rays() const { return changed_rays ? *changed_rays : sensor.rays; }
 };
 
 /// Makes sweeps from the log and the actors of a trained scene.
-class SweepMaker {
+class SimulatedSweepBuilder {
 public:
     /// Creates an object that makes sweeps for a scene and a log.
     /// @param config must outlive this object
-    SweepMaker(const Config& config, const Scene& scene, const Sequence& sequence);
+    SimulatedSweepBuilder(const Config& config, const Scene& scene, const LidarSequence& sequence);
     /// Shows only the selected instances in all following sweeps.
     /// @throws UsageError if the number of instances is wrong
     void set_visible_instances(const std::vector<bool>& shown);
     /// Returns the sensor with the head azimuths that were measured in the sweep of the
     /// log at `time_s`. See align_sensor_with_sweep().
-    SensorChoice align_with_log(const SensorChoice& sensor, double time_s) const;
+    SimulatedSensor align_azimuths_with_log(const SimulatedSensor& sensor, double time_s) const;
     /// Returns the sweep of a sensor on the vehicle of the log, which drives its recorded
     /// path.
     /// @param sensor must outlive the sweep
     /// @param sensor_offset pose of the sensor relative to its recorded mounting
-    Sweep make(const SensorChoice& sensor, double time_s, const Pose& sensor_offset);
+    SimulatedSweep make_sweep_on_recorded_path(const SimulatedSensor& sensor, double time_s,
+                                               const Pose& sensor_offset);
     /// Returns a sweep with the poses that a request contains.
     /// @throws DataError if poses or times are invalid
-    Sweep make(const SensorChoice& sensor, const ScanRequest& request);
+    SimulatedSweep make_sweep_of_request(const SimulatedSensor& sensor, const ScanRequest& request);
 
     /// LiDARs and boxes of the log, without scans.
-    const Sequence& log() const { return log_; }
-    const Scene& layout() const { return layout_; }
+    const LidarSequence& get_log() const { return log_; }
+    const Scene& get_scene_layout() const { return layout_; }
     /// Returns the probability that the sensor never gets a return in a direction, for
     /// example because the vehicle blocks the view.
-    float get_permanent_drop_probability(const SensorChoice& sensor, std::uint16_t channel,
+    float get_permanent_drop_probability(const SimulatedSensor& sensor, std::uint16_t channel,
                                          const glm::vec3& direction) const;
     /// Returns the range limits of a sensor. If the sensor has no maximum range, returns
     /// the maximum range of the log.
-    RangeLimits get_limits(const SensorChoice& sensor) const;
+    RangeLimits get_range_limits(const SimulatedSensor& sensor) const;
     /// Converts a track from the world frame of the scene to the world frame of the
     /// dataset.
-    PoseTrack convert_to_dataset(const PoseTrack& world_from_thing) const;
+    PoseTrack convert_to_dataset_frame(const PoseTrack& world_from_object) const;
 
 private:
     const Config& config_;
     const Scene layout_;  ///< models, instances and sensor drop, without surfels
-    Sequence log_;        ///< the log; during a sweep, its vehicle has the poses of this sweep
+    LidarSequence log_;   ///< the log; during a sweep, its vehicle has the poses of this sweep
     const PoseTrack log_world_from_vehicle_;
     /// frames in which the measured head azimuth differs from the nominal azimuth
-    const std::vector<Frame> shifted_;
+    const std::vector<LidarFrame> shifted_;
     std::vector<bool> shown_;  ///< [instances]
 
-    Sweep drive(const SensorChoice& sensor, double time_s, PoseTrack world_from_sensor,
-                const ActorPoses* world_from_actor);
+    SimulatedSweep make_sweep_along_track(const SimulatedSensor& sensor, double time_s,
+                                          PoseTrack world_from_sensor,
+                                          const ActorTracksByName* world_from_actor);
 };
 
 }  // namespace relidar

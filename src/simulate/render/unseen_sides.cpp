@@ -20,13 +20,13 @@ constexpr std::size_t kFewestRays = 5;
 
 /// Returns the range at which a ray enters a box, and the axis of the side through which
 /// it enters. Returns infinity if the ray misses the box or starts inside the box.
-std::pair<double, int> find_box_entry(const glm::dvec3& origin, const glm::dvec3& direction,
-                                      const glm::dvec3& half_m) {
+std::pair<double, int> find_ray_entry_into_box(const glm::dvec3& origin, const glm::dvec3& direction,
+                                               const glm::dvec3& box_half_size_m) {
     double enter_m = 0.0, leave_m = std::numeric_limits<double>::infinity();
     int axis = -1;
     for (int k = 0; k < 3; ++k) {
-        const double inverse = 1.0 / direction[k], a = (-half_m[k] - origin[k]) * inverse,
-                     b = (half_m[k] - origin[k]) * inverse;
+        const double inverse = 1.0 / direction[k], a = (-box_half_size_m[k] - origin[k]) * inverse,
+                     b = (box_half_size_m[k] - origin[k]) * inverse;
         if (std::min(a, b) > enter_m) enter_m = std::min(a, b), axis = k;
         leave_m = std::min(leave_m, std::max(a, b));
     }
@@ -35,20 +35,20 @@ std::pair<double, int> find_box_entry(const glm::dvec3& origin, const glm::dvec3
 }
 
 /// An actor with a side that the log did not observe, or that was completed by symmetry.
-struct HollowBox {
+struct PartlyObservedActor {
     const std::string* track;
     const PoseTrack* world_from_box;
     glm::dvec3 half_m;
-    const BoxSurface* surface;
-    std::int32_t instance;  ///< index of the actor in Scene::instances
-    SideShares known;       ///< observed or completed fraction of each side
+    const ObservedBoxSurface* surface;
+    std::int32_t instance;                ///< index of the actor in Scene::instances
+    ObservedSideFractions side_coverage;  ///< observed or completed fraction of each side
     /// sphere in the world frame that contains the box during the scan; rays that miss
     /// the sphere are skipped quickly
     glm::dvec3 centre_m{0.0};
     double radius_m = 0.0;
     std::array<std::size_t, kBoxSides> n_through{}, n_completed{};
 
-    bool is_near(const glm::dvec3& origin, const glm::dvec3& direction) const {
+    bool is_ray_near_box(const glm::dvec3& origin, const glm::dvec3& direction) const {
         const glm::dvec3 to_centre = centre_m - origin;
         const double along_m = glm::dot(to_centre, direction);
         return along_m > -radius_m &&
@@ -59,35 +59,40 @@ struct HollowBox {
     /// box through an unobserved side. All coordinates are in the box frame.
     /// @param range_m range of the return; 0 if the ray has no return
     /// @param hits_actor true if the return is a surface of this actor
-    void count(const glm::dvec3& ray_origin, const glm::dvec3& ray, double range_m, bool hits_actor) {
+    void count_ray_on_unobserved_side(const glm::dvec3& ray_origin, const glm::dvec3& ray_direction,
+                                      double range_m, bool hits_actor) {
         if (hits_actor && range_m > 0.0)
-            if (const auto side = surface->find_completed_side(ray_origin + range_m * ray))
+            if (const auto side = surface->find_mirror_completed_side(ray_origin + range_m * ray_direction))
                 ++n_completed[std::size_t(*side)];
-        const auto [enter_m, axis] = find_box_entry(ray_origin, ray, half_m);
+        const auto [enter_m, axis] = find_ray_entry_into_box(ray_origin, ray_direction, half_m);
         if (!std::isfinite(enter_m) || (range_m > 0.0 && range_m < enter_m)) return;
         for (std::size_t s = 0; s < kBoxSides; ++s)
             if (kSideFrames[s].normal == axis &&
-                -kSideFrames[s].sign * ray[axis] >= get_min_side_cosine(BoxSide(s)) && known[s] < kUnseenSide)
+                -kSideFrames[s].sign * ray_direction[axis] >= get_min_incidence_cosine(BoxSide(s)) &&
+                side_coverage[s] < kUnseenSide)
                 ++n_through[s];
     }
 };
 
-std::vector<HollowBox> find_hollow_boxes(const RenderedScan& scan, const Scene& scene,
-                                         const Sequence& sequence) {
-    std::vector<HollowBox> boxes;
+std::vector<PartlyObservedActor> find_boxes_with_unobserved_sides(const RenderedScan& scan,
+                                                                  const Scene& scene,
+                                                                  const LidarSequence& sequence) {
+    std::vector<PartlyObservedActor> boxes;
     if (scan.time_offset_s.empty()) return boxes;
     const auto [first_s, last_s] = std::ranges::minmax(scan.time_offset_s);
     for (std::size_t i = 0; i < scene.instances.size(); ++i) {
-        const Instance& instance = scene.instances[i];
-        const std::optional<BoxSurface>& surface = scene.models[instance.model].surface;
+        const ModelInstance& instance = scene.instances[i];
+        const std::optional<ObservedBoxSurface>& surface = scene.models[instance.model].surface;
         const BoxTrack* box = instance.track.empty() ? nullptr : find_box(sequence, instance.track);
         if (!box || !box->is_present(scan.time_s) || !surface) continue;
-        const SideShares known = surface->known();
-        if (list_unseen_sides(known).empty() && !surface->is_completed) continue;
-        const glm::dvec3 begin_m = box->world_from_box.at(scan.time_s + double(first_s)).translation,
-                         end_m = box->world_from_box.at(scan.time_s + double(last_s)).translation;
-        boxes.push_back({&box->id, &box->world_from_box, 0.5 * box->size_m, &*surface, std::int32_t(i), known,
-                         0.5 * (begin_m + end_m),
+        const ObservedSideFractions side_coverage = surface->compute_covered_fractions();
+        if (format_unobserved_sides(side_coverage).empty() && !surface->is_completed) continue;
+        const glm::dvec3 begin_m =
+                             box->world_from_box.interpolate_pose(scan.time_s + double(first_s)).translation,
+                         end_m =
+                             box->world_from_box.interpolate_pose(scan.time_s + double(last_s)).translation;
+        boxes.push_back({&box->id, &box->world_from_box, 0.5 * box->size_m, &*surface, std::int32_t(i),
+                         side_coverage, 0.5 * (begin_m + end_m),
                          0.5 * (glm::length(box->size_m) + glm::distance(begin_m, end_m))});
     }
     return boxes;
@@ -95,25 +100,25 @@ std::vector<HollowBox> find_hollow_boxes(const RenderedScan& scan, const Scene& 
 
 }  // namespace
 
-std::vector<UnseenSide> find_unseen_sides(const RenderedScan& scan, const Scene& scene,
-                                          const Sequence& sequence) {
-    std::vector<HollowBox> boxes = find_hollow_boxes(scan, scene, sequence);
-    FiringPoses firing(scan, Pose{glm::dquat(1.0, 0.0, 0.0, 0.0), -sequence.world_offset_m});
+std::vector<UnobservedActorSide> find_unobserved_actor_sides(const RenderedScan& scan, const Scene& scene,
+                                                             const LidarSequence& sequence) {
+    std::vector<PartlyObservedActor> boxes = find_boxes_with_unobserved_sides(scan, scene, sequence);
+    FiringPoseInterpolator firing(scan, Pose{glm::dquat(1.0, 0.0, 0.0, 0.0), -sequence.world_offset_m});
     for (std::size_t i = 0; !boxes.empty() && i < scan.image.range_m.size(); ++i) {
-        const Pose& world_from_firing = firing.at(i);
+        const Pose& world_from_firing = firing.compute_firing_pose(i);
         const glm::dvec3 origin = world_from_firing * glm::dvec3(scan.image.origin[i]),
                          direction = world_from_firing.rotation * glm::dvec3(scan.image.direction[i]);
-        for (HollowBox& box : boxes) {
-            if (!box.is_near(origin, direction)) continue;
+        for (PartlyObservedActor& box : boxes) {
+            if (!box.is_ray_near_box(origin, direction)) continue;
             const Pose box_from_world =
-                inverse(box.world_from_box->at(scan.time_s + double(scan.time_offset_s[i])));
-            box.count(box_from_world * origin, box_from_world.rotation * direction,
-                      double(scan.median_range_m[i]),
-                      !scan.instance.empty() && scan.instance[i] == box.instance);
+                inverse(box.world_from_box->interpolate_pose(scan.time_s + double(scan.time_offset_s[i])));
+            box.count_ray_on_unobserved_side(box_from_world * origin, box_from_world.rotation * direction,
+                                             double(scan.median_range_m[i]),
+                                             !scan.instance.empty() && scan.instance[i] == box.instance);
         }
     }
-    std::vector<UnseenSide> sides;
-    for (const HollowBox& box : boxes)
+    std::vector<UnobservedActorSide> sides;
+    for (const PartlyObservedActor& box : boxes)
         for (std::size_t s = 0; s < kBoxSides; ++s) {
             if (box.n_through[s] >= kFewestRays) sides.push_back({*box.track, BoxSide(s), box.n_through[s]});
             if (box.n_completed[s] >= kFewestRays)

@@ -17,7 +17,7 @@ namespace {
 using protozero::pbf_writer;
 
 /// Field types with their numbers in descriptor.proto.
-enum Type {
+enum ProtobufFieldType {
     kDouble = 1,
     kInt64 = 3,
     kInt32 = 5,
@@ -29,18 +29,18 @@ enum Type {
     kEnum = 14
 };
 
-struct Field {
+struct ProtobufField {
     int number;
     const char* name;
-    Type type;
+    ProtobufFieldType type;
     const char* type_name = "";  ///< name of the message or enumeration type; empty for other types
     bool repeated = false;
 };
-struct MessageType {
+struct ProtobufMessageType {
     const char* name;
-    std::initializer_list<Field> fields;
+    std::initializer_list<ProtobufField> fields;
 };
-struct EnumType {
+struct ProtobufEnumType {
     const char* name;
     std::initializer_list<const char*> values;  ///< names of the values 0, 1, ...
 };
@@ -51,7 +51,7 @@ constexpr const char *kPose = ".foxglove.Pose", *kVector = ".foxglove.Vector3",
 
 /// Message types of the Foxglove schema. Shapes that relidar never writes are declared
 /// without fields, because readers expect an empty list for each shape.
-const std::initializer_list<MessageType> kMessages = {
+const std::initializer_list<ProtobufMessageType> kMessages = {
     {"Vector3", {{1, "x", kDouble}, {2, "y", kDouble}, {3, "z", kDouble}}},
     {"Quaternion", {{1, "x", kDouble}, {2, "y", kDouble}, {3, "z", kDouble}, {4, "w", kDouble}}},
     {"Pose", {{1, "position", kMessage, kVector}, {2, "orientation", kMessage, kQuaternion}}},
@@ -108,20 +108,20 @@ const std::initializer_list<MessageType> kMessages = {
       {2, "entities", kMessage, ".foxglove.SceneEntity", true}}},
 };
 
-const std::initializer_list<EnumType> kEnums = {
+const std::initializer_list<ProtobufEnumType> kEnums = {
     {"NumericType", {"UNKNOWN", "UINT8", "INT8", "UINT16", "INT16", "UINT32", "INT32", "FLOAT32", "FLOAT64"}},
     {"SceneEntityDeletionType", {"MATCHING_ID", "ALL"}},
 };
 
 /// Time types of google.protobuf. Each type stores seconds and nanoseconds.
-const std::initializer_list<MessageType> kTimes = {
+const std::initializer_list<ProtobufMessageType> kTimes = {
     {"Timestamp", {{1, "seconds", kInt64}, {2, "nanos", kInt32}}},
     {"Duration", {{1, "seconds", kInt64}, {2, "nanos", kInt32}}},
 };
 
 constexpr int kOptional = 1, kRepeated = 3;  // labels of fields in descriptor.proto
 
-std::string make_field_descriptor(const Field& field) {
+std::string make_field_descriptor(const ProtobufField& field) {
     std::string bytes;
     pbf_writer writer(bytes);
     writer.add_string(1, field.name);
@@ -132,15 +132,15 @@ std::string make_field_descriptor(const Field& field) {
     return bytes;
 }
 
-std::string make_message_descriptor(const MessageType& message) {
+std::string make_message_descriptor(const ProtobufMessageType& message) {
     std::string bytes;
     pbf_writer writer(bytes);
     writer.add_string(1, message.name);
-    for (const Field& field : message.fields) writer.add_message(2, make_field_descriptor(field));
+    for (const ProtobufField& field : message.fields) writer.add_message(2, make_field_descriptor(field));
     return bytes;
 }
 
-std::string make_enum_descriptor(const EnumType& type) {
+std::string make_enum_descriptor(const ProtobufEnumType& type) {
     std::string bytes;
     pbf_writer writer(bytes);
     writer.add_string(1, type.name);
@@ -155,21 +155,22 @@ std::string make_enum_descriptor(const EnumType& type) {
     return bytes;
 }
 
-std::string make_file_descriptor(const char* file, const char* package, const char* imported,
-                                 std::initializer_list<MessageType> messages,
-                                 std::initializer_list<EnumType> enums) {
+std::string make_file_descriptor(const char* file_name, const char* package, const char* imported_file_name,
+                                 std::initializer_list<ProtobufMessageType> messages,
+                                 std::initializer_list<ProtobufEnumType> enums) {
     std::string bytes;
     pbf_writer writer(bytes);
-    writer.add_string(1, file);
+    writer.add_string(1, file_name);
     writer.add_string(2, package);
-    if (*imported) writer.add_string(3, imported);
-    for (const MessageType& message : messages) writer.add_message(4, make_message_descriptor(message));
-    for (const EnumType& type : enums) writer.add_message(5, make_enum_descriptor(type));
+    if (*imported_file_name) writer.add_string(3, imported_file_name);
+    for (const ProtobufMessageType& message : messages)
+        writer.add_message(4, make_message_descriptor(message));
+    for (const ProtobufEnumType& type : enums) writer.add_message(5, make_enum_descriptor(type));
     writer.add_string(12, "proto3");
     return bytes;
 }
 
-std::string make_timestamp(std::uint64_t time_ns) {
+std::string make_timestamp_message(std::uint64_t time_ns) {
     std::string bytes;
     pbf_writer writer(bytes);
     writer.add_int64(1, std::int64_t(time_ns / 1'000'000'000));
@@ -201,54 +202,54 @@ std::string make_pose_message(const Pose& pose) {
 }
 
 /// Values of foxglove.NumericType.
-enum Numeric { kUint8 = 1, kUint16 = 3, kInt32Number = 6, kFloat32 = 7 };
-struct PointField {
+enum FoxgloveNumericType { kUint8 = 1, kUint16 = 3, kInt32Number = 6, kFloat32 = 7 };
+struct FoxglovePointField {
     std::string name;
     std::uint32_t offset;
-    Numeric type;
+    FoxgloveNumericType type;
 };
-const PointField kPointFields[] = {{"x", 0, kFloat32},     {"y", 4, kFloat32},
-                                   {"z", 8, kFloat32},     {"intensity", 12, kFloat32},
-                                   {"time", 16, kFloat32}, {"instance", 20, kInt32Number},
-                                   {"ring", 24, kUint16},  {"return", 26, kUint8}};
+const FoxglovePointField kPointFields[] = {{"x", 0, kFloat32},     {"y", 4, kFloat32},
+                                           {"z", 8, kFloat32},     {"intensity", 12, kFloat32},
+                                           {"time", 16, kFloat32}, {"instance", 20, kInt32Number},
+                                           {"ring", 24, kUint16},  {"return", 26, kUint8}};
 // Number of bytes per point without optional channels. It is a multiple of 4, so that
 // floats are aligned.
 constexpr std::uint32_t kStride = 28;
 
-std::vector<PointField> list_fields(const Points& cloud) {
-    std::vector<PointField> fields(std::begin(kPointFields), std::end(kPointFields));
+std::vector<FoxglovePointField> list_point_fields(const LidarPoints& cloud) {
+    std::vector<FoxglovePointField> fields(std::begin(kPointFields), std::end(kPointFields));
     std::uint32_t offset = kStride;
-    for (const auto& [name, is_integer] : list_channel_numbers(cloud.channels)) {
+    for (const auto& [name, is_integer] : list_channel_columns(cloud.channels)) {
         fields.push_back({name, offset, is_integer ? kInt32Number : kFloat32});
         offset += 4;
     }
     return fields;
 }
 
-std::string pack_points(const Points& cloud) {
+std::string pack_points_to_bytes(const LidarPoints& cloud) {
     std::string bytes;
     bytes.reserve(cloud.size() * kStride);
     for (std::size_t i = 0; i < cloud.size(); ++i) {
-        append(bytes, cloud.position_m[i]);
-        append(bytes, cloud.intensity[i]), append(bytes, cloud.time_offset_s[i]),
-            append(bytes, cloud.instance[i]);
-        append(bytes, cloud.ring[i]);
-        append(bytes, cloud.return_number.empty() ? std::uint8_t(1) : cloud.return_number[i]);
-        append(bytes, std::uint8_t(0));  // padding to a multiple of 4 bytes
+        append_binary_value(bytes, cloud.position_m[i]);
+        append_binary_value(bytes, cloud.intensity[i]), append_binary_value(bytes, cloud.time_offset_s[i]),
+            append_binary_value(bytes, cloud.instance[i]);
+        append_binary_value(bytes, cloud.ring[i]);
+        append_binary_value(bytes, cloud.return_number.empty() ? std::uint8_t(1) : cloud.return_number[i]);
+        append_binary_value(bytes, std::uint8_t(0));  // padding to a multiple of 4 bytes
         append_channel_values(bytes, cloud.channels, i);
     }
     return bytes;
 }
 
-std::string make_points_message(const Points& cloud, const std::string& frame) {
+std::string make_point_cloud_message(const LidarPoints& cloud, const std::string& frame_id) {
     std::string bytes;
     pbf_writer writer(bytes);
-    writer.add_message(1, make_timestamp(to_stamp(cloud.time_s)));
-    writer.add_string(2, frame);
+    writer.add_message(1, make_timestamp_message(convert_to_nanoseconds(cloud.time_s)));
+    writer.add_string(2, frame_id);
     writer.add_message(3, make_pose_message({}));
-    const std::vector<PointField> fields = list_fields(cloud);
+    const std::vector<FoxglovePointField> fields = list_point_fields(cloud);
     writer.add_fixed32(4, fields.size() == std::size(kPointFields) ? kStride : fields.back().offset + 4);
-    for (const PointField& field : fields) {
+    for (const FoxglovePointField& field : fields) {
         std::string of_field;
         pbf_writer element(of_field);
         element.add_string(1, field.name);
@@ -256,18 +257,18 @@ std::string make_points_message(const Points& cloud, const std::string& frame) {
         element.add_enum(3, field.type);
         writer.add_message(5, of_field);
     }
-    writer.add_bytes(6, pack_points(cloud));
+    writer.add_bytes(6, pack_points_to_bytes(cloud));
     return bytes;
 }
 
 /// Returns a foxglove.FrameTransforms message that contains one transform.
-std::string make_frame_transform(std::uint64_t time_ns, const std::string& parent, const std::string& child,
-                                 const Pose& parent_from_child) {
+std::string make_frame_transform_message(std::uint64_t time_ns, const std::string& parent_frame,
+                                         const std::string& child_frame, const Pose& parent_from_child) {
     std::string all, bytes;
     pbf_writer transforms(all), writer(bytes);
-    writer.add_message(1, make_timestamp(time_ns));
-    writer.add_string(2, parent);
-    writer.add_string(3, child);
+    writer.add_message(1, make_timestamp_message(time_ns));
+    writer.add_string(2, parent_frame);
+    writer.add_string(3, child_frame);
     writer.add_message(4, make_vector_message(parent_from_child.translation));
     writer.add_message(5, make_quaternion_message(parent_from_child.rotation));
     transforms.add_message(1, bytes);
@@ -284,7 +285,7 @@ std::string make_box_message(const RecordedActor& actor) {
     return bytes;
 }
 
-std::string make_key_value(const char* key, const std::string& value) {
+std::string make_key_value_message(const char* key, const std::string& value) {
     std::string bytes;
     pbf_writer writer(bytes);
     writer.add_string(1, key);
@@ -300,39 +301,39 @@ std::string format_vector(const glm::dvec3& vector) {
 /// Returns a foxglove.SceneUpdate message with the boxes of the actors. These boxes
 /// replace all earlier boxes. Each box has its own time stamp. Velocities are in the
 /// world frame.
-std::string make_boxes_message(std::uint64_t stamp_ns, const std::vector<RecordedActor>& actors) {
+std::string make_actor_boxes_message(std::uint64_t stamp_ns, const std::vector<RecordedActor>& actors) {
     // Value ALL of SceneEntityDeletionType. It also removes boxes of actors that have
     // disappeared.
     constexpr int kAll = 1;
     std::string bytes, all;
     pbf_writer writer(bytes), deletion(all);
-    deletion.add_message(1, make_timestamp(stamp_ns));
+    deletion.add_message(1, make_timestamp_message(stamp_ns));
     deletion.add_enum(2, kAll);
     writer.add_message(1, all);
     for (const RecordedActor& actor : actors) {
         std::string of_actor;
         pbf_writer entity(of_actor);
         const auto& [time_ns, world_from_box, velocity] = actor.faced;
-        entity.add_message(1, make_timestamp(time_ns));
+        entity.add_message(1, make_timestamp_message(time_ns));
         entity.add_string(2, kWorldFrame);
         entity.add_string(3, actor.name);
-        entity.add_message(6, make_key_value("category", actor.category));
+        entity.add_message(6, make_key_value_message("category", actor.category));
+        entity.add_message(6, make_key_value_message("velocity_mps", format_vector(world_from_box.rotation *
+                                                                                   velocity.linear_mps)));
         entity.add_message(
-            6, make_key_value("velocity_mps", format_vector(world_from_box.rotation * velocity.linear_mps)));
-        entity.add_message(6,
-                           make_key_value("angular_velocity_radps",
-                                          format_vector(world_from_box.rotation * velocity.angular_radps)));
-        entity.add_message(6, make_key_value("points", fmt::format("{}", actor.n_points)));
+            6, make_key_value_message("angular_velocity_radps",
+                                      format_vector(world_from_box.rotation * velocity.angular_radps)));
+        entity.add_message(6, make_key_value_message("points", fmt::format("{}", actor.n_points)));
         if (actor.visible_share)
-            entity.add_message(6,
-                               make_key_value("visible_share", fmt::format("{:.6g}", *actor.visible_share)));
+            entity.add_message(
+                6, make_key_value_message("visible_share", fmt::format("{:.6g}", *actor.visible_share)));
         entity.add_message(8, make_box_message(actor));
         writer.add_message(2, of_actor);
     }
     return bytes;
 }
 
-std::string make_descriptors() {
+std::string make_file_descriptor_set() {
     constexpr const char *kTimesFile = "google/protobuf/times.proto", *kFile = "foxglove/relidar.proto";
     std::string bytes;
     pbf_writer writer(bytes);
@@ -341,50 +342,52 @@ std::string make_descriptors() {
     return bytes;
 }
 
-std::vector<RecordedMessage> make_moving_transforms(const RecordedMoment& moment) {
+std::vector<RecordedMessage> make_vehicle_transform_messages(const RecordedSweep& moment) {
     std::vector<RecordedMessage> messages;
     for (const RecordedPose& pose : moment.poses)
-        messages.push_back({pose.time_ns, make_frame_transform(pose.time_ns, kWorldFrame, kVehicleFrame,
-                                                               pose.world_from_vehicle)});
+        messages.push_back(
+            {pose.time_ns, make_frame_transform_message(pose.time_ns, kWorldFrame, kVehicleFrame,
+                                                        pose.world_from_vehicle)});
     return messages;
 }
 
 /// Returns one message with the poses of all sensors on the vehicle. The message is
 /// repeated with every scan, so that a player that starts in the middle of the file
 /// receives it. Protobuf messages with repeated fields can simply be concatenated.
-std::vector<RecordedMessage> make_mountings(const RecordedRig& rig, const RecordedMoment& moment) {
+std::vector<RecordedMessage> make_sensor_mounting_messages(const RecordedRig& rig,
+                                                           const RecordedSweep& moment) {
     std::string bytes;
     for (const RecordedSensor& sensor : rig.sensors)
-        bytes +=
-            make_frame_transform(moment.first_ns, kVehicleFrame, sensor.frame_id, sensor.vehicle_from_sensor);
+        bytes += make_frame_transform_message(moment.first_ns, kVehicleFrame, sensor.frame_id,
+                                              sensor.vehicle_from_sensor);
     return {{moment.first_ns, bytes}};
 }
 
-std::vector<RecordedMessage> make_scene_updates(const RecordedMoment& moment) {
+std::vector<RecordedMessage> make_scene_update_messages(const RecordedSweep& moment) {
     std::vector<RecordedMessage> messages;
     for (const auto& [stamp_ns, actors] : moment.actors)
-        messages.push_back({moment.last_ns, make_boxes_message(stamp_ns, actors)});
+        messages.push_back({moment.last_ns, make_actor_boxes_message(stamp_ns, actors)});
     return messages;
 }
 
 }  // namespace
 
 std::vector<RecordedTopic> list_foxglove_topics(const RecordedRig& rig) {
-    const std::string definition = make_descriptors(), transforms = "foxglove.FrameTransforms";
+    const std::string definition = make_file_descriptor_set(), transforms = "foxglove.FrameTransforms";
     std::vector<RecordedTopic> topics{
         {"/tf_static",
          transforms,
          definition,
          {},
-         [rig](const RecordedMoment& moment) { return make_mountings(rig, moment); }},
-        {"/tf", transforms, definition, {}, make_moving_transforms},
-        {"/actors", "foxglove.SceneUpdate", definition, {}, make_scene_updates}};
+         [rig](const RecordedSweep& moment) { return make_sensor_mounting_messages(rig, moment); }},
+        {"/tf", transforms, definition, {}, make_vehicle_transform_messages},
+        {"/actors", "foxglove.SceneUpdate", definition, {}, make_scene_update_messages}};
     for (std::size_t s = 0; s < rig.sensors.size(); ++s) {
         const std::string frame = rig.world ? kWorldFrame : rig.sensors[s].frame_id;
         topics.push_back(
-            {rig.sensors[s].topic, "foxglove.PointCloud", definition, {}, [=](const RecordedMoment& moment) {
+            {rig.sensors[s].topic, "foxglove.PointCloud", definition, {}, [=](const RecordedSweep& moment) {
                  return std::vector<RecordedMessage>{
-                     {moment.last_ns, make_points_message(moment.clouds[s], frame)}};
+                     {moment.last_ns, make_point_cloud_message(moment.clouds[s], frame)}};
              }});
     }
     return topics;

@@ -23,7 +23,8 @@ constexpr double kPoseStep_s = 0.01;
 
 /// Adds times from `first_s` to `last_s` at intervals of kPoseStep_s. Also adds the times
 /// of the track's poses between these limits.
-void add_times(std::vector<double>& times_s, const PoseTrack& track, double first_s, double last_s) {
+void append_pose_sample_times(std::vector<double>& times_s, const PoseTrack& track, double first_s,
+                              double last_s) {
     const int n = std::max(1, static_cast<int>(std::ceil((last_s - first_s) / kPoseStep_s)));
     for (int i = 0; i <= n; ++i) times_s.push_back(i == n ? last_s : first_s + (last_s - first_s) * i / n);
     if (track.time_s.size() < 2) return;
@@ -34,34 +35,37 @@ void add_times(std::vector<double>& times_s, const PoseTrack& track, double firs
 
 /// Merges the actors of several scans with the same time stamp. Sums up the points of an
 /// actor, and keeps the largest visible share.
-void add_actors(std::vector<RecordedActor>& merged_actors, std::vector<RecordedActor> actors) {
-    for (RecordedActor& actor : actors) {
-        const auto known = std::ranges::find(merged_actors, actor.name, &RecordedActor::name);
-        if (known == merged_actors.end()) {
+void merge_recorded_actors(std::vector<RecordedActor>& merged_actors, std::vector<RecordedActor> new_actors) {
+    for (RecordedActor& actor : new_actors) {
+        const auto existing_actor = std::ranges::find(merged_actors, actor.name, &RecordedActor::name);
+        if (existing_actor == merged_actors.end()) {
             merged_actors.push_back(std::move(actor));
             continue;
         }
-        known->n_points += actor.n_points;
-        known->visible_share = std::max(known->visible_share, actor.visible_share);
+        existing_actor->n_points += actor.n_points;
+        existing_actor->visible_share = std::max(existing_actor->visible_share, actor.visible_share);
     }
 }
 
 }  // namespace
 
-RecordedRig MomentRecorder::rig() const {
+RecordedRig SweepRecorder::make_recorded_rig() const {
     RecordedRig rig;
-    rig.world = sensors_.front().frame == PointFrame::world;
-    for (const ScanFormat& format : sensors_)
+    rig.world = sensors_.front().frame == PointCoordinateFrame::world;
+    for (const ScanOutputOptions& format : sensors_)
         rig.sensors.push_back({format.topic, format.frame_id, format.vehicle_from_lidar * format.offset});
     return rig;
 }
 
-std::uint64_t MomentRecorder::stamp(double time_s) const { return to_stamp(time_s + *shift_s_); }
+std::uint64_t SweepRecorder::make_time_stamp_ns(double time_s) const {
+    return convert_to_nanoseconds(time_s + *shift_s_);
+}
 
-void MomentRecorder::check_times(const RenderedScan& scan, const Sweep& all) {
+void SweepRecorder::check_scan_times(const RenderedScan& scan, const SweepInterval& combined_sweep) {
     const bool falls = shift_s_ && scan.time_s < last_scan_s_;
-    if (!shift_s_) shift_s_ = all.first_s < 0.0 ? std::ceil(-all.first_s) : 0.0;
-    if (falls || !(all.first_s + *shift_s_ >= 0.0 && all.last_s + *shift_s_ < kLatest_s))
+    if (!shift_s_) shift_s_ = combined_sweep.first_s < 0.0 ? std::ceil(-combined_sweep.first_s) : 0.0;
+    if (falls ||
+        !(combined_sweep.first_s + *shift_s_ >= 0.0 && combined_sweep.last_s + *shift_s_ < kLatest_s))
         throw DataError(fmt::format(
             "cannot write a recording: found a scan at {} s, expected times that do not decrease and "
             "are before the year 2038",
@@ -69,58 +73,61 @@ void MomentRecorder::check_times(const RenderedScan& scan, const Sweep& all) {
     last_scan_s_ = scan.time_s;
 }
 
-RecordedMoment MomentRecorder::take(std::span<const RenderedScan> scans) {
+RecordedSweep SweepRecorder::convert_scans_to_moment(std::span<const RenderedScan> scans) {
     if (scans.size() != sensors_.size())
         throw UsageError(
             fmt::format("cannot write a recording: found {} scans, expected {}, one for each sensor",
                         scans.size(), sensors_.size()));
-    std::vector<Sweep> sweeps;
+    std::vector<SweepInterval> sweeps;
     for (std::size_t s = 0; s < scans.size(); ++s) {
         const std::vector<float>& offsets_s = scans[s].time_offset_s;
         const auto [first, last] = offsets_s.empty() ? std::ranges::min_max_result<float>{0.0f, 0.0f}
                                                      : std::ranges::minmax(offsets_s);
         sweeps.push_back({scans[s].time_s + double(first), scans[s].time_s + double(last)});
     }
-    Sweep all = sweeps.front();
-    for (const Sweep& sweep : sweeps)
+    SweepInterval all = sweeps.front();
+    for (const SweepInterval& sweep : sweeps)
         all = {std::min(all.first_s, sweep.first_s), std::max(all.last_s, sweep.last_s)};
-    check_times(scans[0], all);
-    RecordedMoment moment{stamp(all.first_s), stamp(all.last_s), {}, {}, {}};
+    check_scan_times(scans[0], all);
+    RecordedSweep moment{make_time_stamp_ns(all.first_s), make_time_stamp_ns(all.last_s), {}, {}, {}};
     std::vector<double> times_s;
-    add_times(times_s, scans[0].track, all.first_s, all.last_s);
+    append_pose_sample_times(times_s, scans[0].track, all.first_s, all.last_s);
     for (std::size_t s = 0; s < scans.size(); ++s) {
         times_s.push_back(sweeps[s].first_s), times_s.push_back(sweeps[s].last_s);
-        moment.clouds.push_back(cloud(scans[s], sensors_[s], sweeps[s]));
-        add_actors(moment.actors[stamp(sweeps[s].first_s)], actors(scans[s], sweeps[s].first_s));
+        moment.clouds.push_back(make_point_cloud(scans[s], sensors_[s], sweeps[s]));
+        merge_recorded_actors(moment.actors[make_time_stamp_ns(sweeps[s].first_s)],
+                              list_recorded_actors(scans[s], sweeps[s].first_s));
     }
-    moment.poses = poses(scans[0], std::move(times_s));
+    moment.poses = compute_vehicle_poses(scans[0], std::move(times_s));
     return moment;
 }
 
 /// Returns the poses of the vehicle at the given times.
 /// @param scan scan of the first sensor, from whose path the path of the vehicle is
 /// computed
-std::vector<RecordedPose> MomentRecorder::poses(const RenderedScan& scan, std::vector<double> times_s) {
+std::vector<RecordedPose> SweepRecorder::compute_vehicle_poses(const RenderedScan& scan,
+                                                               std::vector<double> times_s) {
     std::ranges::sort(times_s);
-    const Pose sensor_from_vehicle = inverse(rig().sensors.front().vehicle_from_sensor);
+    const Pose sensor_from_vehicle = inverse(make_recorded_rig().sensors.front().vehicle_from_sensor);
     const auto world_from_vehicle = [&](double t_s) {
         return find_sensor_pose(scan, t_s) * sensor_from_vehicle;
     };
     std::vector<RecordedPose> poses;
     for (const double t_s : times_s) {
-        const std::uint64_t time_ns = stamp(t_s);
+        const std::uint64_t time_ns = make_time_stamp_ns(t_s);
         // Sweeps can overlap in time. Skips times for which a pose has already been
         // written.
         if (last_pose_ns_ && time_ns <= *last_pose_ns_) continue;
-        poses.push_back({time_ns, world_from_vehicle(t_s), compute_velocity(world_from_vehicle, t_s)});
+        poses.push_back({time_ns, world_from_vehicle(t_s), compute_object_velocity(world_from_vehicle, t_s)});
         last_pose_ns_ = time_ns;
     }
     return poses;
 }
 
-Points MomentRecorder::cloud(const RenderedScan& scan, const ScanFormat& format, const Sweep& sweep) const {
-    Points points = place_points(scan, format.config,
-                                 compute_output_frame_pose(format, find_sensor_pose(scan, sweep.first_s)));
+LidarPoints SweepRecorder::make_point_cloud(const RenderedScan& scan, const ScanOutputOptions& format,
+                                            const SweepInterval& sweep) const {
+    LidarPoints points = convert_scan_to_points(
+        scan, format.config, compute_output_frame_pose(format, find_sensor_pose(scan, sweep.first_s)));
     for (float& time_s : points.time_offset_s)
         time_s = static_cast<float>(double(time_s) - (sweep.first_s - scan.time_s));
     points.time_s = sweep.first_s + *shift_s_;
@@ -129,16 +136,17 @@ Points MomentRecorder::cloud(const RenderedScan& scan, const ScanFormat& format,
 
 /// Returns the boxes of the actors that are present during a scan, in the world frame of
 /// the dataset.
-std::vector<RecordedActor> MomentRecorder::actors(const RenderedScan& scan, double stamp_s) const {
+std::vector<RecordedActor> SweepRecorder::list_recorded_actors(const RenderedScan& scan,
+                                                               double cloud_time_s) const {
     std::vector<RecordedActor> actors;
-    for (const SeenActor& actor : find_actors(scan, sensors_.front())) {
+    for (const ActorInScan& actor : find_actors_present_in_scan(scan, sensors_.front())) {
         const auto state = [&](double t_s) {
-            return BoxState{stamp(t_s), actor.world_from_box(t_s),
-                            compute_velocity(actor.world_from_box, t_s)};
+            return BoxState{make_time_stamp_ns(t_s), actor.world_from_box(t_s),
+                            compute_object_velocity(actor.world_from_box, t_s)};
         };
         const BoxTrack& box = *actor.box;
         actors.push_back({box.id, box.category, box.size_m, !box.is_moving(), state(actor.faced_s),
-                          state(stamp_s), actor.n_points, actor.visible_share});
+                          state(cloud_time_s), actor.n_points, actor.visible_share});
     }
     return actors;
 }

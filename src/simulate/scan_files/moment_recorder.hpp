@@ -13,34 +13,35 @@
 
 namespace relidar::scan_files {
 
-/// Converts scans to the data of a recording, in order of time. A RecordedMoment has the
+/// Converts scans to the data of a recording, in order of time. A RecordedSweep has the
 /// poses, points and boxes of one scan of each sensor.
-class MomentRecorder {
+class SweepRecorder {
 public:
-    explicit MomentRecorder(std::vector<ScanFormat> sensors) : sensors_(std::move(sensors)) {}
-    RecordedRig rig() const;
+    explicit SweepRecorder(std::vector<ScanOutputOptions> sensors) : sensors_(std::move(sensors)) {}
+    RecordedRig make_recorded_rig() const;
     /// Converts the scans of all sensors at the same time.
     /// @param scans one scan per sensor
     /// @throws DataError if times decrease, or if the file format cannot represent them
-    RecordedMoment take(std::span<const RenderedScan> scans);
+    RecordedSweep convert_scans_to_moment(std::span<const RenderedScan> scans);
     /// Returns the number of whole seconds that is added to all times of the log, because
     /// times in files cannot be negative. The first scan determines this number.
-    double shift_s() const { return shift_s_.value_or(0.0); }
+    double get_time_shift_s() const { return shift_s_.value_or(0.0); }
 
 private:
-    struct Sweep {
+    struct SweepInterval {
         double first_s, last_s;  ///< firing times of the first and last ray, in the log's time
     };
-    std::vector<ScanFormat> sensors_;
+    std::vector<ScanOutputOptions> sensors_;
     std::optional<double> shift_s_;
     double last_scan_s_ = 0.0;  ///< time of the previous scan in the log
     std::optional<std::uint64_t> last_pose_ns_;
 
-    std::uint64_t stamp(double time_s) const;
-    void check_times(const RenderedScan& scan, const Sweep& all);
-    std::vector<RecordedPose> poses(const RenderedScan& scan, std::vector<double> times_s);
-    Points cloud(const RenderedScan& scan, const ScanFormat& format, const Sweep& sweep) const;
-    std::vector<RecordedActor> actors(const RenderedScan& scan, double stamp_s) const;
+    std::uint64_t make_time_stamp_ns(double time_s) const;
+    void check_scan_times(const RenderedScan& scan, const SweepInterval& combined_sweep);
+    std::vector<RecordedPose> compute_vehicle_poses(const RenderedScan& scan, std::vector<double> times_s);
+    LidarPoints make_point_cloud(const RenderedScan& scan, const ScanOutputOptions& format,
+                                 const SweepInterval& sweep) const;
+    std::vector<RecordedActor> list_recorded_actors(const RenderedScan& scan, double cloud_time_s) const;
 };
 
 }  // namespace relidar::scan_files

@@ -15,46 +15,51 @@ constexpr const char* kPacketsStem = "packets";
 
 }  // namespace
 
-PacketFiles::PacketFiles(fs::path folder, const std::vector<ScanFormat>& sensors) : packets_(sensors) {
+PacketFileWriter::PacketFileWriter(fs::path folder, const std::vector<ScanOutputOptions>& sensors)
+    : packets_(sensors) {
     for (std::size_t s = 0; s < sensors.size(); ++s) {
         std::string name = kPacketsStem;
-        if (sensors.size() > 1) name += "_" + make_topic_word(sensors[s].frame_id);
+        if (sensors.size() > 1) name += "_" + make_valid_topic_name(sensors[s].frame_id);
         const fs::path path = folder / (name + ".pcap"), temporary = make_temporary_path(path);
-        files_.push_back({path, temporary, PacketCapture(temporary, packets_.encoder(s).port() + int(s))});
+        files_.push_back(
+            {path, temporary, PcapWriter(temporary, packets_.get_packet_encoder(s).get_udp_port() + int(s))});
     }
 }
 
-PacketFiles::~PacketFiles() {
+PacketFileWriter::~PacketFileWriter() {
     std::error_code failed;
-    for (const File& file : files_) fs::remove(file.temporary, failed);
+    for (const OpenPacketFile& file : files_) fs::remove(file.temporary, failed);
 }
 
-void PacketFiles::write(const std::vector<std::vector<SensorPacket>>& packets) {
-    for (std::size_t s = 0; s < packets.size(); ++s) files_[s].capture.add(packets[s]);
+void PacketFileWriter::write_packets(const std::vector<std::vector<SensorPacket>>& packets_per_sensor) {
+    for (std::size_t s = 0; s < packets_per_sensor.size(); ++s)
+        files_[s].capture.write_packets(packets_per_sensor[s]);
 }
 
-void PacketFiles::add(std::span<const RenderedScan> scans) { write(packets_.encode(scans)); }
+void PacketFileWriter::write_scans_as_packets(std::span<const RenderedScan> scans) {
+    write_packets(packets_.encode_scans_as_packets(scans));
+}
 
-void PacketFiles::finish() {
-    write(packets_.finish());
+void PacketFileWriter::finish() {
+    write_packets(packets_.flush_remaining_packets());
     for (std::size_t s = 0; s < files_.size(); ++s) {
-        File& file = files_[s];
-        file.capture.close();
-        write_atomically(file.path, [&](const fs::path& target) { fs::rename(file.temporary, target); });
-        const PacketCalibration calibration = packets_.encoder(s).calibration();
+        OpenPacketFile& file = files_[s];
+        file.capture.close_file();
+        write_file_atomically(file.path, [&](const fs::path& target) { fs::rename(file.temporary, target); });
+        const PacketCalibrationFile calibration = packets_.get_packet_encoder(s).get_packet_calibration();
         if (!calibration.ending.empty())
-            write_text(fs::path(file.path).replace_extension(calibration.ending), calibration.text);
+            write_text_file(fs::path(file.path).replace_extension(calibration.ending), calibration.text);
     }
 }
 
-std::vector<std::string> PacketFiles::names() const {
+std::vector<std::string> PacketFileWriter::names() const {
     std::vector<std::string> names;
-    for (const File& file : files_) names.push_back(file.path.filename().string());
+    for (const OpenPacketFile& file : files_) names.push_back(file.path.filename().string());
     return names;
 }
 
-bool PacketFiles::is_file(const fs::path& name) {
-    const std::string stem = name.stem().string(), ending = name.extension().string();
+bool PacketFileWriter::is_packet_file_name(const fs::path& file_name) {
+    const std::string stem = file_name.stem().string(), ending = file_name.extension().string();
     return (stem == kPacketsStem || stem.starts_with(std::string(kPacketsStem) + "_")) &&
            (ending == ".pcap" || ending == ".json" || ending == ".csv");
 }

@@ -16,31 +16,31 @@ namespace relidar::scan_files {
 /// Name of the output format that contains network packets.
 inline constexpr const char* kPacketFormat = "pcap";
 
-class PacketFiles {
+class PacketFileWriter {
 public:
     /// Creates the capture files under temporary names.
     /// @throws UsageError if relidar cannot write packets of a sensor
-    PacketFiles(std::filesystem::path folder, const std::vector<ScanFormat>& sensors);
+    PacketFileWriter(std::filesystem::path folder, const std::vector<ScanOutputOptions>& sensors);
     /// Removes the temporary files if finish() was not called.
-    ~PacketFiles();
-    PacketFiles(const PacketFiles&) = delete;
-    PacketFiles& operator=(const PacketFiles&) = delete;
+    ~PacketFileWriter();
+    PacketFileWriter(const PacketFileWriter&) = delete;
+    PacketFileWriter& operator=(const PacketFileWriter&) = delete;
 
-    void add(std::span<const RenderedScan> scans);
+    void write_scans_as_packets(std::span<const RenderedScan> scans);
     void finish();
     std::vector<std::string> names() const;
     /// Returns true if this class may have written a file with this name.
-    static bool is_file(const std::filesystem::path& name);
+    static bool is_packet_file_name(const std::filesystem::path& file_name);
 
 private:
-    struct File {
+    struct OpenPacketFile {
         std::filesystem::path path, temporary;
-        PacketCapture capture;
+        PcapWriter capture;
     };
-    ScanPackets packets_;
-    std::vector<File> files_;
+    ScanPacketEncoder packets_;
+    std::vector<OpenPacketFile> files_;
 
-    void write(const std::vector<std::vector<SensorPacket>>& packets);
+    void write_packets(const std::vector<std::vector<SensorPacket>>& packets_per_sensor);
 };
 
 }  // namespace relidar::scan_files

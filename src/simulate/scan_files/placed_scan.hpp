@@ -16,9 +16,9 @@
 
 namespace relidar::scan_files {
 
-struct PlacedScan {
+struct ScanInOutputFrame {
     const RenderedScan& scan;
-    const ScanFormat& format;
+    const ScanOutputOptions& format;
     int frame;                                 ///< frame number of the dataset
     std::vector<glm::vec3> origin, direction;  ///< [n] in the frame of the file
     /// [n] end points of the rays in the coordinate frame of the file
@@ -26,19 +26,19 @@ struct PlacedScan {
     /// optional channels with [n] values each; vectors are in the coordinate frame of the
     /// file
     std::vector<ScanChannel> channels;
-    FileNotes notes;
+    FileMetadata notes;
     /// pose of the points' coordinate frame in the world frame of the dataset; no value
     /// if each point is in the sensor's frame at its firing time
     std::optional<Pose> dataset_from_points;
 
-    const RangeImage& image() const { return scan.image; }
+    const RangeImage& get_image() const { return scan.image; }
 };
 
 /// Calls visit(info, values) for each channel of the output files, in the order of the
 /// files. Second returns are written as the channels range_2 and intensity_2.
 template <class Visit>
-void for_each_file_channel(const PlacedScan& placed, Visit&& visit) {
-    const RenderedScan& scan = placed.scan;
+void for_each_file_channel(const ScanInOutputFrame& placed_scan, Visit&& visit) {
+    const RenderedScan& scan = placed_scan.scan;
     const BasicChannels& basic = get_basic_channels();
     visit(basic.range, scan.image.range_m), visit(basic.median_range, scan.median_range_m),
         visit(basic.intensity, scan.image.intensity);
@@ -49,28 +49,30 @@ void for_each_file_channel(const PlacedScan& placed, Visit&& visit) {
         visit(ChannelInfo{"range_2", "m"}, scan.second_returns[0].range_m);
         visit(ChannelInfo{"intensity_2"}, scan.second_returns[0].intensity);
     }
-    for (const ScanChannel& channel : placed.channels) {
+    for (const ScanChannel& channel : placed_scan.channels) {
         std::visit([&](const auto& values) { visit(channel.info, values); }, channel.values);
         ChannelInfo of_second = channel.info;
         of_second.name += "_2";
-        if (size(channel.second) > 0)
+        if (count_channel_values(channel.second) > 0)
             std::visit([&](const auto& values) { visit(of_second, values); }, channel.second);
     }
 }
 
 /// Transforms the rays of a scan to the coordinate frame that the output format selects.
 /// @param world_from_deskewed pose of the frame of motion-compensated points
-/// @param notes metadata of the files
-/// @throws DataError if a channel is invalid, as check_channels()
-PlacedScan make_placed_scan(const RenderedScan& scan, const ScanFormat& format,
-                            const Pose& world_from_deskewed, int frame, FileNotes notes = {});
+/// @param file_notes metadata of the files
+/// @throws DataError if a channel is invalid, as check_channel_names_and_sizes()
+ScanInOutputFrame transform_scan_to_output_frame(const RenderedScan& scan, const ScanOutputOptions& format,
+                                                 const Pose& world_from_deskewed, int frame_number,
+                                                 FileMetadata file_notes = {});
 
 /// Returns the pose of the frame in which the output format stores points. Returns no
 /// value if each point stays in the sensor's frame at its firing time.
 /// @param world_from_deskewed pose of the frame of motion-compensated points
-std::optional<Pose> compute_output_frame_pose(const ScanFormat& format, const Pose& world_from_deskewed);
+std::optional<Pose> compute_output_frame_pose(const ScanOutputOptions& format,
+                                              const Pose& world_from_deskewed);
 /// Returns one point for each return of the scan.
-Points make_output_points(const PlacedScan& placed);
+LidarPoints make_output_points(const ScanInOutputFrame& placed_scan);
 /// Returns the number of rays that have a return.
 std::size_t count_points(const RenderedScan& scan, const Config& config);
 

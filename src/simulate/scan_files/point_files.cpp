@@ -21,36 +21,36 @@ namespace {
 
 /// A field of a point, with its types in PLY and PCD. PLY knows the 16-bit type as ushort
 /// and as uint16. The files use uint16, because Open3D does not read ushort.
-struct Field {
+struct PointFileField {
     std::string name;
     const char* ply_type;
     int bytes;
     char pcd_type;
 };
 
-std::vector<Field> list_fields(const Points& points) {
+std::vector<PointFileField> list_point_file_fields(const LidarPoints& points) {
     const bool is_empty = points.size() == 0;
-    std::vector<Field> fields;
+    std::vector<PointFileField> fields;
     for (const char* name : {"x", "y", "z", "intensity"}) fields.push_back({name, "float", 4, 'F'});
     if (is_empty || !points.ring.empty()) fields.push_back({"ring", "uint16", 2, 'U'});
     if (is_empty || !points.time_offset_s.empty()) fields.push_back({"time", "float", 4, 'F'});
     if (is_empty || !points.instance.empty()) fields.push_back({"instance", "int", 4, 'I'});
     if (!points.return_number.empty()) fields.push_back({"return", "uint8", 1, 'U'});
-    for (const auto& [name, is_integer] : list_channel_numbers(points.channels))
+    for (const auto& [name, is_integer] : list_channel_columns(points.channels))
         fields.push_back({name, is_integer ? "int" : "float", 4, is_integer ? 'I' : 'F'});
     return fields;
 }
 
 /// Returns the name of a field in a PLY file, where normals have the names nx, ny and nz.
-std::string get_ply_name(const std::string& name) {
+std::string get_ply_field_name(const std::string& field_name) {
     for (const char* axis : {"x", "y", "z"})
-        if (name == std::string("normal_") + axis) return std::string("n") + axis;
-    return name;
+        if (field_name == std::string("normal_") + axis) return std::string("n") + axis;
+    return field_name;
 }
 
 /// Checks that each array has one value per point. Optional arrays may be empty.
 /// @throws DataError if an array has another length
-void check_lengths(const Points& points) {
+void check_point_array_lengths(const LidarPoints& points) {
     const auto check = [&](const char* name, std::size_t found, bool may_be_unknown = true) {
         if (found != points.size() && !(may_be_unknown && found == 0))
             throw DataError(fmt::format("cannot write a point cloud: found {} values of {}, expected {}",
@@ -61,20 +61,20 @@ void check_lengths(const Points& points) {
     check("time", points.time_offset_s.size());
     check("instance", points.instance.size());
     check("return", points.return_number.size());
-    check_channels(points.channels, points.size(), "a point cloud");
+    check_channel_names_and_sizes(points.channels, points.size(), "a point cloud");
 }
 
-/// Packs the fields of each point into bytes, in the order of list_fields().
-std::string pack_records(const Points& points) {
+/// Packs the fields of each point into bytes, in the order of list_point_file_fields().
+std::string pack_point_records(const LidarPoints& points) {
     std::string bytes;
     bytes.reserve(points.size() * 26);
-    const auto append_known = [&](const auto& values, std::size_t index) {
-        if (!values.empty()) append(bytes, values[index]);
+    const auto append_if_present = [&](const auto& values, std::size_t index) {
+        if (!values.empty()) append_binary_value(bytes, values[index]);
     };
     for (std::size_t i = 0; i < points.size(); ++i) {
-        append(bytes, points.position_m[i]), append(bytes, points.intensity[i]);
-        append_known(points.ring, i), append_known(points.time_offset_s, i);
-        append_known(points.instance, i), append_known(points.return_number, i);
+        append_binary_value(bytes, points.position_m[i]), append_binary_value(bytes, points.intensity[i]);
+        append_if_present(points.ring, i), append_if_present(points.time_offset_s, i);
+        append_if_present(points.instance, i), append_if_present(points.return_number, i);
         append_channel_values(bytes, points.channels, i);
     }
     return bytes;
@@ -91,21 +91,22 @@ std::string format_viewpoint(const Pose& pose) {
 
 }  // namespace
 
-void write_ply(const std::filesystem::path& path, const Points& points, const FileNotes& notes) {
-    check_lengths(points);
+void write_ply(const std::filesystem::path& path, const LidarPoints& points, const FileMetadata& notes) {
+    check_point_array_lengths(points);
     std::string text = "ply\nformat binary_little_endian 1.0\n";
-    for (const auto& note : notes) text += fmt::format("comment {}\n", report_detail::format_note_line(note));
+    for (const auto& note : notes)
+        text += fmt::format("comment {}\n", report_detail::format_metadata_line(note));
     text += fmt::format("element vertex {}\n", points.size());
-    for (const Field& field : list_fields(points))
-        text += fmt::format("property {} {}\n", field.ply_type, get_ply_name(field.name));
-    report_detail::write_file(path, text + "end_header\n" + pack_records(points));
+    for (const PointFileField& field : list_point_file_fields(points))
+        text += fmt::format("property {} {}\n", field.ply_type, get_ply_field_name(field.name));
+    report_detail::write_file(path, text + "end_header\n" + pack_point_records(points));
 }
 
-void write_pcd(const std::filesystem::path& path, const Points& points, const FileNotes& notes) {
-    check_lengths(points);
+void write_pcd(const std::filesystem::path& path, const LidarPoints& points, const FileMetadata& notes) {
+    check_point_array_lengths(points);
     std::string header = "# .PCD v0.7 - Point Cloud Data file format\n", names, sizes, types, counts;
-    for (const auto& note : notes) header += fmt::format("# {}\n", report_detail::format_note_line(note));
-    for (const Field& field : list_fields(points)) {
+    for (const auto& note : notes) header += fmt::format("# {}\n", report_detail::format_metadata_line(note));
+    for (const PointFileField& field : list_point_file_fields(points)) {
         names += fmt::format(" {}", field.name);
         sizes += fmt::format(" {}", field.bytes);
         types += fmt::format(" {}", field.pcd_type);
@@ -115,12 +116,12 @@ void write_pcd(const std::filesystem::path& path, const Points& points, const Fi
     header += fmt::format("VERSION 0.7\nFIELDS{}\nSIZE{}\nTYPE{}\nCOUNT{}\n", names, sizes, types, counts);
     header += fmt::format("WIDTH {}\nHEIGHT 1\nVIEWPOINT {}\nPOINTS {}\nDATA binary\n", n,
                           format_viewpoint(points.world_from_points), n);
-    report_detail::write_file(path, header + pack_records(points));
+    report_detail::write_file(path, header + pack_point_records(points));
 }
 
-void write_kitti_bin(const std::filesystem::path& path, const Points& points) {
-    check_lengths(points);
-    report_detail::write_file(path, pack_records({points.position_m, points.intensity}));
+void write_kitti_bin(const std::filesystem::path& path, const LidarPoints& points) {
+    check_point_array_lengths(points);
+    report_detail::write_file(path, pack_point_records({points.position_m, points.intensity}));
 }
 
 }  // namespace relidar

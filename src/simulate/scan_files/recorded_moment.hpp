@@ -55,20 +55,22 @@ struct RecordedActor {
     BoxState faced;
     BoxState at_stamp;                    ///< state at the time stamp of the point cloud
     std::size_t n_points;                 ///< first returns of the scan on the actor
-    std::optional<double> visible_share;  ///< see SeenActor; no value if it was not computed
+    std::optional<double> visible_share;  ///< see ActorInScan; no value if it was not computed
 };
 
 /// Converts a time in seconds to a time stamp in nanoseconds.
-inline std::uint64_t to_stamp(double time_s) { return std::uint64_t(std::llround(1e9 * time_s)); }
+inline std::uint64_t convert_to_nanoseconds(double time_s) {
+    return std::uint64_t(std::llround(1e9 * time_s));
+}
 
-struct RecordedMoment {
+struct RecordedSweep {
     std::uint64_t first_ns, last_ns;  ///< firing times of the first and last ray of all sensors
     /// poses in ascending order of time, all later than the poses of earlier scans
     std::vector<RecordedPose> poses;
     /// [sensors] point cloud of each sensor. `time_s` is the firing time of the first
     /// ray, in the time of the file. Motion-compensated points are in the sensor's frame
     /// at `time_s`.
-    std::vector<Points> clouds;
+    std::vector<LidarPoints> clouds;
     /// actors at the time stamp of each point cloud
     std::map<std::uint64_t, std::vector<RecordedActor>> actors;
 };

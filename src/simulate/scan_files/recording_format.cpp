@@ -21,7 +21,8 @@ std::span<const RecordingFormat> list_recording_formats() {
     return formats;
 }
 
-std::vector<ScanMessage> list_messages(std::span<const RecordedTopic> topics, const RecordedMoment& moment) {
+std::vector<ScanMessage> make_messages_in_time_order(std::span<const RecordedTopic> topics,
+                                                     const RecordedSweep& moment) {
     std::vector<ScanMessage> messages;
     for (std::size_t topic = 0; topic < topics.size(); ++topic)
         for (auto& [time_ns, bytes] : topics[topic].messages(moment))

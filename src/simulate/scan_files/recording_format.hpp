@@ -23,11 +23,11 @@ struct RecordedTopic {
     std::string type;        ///< message type
     std::string definition;  ///< definition of the message type and of all message types that it contains
     std::map<std::string, std::string> metadata;
-    std::function<std::vector<RecordedMessage>(const RecordedMoment&)> messages;
+    std::function<std::vector<RecordedMessage>(const RecordedSweep&)> messages;
 };
 
 struct RecordingFormat {
-    const char* name;  ///< name of the format in ScanFormat::formats
+    const char* name;  ///< name of the format in ScanOutputOptions::formats
     const char* file;
     const char* profile;  ///< MCAP profile of the file
     const char *definition_encoding, *message_encoding;
@@ -43,7 +43,8 @@ std::span<const RecordingFormat> list_recording_formats();
 
 /// Returns the messages of all topics in the order of their times. Messages with the same
 /// time are in the order of the topics.
-std::vector<ScanMessage> list_messages(std::span<const RecordedTopic> topics, const RecordedMoment& moment);
+std::vector<ScanMessage> make_messages_in_time_order(std::span<const RecordedTopic> topics,
+                                                     const RecordedSweep& moment);
 
 /// These functions return the topics of a recording. list_foxglove_topics() uses
 /// Foxglove's schemas in protobuf. list_ros_topics() uses ROS 2 messages in CDR.

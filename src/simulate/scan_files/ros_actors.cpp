@@ -14,58 +14,58 @@ using Actors = std::vector<RecordedActor>;
 /// Returns a message with one detection per actor. Each detection has the time at which
 /// the sensor points at the box.
 std::string make_detections_message(std::uint64_t stamp_ns, const Actors& actors) {
-    Cdr cdr;
+    CdrWriter cdr;
     add_header(cdr, stamp_ns, kWorldFrame);
-    cdr.add(std::uint32_t(actors.size()));
+    cdr.append_aligned_number(std::uint32_t(actors.size()));
     for (const RecordedActor& actor : actors) {
         add_header(cdr, actor.faced.time_ns, kWorldFrame);
         // Each detection has one class with a score of 1, because the class is known
         // exactly.
-        cdr.add(std::uint32_t(1)).add_text(actor.category).add(1.0);
-        add_pose(cdr, actor.faced.world_from_box), add_covariance(cdr);
+        cdr.append_aligned_number(std::uint32_t(1)).append_string(actor.category).append_aligned_number(1.0);
+        add_pose(cdr, actor.faced.world_from_box), add_zero_covariance(cdr);
         add_pose(cdr, actor.faced.world_from_box), add_vector(cdr, actor.size_m);
-        cdr.add_text(actor.name);
+        cdr.append_string(actor.name);
     }
-    return cdr.take();
+    return cdr.take_encoded_message();
 }
 
 /// Maps a word in the class name of an object to its label in
 /// autoware_perception_msgs/ObjectClassification. The first matching word decides, so
 /// longer words come first, for example "caravan" before "car".
-struct Label {
+struct AutowareLabel {
     const char* word;
     std::uint8_t number;
 };
-constexpr Label kLabels[] = {
+constexpr AutowareLabel kLabels[] = {
     {"caravan", 4}, {"trailer", 4}, {"truck", 2}, {"large_vehicle", 2}, {"bus", 3},    {"motorcycl", 5},
     {"bicycl", 6},  {"cyclist", 6}, {"rider", 6}, {"pedestrian", 7},    {"person", 7}, {"people", 7},
     {"animal", 8},  {"dog", 8},     {"car", 1},   {"van", 1},           {"vehicle", 1}};
 constexpr std::uint8_t kUnknown = 0;
 
-std::uint8_t get_object_label(std::string category) {
+std::uint8_t get_autoware_label(std::string category) {
     std::ranges::transform(category, category.begin(), [](unsigned char character) {
         return static_cast<char>(std::tolower(character));
     });
-    const auto found = std::ranges::find_if(
-        kLabels, [&](const Label& label) { return category.find(label.word) != std::string::npos; });
-    return found == std::end(kLabels) ? kUnknown : found->number;
+    const auto match = std::ranges::find_if(
+        kLabels, [&](const AutowareLabel& label) { return category.find(label.word) != std::string::npos; });
+    return match == std::end(kLabels) ? kUnknown : match->number;
 }
 
 /// Adds a UUID that depends only on a name, so that an actor has the same UUID in all
 /// files. The UUID consists of two FNV-1a hashes. Its version is 8, which means a custom
 /// UUID.
-void add_uuid(Cdr& cdr, const std::string& name) {
+void add_uuid_of_name(CdrWriter& cdr, const std::string& name) {
     constexpr int kVersionByte = 6, kVariantByte = 8;
     std::string bytes;
     for (std::uint64_t hash : {0xcbf29ce484222325u, 0x84222325cbf29ce4u}) {
         for (const char c : name) hash = (hash ^ static_cast<unsigned char>(c)) * 0x100000001b3u;
-        append(bytes, hash);
+        append_binary_value(bytes, hash);
     }
     for (int i = 0; i < 16; ++i) {
         auto byte = static_cast<std::uint8_t>(bytes[std::size_t(i)]);
         if (i == kVersionByte) byte = 0x80 | (byte & 0x0f);
         if (i == kVariantByte) byte = 0x80 | (byte & 0x3f);
-        cdr.add(byte);
+        cdr.append_aligned_number(byte);
     }
 }
 
@@ -74,22 +74,26 @@ void add_uuid(Cdr& cdr, const std::string& name) {
 /// with the velocities.
 std::string make_tracked_objects_message(std::uint64_t stamp_ns, const Actors& actors) {
     constexpr std::uint8_t kOrientationAvailable = 2, kBoundingBox = 0;
-    Cdr cdr;
+    CdrWriter cdr;
     add_header(cdr, stamp_ns, kWorldFrame);
-    cdr.add(std::uint32_t(actors.size()));
+    cdr.append_aligned_number(std::uint32_t(actors.size()));
     for (const RecordedActor& actor : actors) {
-        add_uuid(cdr, actor.name);
+        add_uuid_of_name(cdr, actor.name);
         // existence probability, then one class with its label and probability; both
         // probabilities are 1
-        cdr.add(1.0f).add(std::uint32_t(1)).add(get_object_label(actor.category)).add(1.0f);
-        add_pose(cdr, actor.at_stamp.world_from_box), add_covariance(cdr);
-        add_velocity(cdr, actor.at_stamp.velocity);
-        add_velocity(cdr, {});  // zero acceleration, because the acceleration is unknown
-        cdr.add(kOrientationAvailable).add(std::uint8_t(actor.is_parked));
-        cdr.add(kBoundingBox).add(std::uint32_t(0));  // an empty footprint
+        cdr.append_aligned_number(1.0f)
+            .append_aligned_number(std::uint32_t(1))
+            .append_aligned_number(get_autoware_label(actor.category))
+            .append_aligned_number(1.0f);
+        add_pose(cdr, actor.at_stamp.world_from_box), add_zero_covariance(cdr);
+        add_velocity_with_covariance(cdr, actor.at_stamp.velocity);
+        add_velocity_with_covariance(cdr, {});  // zero acceleration, because the acceleration is unknown
+        cdr.append_aligned_number(kOrientationAvailable).append_aligned_number(std::uint8_t(actor.is_parked));
+        cdr.append_aligned_number(kBoundingBox)
+            .append_aligned_number(std::uint32_t(0));  // an empty footprint
         add_vector(cdr, actor.size_m);
     }
-    return cdr.take();
+    return cdr.take_encoded_message();
 }
 
 }  // namespace
@@ -97,7 +101,7 @@ std::string make_tracked_objects_message(std::uint64_t stamp_ns, const Actors& a
 std::vector<RecordedTopic> list_ros_actor_topics() {
     const auto topic = [](const char* name, const char* type,
                           std::string (*message)(std::uint64_t, const Actors&)) {
-        return make_ros_topic(name, type, [message](const RecordedMoment& moment) {
+        return make_ros_topic(name, type, [message](const RecordedSweep& moment) {
             std::vector<RecordedMessage> messages;
             for (const auto& [stamp_ns, actors] : moment.actors)
                 messages.push_back({moment.last_ns, message(stamp_ns, actors)});

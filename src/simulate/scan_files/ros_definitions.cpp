@@ -12,7 +12,7 @@ namespace {
 
 constexpr const char* kXyz = "float64 x\nfloat64 y\nfloat64 z\n";
 
-const std::map<std::string, std::string>& known_types() {
+const std::map<std::string, std::string>& get_definition_by_type() {
     static const std::map<std::string, std::string> types = {
         {"builtin_interfaces/Time", "int32 sec\nuint32 nanosec\n"},
         {"std_msgs/Header", "builtin_interfaces/Time stamp\nstring frame_id\n"},
@@ -73,9 +73,9 @@ const std::map<std::string, std::string>& known_types() {
 
 /// Returns the message types that occur as fields in a definition. Numbers and strings
 /// are left out.
-std::vector<std::string> list_types(const std::string& fields) {
+std::vector<std::string> list_message_types_of_fields(const std::string& field_definitions) {
     std::vector<std::string> types;
-    std::istringstream lines(fields);
+    std::istringstream lines(field_definitions);
     for (std::string type, rest; lines >> type && std::getline(lines, rest);)
         if (type.find('/') != std::string::npos) types.push_back(type.substr(0, type.find('[')));
     return types;
@@ -83,18 +83,19 @@ std::vector<std::string> list_types(const std::string& fields) {
 
 }  // namespace
 
-std::string make_ros_definition(const std::string& type) {
+std::string make_ros_message_definition(const std::string& message_type) {
     constexpr std::string_view kMessages = "/msg/";
-    const std::size_t middle = type.find(kMessages);
+    const std::size_t middle = message_type.find(kMessages);
     const bool is_short = middle == std::string::npos;
-    std::vector<std::string> types{
-        is_short ? type : type.substr(0, middle) + type.substr(middle + kMessages.size() - 1)};
+    std::vector<std::string> types{is_short ? message_type
+                                            : message_type.substr(0, middle) +
+                                                  message_type.substr(middle + kMessages.size() - 1)};
     std::string definition;
     for (std::size_t i = 0; i < types.size(); ++i) {
-        const std::string& fields = known_types().at(types[i]);
+        const std::string& fields = get_definition_by_type().at(types[i]);
         if (i > 0) definition += std::string(80, '=') + "\nMSG: " + types[i] + "\n";
         definition += fields;
-        for (const std::string& used : list_types(fields))
+        for (const std::string& used : list_message_types_of_fields(fields))
             if (std::ranges::find(types, used) == types.end()) types.push_back(used);
     }
     return definition;

@@ -8,8 +8,8 @@ namespace relidar::scan_files {
 
 /// Returns the definition of a message type, followed by the definitions of all types
 /// that it contains. Readers need this text to decode messages.
-/// @param type a type that the .cpp file defines, for example "nav_msgs/msg/Odometry" or
-/// "nav_msgs/Odometry"
-std::string make_ros_definition(const std::string& type);
+/// @param message_type a type that the .cpp file defines, for example
+/// "nav_msgs/msg/Odometry" or "nav_msgs/Odometry"
+std::string make_ros_message_definition(const std::string& message_type);
 
 }  // namespace relidar::scan_files

@@ -16,35 +16,41 @@ constexpr std::uint64_t kNanoseconds = 1'000'000'000;  // nanoseconds per second
 // and velocities are exact.
 constexpr int kCovariance = 36;
 
-inline void add_time(Cdr& cdr, std::uint64_t time_ns) {
-    cdr.add(std::int32_t(time_ns / kNanoseconds)).add(std::uint32_t(time_ns % kNanoseconds));
+inline void add_time(CdrWriter& cdr, std::uint64_t time_ns) {
+    cdr.append_aligned_number(std::int32_t(time_ns / kNanoseconds))
+        .append_aligned_number(std::uint32_t(time_ns % kNanoseconds));
 }
-inline void add_header(Cdr& cdr, std::uint64_t stamp_ns, const std::string& frame) {
-    add_time(cdr, stamp_ns), cdr.add_text(frame);
+inline void add_header(CdrWriter& cdr, std::uint64_t stamp_ns, const std::string& frame_id) {
+    add_time(cdr, stamp_ns), cdr.append_string(frame_id);
 }
 
-inline void add_vector(Cdr& cdr, const glm::dvec3& vector) { cdr.add(vector.x).add(vector.y).add(vector.z); }
+inline void add_vector(CdrWriter& cdr, const glm::dvec3& vector) {
+    cdr.append_aligned_number(vector.x).append_aligned_number(vector.y).append_aligned_number(vector.z);
+}
 /// Adds a pose or a transform.
-inline void add_pose(Cdr& cdr, const Pose& pose) {
+inline void add_pose(CdrWriter& cdr, const Pose& pose) {
     add_vector(cdr, pose.translation);
-    cdr.add(pose.rotation.x).add(pose.rotation.y).add(pose.rotation.z).add(pose.rotation.w);
+    cdr.append_aligned_number(pose.rotation.x)
+        .append_aligned_number(pose.rotation.y)
+        .append_aligned_number(pose.rotation.z)
+        .append_aligned_number(pose.rotation.w);
 }
-inline void add_covariance(Cdr& cdr) {
-    for (int i = 0; i < kCovariance; ++i) cdr.add(0.0);
+inline void add_zero_covariance(CdrWriter& cdr) {
+    for (int i = 0; i < kCovariance; ++i) cdr.append_aligned_number(0.0);
 }
-inline void add_velocity(Cdr& cdr, const Velocity& velocity) {
+inline void add_velocity_with_covariance(CdrWriter& cdr, const Velocity& velocity) {
     add_vector(cdr, velocity.linear_mps), add_vector(cdr, velocity.angular_radps);
-    add_covariance(cdr);
+    add_zero_covariance(cdr);
 }
 
 /// Returns the topics that contain the point clouds of one sensor.
-std::vector<RecordedTopic> list_ros_cloud_topics(const RecordedRig& rig, std::size_t sensor);
+std::vector<RecordedTopic> list_ros_cloud_topics(const RecordedRig& rig, std::size_t sensor_index);
 /// Returns the topics with the boxes of the actors.
 std::vector<RecordedTopic> list_ros_actor_topics();
 /// Returns a topic whose quality of service is "reliable".
 /// @param is_latched true if subscribers that join later receive the last message
-RecordedTopic make_ros_topic(const std::string& name, const std::string& type,
-                             std::function<std::vector<RecordedMessage>(const RecordedMoment&)> messages,
+RecordedTopic make_ros_topic(const std::string& name, const std::string& message_type,
+                             std::function<std::vector<RecordedMessage>(const RecordedSweep&)> make_messages,
                              bool is_latched = false);
 
 }  // namespace relidar::scan_files

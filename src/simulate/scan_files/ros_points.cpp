@@ -32,36 +32,40 @@ enum ReturnType : std::uint8_t { kLast = 1, kStrongest = 3, kSecondStrongest = 8
 /// Returns the type of a return: strongest, last or second strongest. A second return is
 /// the last return if its range is larger than the range of the first return. Otherwise,
 /// the second return is the second strongest.
-ReturnType get_return_type(const Points& cloud, std::size_t point) {
-    const bool second = !cloud.return_number.empty() && cloud.return_number[point] == 2;
-    if (!second || point == 0) return kStrongest;
-    return glm::length(cloud.position_m[point]) > glm::length(cloud.position_m[point - 1]) ? kLast
-                                                                                           : kSecondStrongest;
+ReturnType get_return_type(const LidarPoints& cloud, std::size_t point_index) {
+    const bool second = !cloud.return_number.empty() && cloud.return_number[point_index] == 2;
+    if (!second || point_index == 0) return kStrongest;
+    return glm::length(cloud.position_m[point_index]) > glm::length(cloud.position_m[point_index - 1])
+               ? kLast
+               : kSecondStrongest;
 }
 
 /// Packs points as PointXYZIRCAEDT. Computes the angles in radians from x, y and z.
 /// Azimuth increases from the x axis to the left, and elevation increases upwards.
-std::string make_autoware_points(const Points& cloud) {
+std::string pack_autoware_points(const LidarPoints& cloud) {
     std::string bytes;
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
         const glm::vec3& p = cloud.position_m[i];
-        append(bytes, p);
-        append(bytes, std::uint8_t(std::lround(255.0f * std::clamp(cloud.intensity[i], 0.0f, 1.0f))));
-        append(bytes, std::uint8_t(get_return_type(cloud, i)));
-        append(bytes, cloud.ring[i]);
-        append(bytes, std::atan2(p.y, p.x)), append(bytes, std::atan2(p.z, std::hypot(p.x, p.y))),
-            append(bytes, glm::length(p));
-        append(bytes, std::uint32_t(std::llround(1e9 * std::max(0.0, double(cloud.time_offset_s[i])))));
+        append_binary_value(bytes, p);
+        append_binary_value(bytes,
+                            std::uint8_t(std::lround(255.0f * std::clamp(cloud.intensity[i], 0.0f, 1.0f))));
+        append_binary_value(bytes, std::uint8_t(get_return_type(cloud, i)));
+        append_binary_value(bytes, cloud.ring[i]);
+        append_binary_value(bytes, std::atan2(p.y, p.x)),
+            append_binary_value(bytes, std::atan2(p.z, std::hypot(p.x, p.y))),
+            append_binary_value(bytes, glm::length(p));
+        append_binary_value(bytes,
+                            std::uint32_t(std::llround(1e9 * std::max(0.0, double(cloud.time_offset_s[i])))));
     }
     return bytes;
 }
 
-std::string make_plain_points(const Points& cloud) {
+std::string pack_velodyne_points(const LidarPoints& cloud) {
     std::string bytes;
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
-        append(bytes, cloud.position_m[i]), append(bytes, cloud.intensity[i]);
-        append(bytes, cloud.time_offset_s[i]), append(bytes, cloud.ring[i]);
-        append(bytes, std::uint16_t(0));  // padding to a multiple of 4 bytes
+        append_binary_value(bytes, cloud.position_m[i]), append_binary_value(bytes, cloud.intensity[i]);
+        append_binary_value(bytes, cloud.time_offset_s[i]), append_binary_value(bytes, cloud.ring[i]);
+        append_binary_value(bytes, std::uint16_t(0));  // padding to a multiple of 4 bytes
         append_channel_values(bytes, cloud.channels, i);
     }
     return bytes;
@@ -69,46 +73,52 @@ std::string make_plain_points(const Points& cloud) {
 
 /// Describes the fields of a point cloud message, and how its points are packed into
 /// bytes.
-struct PointType {
+struct RosPointType {
     const std::vector<RosField>& fields;
     std::uint32_t step;  ///< bytes per point without channels
-    std::string (*points)(const Points&);
+    std::string (*points)(const LidarPoints&);
     bool has_channels;
 };
-const PointType kPlainType{kPlain, 24, make_plain_points, true},
-    kAutowareType{kAutoware, 32, make_autoware_points, false};
+const RosPointType kPlainType{kPlain, 24, pack_velodyne_points, true},
+    kAutowareType{kAutoware, 32, pack_autoware_points, false};
 
-std::string make_cloud_message(const Points& cloud, const std::string& frame, const PointType& type) {
-    const std::string points = type.points(cloud);
-    std::vector<RosField> fields = type.fields;
-    std::uint32_t step = type.step;
+std::string make_point_cloud2_message(const LidarPoints& cloud, const std::string& frame_id,
+                                      const RosPointType& point_type) {
+    const std::string points = point_type.points(cloud);
+    std::vector<RosField> fields = point_type.fields;
+    std::uint32_t step = point_type.step;
     for (const auto& [name, is_integer] :
-         type.has_channels ? list_channel_numbers(cloud.channels) : std::vector<ChannelNumber>{}) {
+         point_type.has_channels ? list_channel_columns(cloud.channels) : std::vector<ChannelColumn>{}) {
         fields.push_back({name, step, is_integer ? kRosInt32 : kRosFloat32});
         step += 4;
     }
-    Cdr cdr;
-    add_header(cdr, to_stamp(cloud.time_s), frame);
-    cdr.add(std::uint32_t(1)).add(std::uint32_t(cloud.size())).add(std::uint32_t(fields.size()));
+    CdrWriter cdr;
+    add_header(cdr, convert_to_nanoseconds(cloud.time_s), frame_id);
+    cdr.append_aligned_number(std::uint32_t(1))
+        .append_aligned_number(std::uint32_t(cloud.size()))
+        .append_aligned_number(std::uint32_t(fields.size()));
     for (const RosField& field : fields)
-        cdr.add_text(field.name).add(field.offset).add(field.type).add(std::uint32_t(1));
-    cdr.add(std::uint8_t(0))
-        .add(step)
-        .add(std::uint32_t(points.size()))
-        .add_bytes(points)
-        .add(std::uint8_t(1));
-    return cdr.take();
+        cdr.append_string(field.name)
+            .append_aligned_number(field.offset)
+            .append_aligned_number(field.type)
+            .append_aligned_number(std::uint32_t(1));
+    cdr.append_aligned_number(std::uint8_t(0))
+        .append_aligned_number(step)
+        .append_aligned_number(std::uint32_t(points.size()))
+        .append_byte_sequence(points)
+        .append_aligned_number(std::uint8_t(1));
+    return cdr.take_encoded_message();
 }
 
 }  // namespace
 
-std::vector<RecordedTopic> list_ros_cloud_topics(const RecordedRig& rig, std::size_t sensor) {
-    const std::string& topic = rig.sensors[sensor].topic;
-    const std::string frame = rig.world ? kWorldFrame : rig.sensors[sensor].frame_id;
-    const auto of_type = [&](const std::string& name, const PointType& type) {
-        return make_ros_topic(name, "sensor_msgs/msg/PointCloud2", [=, &type](const RecordedMoment& moment) {
+std::vector<RecordedTopic> list_ros_cloud_topics(const RecordedRig& rig, std::size_t sensor_index) {
+    const std::string& topic = rig.sensors[sensor_index].topic;
+    const std::string frame = rig.world ? kWorldFrame : rig.sensors[sensor_index].frame_id;
+    const auto of_type = [&](const std::string& name, const RosPointType& type) {
+        return make_ros_topic(name, "sensor_msgs/msg/PointCloud2", [=, &type](const RecordedSweep& moment) {
             return std::vector<RecordedMessage>{
-                {moment.last_ns, make_cloud_message(moment.clouds[sensor], frame, type)}};
+                {moment.last_ns, make_point_cloud2_message(moment.clouds[sensor_index], frame, type)}};
         });
     };
     std::vector<RecordedTopic> topics{of_type(topic, kPlainType)};

@@ -13,7 +13,7 @@ namespace {
 
 /// Returns quality-of-service settings in the format of rosbag2. The policies are
 /// numbers, as in the rmw library of ROS. All durations are infinite.
-std::string format_service_quality(bool is_latched) {
+std::string format_quality_of_service(bool is_latched) {
     constexpr int kKeepLast = 1, kReliable = 1, kTransientLocal = 1, kVolatile = 2, kAutomatic = 1;
     constexpr const char* kEndless = "\n    sec: 9223372036\n    nsec: 854775807\n";
     return fmt::format(
@@ -24,40 +24,40 @@ std::string format_service_quality(bool is_latched) {
         kEndless, kAutomatic, kEndless);
 }
 
-void add_transform(Cdr& cdr, std::uint64_t stamp_ns, const std::string& parent, const std::string& child,
-                   const Pose& pose) {
-    add_header(cdr, stamp_ns, parent);
-    cdr.add_text(child);
-    add_pose(cdr, pose);
+void add_stamped_transform(CdrWriter& cdr, std::uint64_t stamp_ns, const std::string& parent_frame,
+                           const std::string& child_frame, const Pose& parent_from_child) {
+    add_header(cdr, stamp_ns, parent_frame);
+    cdr.append_string(child_frame);
+    add_pose(cdr, parent_from_child);
 }
 
 std::string make_transform_message(const RecordedPose& pose) {
-    Cdr cdr;
-    cdr.add(std::uint32_t(1));
-    add_transform(cdr, pose.time_ns, kWorldFrame, kVehicleFrame, pose.world_from_vehicle);
-    return cdr.take();
+    CdrWriter cdr;
+    cdr.append_aligned_number(std::uint32_t(1));
+    add_stamped_transform(cdr, pose.time_ns, kWorldFrame, kVehicleFrame, pose.world_from_vehicle);
+    return cdr.take_encoded_message();
 }
 
 std::string make_odometry_message(const RecordedPose& pose) {
-    Cdr cdr;
+    CdrWriter cdr;
     add_header(cdr, pose.time_ns, kWorldFrame);
-    cdr.add_text(kVehicleFrame);
-    add_pose(cdr, pose.world_from_vehicle), add_covariance(cdr);
-    add_velocity(cdr, pose.velocity);
-    return cdr.take();
+    cdr.append_string(kVehicleFrame);
+    add_pose(cdr, pose.world_from_vehicle), add_zero_covariance(cdr);
+    add_velocity_with_covariance(cdr, pose.velocity);
+    return cdr.take_encoded_message();
 }
 
 std::string make_clock_message(const RecordedPose& pose) {
-    Cdr cdr;
+    CdrWriter cdr;
     add_time(cdr, pose.time_ns);
-    return cdr.take();
+    return cdr.take_encoded_message();
 }
 
-RecordedTopic make_pose_topic(const char* name, const char* type,
-                              std::string (*message)(const RecordedPose&)) {
-    return make_ros_topic(name, type, [message](const RecordedMoment& moment) {
+RecordedTopic make_pose_topic(const char* name, const char* message_type,
+                              std::string (*make_message)(const RecordedPose&)) {
+    return make_ros_topic(name, message_type, [make_message](const RecordedSweep& moment) {
         std::vector<RecordedMessage> messages;
-        for (const RecordedPose& pose : moment.poses) messages.push_back({pose.time_ns, message(pose)});
+        for (const RecordedPose& pose : moment.poses) messages.push_back({pose.time_ns, make_message(pose)});
         return messages;
     });
 }
@@ -65,32 +65,34 @@ RecordedTopic make_pose_topic(const char* name, const char* type,
 /// Returns the topic /tf_static with the poses of the sensors on the vehicle. The message
 /// is repeated with every scan, so that a player that starts in the middle of the file
 /// receives it.
-RecordedTopic make_mounting_topic(const RecordedRig& rig) {
-    const auto message = [rig](const RecordedMoment& moment) {
-        Cdr cdr;
-        cdr.add(std::uint32_t(rig.sensors.size()));
+RecordedTopic make_static_transform_topic(const RecordedRig& rig) {
+    const auto message = [rig](const RecordedSweep& moment) {
+        CdrWriter cdr;
+        cdr.append_aligned_number(std::uint32_t(rig.sensors.size()));
         for (const RecordedSensor& sensor : rig.sensors)
-            add_transform(cdr, moment.first_ns, kVehicleFrame, sensor.frame_id, sensor.vehicle_from_sensor);
-        return std::vector<RecordedMessage>{{moment.first_ns, cdr.take()}};
+            add_stamped_transform(cdr, moment.first_ns, kVehicleFrame, sensor.frame_id,
+                                  sensor.vehicle_from_sensor);
+        return std::vector<RecordedMessage>{{moment.first_ns, cdr.take_encoded_message()}};
     };
     return make_ros_topic("/tf_static", "tf2_msgs/msg/TFMessage", message, true);
 }
 
 }  // namespace
 
-RecordedTopic make_ros_topic(const std::string& name, const std::string& type,
-                             std::function<std::vector<RecordedMessage>(const RecordedMoment&)> messages,
+RecordedTopic make_ros_topic(const std::string& name, const std::string& message_type,
+                             std::function<std::vector<RecordedMessage>(const RecordedSweep&)> make_messages,
                              bool is_latched) {
     return {name,
-            type,
-            make_ros_definition(type),
-            {{"offered_qos_profiles", format_service_quality(is_latched)}},
-            std::move(messages)};
+            message_type,
+            make_ros_message_definition(message_type),
+            {{"offered_qos_profiles", format_quality_of_service(is_latched)}},
+            std::move(make_messages)};
 }
 
 std::vector<RecordedTopic> list_ros_topics(const RecordedRig& rig) {
     std::vector<RecordedTopic> topics{
-        make_pose_topic("/clock", "rosgraph_msgs/msg/Clock", make_clock_message), make_mounting_topic(rig),
+        make_pose_topic("/clock", "rosgraph_msgs/msg/Clock", make_clock_message),
+        make_static_transform_topic(rig),
         make_pose_topic("/tf", "tf2_msgs/msg/TFMessage", make_transform_message),
         make_pose_topic("/odom", "nav_msgs/msg/Odometry", make_odometry_message)};
     for (RecordedTopic& topic : list_ros_actor_topics()) topics.push_back(std::move(topic));

@@ -13,14 +13,14 @@ namespace relidar::scan_files {
 
 /// Returns the JSON object that describes one scan in scans.json. It contains the boxes
 /// of the actors if the visibility of the actors was computed.
-/// @param frame frame number
-/// @param files names of the scan's files in the folder
-std::string make_entry_json(int frame, const RenderedScan& scan, const ScanFormat& format,
-                            const std::vector<std::string>& files);
+/// @param frame_number frame number
+/// @param file_names names of the scan's files in the folder
+std::string make_scan_entry_json(int frame_number, const RenderedScan& scan, const ScanOutputOptions& format,
+                                 const std::vector<std::string>& file_names);
 
 /// Removes the scan files of an earlier rendering from a folder. Also removes
 /// half-written files of a killed process.
 /// @throws DataError if a file cannot be removed
-void remove_scans(const std::filesystem::path& folder);
+void remove_scan_files(const std::filesystem::path& folder);
 
 }  // namespace relidar::scan_files

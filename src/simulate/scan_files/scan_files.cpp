@@ -25,13 +25,13 @@ namespace {
 
 namespace fs = std::filesystem;
 using scan_files::make_output_points;
-using scan_files::make_placed_scan;
-using scan_files::PlacedScan;
+using scan_files::ScanInOutputFrame;
+using scan_files::transform_scan_to_output_frame;
 
 constexpr const char* kUnits = "metres, seconds; intensity and drop_prob 0 to 1";
 
 /// Returns the 4 x 4 matrix of a pose in row-major order.
-std::vector<double> to_matrix_values(const Pose& pose) {
+std::vector<double> get_row_major_matrix(const Pose& pose) {
     const glm::dmat4 columns = to_matrix(pose);
     std::vector<double> numbers;
     for (int row = 0; row < 4; ++row)
@@ -39,23 +39,24 @@ std::vector<double> to_matrix_values(const Pose& pose) {
     return numbers;
 }
 
-std::string format_frame(const ScanFormat& format) {
-    if (format.frame == PointFrame::world) return "world: the dataset's own";
-    return is_deskewed(format) ? "sensor at time_s: x forward, y left, z up"
-                               : "sensor at each ray's firing time: x forward, y left, z up";
+std::string describe_point_frame(const ScanOutputOptions& format) {
+    if (format.frame == PointCoordinateFrame::world) return "world: the dataset's own";
+    return has_deskewed_points(format) ? "sensor at time_s: x forward, y left, z up"
+                                       : "sensor at each ray's firing time: x forward, y left, z up";
 }
 
-FileNotes make_notes(const ScanFormat& format, int frame, const RenderedScan& scan) {
-    return {
-        {"relidar", RELIDAR_VERSION},
-        {"run", format.run},
-        {"sensor", format.sensor},
-        {"frame_number", fmt::format("{}", frame)},
-        {"time_s", fmt::format("{}", scan.time_s)},
-        {"points_in", format_frame(format)},
-        {"points_range", format.config.render.points == "median" ? "median" : format.config.render.range},
-        {"world_from_sensor", fmt::format("{}", fmt::join(to_matrix_values(scan.world_from_sensor), " "))},
-        {"units", kUnits}};
+FileMetadata make_scan_file_notes(const ScanOutputOptions& format, int frame_number,
+                                  const RenderedScan& scan) {
+    return {{"relidar", RELIDAR_VERSION},
+            {"run", format.run},
+            {"sensor", format.sensor},
+            {"frame_number", fmt::format("{}", frame_number)},
+            {"time_s", fmt::format("{}", scan.time_s)},
+            {"points_in", describe_point_frame(format)},
+            {"points_range", format.config.render.points == "median" ? "median" : format.config.render.range},
+            {"world_from_sensor",
+             fmt::format("{}", fmt::join(get_row_major_matrix(scan.world_from_sensor), " "))},
+            {"units", kUnits}};
 }
 
 template <class T>
@@ -72,32 +73,32 @@ NamedArray make_image_array(const std::string& name, const RangeImage& image,
                       first, values.size() * 3);
 }
 
-std::vector<NamedArray> list_arrays(const PlacedScan& placed) {
-    const RenderedScan& scan = placed.scan;
+std::vector<NamedArray> make_npz_arrays(const ScanInOutputFrame& placed_scan) {
+    const RenderedScan& scan = placed_scan.scan;
     const RangeImage& image = scan.image;
-    const std::vector<double> pose = to_matrix_values(scan.world_from_sensor);
-    const bool world = placed.format.frame == PointFrame::world;
-    const std::int32_t number = placed.frame, deskewed = is_deskewed(placed.format) ? 1 : 0;
-    std::vector<NamedArray> arrays{make_text_array("instance_names", placed.format.instance_names),
-                                   make_image_array("directions", image, placed.direction),
-                                   make_image_array("origin", image, placed.origin),
-                                   make_image_array("points", image, placed.end_m),
+    const std::vector<double> pose = get_row_major_matrix(scan.world_from_sensor);
+    const bool world = placed_scan.format.frame == PointCoordinateFrame::world;
+    const std::int32_t number = placed_scan.frame, deskewed = has_deskewed_points(placed_scan.format) ? 1 : 0;
+    std::vector<NamedArray> arrays{make_text_array("instance_names", placed_scan.format.instance_names),
+                                   make_image_array("directions", image, placed_scan.direction),
+                                   make_image_array("origin", image, placed_scan.origin),
+                                   make_image_array("points", image, placed_scan.end_m),
                                    make_array("pose", {4, 4}, pose.data(), pose.size()),
                                    make_array("time_s", {}, &scan.time_s, 1),
                                    make_array("frame_number", {}, &number, 1),
-                                   make_text("frame", world ? "world" : "sensor"),
+                                   make_single_text_array("frame", world ? "world" : "sensor"),
                                    make_array("deskewed", {}, &deskewed, 1),
-                                   make_text("sensor", placed.format.sensor),
-                                   make_text("run", placed.format.run),
-                                   make_text("units", kUnits)};
-    for_each_file_channel(placed, [&](const ChannelInfo& channel, const auto& values) {
+                                   make_single_text_array("sensor", placed_scan.format.sensor),
+                                   make_single_text_array("run", placed_scan.format.run),
+                                   make_single_text_array("units", kUnits)};
+    for_each_file_channel(placed_scan, [&](const ChannelInfo& channel, const auto& values) {
         arrays.push_back(make_image_array(channel.name, image, values));
     });
     if (scan.unseen_share) arrays.push_back(make_array("unseen", {}, &*scan.unseen_share, 1));
     return arrays;
 }
 
-void write_exr_file(const fs::path& path, const PlacedScan& placed) {
+void write_exr_file(const fs::path& path, const ScanInOutputFrame& placed) {
     std::map<std::string, std::vector<float>> channels;
     const auto add = [&]<class T>(const std::string& name, const std::vector<T>& values) {
         if constexpr (std::is_same_v<T, glm::vec3>) {
@@ -115,41 +116,44 @@ void write_exr_file(const fs::path& path, const PlacedScan& placed) {
     write_exr(path, image.rows, image.columns, channels, placed.notes);
 }
 
-void write_npz_file(const fs::path& path, const PlacedScan& placed) { write_npz(path, list_arrays(placed)); }
-void write_ply_file(const fs::path& path, const PlacedScan& placed) {
+void write_npz_file(const fs::path& path, const ScanInOutputFrame& placed) {
+    write_npz(path, make_npz_arrays(placed));
+}
+void write_ply_file(const fs::path& path, const ScanInOutputFrame& placed) {
     write_ply(path, make_output_points(placed), placed.notes);
 }
-void write_pcd_file(const fs::path& path, const PlacedScan& placed) {
+void write_pcd_file(const fs::path& path, const ScanInOutputFrame& placed) {
     write_pcd(path, make_output_points(placed), placed.notes);
 }
-void write_bin_file(const fs::path& path, const PlacedScan& placed) {
+void write_bin_file(const fs::path& path, const ScanInOutputFrame& placed) {
     write_kitti_bin(path, make_output_points(placed));
 }
-void write_png_file(const fs::path& path, const PlacedScan& placed) {
+void write_png_file(const fs::path& path, const ScanInOutputFrame& placed) {
     write_png(path, draw_scan_picture(placed.scan), placed.notes);
 }
 
-struct Format {
+struct ScanFileFormat {
     const char* name;  ///< name of the format, which is also the extension of its files
-    void (*write)(const fs::path&, const PlacedScan&);
+    void (*write)(const fs::path&, const ScanInOutputFrame&);
 };
-constexpr Format kFormats[] = {{"npz", write_npz_file}, {"exr", write_exr_file}, {"ply", write_ply_file},
-                               {"pcd", write_pcd_file}, {"bin", write_bin_file}, {"png", write_png_file}};
+constexpr ScanFileFormat kFormats[] = {{"npz", write_npz_file}, {"exr", write_exr_file},
+                                       {"ply", write_ply_file}, {"pcd", write_pcd_file},
+                                       {"bin", write_bin_file}, {"png", write_png_file}};
 
 }  // namespace
 
 std::vector<std::string> list_scan_formats() {
     std::vector<std::string> names;
-    for (const Format& format : kFormats) names.emplace_back(format.name);
+    for (const ScanFileFormat& format : kFormats) names.emplace_back(format.name);
     for (const scan_files::RecordingFormat& format : scan_files::list_recording_formats())
         names.emplace_back(format.name);
     names.emplace_back(scan_files::kPacketFormat);
     return names;
 }
 
-ScanFormat make_scan_format(const Run& run, const SensorChoice& sensor) {
-    ScanFormat format;
-    for (const Instance& instance : run.scene.instances) {
+ScanOutputOptions make_scan_format(const TrainedRun& run, const SimulatedSensor& sensor) {
+    ScanOutputOptions format;
+    for (const ModelInstance& instance : run.scene.instances) {
         format.instance_names.push_back(instance.track.empty() ? "background" : instance.track);
     }
     for (const BoxTrack& box : run.sequence.boxes)
@@ -160,43 +164,46 @@ ScanFormat make_scan_format(const Run& run, const SensorChoice& sensor) {
     const Lidar& lidar = run.sequence.lidars[std::size_t(sensor.lidar)];
     format.vehicle_from_lidar = lidar.vehicle_from_sensor;
     format.rolling_shutter = has_rolling_shutter(sensor, run.config);
-    set_recording_name(format, lidar.name);
+    set_recording_topic(format, lidar.name);
     if (!run.folder.empty()) format.run = fs::absolute(run.folder).lexically_normal().string();
     format.sensor = sensor.name;
     format.limits = sensor.limits;
-    if (sensor.is_own && !lidar.pattern) format.packets.sensor = lidar.sensor;
-    format.packets.log_start_ns = log_start_ns(run.sequence);
+    if (sensor.is_log_lidar && !lidar.pattern) format.packets.sensor = lidar.sensor;
+    format.packets.log_start_ns = get_log_start_unix_ns(run.sequence);
     format.config = run.config;
     if (sensor.returns > 0) format.config.sensor.returns = sensor.returns;
     return format;
 }
 
-bool is_deskewed(const ScanFormat& format) {
-    return format.frame == PointFrame::world || format.deskew || !format.rolling_shutter;
+bool has_deskewed_points(const ScanOutputOptions& format) {
+    return format.frame == PointCoordinateFrame::world || format.deskew || !format.rolling_shutter;
 }
 
-std::vector<NamedArray> make_scan_arrays(const RenderedScan& scan, int frame, const ScanFormat& format) {
-    return list_arrays(make_placed_scan(scan, format, scan.world_from_sensor, frame));
+std::vector<NamedArray> make_scan_arrays(const RenderedScan& scan, int frame_number,
+                                         const ScanOutputOptions& format) {
+    return make_npz_arrays(
+        transform_scan_to_output_frame(scan, format, scan.world_from_sensor, frame_number));
 }
 
-bool ScanFolder::has_scan_format(const std::string& format) const {
+bool ScanFolderWriter::has_scan_format(const std::string& format) const {
     return std::find(format_.formats.begin(), format_.formats.end(), format) != format_.formats.end();
 }
 
-void ScanFolder::write(int frame, const RenderedScan& scan) {
-    const PlacedScan placed =
-        make_placed_scan(scan, format_, scan.world_from_sensor, frame, make_notes(format_, frame, scan));
+void ScanFolderWriter::write_scan(int frame_number, const RenderedScan& scan) {
+    const ScanInOutputFrame placed =
+        transform_scan_to_output_frame(scan, format_, scan.world_from_sensor, frame_number,
+                                       make_scan_file_notes(format_, frame_number, scan));
     std::vector<std::string> files;
-    for (const Format& format : kFormats) {
+    for (const ScanFileFormat& format : kFormats) {
         if (!has_scan_format(format.name)) continue;
-        files.push_back(fmt::format("frame_{:06}.{}", frame, format.name));
+        files.push_back(fmt::format("frame_{:06}.{}", frame_number, format.name));
         format.write(folder_ / files.back(), placed);
     }
-    if (recordings_) recordings_->write({&scan, 1});
+    if (recordings_) recordings_->write_scans({&scan, 1});
     for (const ScanChannel& channel : scan.channels)
         if (std::ranges::find(channels_, channel.info.name, &ChannelInfo::name) == channels_.end())
             channels_.push_back(channel.info);
-    entries_.push_back(scan_files::make_entry_json(frame, scan, format_, files));
+    entries_.push_back(scan_files::make_scan_entry_json(frame_number, scan, format_, files));
 }
 
 }  // namespace relidar

@@ -31,7 +31,7 @@ constexpr const char* kSummary = "scans.json";
 /// stay.
 bool is_output_file_name(const fs::path& name) {
     const auto is_named = [&](const scan_files::RecordingFormat& format) { return name == format.file; };
-    if (name == kSummary || scan_files::PacketFiles::is_file(name) ||
+    if (name == kSummary || scan_files::PacketFileWriter::is_packet_file_name(name) ||
         std::ranges::any_of(scan_files::list_recording_formats(), is_named))
         return true;
     const std::string stem = name.stem().string(), prefix = "frame_", extension = name.extension().string();
@@ -51,14 +51,14 @@ Json make_matrix_json(const Pose& pose) {
 
 /// Converts the value of a setting to JSON. Numbers and booleans keep their type. Other
 /// values become strings.
-Json make_value_json(const std::string& text) {
-    const Json value = Json::parse(text, nullptr, false);
-    return value.is_number() || value.is_boolean() ? value : Json(text);
+Json convert_setting_to_json(const std::string& setting_text) {
+    const Json value = Json::parse(setting_text, nullptr, false);
+    return value.is_number() || value.is_boolean() ? value : Json(setting_text);
 }
 
 Json make_settings_json(const Config& config) {
     Json json = Json::object();
-    for (const ConfigKey& key : list_config_keys(config)) json[key.key] = make_value_json(key.value);
+    for (const ConfigKey& key : list_config_keys(config)) json[key.key] = convert_setting_to_json(key.value);
     return json;
 }
 
@@ -68,29 +68,29 @@ Json make_channels_json(const std::vector<ChannelInfo>& channels) {
     const auto add = [&](const ChannelInfo& channel) {
         json[channel.name] = {{"unit", channel.unit}, {"meaning", channel.meaning}};
     };
-    std::ranges::for_each(list_file_channels(), add);
+    std::ranges::for_each(list_channels_written_to_files(), add);
     std::ranges::for_each(channels, add);
     return json;
 }
 
 }  // namespace
 
-ScanFolder::ScanFolder(fs::path folder, ScanFormat format, Joining)
+ScanFolderWriter::ScanFolderWriter(fs::path folder, ScanOutputOptions format, JoinExistingTag)
     : folder_(std::move(folder)), format_(std::move(format)) {
-    const std::vector<std::string> known = list_scan_formats();
+    const std::vector<std::string> supported_formats = list_scan_formats();
     for (const std::string& name : format_.formats)
-        if (std::find(known.begin(), known.end(), name) == known.end())
-            throw UsageError(
-                fmt::format("cannot write scans: the format \"{}\" is unknown{} (known formats: {})", name,
-                            suggest_name(name, known), fmt::join(known, ", ")));
+        if (std::find(supported_formats.begin(), supported_formats.end(), name) == supported_formats.end())
+            throw UsageError(fmt::format(
+                "cannot write scans: the format \"{}\" is unknown{} (known formats: {})", name,
+                format_name_suggestion(name, supported_formats), fmt::join(supported_formats, ", ")));
     check_writable(folder_);
-    channels_ = parse_channels(format_.config.render.channels);
+    channels_ = parse_channel_names(format_.config.render.channels);
 }
 
-ScanFolder ScanFolder::open_shared(fs::path folder, ScanFormat format) {
-    ScanFolder joined(std::move(folder), std::move(format), Joining{});
+ScanFolderWriter ScanFolderWriter::open_shared_folder(fs::path folder, ScanOutputOptions format) {
+    ScanFolderWriter joined(std::move(folder), std::move(format), JoinExistingTag{});
     for (const std::string& name : joined.format_.formats)
-        if (is_recording(name))
+        if (is_recording_format(name))
             throw UsageError(fmt::format(
                 "cannot write scans with several processes: the format {} stores all scans in one file; "
                 "use one process",
@@ -98,23 +98,23 @@ ScanFolder ScanFolder::open_shared(fs::path folder, ScanFormat format) {
     return joined;
 }
 
-ScanFolder::ScanFolder(fs::path folder, ScanFormat format)
-    : ScanFolder(std::move(folder), std::move(format), Joining{}) {
-    recordings_ = std::make_shared<ScanRecordings>(folder_, std::vector{format_});
+ScanFolderWriter::ScanFolderWriter(fs::path folder, ScanOutputOptions format)
+    : ScanFolderWriter(std::move(folder), std::move(format), JoinExistingTag{}) {
+    recordings_ = std::make_shared<ScanRecordingsWriter>(folder_, std::vector{format_});
 }
 
-void ScanFolder::finish() {
+void ScanFolderWriter::finish() {
     if (recordings_) recordings_->finish();
-    summarise();
+    write_summary_file();
 }
 
-void ScanFolder::summarise() const {
+void ScanFolderWriter::write_summary_file() const {
     const Config& config = format_.config;
-    const bool world = format_.frame == PointFrame::world;
+    const bool world = format_.frame == PointCoordinateFrame::world;
     const std::string range = config.render.points == "median" ? "median" : config.render.range;
     const Json points = {
         {"frame", world ? "world" : "sensor"},
-        {"deskewed", is_deskewed(format_)},
+        {"deskewed", has_deskewed_points(format_)},
         {"range", range},
         {"returned", "drop_prob < 0.5"},
         {"returns", config.sensor.returns == 2
@@ -138,18 +138,18 @@ void ScanFolder::summarise() const {
         {"instances", format_.instance_names},
         {"only", format_.only},
         {"sample", format_.sample ? Json(*format_.sample) : Json()},
-        {"weather", to_text(format_.weather)},
+        {"weather", format_weather(format_.weather)},
         {"recordings", Json::array()},
         {"scans", Json::array()},
         {"settings", make_settings_json(config)}};
-    if (recordings_) json["recordings"] = recordings_->names();
+    if (recordings_) json["recordings"] = recordings_->list_file_names();
     for (const std::string& entry : entries_) json["scans"].push_back(Json::parse(entry));
-    write_text(folder_ / kSummary, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
+    write_text_file(folder_ / kSummary, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
 }
 
 namespace {
 
-Json make_boxes_json(const std::vector<ActorBox>& boxes) {
+Json make_actor_boxes_json(const std::vector<ActorBox>& boxes) {
     Json json = Json::array();
     for (const ActorBox& box : boxes)
         json.push_back({{"track", box.track},
@@ -166,14 +166,15 @@ Json make_boxes_json(const std::vector<ActorBox>& boxes) {
 
 }  // namespace
 
-std::string scan_files::make_entry_json(int frame, const RenderedScan& scan, const ScanFormat& format,
-                                        const std::vector<std::string>& files) {
+std::string scan_files::make_scan_entry_json(int frame_number, const RenderedScan& scan,
+                                             const ScanOutputOptions& format,
+                                             const std::vector<std::string>& file_names) {
     const std::size_t n_points = count_points(scan, format.config);
     Json sides = Json::array(), completed = Json::array();
-    for (const UnseenSide& unseen : scan.unseen_sides)
+    for (const UnobservedActorSide& unseen : scan.unseen_sides)
         (unseen.is_completed ? completed : sides)
             .push_back({{"track", unseen.track}, {"side", get_name(unseen.side)}, {"rays", unseen.n_rays}});
-    const Json entry = {{"frame_number", frame},
+    const Json entry = {{"frame_number", frame_number},
                         {"time_s", scan.time_s},
                         {"world_from_sensor", make_matrix_json(scan.world_from_sensor)},
                         {"rays", scan.image.range_m.size()},
@@ -182,8 +183,8 @@ std::string scan_files::make_entry_json(int frame, const RenderedScan& scan, con
                         {"unseen", scan.unseen_share ? Json(*scan.unseen_share) : Json()},
                         {"unseen_sides", sides},
                         {"completed_sides", completed},
-                        {"boxes", make_boxes_json(find_actor_boxes(scan, format))},
-                        {"files", files}};
+                        {"boxes", make_actor_boxes_json(find_actor_boxes(scan, format))},
+                        {"files", file_names}};
     return entry.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
@@ -196,7 +197,7 @@ std::vector<fs::path> list_scan_files(const fs::path& folder) {
     return files;
 }
 
-void scan_files::remove_scans(const fs::path& folder) {
+void scan_files::remove_scan_files(const fs::path& folder) {
     for (const fs::path& file : list_scan_files(folder)) {
         std::error_code failed;
         fs::remove(file, failed);
@@ -204,7 +205,7 @@ void scan_files::remove_scans(const fs::path& folder) {
             throw DataError(
                 fmt::format("cannot remove {} of an earlier rendering: {}", file.string(), failed.message()));
     }
-    remove_temporaries(folder);
+    remove_temporary_files(folder);
 }
 
 }  // namespace relidar

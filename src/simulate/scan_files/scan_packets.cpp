@@ -12,7 +12,7 @@
 
 namespace relidar {
 
-Scan make_measured_scan(const RenderedScan& scan, const Config& config) {
+Scan convert_to_measured_scan(const RenderedScan& scan, const Config& config) {
     const RangeImage& image = scan.image;
     Scan measured;
     measured.rays.rows = image.rows;
@@ -25,26 +25,26 @@ Scan make_measured_scan(const RenderedScan& scan, const Config& config) {
     measured.intensity = to_scan_array(image.intensity);
     measured.second_returns = scan.second_returns;
     for (std::size_t i = 0; i < measured.range_m.size(); ++i) {
-        if (is_returned(image.drop_prob[i], measured.range_m[i])) continue;
+        if (is_ray_returned(image.drop_prob[i], measured.range_m[i])) continue;
         measured.range_m[i] = 0.0f;
         measured.intensity[i] = 0.0f;
-        for (SecondReturn& second : measured.second_returns) second.range_m[i] = 0.0f;
+        for (AdditionalReturns& second : measured.second_returns) second.range_m[i] = 0.0f;
     }
     return measured;
 }
 
-struct ScanPackets::Impl {
-    std::vector<ScanFormat> sensors;
+struct ScanPacketEncoder::Impl {
+    std::vector<ScanOutputOptions> sensors;
     std::vector<std::unique_ptr<PacketEncoder>> encoders;
     bool has_started = false;
 
     /// Creates one packet encoder per sensor.
-    /// @param shift_s  offset in whole seconds that makes all times positive
-    void create(double shift_s) {
+    /// @param time_shift_s  offset in whole seconds that makes all times positive
+    void create_packet_encoders(double time_shift_s) {
         encoders.clear();
-        for (const ScanFormat& format : sensors) {
+        for (const ScanOutputOptions& format : sensors) {
             PacketOptions options;
-            options.start_ns = format.packets.log_start_ns + std::llround(1e9 * shift_s);
+            options.start_ns = format.packets.log_start_ns + std::llround(1e9 * time_shift_s);
             options.returns = format.config.sensor.returns;
             options.ouster_profile = format.packets.ouster_profile;
             encoders.push_back(std::make_unique<PacketEncoder>(*format.packets.sensor, options));
@@ -52,18 +52,20 @@ struct ScanPackets::Impl {
     }
 };
 
-ScanPackets::ScanPackets(std::vector<ScanFormat> sensors) : impl_(std::make_unique<Impl>()) {
-    for (const ScanFormat& format : sensors)
+ScanPacketEncoder::ScanPacketEncoder(std::vector<ScanOutputOptions> sensors)
+    : impl_(std::make_unique<Impl>()) {
+    for (const ScanOutputOptions& format : sensors)
         if (!format.packets.sensor)
             throw UsageError(fmt::format("cannot write packets of the sensor \"{}\", expected one of {}",
-                                         format.sensor, list_packet_sensors()));
+                                         format.sensor, format_packet_sensor_names()));
     impl_->sensors = std::move(sensors);
-    impl_->create(0.0);
+    impl_->create_packet_encoders(0.0);
 }
 
-ScanPackets::~ScanPackets() = default;
+ScanPacketEncoder::~ScanPacketEncoder() = default;
 
-std::vector<std::vector<SensorPacket>> ScanPackets::encode(std::span<const RenderedScan> scans) {
+std::vector<std::vector<SensorPacket>> ScanPacketEncoder::encode_scans_as_packets(
+    std::span<const RenderedScan> scans) {
     if (scans.size() != impl_->encoders.size())
         throw UsageError(fmt::format("writing packets: found {} scans, expected {}, one of each sensor",
                                      scans.size(), impl_->encoders.size()));
@@ -72,21 +74,24 @@ std::vector<std::vector<SensorPacket>> ScanPackets::encode(std::span<const Rende
         for (const RenderedScan& scan : scans) first_s = std::min(first_s, scan.time_s);
         // Makes all times positive. One more second is needed, because a scan starts
         // before its reference time.
-        if (impl_->sensors.front().packets.log_start_ns == 0) impl_->create(1.0 + std::ceil(-first_s));
+        if (impl_->sensors.front().packets.log_start_ns == 0)
+            impl_->create_packet_encoders(1.0 + std::ceil(-first_s));
     }
     std::vector<std::vector<SensorPacket>> packets;
     for (std::size_t s = 0; s < scans.size(); ++s)
-        packets.push_back(impl_->encoders[s]->encode(make_measured_scan(scans[s], impl_->sensors[s].config),
-                                                     scans[s].time_s));
+        packets.push_back(impl_->encoders[s]->encode_scan_as_packets(
+            convert_to_measured_scan(scans[s], impl_->sensors[s].config), scans[s].time_s));
     return packets;
 }
 
-std::vector<std::vector<SensorPacket>> ScanPackets::finish() {
+std::vector<std::vector<SensorPacket>> ScanPacketEncoder::flush_remaining_packets() {
     std::vector<std::vector<SensorPacket>> packets;
-    for (const auto& encoder : impl_->encoders) packets.push_back(encoder->finish());
+    for (const auto& encoder : impl_->encoders) packets.push_back(encoder->flush_remaining_packets());
     return packets;
 }
 
-const PacketEncoder& ScanPackets::encoder(std::size_t sensor) const { return *impl_->encoders[sensor]; }
+const PacketEncoder& ScanPacketEncoder::get_packet_encoder(std::size_t sensor_index) const {
+    return *impl_->encoders[sensor_index];
+}
 
 }  // namespace relidar

@@ -23,28 +23,28 @@ std::vector<float> compute_square_roots(std::vector<float> values) {
 
 }  // namespace
 
-std::vector<float> select_returned_pixels(const RangeImage& image) {
+std::vector<float> make_returned_pixel_mask(const RangeImage& image) {
     std::vector<float> mask(image.range_m.size());
     for (std::size_t i = 0; i < mask.size(); ++i)
-        mask[i] = is_returned(image.drop_prob[i], image.range_m[i]) ? 1.0f : 0.0f;
+        mask[i] = is_ray_returned(image.drop_prob[i], image.range_m[i]) ? 1.0f : 0.0f;
     return mask;
 }
 
 Image draw_range_picture(const RangeImage& image, double max_range_m) {
     return apply_colour_map(compute_square_roots(image.range_m), image.rows, image.columns, 0.0f,
                             static_cast<float>(std::sqrt(max_range_m)), "turbo",
-                            select_returned_pixels(image));
+                            make_returned_pixel_mask(image));
 }
 
 Image draw_intensity_picture(const RangeImage& image) {
     return apply_colour_map(image.intensity, image.rows, image.columns, 0.0f, 1.0f, "gray",
-                            select_returned_pixels(image));
+                            make_returned_pixel_mask(image));
 }
 Image draw_drop_picture(const RangeImage& image) {
     return apply_colour_map(image.drop_prob, image.rows, image.columns, 0.0f, 1.0f, "gray");
 }
 
-int compute_picture_stretch(const RangeImage& image) {
+int compute_vertical_scale(const RangeImage& image) {
     return std::max(1, static_cast<int>(std::lround(image.columns / (kPictureAspect * image.rows))));
 }
 
@@ -52,9 +52,10 @@ Image draw_scan_picture(const RenderedScan& scan) {
     const RangeImage& image = scan.image;
     float farthest = 1.0f;
     for (const float range : image.range_m) farthest = std::max(farthest, range);
-    return stack_images({draw_range_picture(image, static_cast<double>(std::min(farthest, kFarthest_m))),
-                         draw_intensity_picture(image), draw_drop_picture(image)},
-                        compute_picture_stretch(image));
+    return stack_images_vertically(
+        {draw_range_picture(image, static_cast<double>(std::min(farthest, kFarthest_m))),
+         draw_intensity_picture(image), draw_drop_picture(image)},
+        compute_vertical_scale(image));
 }
 
 }  // namespace relidar

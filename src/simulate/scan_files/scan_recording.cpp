@@ -14,8 +14,8 @@ namespace relidar::scan_files {
 
 namespace fs = std::filesystem;
 
-ScanRecording::ScanRecording(fs::path path, const RecordingFormat& format, const RecordedRig& rig,
-                             const FileNotes& notes)
+RecordingFileWriter::RecordingFileWriter(fs::path path, const RecordingFormat& format, const RecordedRig& rig,
+                                         const FileMetadata& notes)
     : path_(std::move(path)),
       temporary_(make_temporary_path(path_)),
       notes_(notes),
@@ -32,19 +32,19 @@ ScanRecording::ScanRecording(fs::path path, const RecordingFormat& format, const
     for (const auto& [name, values] : format.metadata) writer_.add_metadata(name, values);
 }
 
-ScanRecording::~ScanRecording() {
+RecordingFileWriter::~RecordingFileWriter() {
     std::error_code failed;
     fs::remove(temporary_, failed);
 }
 
-void ScanRecording::add(const RecordedMoment& moment, double shift_s) {
+void RecordingFileWriter::write_moment_messages(const RecordedSweep& moment, double time_shift_s) {
     if (!std::exchange(has_notes_, true)) {
-        McapWriter::Values values(notes_.begin(), notes_.end());
+        McapWriter::McapMetadataMap values(notes_.begin(), notes_.end());
         // offset in seconds between the times of the file and the times of the log
-        values["time_shift_s"] = fmt::format("{}", shift_s);
+        values["time_shift_s"] = fmt::format("{}", time_shift_s);
         writer_.add_metadata("relidar", values);
     }
-    for (const ScanMessage& message : list_messages(topics_, moment)) {
+    for (const ScanMessage& message : make_messages_in_time_order(topics_, moment)) {
         // Log times in the file must not decrease, although sweeps can overlap. A message
         // that is earlier than the previous message gets the log time of the previous
         // message.
@@ -53,13 +53,13 @@ void ScanRecording::add(const RecordedMoment& moment, double shift_s) {
     }
     // Starts a new chunk after every scan, because players display all messages of a scan
     // together.
-    writer_.end_chunk();
+    writer_.write_pending_chunk();
 }
 
-void ScanRecording::finish() {
+void RecordingFileWriter::finish() {
     writer_.close();
     // Flushes the file to disk, and then renames it to its final name.
-    write_atomically(path_, [&](const fs::path& file) { fs::rename(temporary_, file); });
+    write_file_atomically(path_, [&](const fs::path& file) { fs::rename(temporary_, file); });
 }
 
 }  // namespace relidar::scan_files

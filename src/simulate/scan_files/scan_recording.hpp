@@ -13,27 +13,27 @@ namespace relidar::scan_files {
 
 /// Writes one recording. Until finish() is called, the file has a temporary name in the
 /// same folder.
-class ScanRecording {
+class RecordingFileWriter {
 public:
     /// Creates the file and writes the descriptions of its topics.
     /// @param notes metadata of the file
     /// @throws DataError if the file cannot be written
-    ScanRecording(std::filesystem::path path, const RecordingFormat& format, const RecordedRig& rig,
-                  const FileNotes& notes);
+    RecordingFileWriter(std::filesystem::path path, const RecordingFormat& format, const RecordedRig& rig,
+                        const FileMetadata& notes);
     /// Removes the temporary file if finish() was not called.
-    ~ScanRecording();
-    ScanRecording(const ScanRecording&) = delete;
-    ScanRecording& operator=(const ScanRecording&) = delete;
+    ~RecordingFileWriter();
+    RecordingFileWriter(const RecordingFileWriter&) = delete;
+    RecordingFileWriter& operator=(const RecordingFileWriter&) = delete;
 
     /// Writes the messages of all scans of the same time.
-    /// @param shift_s offset that converts times of the log to times of the file; all
-    /// calls must use the same offset
-    void add(const RecordedMoment& moment, double shift_s);
+    /// @param time_shift_s offset that converts times of the log to times of the file;
+    /// all calls must use the same offset
+    void write_moment_messages(const RecordedSweep& moment, double time_shift_s);
     void finish();
 
 private:
     std::filesystem::path path_, temporary_;
-    FileNotes notes_;
+    FileMetadata notes_;
     McapWriter writer_;
     std::vector<RecordedTopic> topics_;
     std::vector<std::uint16_t> channels_;  ///< [topics] numbers of the topics in the file

@@ -23,18 +23,18 @@ namespace {
 
 namespace fs = std::filesystem;
 
-bool is_topic_letter(char character) {
+bool is_valid_topic_character(char character) {
     return std::isalnum(static_cast<unsigned char>(character)) != 0 || character == '_';
 }
 
 /// Returns true if a name is a valid ROS topic: one or more words of letters, digits and
 /// underscores. Each word follows a slash and does not begin with a digit.
-bool is_topic(const std::string& topic) {
+bool is_valid_topic_name(const std::string& topic) {
     if (topic.size() < 2 || topic.front() != '/' || topic.back() == '/') return false;
     for (std::size_t i = 1; i < topic.size(); ++i) {
         const bool begins_word = topic[i - 1] == '/';
         if (topic[i] == '/' ? begins_word
-                            : !is_topic_letter(topic[i]) ||
+                            : !is_valid_topic_character(topic[i]) ||
                                   (begins_word && std::isdigit(static_cast<unsigned char>(topic[i]))))
             return false;
     }
@@ -43,124 +43,126 @@ bool is_topic(const std::string& topic) {
 
 /// Checks the topic names and frame ids of all sensors.
 /// @throws UsageError if a name is not valid in ROS, or if two sensors have the same name
-void check_names(const scan_files::RecordedRig& rig) {
-    std::set<std::string> taken{scan_files::kWorldFrame, scan_files::kVehicleFrame};
+void check_topic_and_frame_names(const scan_files::RecordedRig& rig) {
+    std::set<std::string> used_frame_ids{scan_files::kWorldFrame, scan_files::kVehicleFrame};
     for (const scan_files::RecordedSensor& sensor : rig.sensors) {
-        if (!is_topic(sensor.topic))
+        if (!is_valid_topic_name(sensor.topic))
             throw UsageError(fmt::format(
                 "cannot write a recording: found topic \"{}\", expected a name such as /lidar/points; "
                 "each part follows a /, consists of letters, digits and _, and does not begin with a "
                 "digit",
                 sensor.topic));
         if (sensor.frame_id.empty() || sensor.frame_id.front() == '/' ||
-            !taken.insert(sensor.frame_id).second)
+            !used_frame_ids.insert(sensor.frame_id).second)
             throw UsageError(fmt::format(
                 "cannot write a recording: found frame id \"{}\" for the sensor with topic {}, expected "
                 "a name that does not begin with / and is none of {}",
-                sensor.frame_id, sensor.topic, fmt::join(taken, ", ")));
+                sensor.frame_id, sensor.topic, fmt::join(used_frame_ids, ", ")));
     }
 }
 
 /// Checks that every topic has a different name.
 /// @throws UsageError if two topics have the same name
-void check_topics(const std::vector<scan_files::RecordedTopic>& topics) {
-    std::set<std::string> taken;
+void check_topic_names_unique(const std::vector<scan_files::RecordedTopic>& topics) {
+    std::set<std::string> topic_names;
     for (const scan_files::RecordedTopic& topic : topics)
-        if (!taken.insert(topic.name).second)
+        if (!topic_names.insert(topic.name).second)
             throw UsageError(fmt::format(
                 "cannot write a recording: topic {} occurs twice, expected a different topic for each of "
                 "{}",
-                topic.name, fmt::join(taken, ", ")));
+                topic.name, fmt::join(topic_names, ", ")));
 }
 
 /// Returns the metadata of a recording.
-FileNotes make_recording_notes(const std::vector<ScanFormat>& sensors) {
-    const ScanFormat& format = sensors.front();
+FileMetadata make_recording_notes(const std::vector<ScanOutputOptions>& sensors) {
+    const ScanOutputOptions& format = sensors.front();
     std::vector<std::string> names;
-    for (const ScanFormat& sensor : sensors)
+    for (const ScanOutputOptions& sensor : sensors)
         names.push_back(sensors.size() > 1 ? sensor.frame_id + ": " + sensor.sensor : sensor.sensor);
     return {{"relidar", RELIDAR_VERSION},
             {"run", format.run},
             {"dataset", format.config.dataset.path},
             {"sensor", fmt::format("{}", fmt::join(names, ", "))},
             {"trajectory", format.trajectory},
-            {"points_in", format.frame == PointFrame::world ? "world"
-                          : is_deskewed(format)             ? "sensor at the stamp"
-                                                            : "sensor at each ray's firing time"},
+            {"points_in", format.frame == PointCoordinateFrame::world ? "world"
+                          : has_deskewed_points(format)               ? "sensor at the stamp"
+                                                                      : "sensor at each ray's firing time"},
             {"units", "metres, seconds; intensity 0 to 1"}};
 }
 
 }  // namespace
 
-std::string make_topic_word(const std::string& name) {
+std::string make_valid_topic_name(const std::string& name) {
     std::string word = name;
     std::ranges::replace_if(
-        word, [](char character) { return !is_topic_letter(character); }, '_');
+        word, [](char character) { return !is_valid_topic_character(character); }, '_');
     if (!word.empty() && std::isdigit(static_cast<unsigned char>(word.front())))
         word.insert(word.begin(), '_');
     return word;
 }
 
-void set_recording_name(ScanFormat& format, const std::string& name) {
-    format.topic = name.empty() ? "/lidar/points" : "/lidar/" + make_topic_word(name) + "/points";
-    format.frame_id = name.empty() ? "lidar" : name;
+void set_recording_topic(ScanOutputOptions& format, const std::string& sensor_name) {
+    format.topic =
+        sensor_name.empty() ? "/lidar/points" : "/lidar/" + make_valid_topic_name(sensor_name) + "/points";
+    format.frame_id = sensor_name.empty() ? "lidar" : sensor_name;
 }
 
-bool is_recording(const std::string& format) {
+bool is_recording_format(const std::string& format) {
     return format == scan_files::kPacketFormat ||
            std::ranges::any_of(scan_files::list_recording_formats(),
                                [&](const auto& known) { return format == known.name; });
 }
 
-struct ScanRecordings::Impl {
-    scan_files::MomentRecorder recorder;
+struct ScanRecordingsWriter::Impl {
+    scan_files::SweepRecorder recorder;
     std::vector<std::string> names;
-    std::vector<std::unique_ptr<scan_files::ScanRecording>> files;
-    std::unique_ptr<scan_files::PacketFiles> packets;
+    std::vector<std::unique_ptr<scan_files::RecordingFileWriter>> files;
+    std::unique_ptr<scan_files::PacketFileWriter> packets;
 };
 
-ScanRecordings::ScanRecordings(fs::path folder, std::vector<ScanFormat> sensors) {
-    scan_files::remove_scans(folder);
-    impl_ = std::make_shared<Impl>(Impl{scan_files::MomentRecorder(sensors), {}, {}, {}});
-    const std::vector<std::string>& wanted = sensors.front().formats;
-    const scan_files::RecordedRig rig = impl_->recorder.rig();
+ScanRecordingsWriter::ScanRecordingsWriter(fs::path folder, std::vector<ScanOutputOptions> sensors) {
+    scan_files::remove_scan_files(folder);
+    impl_ = std::make_shared<Impl>(Impl{scan_files::SweepRecorder(sensors), {}, {}, {}});
+    const std::vector<std::string>& requested_formats = sensors.front().formats;
+    const scan_files::RecordedRig rig = impl_->recorder.make_recorded_rig();
     for (const scan_files::RecordingFormat& format : scan_files::list_recording_formats()) {
-        if (std::ranges::find(wanted, format.name) == wanted.end()) continue;
-        check_names(rig), check_topics(format.topics(rig));
+        if (std::ranges::find(requested_formats, format.name) == requested_formats.end()) continue;
+        check_topic_and_frame_names(rig), check_topic_names_unique(format.topics(rig));
         impl_->names.emplace_back(format.file);
-        impl_->files.push_back(std::make_unique<scan_files::ScanRecording>(folder / format.file, format, rig,
-                                                                           make_recording_notes(sensors)));
+        impl_->files.push_back(std::make_unique<scan_files::RecordingFileWriter>(
+            folder / format.file, format, rig, make_recording_notes(sensors)));
     }
-    if (std::ranges::find(wanted, scan_files::kPacketFormat) == wanted.end()) return;
-    impl_->packets = std::make_unique<scan_files::PacketFiles>(folder, sensors);
+    if (std::ranges::find(requested_formats, scan_files::kPacketFormat) == requested_formats.end()) return;
+    impl_->packets = std::make_unique<scan_files::PacketFileWriter>(folder, sensors);
     for (const std::string& name : impl_->packets->names()) impl_->names.push_back(name);
 }
 
-void ScanRecordings::write(std::span<const RenderedScan> scans) {
-    if (impl_->packets) impl_->packets->add(scans);
+void ScanRecordingsWriter::write_scans(std::span<const RenderedScan> scans) {
+    if (impl_->packets) impl_->packets->write_scans_as_packets(scans);
     if (impl_->files.empty()) return;
-    const scan_files::RecordedMoment moment = impl_->recorder.take(scans);
-    for (const auto& file : impl_->files) file->add(moment, impl_->recorder.shift_s());
+    const scan_files::RecordedSweep moment = impl_->recorder.convert_scans_to_moment(scans);
+    for (const auto& file : impl_->files)
+        file->write_moment_messages(moment, impl_->recorder.get_time_shift_s());
 }
 
-void ScanRecordings::finish() {
+void ScanRecordingsWriter::finish() {
     for (const auto& file : impl_->files) file->finish();
     if (impl_->packets) impl_->packets->finish();
 }
 
-std::vector<std::string> ScanRecordings::names() const { return impl_->names; }
+std::vector<std::string> ScanRecordingsWriter::list_file_names() const { return impl_->names; }
 
-struct ScanMessages::Impl {
-    scan_files::MomentRecorder recorder;
+struct ScanMessageEncoder::Impl {
+    scan_files::SweepRecorder recorder;
     std::vector<scan_files::RecordedTopic> topics;
 };
 
-ScanMessages::ScanMessages(std::vector<ScanFormat> sensors)
-    : impl_(std::make_shared<Impl>(Impl{scan_files::MomentRecorder(std::move(sensors)), {}})) {
-    impl_->topics = scan_files::list_foxglove_topics(impl_->recorder.rig());
+ScanMessageEncoder::ScanMessageEncoder(std::vector<ScanOutputOptions> sensors)
+    : impl_(std::make_shared<Impl>(Impl{scan_files::SweepRecorder(std::move(sensors)), {}})) {
+    impl_->topics = scan_files::list_foxglove_topics(impl_->recorder.make_recorded_rig());
 }
 
-std::vector<ScanTopic> ScanMessages::topics() const {
+std::vector<ScanTopic> ScanMessageEncoder::list_topics() const {
     std::vector<ScanTopic> topics;
     for (const scan_files::RecordedTopic& topic : impl_->topics) {
         const auto* schema = reinterpret_cast<const std::uint8_t*>(topic.definition.data());
@@ -169,8 +171,9 @@ std::vector<ScanTopic> ScanMessages::topics() const {
     return topics;
 }
 
-std::vector<ScanMessage> ScanMessages::convert(std::span<const RenderedScan> scans) {
-    return scan_files::list_messages(impl_->topics, impl_->recorder.take(scans));
+std::vector<ScanMessage> ScanMessageEncoder::convert_to_messages(std::span<const RenderedScan> scans) {
+    return scan_files::make_messages_in_time_order(impl_->topics,
+                                                   impl_->recorder.convert_scans_to_moment(scans));
 }
 
 }  // namespace relidar

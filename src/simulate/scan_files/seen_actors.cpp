@@ -12,9 +12,9 @@ namespace {
 constexpr double kVelocityStep_s = 0.005;
 
 /// Samples the rays of a scan evenly, to find the ray that points at an object.
-class SampledRays {
+class SampledScanRays {
 public:
-    explicit SampledRays(const RenderedScan& scan) : scan_(scan) {
+    explicit SampledScanRays(const RenderedScan& scan) : scan_(scan) {
         constexpr std::size_t kMost = 4096;
         // The step is odd, so that different columns are selected in each row.
         const std::size_t n = scan.image.direction.size(), step = (n / kMost) | 1;
@@ -22,44 +22,45 @@ public:
             rays_.push_back({scan.image.direction[i], scan.time_offset_s[i]});
     }
     /// Returns the firing time of the ray that passes closest to a moving point.
-    /// @param place_m returns the position of the point at a given time, in the world
-    /// frame of the dataset
-    template <class PlaceAt>
-    double find_facing_time(const PlaceAt& place_m) const {
+    /// @param get_position_m returns the position of the point at a given time, in the
+    /// world frame of the dataset
+    template <class PositionFunction>
+    double find_time_facing_point(const PositionFunction& get_position_m) const {
         // Number of repeated searches. Both the point and the sensor move until the
         // firing time that the previous search found.
         constexpr int kRounds = 3;
         double time_s = scan_.time_s;
         for (int round = 0; round < kRounds && !rays_.empty(); ++round) {
             const glm::vec3 towards(
-                glm::normalize(inverse(find_sensor_pose(scan_, time_s)) * place_m(time_s)));
-            const auto cosine = [&](const Ray& ray) { return glm::dot(ray.direction, towards); };
+                glm::normalize(inverse(find_sensor_pose(scan_, time_s)) * get_position_m(time_s)));
+            const auto cosine = [&](const SampledRay& ray) { return glm::dot(ray.direction, towards); };
             time_s = scan_.time_s + double(std::ranges::max_element(rays_, {}, cosine)->time_offset_s);
         }
         return time_s;
     }
 
 private:
-    struct Ray {
+    struct SampledRay {
         glm::vec3 direction;
         float time_offset_s;
     };
     const RenderedScan& scan_;
-    std::vector<Ray> rays_;
+    std::vector<SampledRay> rays_;
 };
 
 /// Counts the first returns of a scan on an actor.
-std::size_t count_points_on(const RenderedScan& scan, const ScanFormat& format, const std::string& track) {
-    const auto instance = std::ranges::find(format.instance_names, track) - format.instance_names.begin();
+std::size_t count_returns_on_actor(const RenderedScan& scan, const ScanOutputOptions& format,
+                                   const std::string& track_id) {
+    const auto instance = std::ranges::find(format.instance_names, track_id) - format.instance_names.begin();
     const std::vector<float>& range_m = select_point_ranges(scan, format.config);
     std::size_t n = 0;
     for (std::size_t i = 0; i < range_m.size(); ++i)
-        n += scan.instance[i] == instance && is_returned(scan.image.drop_prob[i], range_m[i]);
+        n += scan.instance[i] == instance && is_ray_returned(scan.image.drop_prob[i], range_m[i]);
     return n;
 }
 
-std::optional<double> compute_visible_share(const RenderedScan& scan, const std::string& track) {
-    const auto view = std::ranges::find(scan.actor_views, track, &ActorView::track);
+std::optional<double> compute_visible_fraction(const RenderedScan& scan, const std::string& track_id) {
+    const auto view = std::ranges::find(scan.actor_views, track_id, &ActorVisibility::track);
     if (view == scan.actor_views.end()) return {};
     return std::min(1.0, double(view->n_rays) / double(view->n_rays_alone));
 }
@@ -67,32 +68,33 @@ std::optional<double> compute_visible_share(const RenderedScan& scan, const std:
 }  // namespace
 
 Pose find_sensor_pose(const RenderedScan& scan, double time_s) {
-    return scan.track.pose.empty() ? scan.world_from_sensor : scan.track.at(time_s);
+    return scan.track.pose.empty() ? scan.world_from_sensor : scan.track.interpolate_pose(time_s);
 }
 
-Velocity compute_velocity(const std::function<Pose(double)>& world_from_thing, double time_s) {
-    const Twist twist =
-        compute_twist(world_from_thing(time_s - kVelocityStep_s), world_from_thing(time_s + kVelocityStep_s));
-    const glm::dquat thing_from_world = glm::conjugate(world_from_thing(time_s).rotation);
+Velocity compute_object_velocity(const std::function<Pose(double)>& get_world_from_object, double time_s) {
+    const Twist twist = compute_twist(get_world_from_object(time_s - kVelocityStep_s),
+                                      get_world_from_object(time_s + kVelocityStep_s));
+    const glm::dquat thing_from_world = glm::conjugate(get_world_from_object(time_s).rotation);
     const double span_s = 2.0 * kVelocityStep_s;
     return {thing_from_world * glm::dvec3(twist[0], twist[1], twist[2]) / span_s,
             thing_from_world * glm::dvec3(twist[3], twist[4], twist[5]) / span_s};
 }
 
-std::vector<SeenActor> find_actors(const RenderedScan& scan, const ScanFormat& format) {
-    const SampledRays rays(scan);
-    std::vector<SeenActor> actors;
+std::vector<ActorInScan> find_actors_present_in_scan(const RenderedScan& scan,
+                                                     const ScanOutputOptions& format) {
+    const SampledScanRays rays(scan);
+    std::vector<ActorInScan> actors;
     for (const BoxTrack& box : format.actors) {
-        const std::optional<double> visible_share = compute_visible_share(scan, box.id);
+        const std::optional<double> visible_share = compute_visible_fraction(scan, box.id);
         if (!visible_share && !box.is_present(scan.time_s)) continue;
         const auto world_from_box = [&box, &format](double t_s) {
-            const Pose pose = box.world_from_box.at(t_s);
+            const Pose pose = box.world_from_box.interpolate_pose(t_s);
             return Pose{pose.rotation, pose.translation + format.world_offset_m};
         };
         const double faced_s =
-            rays.find_facing_time([&](double t_s) { return world_from_box(t_s).translation; });
+            rays.find_time_facing_point([&](double t_s) { return world_from_box(t_s).translation; });
         actors.push_back(
-            {&box, world_from_box, faced_s, count_points_on(scan, format, box.id), visible_share});
+            {&box, world_from_box, faced_s, count_returns_on_actor(scan, format, box.id), visible_share});
     }
     return actors;
 }
@@ -101,21 +103,22 @@ std::vector<SeenActor> find_actors(const RenderedScan& scan, const ScanFormat& f
 
 namespace relidar {
 
-std::vector<ActorBox> find_actor_boxes(const RenderedScan& scan, const ScanFormat& format) {
+std::vector<ActorBox> find_actor_boxes(const RenderedScan& scan, const ScanOutputOptions& format) {
     std::vector<ActorBox> boxes;
     if (scan.actor_views.empty()) return boxes;
-    for (const scan_files::SeenActor& actor : scan_files::find_actors(scan, format)) {
+    for (const scan_files::ActorInScan& actor : scan_files::find_actors_present_in_scan(scan, format)) {
         if (!actor.visible_share) continue;
         const Pose pose = actor.world_from_box(actor.faced_s);
         const glm::dvec3 velocity_mps =
-            pose.rotation * scan_files::compute_velocity(actor.world_from_box, actor.faced_s).linear_mps;
+            pose.rotation *
+            scan_files::compute_object_velocity(actor.world_from_box, actor.faced_s).linear_mps;
         boxes.push_back({actor.box->id, actor.box->category, actor.box->size_m, actor.faced_s, pose,
                          velocity_mps, actor.n_points, *actor.visible_share});
     }
     return boxes;
 }
 
-void place_boxes(ScanFormat& format, const ActorPoses& dataset_from_actor) {
+void replace_actor_box_poses(ScanOutputOptions& format, const ActorTracksByName& dataset_from_actor) {
     std::erase_if(format.actors, [&](BoxTrack& box) {
         const auto poses = dataset_from_actor.find(box.id);
         if (poses == dataset_from_actor.end()) return true;

@@ -13,7 +13,7 @@
 namespace relidar::scan_files {
 
 /// An actor that is present during a scan.
-struct SeenActor {
+struct ActorInScan {
     const BoxTrack* box;
     /// Pose of the box at a time of the log, in the world frame of the dataset.
     std::function<Pose(double)> world_from_box;
@@ -21,21 +21,22 @@ struct SeenActor {
     double faced_s;
     std::size_t n_points;  ///< first returns of the scan on the actor
     /// Rays that hit the actor first, divided by the rays that would hit it if the scene
-    /// contained only this actor. No value if ScanRenderer::enable_actor_views() was not
-    /// called, or if no ray would hit the actor.
+    /// contained only this actor. No value if ScanRenderer::enable_actor_visibility() was
+    /// not called, or if no ray would hit the actor.
     std::optional<double> visible_share;
 };
 
 /// Returns the actors of `format` that are present during a scan.
 /// @param format must outlive the result
-std::vector<SeenActor> find_actors(const RenderedScan& scan, const ScanFormat& format);
+std::vector<ActorInScan> find_actors_present_in_scan(const RenderedScan& scan,
+                                                     const ScanOutputOptions& format);
 
 /// Returns the pose of the sensor at time `time_s` of the log, in the world frame of the
 /// dataset.
 Pose find_sensor_pose(const RenderedScan& scan, double time_s);
 
 /// Returns the velocity of an object, computed by central differences of its poses.
-/// @param world_from_thing returns the pose of the object at a given time
-Velocity compute_velocity(const std::function<Pose(double)>& world_from_thing, double time_s);
+/// @param get_world_from_object returns the pose of the object at a given time
+Velocity compute_object_velocity(const std::function<Pose(double)>& get_world_from_object, double time_s);
 
 }  // namespace relidar::scan_files

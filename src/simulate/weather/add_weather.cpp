@@ -14,17 +14,18 @@ namespace {
 constexpr std::uint64_t kOfWeather = 0x77656174686572ull;
 constexpr const char* kSource = "source";
 
-using Sources = std::vector<std::int32_t>;
+using ReturnCauses = std::vector<std::int32_t>;
 
 /// Returns the channel `source` with all values reset. Adds the channel if the scan does
 /// not have it.
-ScanChannel& find_source_channel(RenderedScan& scan) {
+ScanChannel& reset_or_add_source_channel(RenderedScan& scan) {
     const auto has_name = [](const ScanChannel& channel) { return channel.info.name == kSource; };
-    const auto found = std::ranges::find_if(scan.channels, has_name);
-    const bool is_there = found != scan.channels.end();
+    const auto source_channel = std::ranges::find_if(scan.channels, has_name);
+    const bool is_there = source_channel != scan.channels.end();
     ScanChannel& channel =
-        is_there ? *found : scan.channels.emplace_back(ScanChannel{parse_channels(kSource).front(), {}});
-    const Sources nothing(scan.image.range_m.size(), std::int32_t(PointSource::nothing));
+        is_there ? *source_channel
+                 : scan.channels.emplace_back(ScanChannel{parse_channel_names(kSource).front(), {}});
+    const ReturnCauses nothing(scan.image.range_m.size(), std::int32_t(ReturnCause::nothing));
     channel.values = nothing;
     if (!scan.second_returns.empty()) channel.second = nothing;
     return channel;
@@ -32,92 +33,99 @@ ScanChannel& find_source_channel(RenderedScan& scan) {
 
 /// Removes the surface that a ray hit. Sets the instance to -1, and resets all channels
 /// that describe surfaces.
-void remove_surface(RenderedScan& scan, std::size_t ray) {
-    scan.instance[ray] = -1;
+void clear_surface_values_of_ray(RenderedScan& scan, std::size_t ray_index) {
+    scan.instance[ray_index] = -1;
     for (ScanChannel& channel : scan.channels)
         if (!channel.info.of_ray)
             std::visit(
-                [&]<class T>(std::vector<T>& values) { values[ray] = get_missing_value<T>(channel.info); },
+                [&]<class T>(std::vector<T>& values) {
+                    values[ray_index] = get_missing_value<T>(channel.info);
+                },
                 channel.values);
 }
 
 /// Applies the weather to the rays of a scan.
-class WeatheredRays {
+class ScanWeatherApplier {
 public:
-    WeatheredRays(RenderedScan& scan, const WeatherInput& input)
-        : scan_(scan), input_(input), air_(input), channel_(find_source_channel(scan)) {}
+    ScanWeatherApplier(RenderedScan& scan, const WeatherInput& input)
+        : scan_(scan), input_(input), air_(input), channel_(reset_or_add_source_channel(scan)) {}
 
-    void look(std::size_t index, std::uint64_t seed) {
+    void apply_weather_to_ray(std::size_t ray_index, std::uint64_t seed) {
         const bool has_second = !scan_.second_returns.empty();
-        RayInAir ray{.index = index};
-        if (is_returned(scan_.image.drop_prob[index], scan_.median_range_m[index]))
-            ray.strongest = surface(scan_.median_range_m[index], scan_.image.intensity[index]);
+        RayWeatherState ray{.index = ray_index};
+        if (is_ray_returned(scan_.image.drop_prob[ray_index], scan_.median_range_m[ray_index]))
+            ray.strongest =
+                make_surface_echo(scan_.median_range_m[ray_index], scan_.image.intensity[ray_index]);
         if (has_second)
-            ray.second =
-                surface(scan_.second_returns[0].range_m[index], scan_.second_returns[0].intensity[index]);
-        RayEchoes seen{ray.strongest, ray.second};
-        if (!input_.weather.clear()) {
-            const bool is_blind = !input_.blind.empty() && input_.blind[index] != 0;
-            ray.free_m = is_blind ? 0.0 : free_m(ray);
-            seen = air_.compute_echoes(ray, seed);
-            write_echo(index, ray.strongest, seen.strongest);
-            if (has_second) write_echo(scan_.second_returns[0], index, seen.second);
+            ray.second = make_surface_echo(scan_.second_returns[0].range_m[ray_index],
+                                           scan_.second_returns[0].intensity[ray_index]);
+        EchoPair echoes{ray.strongest, ray.second};
+        if (!input_.weather.is_clear()) {
+            const bool is_blind = !input_.blind.empty() && input_.blind[ray_index] != 0;
+            ray.free_m = is_blind ? 0.0 : compute_free_path_m(ray);
+            echoes = air_.compute_echoes_in_weather(ray, seed);
+            write_strongest_echo(ray_index, ray.strongest, echoes.strongest);
+            if (has_second) write_second_echo(scan_.second_returns[0], ray_index, echoes.second);
         }
-        std::get<Sources>(channel_.values)[index] = std::int32_t(seen.strongest.source);
-        if (has_second) std::get<Sources>(channel_.second)[index] = std::int32_t(seen.second.source);
+        std::get<ReturnCauses>(channel_.values)[ray_index] = std::int32_t(echoes.strongest.source);
+        if (has_second)
+            std::get<ReturnCauses>(channel_.second)[ray_index] = std::int32_t(echoes.second.source);
     }
 
 private:
     RenderedScan& scan_;
     const WeatherInput& input_;
-    const Air air_;
+    const WeatherRaySimulator air_;
     ScanChannel& channel_;
 
-    Echo surface(float range_m, float intensity) const {
+    LidarEcho make_surface_echo(float range_m, float intensity) const {
         if (!(range_m > 0.0f)) return {};
-        return {double(range_m), double(intensity) / input_.response.at_range(double(range_m)),
-                PointSource::surface};
+        return {double(range_m), double(intensity) / input_.response.compute_range_factor(double(range_m)),
+                ReturnCause::surface};
     }
-    float to_intensity(const Echo& echo) const {
-        return std::min(static_cast<float>(echo.reflectivity * input_.response.at_range(echo.range_m)), 1.0f);
+    float compute_reported_intensity(const LidarEcho& echo) const {
+        return std::min(
+            static_cast<float>(echo.reflectivity * input_.response.compute_range_factor(echo.range_m)), 1.0f);
     }
     /// Returns the distance that the light of a ray travels through the air: up to the
     /// first opaque surface, or to the maximum range. The surface stops the light even if
     /// the sensor reports no return.
-    double free_m(const RayInAir& ray) const {
+    double compute_free_path_m(const RayWeatherState& ray) const {
         const float median_m = scan_.median_range_m[ray.index];
         const bool is_blocked =
-            ray.strongest.source == PointSource::surface || scan_.weight[ray.index] >= 0.5f;
+            ray.strongest.source == ReturnCause::surface || scan_.weight[ray.index] >= 0.5f;
         if (!is_blocked || !(median_m > 0.0f)) return input_.sensor.max_range_m;
         return std::max(double(median_m), ray.second.range_m);
     }
-    void write_echo(std::size_t ray, const Echo& original_echo, const Echo& echo) {
+    void write_strongest_echo(std::size_t ray_index, const LidarEcho& original_echo, const LidarEcho& echo) {
         RangeImage& image = scan_.image;
-        if (echo.source == PointSource::nothing) {
-            if (original_echo.source != PointSource::nothing) image.drop_prob[ray] = 1.0f;
+        if (echo.source == ReturnCause::nothing) {
+            if (original_echo.source != ReturnCause::nothing) image.drop_prob[ray_index] = 1.0f;
             return;
         }
-        image.intensity[ray] = to_intensity(echo);
+        image.intensity[ray_index] = compute_reported_intensity(echo);
         if (echo.source == original_echo.source && echo.range_m == original_echo.range_m) return;
-        image.drop_prob[ray] = 0.0f;
-        image.range_m[ray] = scan_.median_range_m[ray] = scan_.mean_range_m[ray] =
+        image.drop_prob[ray_index] = 0.0f;
+        image.range_m[ray_index] = scan_.median_range_m[ray_index] = scan_.mean_range_m[ray_index] =
             static_cast<float>(echo.range_m);
-        remove_surface(scan_, ray);
+        clear_surface_values_of_ray(scan_, ray_index);
     }
-    void write_echo(SecondReturn& second, std::size_t ray, const Echo& echo) const {
-        second.range_m[ray] = static_cast<float>(echo.range_m);
-        second.intensity[ray] = echo.source == PointSource::nothing ? 0.0f : to_intensity(echo);
+    void write_second_echo(AdditionalReturns& second, std::size_t ray_index, const LidarEcho& echo) const {
+        second.range_m[ray_index] = static_cast<float>(echo.range_m);
+        second.intensity[ray_index] =
+            echo.source == ReturnCause::nothing ? 0.0f : compute_reported_intensity(echo);
     }
 };
 
 }  // namespace
 
-void add_weather(RenderedScan& scan, const WeatherInput& input) {
-    const std::uint64_t of_scan =
-        combine_hashes(combine_hashes(input.seed, std::bit_cast<std::uint64_t>(scan.time_s)), kOfWeather);
-    WeatheredRays rays(scan, input);
-    for_each_block(scan.image.range_m.size(),
-                   [&](std::size_t ray) { rays.look(ray, combine_hashes(of_scan, ray)); });
+void add_weather_to_scan(RenderedScan& scan, const WeatherInput& weather_input) {
+    const std::uint64_t of_scan = hash_integer_pair(
+        hash_integer_pair(weather_input.seed, std::bit_cast<std::uint64_t>(scan.time_s)), kOfWeather);
+    ScanWeatherApplier rays(scan, weather_input);
+    parallel_for_in_blocks(scan.image.range_m.size(), [&](std::size_t ray) {
+        rays.apply_weather_to_ray(ray, hash_integer_pair(of_scan, ray));
+    });
 }
 
 }  // namespace relidar

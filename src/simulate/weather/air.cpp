@@ -10,23 +10,24 @@ namespace {
 
 /// Returns the second return of a dual-return sensor. Normally, this is the last return.
 /// If the strongest return is also the last, the function returns the second strongest.
-Echo select_second_return(const Candidates& candidates, const Echo& strongest, double separation_m) {
-    Echo last, next;
+LidarEcho select_second_return(const EchoCandidates& candidates, const LidarEcho& strongest,
+                               double min_separation_m) {
+    LidarEcho last, next;
     double power = 0.0;
-    for (const Candidate& candidate : candidates) {
+    for (const EchoCandidate& candidate : candidates) {
         const double range_m = candidate.echo.range_m;
-        if (std::abs(range_m - strongest.range_m) < separation_m) continue;
+        if (std::abs(range_m - strongest.range_m) < min_separation_m) continue;
         if (range_m > std::max(strongest.range_m, last.range_m)) last = candidate.echo;
         if (candidate.power > power) next = candidate.echo, power = candidate.power;
     }
-    return last.source == PointSource::nothing ? next : last;
+    return last.source == ReturnCause::nothing ? next : last;
 }
 
-std::vector<std::unique_ptr<EffectOnRays>> prepare_effects(const WeatherInput& input) {
+std::vector<std::unique_ptr<RayWeatherEffect>> make_weather_effects(const WeatherInput& input) {
     check_weather(input.weather);
-    std::vector<std::unique_ptr<EffectOnRays>> effects;
-    for (const WeatherEffect* effect : kWeatherEffects) {
-        if (!effect->is_in(input.weather)) continue;
+    std::vector<std::unique_ptr<RayWeatherEffect>> effects;
+    for (const WeatherEffectEntry* effect : kWeatherEffects) {
+        if (!effect->is_active_in(input.weather)) continue;
         if (auto prepared = effect->prepare(input)) effects.push_back(std::move(prepared));
     }
     return effects;
@@ -34,52 +35,57 @@ std::vector<std::unique_ptr<EffectOnRays>> prepare_effects(const WeatherInput& i
 
 }  // namespace
 
-double WeatherSensor::threshold(double range_m) const {
-    return std::max(compute_min_power(), weakest_reflectivity / (range_m * range_m));
+double WeatherSensorProperties::compute_detection_threshold(double range_m) const {
+    return std::max(compute_min_detectable_power(), weakest_reflectivity / (range_m * range_m));
 }
 
-Air::Air(const WeatherInput& input) : Air(input.weather, input.sensor, prepare_effects(input)) {}
+WeatherRaySimulator::WeatherRaySimulator(const WeatherInput& input)
+    : WeatherRaySimulator(input.weather, input.sensor, make_weather_effects(input)) {}
 
-Air::Air(const Weather& weather, const WeatherSensor& sensor,
-         std::vector<std::unique_ptr<EffectOnRays>> effects)
-    : sensor_(sensor), alpha_(compute_extinction(weather)), effects_(std::move(effects)) {}
+WeatherRaySimulator::WeatherRaySimulator(const Weather& weather, const WeatherSensorProperties& sensor,
+                                         std::vector<std::unique_ptr<RayWeatherEffect>> effects)
+    : sensor_(sensor), alpha_(compute_extinction_coefficient(weather)), effects_(std::move(effects)) {}
 
 /// Returns the reflectivity of a surface. An intensity below one step of the sensor does
 /// not determine the reflectivity. Then a random value is drawn, between the weakest
 /// detectable reflectivity and one step.
-double Air::draw_surface_reflectivity(const Echo& surface, Random& random) const {
+double WeatherRaySimulator::draw_surface_reflectivity(const LidarEcho& surface_echo, Random& random) const {
     const double step = 2.0 * sensor_.darkest;
-    if (surface.reflectivity >= step) return surface.reflectivity;
-    return std::lerp(sensor_.threshold(surface.range_m) * surface.range_m * surface.range_m, step,
-                     random.uniform());
+    if (surface_echo.reflectivity >= step) return surface_echo.reflectivity;
+    return std::lerp(sensor_.compute_detection_threshold(surface_echo.range_m) * surface_echo.range_m *
+                         surface_echo.range_m,
+                     step, random.draw_uniform());
 }
 
-void Air::add_surface(Candidates& candidates, Echo echo, double through_water, Random& random) const {
-    if (echo.source == PointSource::nothing) return;
-    const double transmission = std::exp(-2.0 * alpha_ * echo.range_m) * through_water;
+void WeatherRaySimulator::append_surface_echo(EchoCandidates& candidates, LidarEcho echo,
+                                              double wet_ground_brightness, Random& random) const {
+    if (echo.source == ReturnCause::nothing) return;
+    const double transmission = std::exp(-2.0 * alpha_ * echo.range_m) * wet_ground_brightness;
     const double power =
         draw_surface_reflectivity(echo, random) * transmission / (echo.range_m * echo.range_m);
     echo.reflectivity *= transmission;
-    if (power >= sensor_.threshold(echo.range_m)) candidates.push_back({echo, power});
+    if (power >= sensor_.compute_detection_threshold(echo.range_m)) candidates.push_back({echo, power});
 }
 
-void add_echo(Candidates& candidates, Echo echo, const WeatherSensor& sensor, double transmission,
-              double darkest) {
-    if (echo.source == PointSource::nothing || echo.range_m > sensor.max_range_m) return;
-    const double power = std::max(echo.reflectivity, darkest) * transmission / (echo.range_m * echo.range_m);
+void append_echo_if_detectable(EchoCandidates& candidates, LidarEcho echo,
+                               const WeatherSensorProperties& sensor, double transmission,
+                               double min_reflectivity) {
+    if (echo.source == ReturnCause::nothing || echo.range_m > sensor.max_range_m) return;
+    const double power =
+        std::max(echo.reflectivity, min_reflectivity) * transmission / (echo.range_m * echo.range_m);
     echo.reflectivity *= transmission;
-    if (power >= sensor.compute_min_power()) candidates.push_back({echo, power});
+    if (power >= sensor.compute_min_detectable_power()) candidates.push_back({echo, power});
 }
 
-RayEchoes Air::compute_echoes(RayInAir ray, std::uint64_t seed) const {
+EchoPair WeatherRaySimulator::compute_echoes_in_weather(RayWeatherState ray, std::uint64_t seed) const {
     Random random(seed);
-    Candidates candidates;
-    for (const auto& effect : effects_) effect->change_surface(ray);
-    add_surface(candidates, ray.strongest, ray.through_water, random);
-    add_surface(candidates, ray.second, 1.0, random);
-    for (const auto& effect : effects_) effect->add_returns(candidates, ray, random);
+    EchoCandidates candidates;
+    for (const auto& effect : effects_) effect->modify_surface_return(ray);
+    append_surface_echo(candidates, ray.strongest, ray.through_water, random);
+    append_surface_echo(candidates, ray.second, 1.0, random);
+    for (const auto& effect : effects_) effect->append_effect_returns(candidates, ray, random);
     if (candidates.empty()) return {};
-    const Echo strongest = std::ranges::max_element(candidates, {}, &Candidate::power)->echo;
+    const LidarEcho strongest = std::ranges::max_element(candidates, {}, &EchoCandidate::power)->echo;
     return {strongest, select_second_return(candidates, strongest, sensor_.separation_m)};
 }
 

@@ -24,12 +24,14 @@ inline constexpr double kOverlap_m = 1.0;
 inline constexpr double kLight_m_s = 299792458.0;
 
 /// Returns the minimum range in metres at which the air can cause a return.
-inline double compute_nearest_m(const WeatherSensor& sensor) {
+inline double compute_min_air_return_range_m(const WeatherSensorProperties& sensor) {
     return std::max(kOverlap_m, sensor.min_range_m);
 }
-inline double compute_pulse_length_m(const WeatherSensor& sensor) { return kLight_m_s * sensor.pulse_s; }
+inline double compute_pulse_length_m(const WeatherSensorProperties& sensor) {
+    return kLight_m_s * sensor.pulse_s;
+}
 /// Returns the diameter of the laser beam at a given range, in metres.
-inline double compute_beam_diameter_m(const WeatherSensor& sensor, double range_m) {
+inline double compute_beam_diameter_m(const WeatherSensorProperties& sensor, double range_m) {
     return sensor.aperture_m + sensor.divergence_rad * range_m;
 }
 
@@ -37,13 +39,13 @@ inline double compute_beam_diameter_m(const WeatherSensor& sensor, double range_
 /// it.
 struct WeatherInput {
     const Weather& weather;
-    const WeatherSensor& sensor;
+    const WeatherSensorProperties& sensor;
     const RenderedScan& scan;  ///< scan in clear air, without weather
     /// model of how the reported intensity of a surface depends on its range
     const IntensityResponse& response;
     glm::dvec3 world_offset_m{0.0};  ///< see Sequence::world_offset_m
     /// Traces additional rays through the scene at the time of the scan.
-    std::function<Rendering(const WorldRays&)> trace = {};
+    std::function<RenderedRayValues(const WorldRays&)> trace = {};
     std::uint64_t seed = 0;
     /// [rays] true if an object close to the sensor blocks the ray. A blocked ray has no
     /// returns from fog, rain, snow or noise. An empty list means that no ray is blocked.
@@ -51,69 +53,72 @@ struct WeatherInput {
 };
 
 /// A ray of the scan, and the values that weather effects use and change.
-struct RayInAir {
-    std::size_t index = 0;             ///< index of the ray in its scan
-    Echo strongest = {}, second = {};  ///< returns of surfaces in clear air
-    double free_m = 0.0;               ///< distance in metres after which a surface blocks the ray
-    double through_water = 1.0;        ///< brightness of the wet ground relative to the dry ground
+struct RayWeatherState {
+    std::size_t index = 0;                  ///< index of the ray in its scan
+    LidarEcho strongest = {}, second = {};  ///< returns of surfaces in clear air
+    double free_m = 0.0;                    ///< distance in metres after which a surface blocks the ray
+    double through_water = 1.0;             ///< brightness of the wet ground relative to the dry ground
 };
 
 /// A possible return of a ray that is bright enough for the sensor.
-struct Candidate {
-    Echo echo;
+struct EchoCandidate {
+    LidarEcho echo;
     double power;
 };
-using Candidates = std::vector<Candidate>;
+using EchoCandidates = std::vector<EchoCandidate>;
 
 /// A weather effect, such as rain, for the rays of one scan.
-class EffectOnRays {
+class RayWeatherEffect {
 public:
-    virtual ~EffectOnRays() = default;
+    virtual ~RayWeatherEffect() = default;
     /// Changes the return of the surface that a ray hits, before the air attenuates the
     /// light.
-    virtual void change_surface(RayInAir& /*ray*/) const {}
+    virtual void modify_surface_return(RayWeatherState& /*ray*/) const {}
     /// Adds the possible returns that the effect causes on a ray, for example from
     /// raindrops.
-    virtual void add_returns(Candidates& /*candidates*/, const RayInAir& /*ray*/, Random& /*random*/) const {}
+    virtual void append_effect_returns(EchoCandidates& /*candidates*/, const RayWeatherState& /*ray*/,
+                                       Random& /*random*/) const {}
 };
 
 /// The strongest return of a ray, and the second return if the sensor reports two
 /// returns.
-struct RayEchoes {
-    Echo strongest, second;
+struct EchoPair {
+    LidarEcho strongest, second;
 };
 
 /// Simulates what a sensor measures along a ray in weather. The air attenuates the return
 /// of the surface, and weather effects add their own returns.
-class Air {
+class WeatherRaySimulator {
 public:
     /// Creates the weather effects for the rays of a scan.
     /// @throws UsageError if the weather is invalid, like check_weather()
-    explicit Air(const WeatherInput& input);
+    explicit WeatherRaySimulator(const WeatherInput& input);
     /// Creates the simulation with a given list of weather effects.
-    Air(const Weather& weather, const WeatherSensor& sensor,
-        std::vector<std::unique_ptr<EffectOnRays>> effects);
+    WeatherRaySimulator(const Weather& weather, const WeatherSensorProperties& sensor,
+                        std::vector<std::unique_ptr<RayWeatherEffect>> effects);
     /// Computes the returns that the sensor measures along a ray. Normally, the second
     /// return is the last one. If the strongest return is also the last, the second
     /// return is the second strongest. Both returns are at least `separation_m` apart.
     /// Returns below the detection threshold are left out.
-    RayEchoes compute_echoes(RayInAir ray, std::uint64_t seed) const;
+    EchoPair compute_echoes_in_weather(RayWeatherState ray, std::uint64_t seed) const;
 
 private:
-    const WeatherSensor sensor_;
+    const WeatherSensorProperties sensor_;
     const double alpha_;
-    std::vector<std::unique_ptr<EffectOnRays>> effects_;
+    std::vector<std::unique_ptr<RayWeatherEffect>> effects_;
 
-    double draw_surface_reflectivity(const Echo& surface, Random& random) const;
-    void add_surface(Candidates& candidates, Echo echo, double through_water, Random& random) const;
+    double draw_surface_reflectivity(const LidarEcho& surface_echo, Random& random) const;
+    void append_surface_echo(EchoCandidates& candidates, LidarEcho echo, double wet_ground_brightness,
+                             Random& random) const;
 };
 
 /// Adds a return to the candidates if it is bright enough after the air has attenuated
 /// its light.
 /// @param transmission  share of the light that the air does not absorb or scatter
-/// @param darkest  minimum reflectivity of the object
-void add_echo(Candidates& candidates, Echo echo, const WeatherSensor& sensor, double transmission,
-              double darkest = 0.0);
+/// @param min_reflectivity  minimum reflectivity of the object
+void append_echo_if_detectable(EchoCandidates& candidates, LidarEcho echo,
+                               const WeatherSensorProperties& sensor, double transmission,
+                               double min_reflectivity = 0.0);
 
 /// Adds weather to a scan. Surfaces become darker, or their rays are dropped. Where the
 /// weather itself causes a return, the ray gets the range and intensity of this return.
@@ -121,6 +126,6 @@ void add_echo(Candidates& candidates, Echo echo, const WeatherSensor& sensor, do
 /// cause of each return. In clear air, nothing else changes. The result depends only on
 /// seed and time, not on the number of threads.
 /// @param scan  the scan of the input
-void add_weather(RenderedScan& scan, const WeatherInput& input);
+void add_weather_to_scan(RenderedScan& scan, const WeatherInput& weather_input);
 
 }  // namespace relidar

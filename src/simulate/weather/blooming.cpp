@@ -30,37 +30,37 @@ constexpr double kPerRad = 180.0 / kPi;
 
 /// A cell of one square degree, with the number of its rays and the number of rays that
 /// hit a retro-reflector.
-struct Square {
+struct DirectionCell {
     int rays = 0, reflectors = 0;
     glm::dvec3 direction{0.0};  // sum of the directions of the rays that hit a reflector
     double range_m = 0.0;
 };
-struct Reflector {
+struct RetroReflector {
     glm::dvec3 direction;
     double range_m, deg2;
 };
 
-std::pair<int, int> find_image_square(const glm::dvec3& direction) {
+std::pair<int, int> compute_square_degree_cell(const glm::dvec3& direction) {
     const double row = std::floor(std::asin(std::clamp(direction.z, -1.0, 1.0)) * kPerRad);
     const double around = std::atan2(direction.y, direction.x) * kPerRad * std::cos((row + 0.5) / kPerRad);
     return {int(row), int(std::floor(around))};
 }
 
-bool is_reflector(const RenderedScan& scan, std::size_t ray) {
-    return is_returned(scan.image.drop_prob[ray], scan.median_range_m[ray]) &&
-           scan.image.intensity[ray] >= kSaturated;
+bool is_retro_reflector_hit(const RenderedScan& scan, std::size_t ray_index) {
+    return is_ray_returned(scan.image.drop_prob[ray_index], scan.median_range_m[ray_index]) &&
+           scan.image.intensity[ray_index] >= kSaturated;
 }
 
-std::vector<Reflector> find_reflectors(const RenderedScan& scan) {
-    std::map<std::pair<int, int>, Square> squares;
+std::vector<RetroReflector> find_retro_reflectors(const RenderedScan& scan) {
+    std::map<std::pair<int, int>, DirectionCell> squares;
     for (std::size_t i = 0; i < scan.image.direction.size(); ++i) {
         const glm::dvec3 direction(scan.image.direction[i]);
-        Square& square = squares[find_image_square(direction)];
+        DirectionCell& square = squares[compute_square_degree_cell(direction)];
         ++square.rays;
-        if (!is_reflector(scan, i)) continue;
+        if (!is_retro_reflector_hit(scan, i)) continue;
         ++square.reflectors, square.direction += direction, square.range_m += double(scan.median_range_m[i]);
     }
-    std::vector<Reflector> reflectors;
+    std::vector<RetroReflector> reflectors;
     for (const auto& [place, square] : squares)
         if (square.reflectors > 0)
             reflectors.push_back({glm::normalize(square.direction), square.range_m / square.reflectors,
@@ -70,20 +70,21 @@ std::vector<Reflector> find_reflectors(const RenderedScan& scan) {
 
 /// Returns the stray light that a ray in this direction receives from all reflectors. It
 /// still has to be multiplied by the random factor X and by the setting `bloom`.
-Echo find_brightest_stray_light(const std::vector<Reflector>& reflectors, const glm::dvec3& direction) {
+LidarEcho compute_stray_light_echo(const std::vector<RetroReflector>& reflectors,
+                                   const glm::dvec3& ray_direction) {
     std::vector<double> share;
     std::size_t most = 0;
     const auto power = [&](std::size_t index) {
         return share[index] / (reflectors[index].range_m * reflectors[index].range_m);
     };
-    for (const Reflector& reflector : reflectors) {
+    for (const RetroReflector& reflector : reflectors) {
         const double off_deg =
-            std::max(std::acos(std::clamp(glm::dot(reflector.direction, direction), -1.0, 1.0)) * kPerRad,
+            std::max(std::acos(std::clamp(glm::dot(reflector.direction, ray_direction), -1.0, 1.0)) * kPerRad,
                      kNearest_deg);
         share.push_back(reflector.deg2 / (off_deg * off_deg * off_deg));
         if (power(share.size() - 1) > power(most)) most = share.size() - 1;
     }
-    Echo echo{reflectors[most].range_m, 0.0, PointSource::blooming};
+    LidarEcho echo{reflectors[most].range_m, 0.0, ReturnCause::blooming};
     for (std::size_t i = 0; i < share.size(); ++i)
         if (std::abs(reflectors[i].range_m - echo.range_m) < kSameRange_m) echo.reflectivity += share[i];
     return echo;
@@ -93,55 +94,60 @@ Echo find_brightest_stray_light(const std::vector<Reflector>& reflectors, const 
 /// at least kSaturated are reflectors. The brightest reflector determines the range.
 /// @return [rays] returns; a single ray without stray light has an empty return; an empty
 /// list if there are no reflectors
-std::vector<Echo> compute_stray_light(const WeatherInput& input) {
+std::vector<LidarEcho> compute_stray_light_per_ray(const WeatherInput& input) {
     const RenderedScan& scan = input.scan;
-    const std::vector<Reflector> reflectors = find_reflectors(scan);
+    const std::vector<RetroReflector> reflectors = find_retro_reflectors(scan);
     if (reflectors.empty()) return {};
     const std::uint64_t of_scan =
-        combine_hashes(combine_hashes(input.seed, std::bit_cast<std::uint64_t>(scan.time_s)), kOfBeams);
-    std::vector<Echo> stray(scan.image.direction.size());
-    for_each_block(stray.size(), [&](std::size_t ray) {
-        if (is_reflector(scan, ray)) return;
-        stray[ray] = find_brightest_stray_light(reflectors, glm::dvec3(scan.image.direction[ray]));
+        hash_integer_pair(hash_integer_pair(input.seed, std::bit_cast<std::uint64_t>(scan.time_s)), kOfBeams);
+    std::vector<LidarEcho> stray(scan.image.direction.size());
+    parallel_for_in_blocks(stray.size(), [&](std::size_t ray) {
+        if (is_retro_reflector_hit(scan, ray)) return;
+        stray[ray] = compute_stray_light_echo(reflectors, glm::dvec3(scan.image.direction[ray]));
         stray[ray].reflectivity *=
             input.weather.bloom *
-            std::exp(kSpread * Random(combine_hashes(of_scan, scan.ring[ray])).normal());
+            std::exp(kSpread * Random(hash_integer_pair(of_scan, scan.ring[ray])).draw_standard_normal());
     });
     return stray;
 }
 
-class BloomingOnRays : public EffectOnRays {
+class BloomingEffect : public RayWeatherEffect {
 public:
-    BloomingOnRays(const WeatherInput& input, std::vector<Echo> stray)
-        : sensor_(input.sensor), alpha_(compute_extinction(input.weather)), stray_(std::move(stray)) {}
+    BloomingEffect(const WeatherInput& input, std::vector<LidarEcho> stray)
+        : sensor_(input.sensor),
+          alpha_(compute_extinction_coefficient(input.weather)),
+          stray_(std::move(stray)) {}
 
-    void add_returns(Candidates& candidates, const RayInAir& ray, Random&) const override {
-        const Echo& echo = stray_[ray.index];
-        if (ray.free_m > 0.0) add_echo(candidates, echo, sensor_, std::exp(-2.0 * alpha_ * echo.range_m));
+    void append_effect_returns(EchoCandidates& candidates, const RayWeatherState& ray,
+                               Random&) const override {
+        const LidarEcho& echo = stray_[ray.index];
+        if (ray.free_m > 0.0)
+            append_echo_if_detectable(candidates, echo, sensor_, std::exp(-2.0 * alpha_ * echo.range_m));
     }
 
 private:
-    const WeatherSensor sensor_;
+    const WeatherSensorProperties sensor_;
     const double alpha_;
-    const std::vector<Echo> stray_;  // [rays] echo of the stray light
+    const std::vector<LidarEcho> stray_;  // [rays] echo of the stray light
 };
 
-constexpr WeatherNumber kBloomNumbers[] = {
+constexpr WeatherParameter kBloomNumbers[] = {
     {[](Weather& weather) -> double& { return weather.bloom; }, 0.0, 1.0, 1.2e-4}};
 
 }  // namespace
 
-const WeatherEffect kBlooming{.name = "bloom",
-                              .form = "bloom[=REFLECTIVITY]",
-                              .meaning = "stray light of reflectors",
-                              .expected = "a reflectivity of 0 to 1",
-                              .examples = "bloom",
-                              .numbers = kBloomNumbers,
-                              .n_required = 0,
-                              .prepare = [](const WeatherInput& input) -> std::unique_ptr<EffectOnRays> {
-                                  std::vector<Echo> stray = compute_stray_light(input);
-                                  if (stray.empty()) return nullptr;
-                                  return std::make_unique<BloomingOnRays>(input, std::move(stray));
-                              }};
+const WeatherEffectEntry kBlooming{
+    .name = "bloom",
+    .form = "bloom[=REFLECTIVITY]",
+    .meaning = "stray light of reflectors",
+    .expected = "a reflectivity of 0 to 1",
+    .examples = "bloom",
+    .numbers = kBloomNumbers,
+    .n_required = 0,
+    .prepare = [](const WeatherInput& input) -> std::unique_ptr<RayWeatherEffect> {
+        std::vector<LidarEcho> stray = compute_stray_light_per_ray(input);
+        if (stray.empty()) return nullptr;
+        return std::make_unique<BloomingEffect>(input, std::move(stray));
+    }};
 
 }  // namespace relidar

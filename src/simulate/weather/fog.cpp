@@ -27,46 +27,49 @@ constexpr double kRareFog = 5.0;
 
 double compute_fog_extinction(const Weather& weather) { return std::log(20.0) / weather.fog_visibility_m; }
 
-class FogOnRays : public EffectOnRays {
+class FogEffect : public RayWeatherEffect {
 public:
-    explicit FogOnRays(const WeatherInput& input)
+    explicit FogEffect(const WeatherInput& input)
         : sensor_(input.sensor),
-          alpha_(compute_extinction(input.weather)),
+          alpha_(compute_extinction_coefficient(input.weather)),
           visibility_m_(input.weather.fog_visibility_m) {
         const double thickest = std::exp(kFogSpread * (kRareFog - 0.5 * kFogSpread)),
-                     rises_to_m = compute_nearest_m(sensor_) + compute_pulse_length_m(sensor_);
+                     rises_to_m = compute_min_air_return_range_m(sensor_) + compute_pulse_length_m(sensor_);
         bool shows = true;
-        for (double r = compute_nearest_m(sensor_); shows && r <= sensor_.max_range_m + kFogStep_m;
-             r += kFogStep_m) {
-            power_.push_back(compute_power(r));
-            shows = r < rises_to_m || power_.back() * thickest > sensor_.compute_min_power();
+        for (double r = compute_min_air_return_range_m(sensor_);
+             shows && r <= sensor_.max_range_m + kFogStep_m; r += kFogStep_m) {
+            power_.push_back(compute_mean_fog_power(r));
+            shows = r < rises_to_m || power_.back() * thickest > sensor_.compute_min_detectable_power();
         }
     }
 
-    void add_returns(Candidates& candidates, const RayInAir& ray, Random& random) const override {
+    void append_effect_returns(EchoCandidates& candidates, const RayWeatherState& ray,
+                               Random& random) const override {
         if (power_.empty()) return;
-        const double stretch_m = 0.5 * compute_pulse_length_m(sensor_), first_m = compute_nearest_m(sensor_);
+        const double stretch_m = 0.5 * compute_pulse_length_m(sensor_),
+                     first_m = compute_min_air_return_range_m(sensor_);
         for (double begin_m = first_m; begin_m < ray.free_m; begin_m += stretch_m) {
-            const double range_m = begin_m + stretch_m * random.uniform(),
-                         place = (range_m - first_m) / kFogStep_m;
-            const auto k = std::size_t(place);
+            const double range_m = begin_m + stretch_m * random.draw_uniform(),
+                         table_position = (range_m - first_m) / kFogStep_m;
+            const auto k = std::size_t(table_position);
             if (range_m >= ray.free_m || k + 1 >= power_.size()) return;
-            const double mean = std::lerp(power_[k], power_[k + 1], place - double(k));
-            const double power = mean * std::exp(kFogSpread * (random.normal() - 0.5 * kFogSpread));
-            if (power >= sensor_.threshold(range_m))
-                candidates.push_back({{range_m, power * range_m * range_m, PointSource::fog}, power});
+            const double mean = std::lerp(power_[k], power_[k + 1], table_position - double(k));
+            const double power =
+                mean * std::exp(kFogSpread * (random.draw_standard_normal() - 0.5 * kFogSpread));
+            if (power >= sensor_.compute_detection_threshold(range_m))
+                candidates.push_back({{range_m, power * range_m * range_m, ReturnCause::fog}, power});
         }
     }
 
 private:
-    const WeatherSensor sensor_;
+    const WeatherSensorProperties sensor_;
     const double alpha_, visibility_m_;
     // [k] mean power that fog reflects at the minimum range plus k range steps
     std::vector<double> power_;
 
     /// Returns the mean power that fog reflects from a range. Integrates over the pulse
     /// with the midpoint rule.
-    double compute_power(double range_m) const {
+    double compute_mean_fog_power(double range_m) const {
         constexpr int kParts = 32;
         const double width_m = compute_pulse_length_m(sensor_), part_m = width_m / kParts;
         double sum = 0.0;
@@ -79,19 +82,19 @@ private:
     }
 };
 
-constexpr WeatherNumber kFogNumbers[] = {
+constexpr WeatherParameter kFogNumbers[] = {
     {[](Weather& weather) -> double& { return weather.fog_visibility_m; }, 1.0, 1e6}};
 
 }  // namespace
 
-const WeatherEffect kFog{.name = "fog",
-                         .form = "fog=VISIBILITY_m",
-                         .expected = "a visibility of 1 to 1e6 metres",
-                         .examples = "fog=200 fog=50",
-                         .numbers = kFogNumbers,
-                         .extinction = compute_fog_extinction,
-                         .prepare = [](const WeatherInput& input) -> std::unique_ptr<EffectOnRays> {
-                             return std::make_unique<FogOnRays>(input);
-                         }};
+const WeatherEffectEntry kFog{.name = "fog",
+                              .form = "fog=VISIBILITY_m",
+                              .expected = "a visibility of 1 to 1e6 metres",
+                              .examples = "fog=200 fog=50",
+                              .numbers = kFogNumbers,
+                              .extinction = compute_fog_extinction,
+                              .prepare = [](const WeatherInput& input) -> std::unique_ptr<RayWeatherEffect> {
+                                  return std::make_unique<FogEffect>(input);
+                              }};
 
 }  // namespace relidar

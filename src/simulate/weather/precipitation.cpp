@@ -19,8 +19,8 @@ namespace {
 constexpr double kParticleStep_m = 0.05;  // Range step in metres of the table of particle counts.
 
 /// Size distribution and reflectivity of raindrops or snowflakes.
-struct Particles {
-    PointSource source;
+struct ParticleDistribution {
+    ReturnCause source;
     double per_m3_mm;     // N0
     double slope_per_mm;  // Lambda
     double widening;      // ratio of the particle's diameter to its diameter after melting
@@ -29,52 +29,53 @@ struct Particles {
 
 /// Returns the size distribution of raindrops (Marshall and Palmer 1948). A drop reflects
 /// as much light as a water surface at normal incidence, ((n - 1) / (n + 1))^2.
-Particles make_rain_drops(const Weather& weather) {
-    return {PointSource::rain, 8000.0, 4.1 * std::pow(weather.rain_mm_h, -0.21), 1.0, 0.02};
+ParticleDistribution make_rain_drop_distribution(const Weather& weather) {
+    return {ReturnCause::rain, 8000.0, 4.1 * std::pow(weather.rain_mm_h, -0.21), 1.0, 0.02};
 }
 
 /// Returns the size distribution of snowflakes by the diameter of the melted flake (Gunn
 /// and Marshall 1958). A flake is wider than its melted drop, because the density of a
 /// flake is a tenth of the density of water.
-Particles make_snow_flakes(const Weather& weather) {
-    return {PointSource::snow, 3.8e3 * std::pow(weather.snow_mm_h, -0.87),
+ParticleDistribution make_snow_flake_distribution(const Weather& weather) {
+    return {ReturnCause::snow, 3.8e3 * std::pow(weather.snow_mm_h, -0.87),
             2.55 * std::pow(weather.snow_mm_h, -0.48), std::cbrt(10.0), 0.25};
 }
 
-template <Particles (*particles_of)(const Weather&)>
+template <ParticleDistribution (*particles_of)(const Weather&)>
 double compute_particle_extinction(const Weather& weather) {
-    const Particles p = particles_of(weather);
+    const ParticleDistribution p = particles_of(weather);
     return kPi * p.per_m3_mm * 1e-6 * p.widening * p.widening / std::pow(p.slope_per_mm, 3);
 }
 
-class ParticlesOnRays : public EffectOnRays {
+class PrecipitationEffect : public RayWeatherEffect {
 public:
-    ParticlesOnRays(const WeatherInput& input, const Particles& particles)
-        : sensor_(input.sensor), alpha_(compute_extinction(input.weather)), falling_(particles) {
+    PrecipitationEffect(const WeatherInput& input, const ParticleDistribution& particles)
+        : sensor_(input.sensor), alpha_(compute_extinction_coefficient(input.weather)), falling_(particles) {
         double expected = 0.0, before = 0.0;
-        for (double r = compute_nearest_m(sensor_); r <= sensor_.max_range_m + kParticleStep_m;
+        for (double r = compute_min_air_return_range_m(sensor_); r <= sensor_.max_range_m + kParticleStep_m;
              r += kParticleStep_m) {
             const double area = 0.25 * kPi * compute_beam_diameter_m(sensor_, r) *
                                 compute_beam_diameter_m(sensor_, r),
                          density = area * falling_.per_m3_mm / falling_.slope_per_mm *
-                                   std::exp(-falling_.slope_per_mm * compute_smallest_mm(r));
+                                   std::exp(-falling_.slope_per_mm * compute_min_detectable_diameter_mm(r));
             if (!expected_.empty()) expected += 0.5 * (before + density) * kParticleStep_m;
             before = density;
             expected_.push_back(expected);
         }
     }
 
-    void add_returns(Candidates& candidates, const RayInAir& ray, Random& random) const override {
+    void append_effect_returns(EchoCandidates& candidates, const RayWeatherState& ray,
+                               Random& random) const override {
         if (expected_.empty()) return;
-        const auto waiting = [&random] { return -std::log(1.0 - random.uniform()); };
+        const auto waiting = [&random] { return -std::log(1.0 - random.draw_uniform()); };
         for (double n = waiting(); n < expected_.back(); n += waiting()) {
             const auto next = std::ranges::upper_bound(expected_, n);
             const double part = (n - *(next - 1)) / (*next - *(next - 1));
-            const double range_m = compute_nearest_m(sensor_) +
+            const double range_m = compute_min_air_return_range_m(sensor_) +
                                    (double(next - expected_.begin()) - 1.0 + part) * kParticleStep_m;
             if (range_m >= std::min(ray.free_m, sensor_.max_range_m)) return;
-            const double wide_mm =
-                falling_.widening * (compute_smallest_mm(range_m) + waiting() / falling_.slope_per_mm);
+            const double wide_mm = falling_.widening * (compute_min_detectable_diameter_mm(range_m) +
+                                                        waiting() / falling_.slope_per_mm);
             const double share = std::min(1e-3 * wide_mm / compute_beam_diameter_m(sensor_, range_m), 1.0),
                          reflectivity =
                              falling_.reflectivity * share * share * std::exp(-2.0 * alpha_ * range_m);
@@ -84,9 +85,9 @@ public:
     }
 
 private:
-    const WeatherSensor sensor_;
+    const WeatherSensorProperties sensor_;
     const double alpha_;
-    const Particles falling_;
+    const ParticleDistribution falling_;
     // [k] expected number of detectable particles between the minimum range and the
     // minimum range plus k range steps
     std::vector<double> expected_;
@@ -94,40 +95,40 @@ private:
     /// Returns the diameter of the smallest particle that the sensor detects at a range,
     /// in millimetres of liquid water. Returns infinity if even a particle as wide as the
     /// beam reflects too little light.
-    double compute_smallest_mm(double range_m) const {
-        const double share = sensor_.threshold(range_m) * range_m * range_m *
+    double compute_min_detectable_diameter_mm(double range_m) const {
+        const double share = sensor_.compute_detection_threshold(range_m) * range_m * range_m *
                              std::exp(2.0 * alpha_ * range_m) / falling_.reflectivity;
         if (share > 1.0) return std::numeric_limits<double>::infinity();
         return 1e3 * compute_beam_diameter_m(sensor_, range_m) * std::sqrt(share) / falling_.widening;
     }
 };
 
-template <Particles (*particles_of)(const Weather&)>
-std::unique_ptr<EffectOnRays> prepare_particles(const WeatherInput& input) {
-    return std::make_unique<ParticlesOnRays>(input, particles_of(input.weather));
+template <ParticleDistribution (*particles_of)(const Weather&)>
+std::unique_ptr<RayWeatherEffect> make_particle_effect(const WeatherInput& input) {
+    return std::make_unique<PrecipitationEffect>(input, particles_of(input.weather));
 }
 
-constexpr WeatherNumber kRainNumbers[] = {
+constexpr WeatherParameter kRainNumbers[] = {
     {[](Weather& weather) -> double& { return weather.rain_mm_h; }, 0.0, 500.0}};
-constexpr WeatherNumber kSnowNumbers[] = {
+constexpr WeatherParameter kSnowNumbers[] = {
     {[](Weather& weather) -> double& { return weather.snow_mm_h; }, 0.0, 100.0}};
 
 }  // namespace
 
-const WeatherEffect kRain{.name = "rain",
-                          .form = "rain=MM_PER_H",
-                          .expected = "0 to 500 mm/h",
-                          .examples = "rain=5 rain=25",
-                          .numbers = kRainNumbers,
-                          .extinction = compute_particle_extinction<make_rain_drops>,
-                          .prepare = prepare_particles<make_rain_drops>};
-const WeatherEffect kSnow{.name = "snow",
-                          .form = "snow=MM_PER_H",
-                          .meaning = "of melted snow",
-                          .expected = "0 to 100 mm/h of melted snow",
-                          .examples = "snow=1 snow=4",
-                          .numbers = kSnowNumbers,
-                          .extinction = compute_particle_extinction<make_snow_flakes>,
-                          .prepare = prepare_particles<make_snow_flakes>};
+const WeatherEffectEntry kRain{.name = "rain",
+                               .form = "rain=MM_PER_H",
+                               .expected = "0 to 500 mm/h",
+                               .examples = "rain=5 rain=25",
+                               .numbers = kRainNumbers,
+                               .extinction = compute_particle_extinction<make_rain_drop_distribution>,
+                               .prepare = make_particle_effect<make_rain_drop_distribution>};
+const WeatherEffectEntry kSnow{.name = "snow",
+                               .form = "snow=MM_PER_H",
+                               .meaning = "of melted snow",
+                               .expected = "0 to 100 mm/h of melted snow",
+                               .examples = "snow=1 snow=4",
+                               .numbers = kSnowNumbers,
+                               .extinction = compute_particle_extinction<make_snow_flake_distribution>,
+                               .prepare = make_particle_effect<make_snow_flake_distribution>};
 
 }  // namespace relidar

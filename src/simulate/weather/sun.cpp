@@ -45,7 +45,7 @@ glm::dvec3 compute_sun_direction(const Sun& sun) {
 
 /// Returns the angle between each ray of a scan and the direction to the sun, in radians.
 /// Returns an empty list if the scene hides the sun from the sensor.
-std::vector<float> compute_angles_from_sun(const WeatherInput& input) {
+std::vector<float> compute_angles_from_sun_rad(const WeatherInput& input) {
     const RenderedScan& scan = input.scan;
     const glm::dvec3 to_sun = compute_sun_direction(input.weather.sun);
     WorldRays sight;
@@ -53,47 +53,51 @@ std::vector<float> compute_angles_from_sun(const WeatherInput& input) {
     sight.direction.push_back(glm::vec3(to_sun));
     if (input.trace(sight).weight[0] >= kHidesSun) return {};
     std::vector<float> angles;
-    FiringPoses firing(scan);
+    FiringPoseInterpolator firing(scan);
     for (std::size_t i = 0; i < scan.image.direction.size(); ++i) {
-        const glm::dvec3 direction = firing.at(i).rotation * glm::dvec3(scan.image.direction[i]);
+        const glm::dvec3 direction =
+            firing.compute_firing_pose(i).rotation * glm::dvec3(scan.image.direction[i]);
         angles.push_back(static_cast<float>(std::acos(std::clamp(glm::dot(direction, to_sun), -1.0, 1.0))));
     }
     return angles;
 }
 
-class SunlightOnRays : public EffectOnRays {
+class SunlightEffect : public RayWeatherEffect {
 public:
-    SunlightOnRays(const WeatherInput& input, std::vector<float> angles_rad)
+    SunlightEffect(const WeatherInput& input, std::vector<float> angles_rad)
         : sensor_(input.sensor), sun_(input.weather.sun), angles_rad_(std::move(angles_rad)) {}
 
     /// Adds false returns that are caused by noise. Their powers are distributed like the
     /// local maxima of Gaussian noise above the detection threshold: power^2 =
     /// threshold^2 + 2 sigma^2 E, where E is exponentially distributed.
-    void add_returns(Candidates& candidates, const RayInAir& ray, Random& random) const override {
+    void append_effect_returns(EchoCandidates& candidates, const RayWeatherState& ray,
+                               Random& random) const override {
         if (!(ray.free_m > 0.0)) return;
-        const bool meets_surface = ray.strongest.source == PointSource::surface;
+        const bool meets_surface = ray.strongest.source == ReturnCause::surface;
         const double albedo = meets_surface ? std::min(ray.strongest.reflectivity, 1.0) : 0.0;
         const double sigma = compute_sun_noise(sun_, sensor_, double(angles_rad_[ray.index]), albedo,
                                                !meets_surface && ray.free_m >= sensor_.max_range_m);
-        const double per_m = compute_false_return_rate(sensor_, sensor_.compute_min_power() / sigma);
-        const auto waiting = [&random] { return -std::log(1.0 - random.uniform()); };
+        const double per_m =
+            compute_false_return_rate(sensor_, sensor_.compute_min_detectable_power() / sigma);
+        const auto waiting = [&random] { return -std::log(1.0 - random.draw_uniform()); };
         if (!(per_m > 0.0)) return;
-        for (double range_m = compute_nearest_m(sensor_) + waiting() / per_m; range_m < sensor_.max_range_m;
-             range_m += waiting() / per_m) {
-            const double power = std::sqrt(sensor_.compute_min_power() * sensor_.compute_min_power() +
-                                           2.0 * sigma * sigma * waiting());
-            if (power >= sensor_.threshold(range_m))
-                candidates.push_back({{range_m, power * range_m * range_m, PointSource::noise}, power});
+        for (double range_m = compute_min_air_return_range_m(sensor_) + waiting() / per_m;
+             range_m < sensor_.max_range_m; range_m += waiting() / per_m) {
+            const double power =
+                std::sqrt(sensor_.compute_min_detectable_power() * sensor_.compute_min_detectable_power() +
+                          2.0 * sigma * sigma * waiting());
+            if (power >= sensor_.compute_detection_threshold(range_m))
+                candidates.push_back({{range_m, power * range_m * range_m, ReturnCause::noise}, power});
         }
     }
 
 private:
-    const WeatherSensor sensor_;
+    const WeatherSensorProperties sensor_;
     const Sun sun_;
     const std::vector<float> angles_rad_;  // [rays] angle between the ray and the sun
 };
 
-constexpr WeatherNumber kSunNumbers[] = {
+constexpr WeatherParameter kSunNumbers[] = {
     {[](Weather& weather) -> double& { return weather.sun.azimuth_deg; }, -360.0, 360.0},
     {[](Weather& weather) -> double& { return weather.sun.elevation_deg; }, 0.0, 90.0},
     {[](Weather& weather) -> double& { return weather.sun.klux; }, std::numeric_limits<double>::min(), 150.0,
@@ -101,14 +105,14 @@ constexpr WeatherNumber kSunNumbers[] = {
 
 }  // namespace
 
-double compute_sun_noise(const Sun& sun, const WeatherSensor& sensor, double from_sun_rad, double albedo,
-                         bool sees_sky) {
+double compute_sun_noise(const Sun& sun, const WeatherSensorProperties& sensor, double angle_to_sun_rad,
+                         double albedo, bool sees_sky) {
     const double irradiance = kIrradiance * sun.klux / 100.0, half_rad = 0.5 * sensor.divergence_rad;
-    const double off_deg = std::max(from_sun_rad, kSun_rad) / kDegree_rad;
+    const double off_deg = std::max(angle_to_sun_rad, kSun_rad) / kDegree_rad;
     double per_sr = kScatter_sr / (off_deg * off_deg) + albedo / kPi;
     if (sees_sky)
         per_sr +=
-            std::clamp((kSun_rad + half_rad - from_sun_rad) / sensor.divergence_rad, 0.0, 1.0) / kSun_sr;
+            std::clamp((kSun_rad + half_rad - angle_to_sun_rad) / sensor.divergence_rad, 0.0, 1.0) / kSun_sr;
     const double view_sr = kPi * half_rad * half_rad, electrons_per_J = kEfficiency / kPhoton_J;
     const double n =
         irradiance * per_sr * kFilter_nm * view_sr * kReceiver_m2 * sensor.pulse_s * electrons_per_J;
@@ -118,11 +122,12 @@ double compute_sun_noise(const Sun& sun, const WeatherSensor& sensor, double fro
     return std::sqrt(kExcess * n) / of_unit_power;
 }
 
-double compute_false_return_rate(const WeatherSensor& sensor, double level) {
-    return std::exp(-0.5 * level * level) / (std::sqrt(3.0) * kLight_m_s * sensor.pulse_s);
+double compute_false_return_rate(const WeatherSensorProperties& sensor, double threshold_sigmas) {
+    return std::exp(-0.5 * threshold_sigmas * threshold_sigmas) /
+           (std::sqrt(3.0) * kLight_m_s * sensor.pulse_s);
 }
 
-const WeatherEffect kSunlight{
+const WeatherEffectEntry kSunlight{
     .name = "sun",
     .form = "sun=AZIMUTH:ELEVATION[:KLUX]",
     .meaning = "degrees in the dataset's world",
@@ -132,10 +137,10 @@ const WeatherEffect kSunlight{
     .examples = "sun=0:5",
     .numbers = kSunNumbers,
     .n_required = 2,
-    .prepare = [](const WeatherInput& input) -> std::unique_ptr<EffectOnRays> {
-        std::vector<float> angles_rad = compute_angles_from_sun(input);
+    .prepare = [](const WeatherInput& input) -> std::unique_ptr<RayWeatherEffect> {
+        std::vector<float> angles_rad = compute_angles_from_sun_rad(input);
         if (angles_rad.empty()) return nullptr;
-        return std::make_unique<SunlightOnRays>(input, std::move(angles_rad));
+        return std::make_unique<SunlightEffect>(input, std::move(angles_rad));
     }};
 
 }  // namespace relidar

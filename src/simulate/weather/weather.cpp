@@ -21,13 +21,13 @@ namespace relidar {
 namespace {
 
 /// Returns the numbers of a weather effect, for example the rain rate.
-std::vector<double> get_effect_numbers(const WeatherEffect& effect, Weather weather) {
+std::vector<double> get_effect_parameters(const WeatherEffectEntry& effect, Weather weather) {
     std::vector<double> values;
-    for (const WeatherNumber& number : effect.numbers) values.push_back(number.of(weather));
+    for (const WeatherParameter& number : effect.numbers) values.push_back(number.of(weather));
     return values;
 }
 
-bool are_values_valid(const WeatherEffect& effect, const std::vector<double>& values) {
+bool are_effect_values_valid(const WeatherEffectEntry& effect, const std::vector<double>& values) {
     for (std::size_t k = 0; k < values.size(); ++k)
         if (!(values[k] >= effect.numbers[k].least && values[k] <= effect.numbers[k].most)) return false;
     return true;
@@ -35,8 +35,8 @@ bool are_values_valid(const WeatherEffect& effect, const std::vector<double>& va
 
 /// Formats a weather effect as text, for example "rain=5". Leaves out optional numbers
 /// that have their default values.
-std::string get_word(const WeatherEffect& effect, const Weather& weather) {
-    std::vector<double> values = get_effect_numbers(effect, weather);
+std::string format_weather_effect(const WeatherEffectEntry& effect, const Weather& weather) {
+    std::vector<double> values = get_effect_parameters(effect, weather);
     while (values.size() > std::max<std::size_t>(effect.n_required, 1) &&
            values.back() == effect.numbers[values.size() - 1].usual)
         values.pop_back();
@@ -48,15 +48,15 @@ std::string get_word(const WeatherEffect& effect, const Weather& weather) {
 }
 
 /// Returns a text that lists the syntax of all weather effects.
-std::string list_effect_forms() {
+std::string format_effect_syntax_list() {
     std::vector<std::string_view> words;
-    for (const WeatherEffect* effect : kWeatherEffects) words.push_back(effect->form);
+    for (const WeatherEffectEntry* effect : kWeatherEffects) words.push_back(effect->form);
     return fmt::format("{}, or several of them", fmt::join(words, ", "));
 }
 
 /// Parses numbers that are separated by colons.
 /// @return an empty list if a number cannot be read
-std::vector<double> read_numbers(std::string_view text) {
+std::vector<double> parse_colon_separated_numbers(std::string_view text) {
     std::vector<double> values;
     for (bool more = !text.empty(); more;) {
         const std::size_t colon = std::min(text.find(':'), text.size());
@@ -71,62 +71,67 @@ std::vector<double> read_numbers(std::string_view text) {
 }
 
 /// Parses the text of one weather effect, for example "rain=5".
-void parse_weather_word(Weather& weather, std::string_view word) {
-    const std::size_t equals = std::min(word.find('='), word.size());
-    const auto* row = std::ranges::find(kWeatherEffects, word.substr(0, equals), &WeatherEffect::name);
-    if (row == std::end(kWeatherEffects) || (equals == word.size() && (*row)->n_required > 0))
-        throw_weather_error(fmt::format("\"{}\"", make_excerpt(word)), list_effect_forms());
-    const WeatherEffect& effect = **row;
-    if (effect.is_in(weather))
+void parse_weather_effect(Weather& weather, std::string_view effect_text) {
+    const std::size_t equals = std::min(effect_text.find('='), effect_text.size());
+    const auto* row =
+        std::ranges::find(kWeatherEffects, effect_text.substr(0, equals), &WeatherEffectEntry::name);
+    if (row == std::end(kWeatherEffects) || (equals == effect_text.size() && (*row)->n_required > 0))
+        throw_weather_error(fmt::format("\"{}\"", shorten_for_error_message(effect_text)),
+                            format_effect_syntax_list());
+    const WeatherEffectEntry& effect = **row;
+    if (effect.is_active_in(weather))
         throw UsageError(fmt::format("weather: {} occurs twice, expected it once", effect.name));
-    const std::vector<double> values = read_numbers(word.substr(std::min(equals + 1, word.size())));
-    const std::size_t fewest = equals < word.size() ? std::max<std::size_t>(effect.n_required, 1) : 0;
-    if (values.size() < fewest || values.size() > effect.numbers.size() || !are_values_valid(effect, values))
-        throw_weather_error(make_excerpt(word), effect.expected);
+    const std::vector<double> values =
+        parse_colon_separated_numbers(effect_text.substr(std::min(equals + 1, effect_text.size())));
+    const std::size_t fewest = equals < effect_text.size() ? std::max<std::size_t>(effect.n_required, 1) : 0;
+    if (values.size() < fewest || values.size() > effect.numbers.size() ||
+        !are_effect_values_valid(effect, values))
+        throw_weather_error(shorten_for_error_message(effect_text), effect.expected);
     for (std::size_t k = 0; k < effect.numbers.size(); ++k)
         effect.numbers[k].of(weather) = k < values.size() ? values[k] : effect.numbers[k].usual;
 }
 
 }  // namespace
 
-bool WeatherEffect::is_in(const Weather& weather) const {
-    return get_effect_numbers(*this, weather) != get_effect_numbers(*this, {});
+bool WeatherEffectEntry::is_active_in(const Weather& weather) const {
+    return get_effect_parameters(*this, weather) != get_effect_parameters(*this, {});
 }
 
 Weather parse_weather(const std::string& text) {
     Weather weather;
     if (text == "clear") return weather;
-    for (const std::string& word : split_words(text)) parse_weather_word(weather, word);
+    for (const std::string& word : split_comma_separated_list(text)) parse_weather_effect(weather, word);
     check_weather(weather);
     return weather;
 }
 
-std::string to_text(const Weather& weather) {
+std::string format_weather(const Weather& weather) {
     std::vector<std::string> words;
-    for (const WeatherEffect* effect : kWeatherEffects)
-        if (effect->is_in(weather)) words.push_back(get_word(*effect, weather));
+    for (const WeatherEffectEntry* effect : kWeatherEffects)
+        if (effect->is_active_in(weather)) words.push_back(format_weather_effect(*effect, weather));
     return words.empty() ? "clear" : fmt::format("{}", fmt::join(words, ","));
 }
 
 void check_weather(const Weather& weather) {
-    for (const WeatherEffect* effect : kWeatherEffects)
-        if (effect->is_in(weather) && !are_values_valid(*effect, get_effect_numbers(*effect, weather)))
-            throw_weather_error(get_word(*effect, weather), effect->expected);
+    for (const WeatherEffectEntry* effect : kWeatherEffects)
+        if (effect->is_active_in(weather) &&
+            !are_effect_values_valid(*effect, get_effect_parameters(*effect, weather)))
+            throw_weather_error(format_weather_effect(*effect, weather), effect->expected);
     if (weather.rain_mm_h > 0.0 && weather.snow_mm_h > 0.0)
         throw UsageError(fmt::format("weather: found rain={} and snow={}, expected only one of them",
                                      weather.rain_mm_h, weather.snow_mm_h));
 }
 
-double compute_extinction(const Weather& weather) {
+double compute_extinction_coefficient(const Weather& weather) {
     double alpha = 0.0;
-    for (const WeatherEffect* effect : kWeatherEffects)
-        if (effect->extinction && effect->is_in(weather)) alpha += effect->extinction(weather);
+    for (const WeatherEffectEntry* effect : kWeatherEffects)
+        if (effect->extinction && effect->is_active_in(weather)) alpha += effect->extinction(weather);
     return alpha;
 }
 
 std::string make_weather_help() {
     std::vector<std::string> words;
-    for (const WeatherEffect* effect : kWeatherEffects)
+    for (const WeatherEffectEntry* effect : kWeatherEffects)
         words.push_back(effect->meaning.empty() ? std::string(effect->form)
                                                 : fmt::format("{} ({})", effect->form, effect->meaning));
     return fmt::format("{}, or several separated by commas", fmt::join(words, ", "));

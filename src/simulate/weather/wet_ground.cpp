@@ -34,27 +34,27 @@ constexpr double kWidth_m = 0.2;
 
 /// Sums over the points near the lowest height of a grid cell, from which a plane is
 /// fitted. Coordinates are relative to the sensor, along the axes of the world.
-struct Cell {
+struct GroundGridCell {
     double lowest_m = std::numeric_limits<double>::infinity();
     double n = 0.0, zz = 0.0;
     glm::dvec3 sum{0.0};       // sums of x, y, z
     glm::dvec3 squares{0.0};   // sums of xx, xy, yy
     glm::dvec2 products{0.0};  // sums of xz, yz
 
-    void add(const glm::dvec3& point) {
+    void add_point(const glm::dvec3& point) {
         n += 1.0, zz += point.z * point.z, sum += point;
         squares += glm::dvec3(point.x * point.x, point.x * point.y, point.y * point.y),
             products += point.z * glm::dvec2(point);
     }
-    void add(const Cell& other) {
+    void add_cell_sums(const GroundGridCell& other) {
         n += other.n, zz += other.zz, sum += other.sum;
         squares += other.squares, products += other.products;
     }
 };
-using Cells = std::unordered_map<std::uint64_t, Cell>;
+using GroundGrid = std::unordered_map<std::uint64_t, GroundGridCell>;
 
 std::uint64_t make_ground_cell_key(const glm::dvec3& point) {
-    return make_cell_key({point.x, point.y, 0.0}, kCell_m);
+    return compute_grid_cell_key({point.x, point.y, 0.0}, kCell_m);
 }
 
 /// Plane of the ground: z = height + slope . (x, y).
@@ -63,12 +63,12 @@ struct GroundPlane {
     glm::dvec2 slope{0.0};
     bool is_ground = false;
 
-    double above(const glm::dvec3& point) const {
+    double compute_height_above_ground(const glm::dvec3& point) const {
         return point.z - height_m - glm::dot(slope, glm::dvec2(point));
     }
 };
 
-GroundPlane fit_plane(const Cell& cell) {
+GroundPlane fit_ground_plane_to_cell(const GroundGridCell& cell) {
     if (cell.n < kFewest) return {};
     const glm::dvec3 mean = cell.sum / cell.n;
     const double ridge = kWidth_m * kWidth_m, xx = cell.squares.x / cell.n - mean.x * mean.x + ridge,
@@ -86,11 +86,11 @@ GroundPlane fit_plane(const Cell& cell) {
 
 /// Returns the hit point of each ray that hits the background below the sensor, relative
 /// to the sensor. Other rays have NaN.
-std::vector<glm::dvec3> collect_points_below(const RenderedScan& scan) {
+std::vector<glm::dvec3> compute_background_points_below(const RenderedScan& scan) {
     const glm::dvec3 none(std::numeric_limits<double>::quiet_NaN());
     std::vector<glm::dvec3> points(scan.median_range_m.size(), none);
-    for_each_block(points.size(), [&](std::size_t ray) {
-        if (scan.instance[ray] != 0 || !is_returned(scan.image.drop_prob[ray], scan.median_range_m[ray]))
+    parallel_for_in_blocks(points.size(), [&](std::size_t ray) {
+        if (scan.instance[ray] != 0 || !is_ray_returned(scan.image.drop_prob[ray], scan.median_range_m[ray]))
             return;
         const glm::dvec3 of_sensor(scan.image.origin[ray] +
                                    scan.median_range_m[ray] * scan.image.direction[ray]);
@@ -100,8 +100,8 @@ std::vector<glm::dvec3> collect_points_below(const RenderedScan& scan) {
     return points;
 }
 
-Cells fill_cells(const std::vector<glm::dvec3>& points) {
-    Cells cells;
+GroundGrid make_ground_cells(const std::vector<glm::dvec3>& points) {
+    GroundGrid cells;
     for (const glm::dvec3& p : points)
         if (!std::isnan(p.x)) {
             double& lowest_m = cells[make_ground_cell_key(p)].lowest_m;
@@ -109,19 +109,20 @@ Cells fill_cells(const std::vector<glm::dvec3>& points) {
         }
     for (const glm::dvec3& p : points)
         if (!std::isnan(p.x))
-            if (Cell& cell = cells[make_ground_cell_key(p)]; p.z < cell.lowest_m + kLayer_m) cell.add(p);
+            if (GroundGridCell& cell = cells[make_ground_cell_key(p)]; p.z < cell.lowest_m + kLayer_m)
+                cell.add_point(p);
     return cells;
 }
 
 /// Fits a plane to the points in the cell of `point` and in the eight cells around it.
-GroundPlane fit_plane_at(const Cells& cells, const glm::dvec3& point) {
-    Cell together;
+GroundPlane fit_plane_around_point(const GroundGrid& cells, const glm::dvec3& point) {
+    GroundGridCell together;
     for (int dx = -1; dx <= 1; ++dx)
         for (int dy = -1; dy <= 1; ++dy)
             if (const auto cell = cells.find(make_ground_cell_key(point + kCell_m * glm::dvec3(dx, dy, 0)));
                 cell != cells.end())
-                together.add(cell->second);
-    return fit_plane(together);
+                together.add_cell_sums(cell->second);
+    return fit_ground_plane_to_cell(together);
 }
 
 /// Finds the rays that hit level ground below the sensor. Only background points within
@@ -130,17 +131,17 @@ GroundPlane fit_plane_at(const Cells& cells, const glm::dvec3& point) {
 /// ignored.
 /// @return [rays] unit normal of the ground in the world frame of the dataset; 0 for rays
 /// that do not hit ground or have no return
-std::vector<glm::dvec3> estimate_level_ground(const RenderedScan& scan) {
-    const std::vector<glm::dvec3> points = collect_points_below(scan);
-    const Cells cells = fill_cells(points);
+std::vector<glm::dvec3> estimate_level_ground_normals(const RenderedScan& scan) {
+    const std::vector<glm::dvec3> points = compute_background_points_below(scan);
+    const GroundGrid cells = make_ground_cells(points);
     std::unordered_map<std::uint64_t, GroundPlane> planes;
     std::vector<glm::dvec3> normals(points.size(), glm::dvec3(0.0));
     for (std::size_t ray = 0; ray < points.size(); ++ray) {
         const glm::dvec3& p = points[ray];
         if (std::isnan(p.x)) continue;
         const auto [plane, is_new] = planes.try_emplace(make_ground_cell_key(p));
-        if (is_new) plane->second = fit_plane_at(cells, p);
-        if (plane->second.is_ground && std::abs(plane->second.above(p)) < kLayer_m)
+        if (is_new) plane->second = fit_plane_around_point(cells, p);
+        if (plane->second.is_ground && std::abs(plane->second.compute_height_above_ground(p)) < kLayer_m)
             normals[ray] = glm::normalize(glm::dvec3(-plane->second.slope, 1.0));
     }
     return normals;
@@ -148,7 +149,7 @@ std::vector<glm::dvec3> estimate_level_ground(const RenderedScan& scan) {
 
 /// Returns the fraction of diffuse light that a water film reflects. The midpoint rule
 /// computes the integral of 2 c F(c) dc, where c is the cosine and F the reflectance.
-double compute_mean_reflectance() {
+double compute_mean_water_reflectance() {
     constexpr int kParts = 1000;
     double sum = 0.0;
     for (int i = 0; i < kParts; ++i) {
@@ -159,9 +160,9 @@ double compute_mean_reflectance() {
 }
 
 /// Effect of wet ground on a ray that hits the ground.
-struct WetRay {
+struct WetGroundRay {
     double through_water = 1.0;  // brightness of the wet ground relative to the dry ground
-    Echo mirrored{};  // return of the object that the ray hits after the water has mirrored the ray
+    LidarEcho mirrored{};  // return of the object that the ray hits after the water has mirrored the ray
     // share of the light that remains after two reflections at the water: on the way to
     // the object and back
     double mirrors = 0.0;
@@ -180,78 +181,85 @@ constexpr double kLift_m = 0.1;
 // the ground and are ignored.
 constexpr double kLowest_m = 0.3;
 
-// Computes the drop probability of ray `index` from its two logits (method.md, M6).
-float drop_probability(const Rendering& rendering, std::size_t index) {
-    return 1.0f / (1.0f + std::exp(rendering.hit_logit[index] - rendering.drop_logit[index]));
+// Computes the drop probability of ray `ray_index` from its two logits (method.md, M6).
+float compute_drop_probability(const RenderedRayValues& rendering, std::size_t ray_index) {
+    return 1.0f / (1.0f + std::exp(rendering.hit_logit[ray_index] - rendering.drop_logit[ray_index]));
 }
 
 /// Computes the brightness of the wet ground, and the rays that the water mirrors. Leaves
 /// out mirrored rays that return less light than the ground.
-MirroredRays mirror_rays_in_wet_ground(const WeatherInput& input, const std::vector<glm::dvec3>& up,
-                                       std::vector<WetRay>& wet) {
+MirroredRays mirror_rays_in_wet_ground(const WeatherInput& input,
+                                       const std::vector<glm::dvec3>& ground_normals,
+                                       std::vector<WetGroundRay>& wet_rays) {
     const RenderedScan& scan = input.scan;
-    const double share = compute_film_fraction(input.weather.wet_mm);
+    const double share = compute_water_film_fraction(input.weather.wet_mm);
     MirroredRays mirrored;
-    FiringPoses firing(scan);
-    for (std::size_t i = 0; i < up.size(); ++i) {
-        const Pose& pose = firing.at(i);
+    FiringPoseInterpolator firing(scan);
+    for (std::size_t i = 0; i < ground_normals.size(); ++i) {
+        const Pose& pose = firing.compute_firing_pose(i);
         const glm::dvec3 direction = pose.rotation * glm::dvec3(scan.image.direction[i]);
-        const double range_m = scan.median_range_m[i], cosine = -glm::dot(direction, up[i]);
+        const double range_m = scan.median_range_m[i], cosine = -glm::dot(direction, ground_normals[i]);
         if (!(cosine > 0.0)) continue;
-        const double albedo = scan.image.intensity[i] / input.response.at_range(range_m);
-        wet[i].through_water = 1.0 - share + share * compute_wet_to_dry_ratio(cosine, albedo);
-        wet[i].mirrors = share * std::pow(compute_water_reflectance(cosine), 2);
+        const double albedo = scan.image.intensity[i] / input.response.compute_range_factor(range_m);
+        wet_rays[i].through_water = 1.0 - share + share * compute_wet_reflectance_ratio(cosine, albedo);
+        wet_rays[i].mirrors = share * std::pow(compute_water_reflectance(cosine), 2);
         // Skips the mirrored ray if its return cannot be stronger than the return of the
         // ground, which is nearer.
-        if (scan.second_returns.empty() && wet[i].mirrors <= wet[i].through_water * albedo) continue;
-        wet[i].mirrored.range_m = range_m;
+        if (scan.second_returns.empty() && wet_rays[i].mirrors <= wet_rays[i].through_water * albedo)
+            continue;
+        wet_rays[i].mirrored.range_m = range_m;
         const glm::dvec3 foot_m =
             pose * glm::dvec3(scan.image.origin[i]) + range_m * direction - input.world_offset_m;
-        mirrored.rays.origin.push_back(glm::vec3(foot_m + kLift_m * up[i]));
-        mirrored.rays.direction.push_back(glm::vec3(direction + 2.0 * cosine * up[i]));
+        mirrored.rays.origin.push_back(glm::vec3(foot_m + kLift_m * ground_normals[i]));
+        mirrored.rays.direction.push_back(glm::vec3(direction + 2.0 * cosine * ground_normals[i]));
         mirrored.rays.time_s.push_back(scan.time_offset_s[i]);
         mirrored.of_ray.push_back(i);
     }
     return mirrored;
 }
 
-std::vector<WetRay> find_wet_rays(const WeatherInput& input) {
-    const std::vector<glm::dvec3> up = estimate_level_ground(input.scan);
-    std::vector<WetRay> wet(up.size());
+std::vector<WetGroundRay> compute_wet_ground_rays(const WeatherInput& input) {
+    const std::vector<glm::dvec3> up = estimate_level_ground_normals(input.scan);
+    std::vector<WetGroundRay> wet(up.size());
     const auto [rays, of_ray] = mirror_rays_in_wet_ground(input, up, wet);
     if (of_ray.empty()) return wet;
-    const Rendering r = input.trace(rays);
+    const RenderedRayValues r = input.trace(rays);
     for (std::size_t k = 0; k < r.size(); ++k) {
         const double on_m = r.median_depth[k];
         const std::size_t ray = of_ray[k];
-        if (!(on_m > 0.0) || drop_probability(r, k) >= kDropThreshold) continue;
+        if (!(on_m > 0.0) || compute_drop_probability(r, k) >= kDropThreshold) continue;
         if (kLift_m + on_m * glm::dot(glm::dvec3(rays.direction[k]), up[ray]) < kLowest_m) continue;
-        Echo& echo = wet[ray].mirrored;
+        LidarEcho& echo = wet[ray].mirrored;
         echo.range_m += on_m, echo.reflectivity = std::min(double(r.intensity[k]), 1.0),
-                              echo.source = PointSource::mirror;
+                              echo.source = ReturnCause::mirror;
     }
     return wet;
 }
 
-class WetGroundOnRays : public EffectOnRays {
+class WetGroundEffect : public RayWeatherEffect {
 public:
-    explicit WetGroundOnRays(const WeatherInput& input)
-        : sensor_(input.sensor), alpha_(compute_extinction(input.weather)), wet_(find_wet_rays(input)) {}
+    explicit WetGroundEffect(const WeatherInput& input)
+        : sensor_(input.sensor),
+          alpha_(compute_extinction_coefficient(input.weather)),
+          wet_(compute_wet_ground_rays(input)) {}
 
-    void change_surface(RayInAir& ray) const override { ray.through_water = wet_[ray.index].through_water; }
-    void add_returns(Candidates& candidates, const RayInAir& ray, Random&) const override {
+    void modify_surface_return(RayWeatherState& ray) const override {
+        ray.through_water = wet_[ray.index].through_water;
+    }
+    void append_effect_returns(EchoCandidates& candidates, const RayWeatherState& ray,
+                               Random&) const override {
         const auto& [through_water, echo, mirrors] = wet_[ray.index];
-        add_echo(candidates, echo, sensor_, std::exp(-2.0 * alpha_ * echo.range_m) * mirrors,
-                 sensor_.darkest);
+        append_echo_if_detectable(candidates, echo, sensor_, std::exp(-2.0 * alpha_ * echo.range_m) * mirrors,
+                                  sensor_.darkest);
     }
 
 private:
-    const WeatherSensor sensor_;
+    const WeatherSensorProperties sensor_;
     const double alpha_;
-    const std::vector<WetRay> wet_;  // [rays]
+    const std::vector<WetGroundRay> wet_;  // [rays]
 };
 
-constexpr WeatherNumber kWetNumbers[] = {
+constexpr WeatherParameter kWetNumbers[] = {
     {[](Weather& weather) -> double& { return weather.wet_mm; }, 0.0, 10.0}};
 
 }  // namespace
@@ -264,24 +272,27 @@ double compute_water_reflectance(double cosine) {
     return 0.5 * (across * across + along * along);
 }
 
-double compute_wet_to_dry_ratio(double cosine, double albedo) {
+double compute_wet_reflectance_ratio(double cosine, double albedo) {
     // share of the light from the ground that total internal reflection keeps in the
     // water film
-    static const double kept = 1.0 - (1.0 - compute_mean_reflectance()) / (kWater * kWater);
+    static const double trapped_fraction = 1.0 - (1.0 - compute_mean_water_reflectance()) / (kWater * kWater);
     const double passes = 1.0 - compute_water_reflectance(cosine);
-    return passes * passes / (kWater * kWater * (1.0 - std::clamp(albedo, 0.0, 1.0) * kept));
+    return passes * passes / (kWater * kWater * (1.0 - std::clamp(albedo, 0.0, 1.0) * trapped_fraction));
 }
 
-double compute_film_fraction(double wet_mm) { return std::clamp(wet_mm / kTexture_mm, 0.0, 1.0); }
+double compute_water_film_fraction(double water_depth_mm) {
+    return std::clamp(water_depth_mm / kTexture_mm, 0.0, 1.0);
+}
 
-const WeatherEffect kWetGround{.name = "wet",
-                               .form = "wet=MILLIMETRES",
-                               .meaning = "water on level ground",
-                               .expected = "0 to 10 mm of water on the ground",
-                               .examples = "wet=0.5 rain=10,wet=0.5",
-                               .numbers = kWetNumbers,
-                               .prepare = [](const WeatherInput& input) -> std::unique_ptr<EffectOnRays> {
-                                   return std::make_unique<WetGroundOnRays>(input);
-                               }};
+const WeatherEffectEntry kWetGround{
+    .name = "wet",
+    .form = "wet=MILLIMETRES",
+    .meaning = "water on level ground",
+    .expected = "0 to 10 mm of water on the ground",
+    .examples = "wet=0.5 rain=10,wet=0.5",
+    .numbers = kWetNumbers,
+    .prepare = [](const WeatherInput& input) -> std::unique_ptr<RayWeatherEffect> {
+        return std::make_unique<WetGroundEffect>(input);
+    }};
 
 }  // namespace relidar

@@ -19,14 +19,19 @@ namespace relidar {
 namespace {
 // Number of checkpoints that are kept. The older one is used if the newest is damaged by
 // a failure of the machine.
-constexpr int kKept = 2;
+constexpr int kMaxCheckpoints = 2;
 }  // namespace
 
-CheckpointFolder::CheckpointFolder(std::filesystem::path folder, int newest, std::string count,
-                                   const std::function<void(const std::string&)>& note)
-    : folder_(std::move(folder)), newest_(newest), count_(std::move(count)), note_(note) {}
+CheckpointFolder::CheckpointFolder(std::filesystem::path folder, int newest_iteration,
+                                   std::string iteration_noun,
+                                   const std::function<void(const std::string&)>& report_note)
+    : folder_(std::move(folder)),
+      newest_(newest_iteration),
+      count_(std::move(iteration_noun)),
+      note_(report_note) {}
 
-void CheckpointFolder::save(Checkpoint checkpoint, const std::function<void(Checkpoint&)>& fill) {
+void CheckpointFolder::save_checkpoint_or_report(Checkpoint checkpoint,
+                                                 const std::function<void(Checkpoint&)>& add_state) {
     const int iteration = checkpoint.iteration;
     const auto failed = [&](const std::string& why) {
         const std::string safe = newest_ > 0
@@ -36,7 +41,7 @@ void CheckpointFolder::save(Checkpoint checkpoint, const std::function<void(Chec
             note_(fmt::format("cannot write the checkpoint of {} {} ({}): {}", count_, iteration, safe, why));
     };
     try {
-        fill(checkpoint);
+        add_state(checkpoint);
     } catch (const std::bad_alloc&) {
         return failed("out of memory");
     }
@@ -46,41 +51,42 @@ void CheckpointFolder::save(Checkpoint checkpoint, const std::function<void(Chec
         throw DataError(fmt::format("training failed at {} {}: {}", count_, iteration, error.what()));
     }
     try {
-        save_checkpoint(folder_, checkpoint, kKept);
+        save_checkpoint(folder_, checkpoint, kMaxCheckpoints);
         newest_ = iteration;
     } catch (const DataError& error) {
         failed(error.what());
     }
 }
 
-CheckpointKeeper::CheckpointKeeper(const Sequence& sequence, const Split& split, const Config& config,
-                                   const TrainSession& session)
+CheckpointKeeper::CheckpointKeeper(const LidarSequence& sequence, const TrainTestSplit& split,
+                                   const Config& config, const TrainSession& session)
     : config_(config.train),
       folder_(session.checkpoints, session.start ? session.start->iteration : 0, "iteration", session.note) {
-    if (folder_.wanted())
+    if (folder_.is_enabled())
         texts_ = std::async(std::launch::async, [&sequence, &split, &config] {
-            return make_training_texts(sequence, split, config);
+            return list_settings_and_fingerprints(sequence, split, config);
         });
 }
 
-bool CheckpointKeeper::should_save(int step) const {
-    if (!folder_.wanted()) return false;
+bool CheckpointKeeper::should_save_checkpoint(int step) const {
+    if (!folder_.is_enabled()) return false;
     const std::chrono::duration<double> since_last = Clock::now() - last_;
     const bool by_count = config_.checkpoint_every > 0 && step % config_.checkpoint_every == 0;
     const bool by_time =
         config_.checkpoint_minutes > 0.0 && since_last.count() >= 60.0 * config_.checkpoint_minutes;
-    return by_count || by_time || (step == config_.iterations && folder_.newest() > 0);
+    return by_count || by_time || (step == config_.iterations && folder_.get_newest_iteration() > 0);
 }
 
-void CheckpointKeeper::save(TrainLoop& loop, const TrainResult& result, double train_s) {
+void CheckpointKeeper::save_training_state(TrainLoop& loop, const TrainResult& result,
+                                           double training_time_s) {
     // Sets the time before writing. If the disk is full, the next attempt is then made
     // when the next checkpoint should be written, not immediately.
     last_ = Clock::now();
-    if (!folder_.wanted()) return;
-    folder_.save({result.iterations, texts_.get(), {}}, [&](Checkpoint& checkpoint) {
-        StateWriter write(checkpoint);
-        loop.save(checkpoint);
-        write_result(write, result, train_s);
+    if (!folder_.is_enabled()) return;
+    folder_.save_checkpoint_or_report({result.iterations, texts_.get(), {}}, [&](Checkpoint& checkpoint) {
+        CheckpointWriter write(checkpoint);
+        loop.save_state(checkpoint);
+        write_training_result(write, result, training_time_s);
     });
 }
 

@@ -24,20 +24,21 @@ public:
     /// Opens the folder. Keeps the two newest checkpoints, because a failure of the
     /// machine can damage the newest.
     /// @param folder  path of the folder; if empty, no checkpoint is written
-    /// @param newest  iteration of the newest checkpoint in the folder, or 0 if there is
-    /// none
-    /// @param count  name of an iteration in messages, for example "iteration" or "step"
-    CheckpointFolder(std::filesystem::path folder, int newest, std::string count,
-                     const std::function<void(const std::string&)>& note);
+    /// @param newest_iteration  iteration of the newest checkpoint in the folder, or 0 if
+    /// there is none
+    /// @param iteration_noun  name of an iteration in messages, for example "iteration"
+    /// or "step"
+    CheckpointFolder(std::filesystem::path folder, int newest_iteration, std::string iteration_noun,
+                     const std::function<void(const std::string&)>& report_note);
 
-    bool wanted() const { return !folder_.empty(); }
-    int newest() const { return newest_; }
+    bool is_enabled() const { return !folder_.empty(); }
+    int get_newest_iteration() const { return newest_; }
     /// Writes a checkpoint. If the disk or the memory is full, it prints a note and
     /// training continues.
-    /// @param fill  adds the state to the checkpoint
+    /// @param add_state  adds the state to the checkpoint
     /// @throws DataError if the state contains NaN or infinity, because training could
     /// not continue from it
-    void save(Checkpoint checkpoint, const std::function<void(Checkpoint&)>& fill);
+    void save_checkpoint_or_report(Checkpoint checkpoint, const std::function<void(Checkpoint&)>& add_state);
 
 private:
     const std::filesystem::path folder_;
@@ -48,18 +49,18 @@ private:
 
 class CheckpointKeeper {
 public:
-    CheckpointKeeper(const Sequence& sequence, const Split& split, const Config& config,
+    CheckpointKeeper(const LidarSequence& sequence, const TrainTestSplit& split, const Config& config,
                      const TrainSession& session);
 
     /// Returns true if a checkpoint must be written after this iteration. Checkpoints are
     /// written after a fixed number of iterations or minutes. If the folder already has a
     /// checkpoint, the last iteration also gets one.
-    bool should_save(int step) const;
+    bool should_save_checkpoint(int step) const;
     /// Writes the state after result.iterations to a checkpoint. If the disk is full, it
     /// prints a note and training continues.
     /// @throws DataError if the state contains NaN or infinity, because training could
     /// not continue from it
-    void save(TrainLoop& loop, const TrainResult& result, double train_s);
+    void save_training_state(TrainLoop& loop, const TrainResult& result, double training_time_s);
 
 private:
     using Clock = std::chrono::steady_clock;

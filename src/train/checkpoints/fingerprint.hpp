@@ -18,29 +18,31 @@ namespace relidar {
 
 /// A property that must not change when training is resumed: its key in a checkpoint, its
 /// name in messages, and its current value.
-struct Mark {
+struct ResumeFingerprint {
     std::string key, what, value;
 };
 
 /// Returns hashes of a log and of the scans of its training frames. If two logs differ,
 /// the first hash that differs is the best explanation.
-std::vector<Mark> list_marks(const Sequence& sequence, const Split& split);
+std::vector<ResumeFingerprint> compute_log_fingerprints(const LidarSequence& sequence,
+                                                        const TrainTestSplit& split);
 /// Returns a hash of all surfels of a scene, including its blocks.
 /// @throws DataError if the file of a block is invalid
-Mark hash_scene_surfels(const Scene& scene);
+ResumeFingerprint compute_scene_fingerprint(const Scene& scene);
 
 /// Adds a setting or a hash to the key-value texts of a checkpoint.
 void add_checkpoint_text(const ConfigKey& setting, std::map<std::string, std::string>& texts);
-void add_checkpoint_text(const Mark& mark, std::map<std::string, std::string>& texts);
+void add_checkpoint_text(const ResumeFingerprint& fingerprint, std::map<std::string, std::string>& texts);
 /// Compares settings or a hash with the values in a checkpoint.
-/// @param action  start of the error message
+/// @param error_prefix  start of the error message
 /// @throws UsageError if a setting has another value
 /// @throws DataError if a setting is missing or a hash differs
-void check_same(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint,
-                const std::string& action);
-void check_same(const Checkpoint& checkpoint, const Mark& mark, const std::string& action);
+void check_same_as_checkpoint(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint,
+                              const std::string& error_prefix);
+void check_same_as_checkpoint(const Checkpoint& checkpoint, const ResumeFingerprint& fingerprint,
+                              const std::string& error_prefix);
 /// Returns the settings in a checkpoint, by key.
 /// @throws DataError for an unknown key
-std::map<std::string, std::string> read_settings(const Checkpoint& checkpoint);
+std::map<std::string, std::string> read_checkpoint_settings(const Checkpoint& checkpoint);
 
 }  // namespace relidar

@@ -34,9 +34,9 @@ constexpr std::array kFree{"dataset.path",
                            "sensor.grid_method",
                            "trace.chunk"};
 
-bool is_free(const std::string& key) {
-    return std::find(kFree.begin(), kFree.end(), key) != kFree.end() ||
-           std::ranges::any_of(kFollows, [&](const char* group) { return key.starts_with(group); });
+bool can_change_on_resume(const std::string& setting_key) {
+    return std::find(kFree.begin(), kFree.end(), setting_key) != kFree.end() ||
+           std::ranges::any_of(kFollows, [&](const char* group) { return setting_key.starts_with(group); });
 }
 
 /// Training log with one array per column, as stored in a checkpoint.
@@ -59,52 +59,56 @@ struct LogColumns {
     }
 };
 
-TrainProgress make_progress_line(int step, const Config& config, double seconds,
-                                 const std::array<double, kLossTerms>& terms, std::uint32_t n_surfels) {
+TrainProgress make_progress_line(int step, const Config& config, double elapsed_s,
+                                 const std::array<double, kLossTerms>& loss_terms, std::uint32_t n_surfels) {
     TrainProgress p;
     p.iteration = step;
     p.n_iterations = config.train.iterations;
-    p.seconds = seconds;
-    p.iterations_per_second = step / std::max(seconds, 1e-9);
-    p.terms = terms;
-    p.loss = std::accumulate(terms.begin(), terms.end(), 0.0);
+    p.seconds = elapsed_s;
+    p.iterations_per_second = step / std::max(elapsed_s, 1e-9);
+    p.terms = loss_terms;
+    p.loss = std::accumulate(loss_terms.begin(), loss_terms.end(), 0.0);
     p.n_surfels = n_surfels;
     return p;
 }
 
 }  // namespace
 
-std::map<std::string, std::string> make_training_texts(const Sequence& sequence, const Split& split,
-                                                       const Config& config) {
+std::map<std::string, std::string> list_settings_and_fingerprints(const LidarSequence& sequence,
+                                                                  const TrainTestSplit& split,
+                                                                  const Config& config) {
     std::map<std::string, std::string> texts;
     for (const ConfigKey& key : list_config_keys(config)) add_checkpoint_text(key, texts);
-    for (const Mark& mark : list_marks(sequence, split)) add_checkpoint_text(mark, texts);
+    for (const ResumeFingerprint& mark : compute_log_fingerprints(sequence, split))
+        add_checkpoint_text(mark, texts);
     return texts;
 }
 
-std::string find_differing_setting(const Config& config, const Config& other) {
-    const std::vector<ConfigKey> a = list_config_keys(config), b = list_config_keys(other);
+std::string find_differing_setting(const Config& config, const Config& other_config) {
+    const std::vector<ConfigKey> a = list_config_keys(config), b = list_config_keys(other_config);
     for (std::size_t i = 0; i < a.size(); ++i)
-        if (!is_free(a[i].key) && a[i].value != b[i].value) return a[i].key;
+        if (!can_change_on_resume(a[i].key) && a[i].value != b[i].value) return a[i].key;
     return "";
 }
 
-void check_resumable(const Checkpoint& checkpoint, const Sequence& sequence, const Split& split,
-                     const Config& config) {
+void check_training_resumable(const Checkpoint& checkpoint, const LidarSequence& sequence,
+                              const TrainTestSplit& split, const Config& config) {
     const std::string doing = fmt::format("cannot resume from iteration {}", checkpoint.iteration);
     std::vector<ConfigKey> settings = list_config_keys(config);
-    std::erase_if(settings, [](const ConfigKey& key) { return is_free(key.key); });
-    check_same(settings, checkpoint, doing);
+    std::erase_if(settings, [](const ConfigKey& key) { return can_change_on_resume(key.key); });
+    check_same_as_checkpoint(settings, checkpoint, doing);
     if (config.train.iterations < checkpoint.iteration)
         throw UsageError(
             fmt::format("{}: setting train.iterations: found {}, expected at least the iteration of the "
                         "checkpoint",
                         doing, config.train.iterations));
-    for (const Mark& mark : list_marks(sequence, split)) check_same(checkpoint, mark, doing);
+    for (const ResumeFingerprint& mark : compute_log_fingerprints(sequence, split))
+        check_same_as_checkpoint(checkpoint, mark, doing);
 }
 
-void add_line(std::vector<TrainProgress>& log, const LogLine& line, const Config& config, double seconds) {
-    TrainProgress p = make_progress_line(line.step, config, seconds, line.terms, line.n_surfels);
+void append_log_line(std::vector<TrainProgress>& log, const TrainLogLine& line, const Config& config,
+                     double elapsed_s) {
+    TrainProgress p = make_progress_line(line.step, config, elapsed_s, line.terms, line.n_surfels);
     const int left = p.n_iterations - p.iteration,
               done = log.empty() ? 0 : p.iteration - log.front().iteration;
     p.eta_s = left == 0 ? 0.0 : std::numeric_limits<double>::infinity();
@@ -113,7 +117,7 @@ void add_line(std::vector<TrainProgress>& log, const LogLine& line, const Config
     log.push_back(std::move(p));
 }
 
-void write_result(StateWriter& write, const TrainResult& result, double train_s) {
+void write_training_result(CheckpointWriter& writer, const TrainResult& result, double training_time_s) {
     LogColumns log;
     for (const TrainProgress& p : result.log) {
         log.iteration.push_back(p.iteration);
@@ -123,14 +127,14 @@ void write_result(StateWriter& write, const TrainResult& result, double train_s)
         for (std::size_t k = 0; k < kDensifyCounts.size(); ++k)
             log.densified[k].push_back(p.densified.*kDensifyCounts[k].second);
     }
-    log.visit_state(write);
-    write("initialise_s", result.initialise_s);
-    write("train_s", train_s);
+    log.visit_state(writer);
+    writer("initialise_s", result.initialise_s);
+    writer("train_s", training_time_s);
 }
 
-std::vector<TrainProgress> read_resumed_log(const Checkpoint& checkpoint, const Config& config) {
+std::vector<TrainProgress> read_training_log(const Checkpoint& checkpoint, const Config& config) {
     LogColumns log;
-    log.visit_state(StateReader(checkpoint));
+    log.visit_state(CheckpointReader(checkpoint));
     const std::size_t n = log.iteration.size();
     const auto as_long = [n](const auto& column) { return column.size() == n; };
     const bool even = as_long(log.seconds) && as_long(log.surfels) &&
@@ -150,19 +154,19 @@ std::vector<TrainProgress> read_resumed_log(const Checkpoint& checkpoint, const 
     return lines;
 }
 
-void read_result(const Checkpoint& checkpoint, const Config& config, TrainResult& result) {
-    const StateReader read(checkpoint);
-    result.log = read_resumed_log(checkpoint, config);
+void read_training_result(const Checkpoint& checkpoint, const Config& config, TrainResult& result) {
+    const CheckpointReader read(checkpoint);
+    result.log = read_training_log(checkpoint, config);
     result.iterations = checkpoint.iteration;
     read("initialise_s", result.initialise_s);
     read("train_s", result.train_s);
 }
 
-Scene read_scene(const Checkpoint& checkpoint) {
+Scene read_checkpoint_scene(const Checkpoint& checkpoint) {
     Scene scene;
-    scene.surfels = StateReader(checkpoint).surfels("parameters");
-    read_layout_json(checkpoint.text("layout"),
-                     fmt::format("checkpoint of iteration {}: layout", checkpoint.iteration), scene);
+    scene.surfels = CheckpointReader(checkpoint).read_all_surfels("parameters");
+    parse_scene_layout_json(checkpoint.get_text("layout"),
+                            fmt::format("checkpoint of iteration {}: layout", checkpoint.iteration), scene);
     return scene;
 }
 

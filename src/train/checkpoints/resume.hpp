@@ -16,23 +16,25 @@ namespace relidar {
 
 /// Returns the settings and the hashes of the log that must be the same when training is
 /// resumed.
-std::map<std::string, std::string> make_training_texts(const Sequence& sequence, const Split& split,
-                                                       const Config& config);
+std::map<std::string, std::string> list_settings_and_fingerprints(const LidarSequence& sequence,
+                                                                  const TrainTestSplit& split,
+                                                                  const Config& config);
 
 /// Writes the training log and the times of the result to a checkpoint.
-/// @param train_s  seconds since training started
-void write_result(StateWriter& write, const TrainResult& result, double train_s);
+/// @param training_time_s  seconds since training started
+void write_training_result(CheckpointWriter& writer, const TrainResult& result, double training_time_s);
 /// Reads the log and the times from a checkpoint.
-void read_result(const Checkpoint& checkpoint, const Config& config, TrainResult& result);
+void read_training_result(const Checkpoint& checkpoint, const Config& config, TrainResult& result);
 
 /// Returns the scene in a checkpoint.
 /// @throws DataError if its arrays or its layout are invalid
-Scene read_scene(const Checkpoint& checkpoint);
+Scene read_checkpoint_scene(const Checkpoint& checkpoint);
 
 /// Adds a line to the training log. Estimates the remaining time from the speed after the
 /// first line, because drivers still compile kernels before that line. In the first line,
 /// the remaining time is infinite.
-/// @param seconds  seconds since training started
-void add_line(std::vector<TrainProgress>& log, const LogLine& line, const Config& config, double seconds);
+/// @param elapsed_s  seconds since training started
+void append_log_line(std::vector<TrainProgress>& log, const TrainLogLine& line, const Config& config,
+                     double elapsed_s);
 
 }  // namespace relidar

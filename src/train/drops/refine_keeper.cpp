@@ -15,67 +15,71 @@ namespace relidar {
 namespace {
 
 /// Returns true if a setting changes the rendered images or the network.
-bool affects_refinement(const std::string& key) {
+bool can_affect_drop_network(const std::string& setting_key) {
     constexpr std::array kGroups{"refine.", "image.", "sensor.", "init.", "render.range", "train.seed"};
-    return key != "refine.enabled" &&
-           std::ranges::any_of(kGroups, [&](const char* group) { return key.starts_with(group); });
+    return setting_key != "refine.enabled" &&
+           std::ranges::any_of(kGroups, [&](const char* group) { return setting_key.starts_with(group); });
 }
 
-std::vector<Mark> list_marks(const Run& run) {
-    std::vector<Mark> marks = list_marks(run.sequence, run.split);
-    marks.push_back(hash_scene_surfels(run.scene));
+std::vector<ResumeFingerprint> compute_run_fingerprints(const TrainedRun& run) {
+    std::vector<ResumeFingerprint> marks = compute_log_fingerprints(run.sequence, run.split);
+    marks.push_back(compute_scene_fingerprint(run.scene));
     return marks;
 }
 
 /// Returns the settings, and hashes of the scene and the log, for a checkpoint.
-std::map<std::string, std::string> make_texts(const Run& run) {
+std::map<std::string, std::string> list_refinement_settings_and_hashes(const TrainedRun& run) {
     std::map<std::string, std::string> texts;
     for (const ConfigKey& key : list_config_keys(run.config))
-        if (affects_refinement(key.key)) add_checkpoint_text(key, texts);
-    for (const Mark& mark : list_marks(run)) add_checkpoint_text(mark, texts);
+        if (can_affect_drop_network(key.key)) add_checkpoint_text(key, texts);
+    for (const ResumeFingerprint& mark : compute_run_fingerprints(run)) add_checkpoint_text(mark, texts);
     return texts;
 }
 
 }  // namespace
 
-RefineKeeper::RefineKeeper(const Run& run, const RefineSession& session)
+RayDropCheckpointKeeper::RayDropCheckpointKeeper(const TrainedRun& run, const RayDropTrainingSession& session)
     : minutes_(run.config.train.checkpoint_minutes),
       folder_(session.checkpoints, session.start ? session.start->iteration : 0, "ray-drop training step",
               session.note) {
-    if (folder_.wanted()) texts_ = std::async(std::launch::async, [&run] { return make_texts(run); });
+    if (folder_.is_enabled())
+        texts_ = std::async(std::launch::async, [&run] { return list_refinement_settings_and_hashes(run); });
 }
 
-void RefineKeeper::after_step(const RefineProgress& progress, bool stops,
-                              const std::function<RefineState()>& state) {
+void RayDropCheckpointKeeper::save_checkpoint_if_due(const RayDropTrainProgress& progress, bool is_stopping,
+                                                     const std::function<RayDropTrainState()>& get_state) {
     const bool ends_epoch = progress.step % (progress.n_steps / progress.n_epochs) == 0;
     const std::chrono::duration<double> since_last = Clock::now() - last_;
     const bool by_time = minutes_ > 0.0 && since_last.count() >= 60.0 * minutes_;
-    if (!folder_.wanted() || !(ends_epoch || by_time || stops)) return;
+    if (!folder_.is_enabled() || !(ends_epoch || by_time || is_stopping)) return;
     // Sets the time before writing. If the disk is full, the next attempt is then made
     // when the next checkpoint should be written, not immediately.
     last_ = Clock::now();
-    folder_.save({progress.step, texts_.get(), {}},
-                 [&](Checkpoint& checkpoint) { state().visit_state(StateWriter(checkpoint)); });
+    folder_.save_checkpoint_or_report({progress.step, texts_.get(), {}}, [&](Checkpoint& checkpoint) {
+        get_state().visit_state(CheckpointWriter(checkpoint));
+    });
 }
 
-RefineState read_refine_state(const Checkpoint& checkpoint) {
-    RefineState state;
-    state.visit_state(StateReader(checkpoint));
+RayDropTrainState read_network_training_state(const Checkpoint& checkpoint) {
+    RayDropTrainState state;
+    state.visit_state(CheckpointReader(checkpoint));
     return state;
 }
 
-void check_refine_resumable(const Checkpoint& checkpoint, const Run& run) {
+void check_network_training_resumable(const Checkpoint& checkpoint, const TrainedRun& run) {
     const std::string doing =
         fmt::format("cannot resume the ray-drop network from step {}", checkpoint.iteration);
     std::vector<ConfigKey> settings = list_config_keys(run.config);
-    std::erase_if(settings, [](const ConfigKey& key) { return !affects_refinement(key.key); });
-    check_same(settings, checkpoint, doing);
-    for (const Mark& mark : list_marks(run)) check_same(checkpoint, mark, doing);
-    read_refine_state(checkpoint);  // throws an error if the state is incomplete
+    std::erase_if(settings, [](const ConfigKey& key) { return !can_affect_drop_network(key.key); });
+    check_same_as_checkpoint(settings, checkpoint, doing);
+    for (const ResumeFingerprint& mark : compute_run_fingerprints(run))
+        check_same_as_checkpoint(checkpoint, mark, doing);
+    read_network_training_state(checkpoint);  // throws an error if the state is incomplete
 }
 
-void restore_refine_settings(const Checkpoint& checkpoint, Config& config) {
-    for (const auto& [key, value] : read_settings(checkpoint)) set_config_value(config, key, value);
+void restore_network_settings(const Checkpoint& checkpoint, Config& config) {
+    for (const auto& [key, value] : read_checkpoint_settings(checkpoint))
+        set_config_value(config, key, value);
 }
 
 }  // namespace relidar

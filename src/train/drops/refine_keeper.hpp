@@ -17,14 +17,15 @@
 
 namespace relidar {
 
-class RefineKeeper {
+class RayDropCheckpointKeeper {
 public:
-    RefineKeeper(const Run& run, const RefineSession& session);
+    RayDropCheckpointKeeper(const TrainedRun& run, const RayDropTrainingSession& session);
 
     /// Writes a checkpoint at the end of an epoch, after some minutes, and when training
     /// stops.
     /// @throws DataError if the state is not finite
-    void after_step(const RefineProgress& progress, bool stops, const std::function<RefineState()>& state);
+    void save_checkpoint_if_due(const RayDropTrainProgress& progress, bool is_stopping,
+                                const std::function<RayDropTrainState()>& get_state);
 
 private:
     using Clock = std::chrono::steady_clock;
@@ -38,6 +39,6 @@ private:
 
 /// Returns the state of the network training that a checkpoint stores.
 /// @throws DataError if the checkpoint is not from the training of a network
-RefineState read_refine_state(const Checkpoint& checkpoint);
+RayDropTrainState read_network_training_state(const Checkpoint& checkpoint);
 
 }  // namespace relidar

@@ -26,7 +26,7 @@ constexpr double kPriorRays = 8.0;
 constexpr double kLeastSector = 10.0 / 360.0;
 constexpr float kBlindFrequency = 0.95f;
 
-int count_bins(const Sequence& sequence) {
+int choose_azimuth_bin_count(const LidarSequence& sequence) {
     int columns = 0;
     for (const Lidar& lidar : sequence.lidars) columns = std::max(columns, lidar.sensor.columns);
     return std::max(1, columns / kColumnsPerBin);
@@ -36,46 +36,46 @@ int count_bins(const Sequence& sequence) {
 /// a condition. Ignores sectors that are narrower than the minimum. Does nothing if all
 /// bins fulfil the condition.
 template <class Condition, class Visit>
-void for_each_sector(int bins, const Condition& is_in, const Visit& visit) {
+void for_each_sector(int n_bins, const Condition& is_bin_in_sector, const Visit& visit_sector) {
     int begin = 0;
-    while (begin < bins && is_in(begin)) ++begin;
-    if (begin == bins) return;
-    for (int k = 1, run = 0; k <= bins; ++k) {  // ends at the bin outside where it begins
-        if (is_in((begin + k) % bins)) {
+    while (begin < n_bins && is_bin_in_sector(begin)) ++begin;
+    if (begin == n_bins) return;
+    for (int k = 1, run = 0; k <= n_bins; ++k) {  // ends at the bin outside where it begins
+        if (is_bin_in_sector((begin + k) % n_bins)) {
             ++run;
             continue;
         }
-        if (run > 0 && double(run) >= kLeastSector * double(bins)) visit(begin + k - run, run);
+        if (run > 0 && double(run) >= kLeastSector * double(n_bins)) visit_sector(begin + k - run, run);
         run = 0;
     }
 }
 
 /// Returns how much the azimuth offsets of a LiDAR's beams differ: largest minus
 /// smallest, in bins.
-int compute_azimuth_spread_bins(const SpinningSensor& sensor, int bins) {
+int compute_azimuth_spread_bins(const SpinningSensor& sensor, int n_bins) {
     const auto [least, most] = std::ranges::minmax(sensor.beams, {}, &Beam::azimuth_offset_rad);
-    return int(std::ceil((most.azimuth_offset_rad - least.azimuth_offset_rad) / (2.0 * kPi) * bins));
+    return int(std::ceil((most.azimuth_offset_rad - least.azimuth_offset_rad) / (2.0 * kPi) * n_bins));
 }
 
 }  // namespace
 
-DropCounts::DropCounts(const Sequence& sequence)
+RayDropCounts::RayDropCounts(const LidarSequence& sequence)
     : sequence_(sequence),
-      index_{int(sequence.count_beams()), count_bins(sequence), {}},
+      index_{int(sequence.count_beams()), choose_azimuth_bin_count(sequence), {}},
       rays_(std::size_t(index_.channels) * std::size_t(index_.bins), 0),
       drops_(rays_.size(), 0) {}
 
-void DropCounts::add(const Frame& frame, std::size_t ray) {
-    const auto beam = sequence_.find_beam_number(frame.lidar, frame.scan.rays.channel[ray]);
+void RayDropCounts::count_ray(const LidarFrame& frame, std::size_t ray_index) {
+    const auto beam = sequence_.find_global_beam_number(frame.lidar, frame.scan.rays.channel[ray_index]);
     if (!beam) return;
-    const std::size_t slot = index_.index(*beam, frame.scan.rays.direction[ray]);
+    const std::size_t slot = index_.compute_entry_index(*beam, frame.scan.rays.direction[ray_index]);
     std::atomic_ref(rays_[slot]).fetch_add(1, std::memory_order_relaxed);
-    if (!(frame.scan.range_m[ray] > 0.0f))
+    if (!(frame.scan.range_m[ray_index] > 0.0f))
         std::atomic_ref(drops_[slot]).fetch_add(1, std::memory_order_relaxed);
 }
 
-DropTable DropCounts::estimate_persistent_rate() const {
-    DropTable table = index_;
+RayDropTable RayDropCounts::estimate_persistent_drop_rates() const {
+    RayDropTable table = index_;
     table.probability.assign(rays_.size(), 0.0f);
     const auto share = [](std::uint32_t drops, std::uint32_t rays) { return float(drops) / float(rays); };
     for (int channel = 0; channel < index_.channels; ++channel)
@@ -92,20 +92,21 @@ DropTable DropCounts::estimate_persistent_rate() const {
                     std::max(table.probability[i], std::min(bin_share, share(drops, rays)));
             }
         }
-    for (int channel = 0; channel < index_.channels; ++channel) add_skipped_sectors(table, channel);
+    for (int channel = 0; channel < index_.channels; ++channel)
+        mark_unfired_sectors_as_dropped(table, channel);
     return table;
 }
 
-void DropCounts::add_skipped_sectors(DropTable& table, int channel) const {
+void RayDropCounts::mark_unfired_sectors_as_dropped(RayDropTable& drop_table, int channel) const {
     for_each_sector(
         index_.bins, [&](int bin) { return rays_[get_bin_index(channel, bin)] == 0; },
         [&](int first, int count) {
             for (int bin = first; bin < first + count; ++bin)
-                table.probability[get_bin_index(channel, bin)] = 1.0f;
+                drop_table.probability[get_bin_index(channel, bin)] = 1.0f;
         });
 }
 
-double DropCounts::estimate_bin_drop_rate(int channel, int bin) const {
+double RayDropCounts::estimate_local_drop_rate(int channel, int bin) const {
     double rays = kPriorRays, drops = 0.0;
     for (int b = bin - kNeighbours; b <= bin + kNeighbours; ++b) {
         const std::size_t i = get_bin_index(channel, b);
@@ -115,37 +116,39 @@ double DropCounts::estimate_bin_drop_rate(int channel, int bin) const {
     return drops / rays;
 }
 
-DropTable DropCounts::estimate_drop_rate() const {
-    DropTable table = index_;
+RayDropTable RayDropCounts::estimate_drop_rates() const {
+    RayDropTable table = index_;
     for (int channel = 0; channel < index_.channels; ++channel)
         for (int bin = 0; bin < index_.bins; ++bin) {
             const std::size_t i = get_bin_index(channel, bin);
-            const double drops = double(drops_[i]) + kPriorRays * estimate_bin_drop_rate(channel, bin);
+            const double drops = double(drops_[i]) + kPriorRays * estimate_local_drop_rate(channel, bin);
             table.probability.push_back(static_cast<float>(drops / (double(rays_[i]) + kPriorRays)));
         }
     return table;
 }
 
-DropTable estimate_observed_drops(const Sequence& sequence, const std::vector<int>& positions) {
-    DropCounts counts(sequence);
-    parallel_for(static_cast<int>(positions.size()), [&](int k) {
-        const Frame& frame = sequence.frames[std::size_t(positions[std::size_t(k)])];
-        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) counts.add(frame, i);
+RayDropTable estimate_observed_drop_rates(const LidarSequence& sequence,
+                                          const std::vector<int>& frame_indices) {
+    RayDropCounts counts(sequence);
+    parallel_for(static_cast<int>(frame_indices.size()), [&](int k) {
+        const LidarFrame& frame = sequence.frames[std::size_t(frame_indices[std::size_t(k)])];
+        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) counts.count_ray(frame, i);
     });
-    return counts.estimate_persistent_rate();
+    return counts.estimate_persistent_drop_rates();
 }
 
-void add_unseen_sectors(DropTable& drops, const DropTable& observed, const Sequence& sequence) {
-    const int bins = observed.bins;
+void mark_unobserved_sectors_as_dropped(RayDropTable& drop_table, const RayDropTable& observed_drop_rates,
+                                        const LidarSequence& sequence) {
+    const int bins = observed_drop_rates.bins;
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
         const SpinningSensor& sensor = sequence.lidars[l].sensor;
         std::vector<std::size_t> rows;  // first bin of each beam
         for (std::size_t beam = 0; beam < sensor.beams.size(); ++beam)
-            if (const auto number = sequence.find_beam_number(int(l), std::uint16_t(beam)))
+            if (const auto number = sequence.find_global_beam_number(int(l), std::uint16_t(beam)))
                 rows.push_back(std::size_t(*number) * std::size_t(bins));
         if (rows.empty()) continue;
         const auto is_blind_at = [&](std::size_t row, int bin) {
-            return observed.probability[row + std::size_t((bin + bins) % bins)] >= kBlindFrequency;
+            return observed_drop_rates.probability[row + std::size_t((bin + bins) % bins)] >= kBlindFrequency;
         };
         const int spread = compute_azimuth_spread_bins(sensor, bins);
         for_each_sector(
@@ -161,15 +164,17 @@ void add_unseen_sectors(DropTable& drops, const DropTable& observed, const Seque
                     while (first - begin < spread && is_blind_at(row, begin - 1)) --begin;
                     while (end - first - count < spread && is_blind_at(row, end)) ++end;
                     for (int bin = begin; bin < end; ++bin)
-                        drops.probability[row + std::size_t((bin + bins) % bins)] = 1.0f;
+                        drop_table.probability[row + std::size_t((bin + bins) % bins)] = 1.0f;
                 }
             });
     }
 }
 
-bool is_blind(const DropTable& observed, const Sequence& sequence, const Frame& frame, std::size_t ray) {
-    const auto beam = sequence.find_beam_number(frame.lidar, frame.scan.rays.channel[ray]);
-    return beam && observed.at(*beam, frame.scan.rays.direction[ray]) >= kBlindFrequency;
+bool is_ray_in_blind_sector(const RayDropTable& observed_drop_rates, const LidarSequence& sequence,
+                            const LidarFrame& frame, std::size_t ray_index) {
+    const auto beam = sequence.find_global_beam_number(frame.lidar, frame.scan.rays.channel[ray_index]);
+    return beam && observed_drop_rates.get_drop_probability(*beam, frame.scan.rays.direction[ray_index]) >=
+                       kBlindFrequency;
 }
 
 }  // namespace relidar

@@ -14,30 +14,30 @@
 namespace relidar {
 
 /// Counts the rays and the dropped rays of each beam in bins of azimuth.
-class DropCounts {
+class RayDropCounts {
 public:
     /// Creates the bins for the LiDARs of a log. Each beam has a row of azimuth bins, and
     /// each bin covers about three columns. The log must outlive this object.
-    explicit DropCounts(const Sequence& sequence);
+    explicit RayDropCounts(const LidarSequence& sequence);
     /// Counts one ray of a frame of the log. Several threads may call this function
     /// simultaneously.
-    void add(const Frame& frame, std::size_t ray);
+    void count_ray(const LidarFrame& frame, std::size_t ray_index);
     /// Returns the drop rate of each bin, for rays that are dropped persistently. Uses
     /// intervals of neighbouring bins with at least 60 rays. Examples are 20 sweeps in
     /// one bin, or one sweep in 20 bins. A bin gets the highest drop rate of all
     /// intervals that contain it, but at most the drop rate of the bin itself. If a beam
     /// has fewer than 60 rays in total, its drop rate is 0. The drop rate is 1 in a
     /// sector of at least 10 degrees in which the beam never fires.
-    DropTable estimate_persistent_rate() const;
+    RayDropTable estimate_persistent_drop_rates() const;
     /// Returns the drop rate of each bin. Also works for short logs, because it mixes the
     /// rate of a bin with the rate of its neighbours, which counts like 8 more rays. The
     /// neighbours' rate is computed with 8 additional returned rays.
-    DropTable estimate_drop_rate() const;
-    std::size_t bins() const { return rays_.size(); }
+    RayDropTable estimate_drop_rates() const;
+    std::size_t get_bin_count() const { return rays_.size(); }
 
 private:
-    const Sequence& sequence_;
-    DropTable index_;  ///< contains no probabilities; used only for the layout of the bins
+    const LidarSequence& sequence_;
+    RayDropTable index_;  ///< contains no probabilities; used only for the layout of the bins
     std::vector<std::uint32_t> rays_, drops_;
 
     /// Returns the array index of a bin. Bins before the first and after the last wrap
@@ -47,26 +47,29 @@ private:
                std::size_t((bin + index_.bins) % index_.bins);
     }
     /// Sets the drop rate of a beam to 1 in sectors in which it never fires.
-    void add_skipped_sectors(DropTable& table, int channel) const;
+    void mark_unfired_sectors_as_dropped(RayDropTable& drop_table, int channel) const;
     /// Returns the drop rate of a bin and its neighbours together. Adds a fixed number of
     /// returned rays, so that bins with few rays get a low rate.
-    double estimate_bin_drop_rate(int channel, int bin) const;
+    double estimate_local_drop_rate(int channel, int bin) const;
 };
 
 /// Returns the share of dropped rays for each beam and azimuth in the given frames. Uses
-/// DropCounts::estimate_persistent_rate().
-DropTable estimate_observed_drops(const Sequence& sequence, const std::vector<int>& positions);
+/// RayDropCounts::estimate_persistent_drop_rates().
+RayDropTable estimate_observed_drop_rates(const LidarSequence& sequence,
+                                          const std::vector<int>& frame_indices);
 
 /// Sets the drop probability to 1 in sectors that a LiDAR does not observe. These are
 /// sectors of at least 10 degrees in which no beam has a return. The cause is a field of
 /// view set in the sensor, or a part of the vehicle. The scene has no surfaces in these
 /// sectors, so it cannot predict the drops.
-/// @param drops  input and output
-/// @param observed  result of estimate_observed_drops()
-void add_unseen_sectors(DropTable& drops, const DropTable& observed, const Sequence& sequence);
+/// @param drop_table  input and output
+/// @param observed_drop_rates  result of estimate_observed_drop_rates()
+void mark_unobserved_sectors_as_dropped(RayDropTable& drop_table, const RayDropTable& observed_drop_rates,
+                                        const LidarSequence& sequence);
 
 /// Returns true if the beam of this ray was dropped at least 95 % of the time at this
 /// azimuth. Training ignores such rays.
-bool is_blind(const DropTable& observed, const Sequence& sequence, const Frame& frame, std::size_t ray);
+bool is_ray_in_blind_sector(const RayDropTable& observed_drop_rates, const LidarSequence& sequence,
+                            const LidarFrame& frame, std::size_t ray_index);
 
 }  // namespace relidar

@@ -14,42 +14,42 @@ namespace relidar {
 
 /// Returns a number n such that every n-th stripe of the image gives about 32,768 pixels.
 /// A number below 2 means the full image.
-inline int compute_stripe_share(const RayTable& rays) { return int(rays.size()) / 32768; }
+inline int choose_stripe_interval(const RayTable& rays) { return int(rays.size()) / 32768; }
 
 /// Some vertical stripes of an image. The image covers a full turn, so its last column is
 /// next to its first.
-class Stripes {
+class ImageStripes {
 public:
     static constexpr int kColumns = 64;  ///< columns in a stripe
 
-    /// Selects the stripes of a frame. Uses the full image if `share` is below 2 or
-    /// larger than the number of stripes.
-    /// @param share  n selects every n-th stripe
-    /// @param of_frame  number of the frame; each frame starts one stripe later, so that
-    /// the frames together use all columns
-    Stripes(int share, const RayTable& rays, std::size_t of_frame)
+    /// Selects the stripes of a frame. Uses the full image if `stripe_interval` is below
+    /// 2 or larger than the number of stripes.
+    /// @param stripe_interval  n selects every n-th stripe
+    /// @param frame_number  number of the frame; each frame starts one stripe later, so
+    /// that the frames together use all columns
+    ImageStripes(int stripe_interval, const RayTable& rays, std::size_t frame_number)
         : rows_(std::size_t(rays.rows)), columns_(std::size_t(rays.columns)) {
         const int n = rays.columns / kColumns;
-        if (share < 2 || n < share) return;
-        for (int k = 0; k < n / share; ++k)
-            first_.push_back((of_frame + std::size_t(k * share)) * kColumns % columns_);
+        if (stripe_interval < 2 || n < stripe_interval) return;
+        for (int k = 0; k < n / stripe_interval; ++k)
+            first_.push_back((frame_number + std::size_t(k * stripe_interval)) * kColumns % columns_);
     }
 
     /// Returns the rays of the stripes, as an image with rows and columns.
-    /// @param all  rays of the full image
-    RayTable rays(const RayTable& all) const {
-        if (first_.empty()) return all;
-        RayTable some = select_rays(all, places());
+    /// @param image_rays  rays of the full image
+    RayTable select_stripe_rays(const RayTable& image_rays) const {
+        if (first_.empty()) return image_rays;
+        RayTable some = select_rays(image_rays, list_stripe_pixel_indices());
         some.rows = int(rows_);
         some.columns = int(first_.size()) * kColumns;
         return some;
     }
     /// Returns the values of the pixels in the stripes.
-    /// @param all [rows,columns] values of the full image
-    std::vector<float> values(const std::vector<float>& all) const {
-        if (first_.empty()) return all;
+    /// @param image_values [rows,columns] values of the full image
+    std::vector<float> select_stripe_values(const std::vector<float>& image_values) const {
+        if (first_.empty()) return image_values;
         std::vector<float> some;
-        for (const std::size_t i : places()) some.push_back(all[i]);
+        for (const std::size_t i : list_stripe_pixel_indices()) some.push_back(image_values[i]);
         return some;
     }
 
@@ -57,13 +57,13 @@ private:
     std::size_t rows_, columns_;
     std::vector<std::size_t> first_;  ///< first column of each stripe; empty if the full image is used
 
-    std::vector<std::size_t> places() const {
-        std::vector<std::size_t> places;
+    std::vector<std::size_t> list_stripe_pixel_indices() const {
+        std::vector<std::size_t> pixel_indices;
         for (std::size_t row = 0; row < rows_; ++row)
             for (const std::size_t first : first_)
                 for (std::size_t c = 0; c < kColumns; ++c)
-                    places.push_back(row * columns_ + (first + c) % columns_);
-        return places;
+                    pixel_indices.push_back(row * columns_ + (first + c) % columns_);
+        return pixel_indices;
     }
 };
 

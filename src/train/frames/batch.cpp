@@ -25,124 +25,128 @@ struct BatchSampler::Impl {
 namespace {
 
 /// Selection of n columns of an image, spread over the image with a fixed stride.
-struct Columns {
+struct StridedColumns {
     std::uint32_t stride = 1;
     std::uint32_t n = 0;  ///< number of columns; 0 if the batch does not consist of columns
 };
 
-std::uint32_t choose_ray_stride(const FrameData& frame, const TrainConfig& config) {
+std::uint32_t choose_ray_stride(const TrainingFrameData& frame, const TrainConfig& config) {
     const std::uint32_t n_rays = static_cast<std::uint32_t>(config.rays_per_iteration);
     return n_rays == 0 ? 1u : std::max(1u, frame.n_rays / n_rays);
 }
 
 /// Returns the number of rows and columns of a full frame. If the rays are not ordered as
 /// an image, the frame has a single row.
-ImageShape get_frame_image(const FrameData& frame) {
-    return frame.image.is_image() ? frame.image : ImageShape{1, frame.n_rays, false};
+ImageShape get_frame_image_shape(const TrainingFrameData& frame) {
+    return frame.image.has_image_layout() ? frame.image : ImageShape{1, frame.n_rays, false};
 }
 
-Columns choose_window(const FrameData& frame, const TrainConfig& config) {
-    const ImageShape image = get_frame_image(frame);
+StridedColumns choose_column_window(const TrainingFrameData& frame, const TrainConfig& config) {
+    const ImageShape image = get_frame_image_shape(frame);
     const std::uint32_t n =
         std::clamp((static_cast<std::uint32_t>(config.rays_per_iteration) + image.rows / 2) / image.rows, 1u,
                    image.columns);
-    return n < image.columns ? Columns{1, n} : Columns{};
+    return n < image.columns ? StridedColumns{1, n} : StridedColumns{};
 }
 
 /// Selects every n-th group of neighbouring columns. In a group, neighbouring rays have
 /// similar directions and are traced faster.
-Columns choose_every_nth(const FrameData& frame, const TrainConfig& config) {
+StridedColumns choose_every_nth_column_group(const TrainingFrameData& frame, const TrainConfig& config) {
     const std::uint32_t stride = std::min(choose_ray_stride(frame, config), frame.image.columns);
-    return frame.image.is_image() && stride > 1 ? Columns{stride, frame.image.columns / stride} : Columns{};
+    return frame.image.has_image_layout() && stride > 1 ? StridedColumns{stride, frame.image.columns / stride}
+                                                        : StridedColumns{};
 }
 
-Columns choose_columns_of_batch(const FrameData& frame, const TrainConfig& config, bool windows) {
+StridedColumns choose_batch_columns(const TrainingFrameData& frame, const TrainConfig& config,
+                                    bool use_windows) {
     if (config.rays_per_iteration == 0) return {};
-    return windows ? choose_window(frame, config) : choose_every_nth(frame, config);
+    return use_windows ? choose_column_window(frame, config) : choose_every_nth_column_group(frame, config);
 }
 
 /// Returns the number of rays in the largest batch that is copied column by column.
-std::size_t find_largest_gathered_batch(const std::vector<FrameData>& frames, const Config& config) {
+std::size_t compute_max_gathered_rays(const std::vector<TrainingFrameData>& frames, const Config& config) {
     std::size_t largest = 0;
-    for (const FrameData& frame : frames)
-        largest =
-            std::max(largest, std::size_t(get_frame_image(frame).rows) *
-                                  choose_columns_of_batch(frame, config.train, config.needs_images()).n);
+    for (const TrainingFrameData& frame : frames)
+        largest = std::max(
+            largest, std::size_t(get_frame_image_shape(frame).rows) *
+                         choose_batch_columns(frame, config.train, config.has_neighbour_pixel_loss()).n);
     return largest;
 }
 
 /// Checks that the rays of all frames are ordered as an image.
-/// @param setting  name of the setting that needs images, for the error message
+/// @param setting_name  name of the setting that needs images, for the error message
 /// @throws UsageError if a frame is not an image
-void check_images(const char* setting, const std::vector<FrameData>& frames) {
-    for (const FrameData& frame : frames)
-        if (!frame.image.is_image())
+void check_rays_form_images(const char* setting_name, const std::vector<TrainingFrameData>& frames) {
+    for (const TrainingFrameData& frame : frames)
+        if (!frame.image.has_image_layout())
             throw UsageError(fmt::format(
                 "setting {}: the rays of this sensor are not ordered in rows and columns, so this loss "
                 "cannot be computed; set it to 0",
-                setting));
+                setting_name));
 }
 
 }  // namespace
 
-BatchSampler::BatchSampler(Device& device, const Config& config, const std::vector<FrameData>& frames)
+BatchSampler::BatchSampler(Device& device, const Config& config, const std::vector<TrainingFrameData>& frames)
     : impl_(new Impl{config.train,
-                     config.needs_images(),
-                     {device, find_largest_gathered_batch(frames, config), "batch rays"},
-                     {device, find_largest_gathered_batch(frames, config), "batch targets"},
+                     config.has_neighbour_pixel_loss(),
+                     {device, compute_max_gathered_rays(frames, config), "batch rays"},
+                     {device, compute_max_gathered_rays(frames, config), "batch targets"},
                      {device, "train/gather_columns"}}) {
     if (config.loss.intensity * config.loss.intensity_ssim > 0.0f)
-        check_images("loss.intensity_ssim", frames);
+        check_rays_form_images("loss.intensity_ssim", frames);
 }
 BatchSampler::~BatchSampler() = default;
 
 /// This function and get_frame_column() in shaders/train/columns.glsl select the same
 /// columns. Change both together.
-std::size_t SampledBatch::get_ray_of_frame(std::uint32_t index) const {
-    if (window.columns == 0) return rays.first + std::size_t(index) * rays.stride;
-    const std::uint32_t row = index / window.n_columns, column = index % window.n_columns,
+std::size_t SampledBatch::get_frame_ray_index(std::uint32_t batch_ray_index) const {
+    if (window.columns == 0) return rays.first + std::size_t(batch_ray_index) * rays.stride;
+    const std::uint32_t row = batch_ray_index / window.n_columns, column = batch_ray_index % window.n_columns,
                         within = column % RELIDAR_COLUMN_GROUP;
     return std::size_t(row) * window.columns +
            (window.first + (column - within) * window.stride + within) % window.columns;
 }
 
-std::uint32_t BatchSampler::n_batches(const FrameData& frame) const {
-    const Columns columns = choose_columns_of_batch(frame, impl_->config, impl_->windows);
+std::uint32_t BatchSampler::count_batches(const TrainingFrameData& frame) const {
+    const StridedColumns columns = choose_batch_columns(frame, impl_->config, impl_->windows);
     return columns.n > 0 || impl_->windows ? columns.stride : choose_ray_stride(frame, impl_->config);
 }
 
-std::uint32_t BatchSampler::draw_first(const FrameData& frame, Random& random) const {
-    const Columns columns = choose_columns_of_batch(frame, impl_->config, impl_->windows);
-    std::uint32_t choices = n_batches(frame);
+std::uint32_t BatchSampler::draw_first_column(const TrainingFrameData& frame, Random& random) const {
+    const StridedColumns columns = choose_batch_columns(frame, impl_->config, impl_->windows);
+    std::uint32_t choices = count_batches(frame);
     if (columns.n > 0) {
-        const ImageShape image = get_frame_image(frame);
+        const ImageShape image = get_frame_image_shape(frame);
         // In an image that is not a full turn, a window of columns must not continue past
         // the last column.
         choices = image.circular || columns.stride > 1 ? image.columns : image.columns - columns.n + 1;
     }
-    return static_cast<std::uint32_t>(random.next() % choices);
+    return static_cast<std::uint32_t>(random.draw_uint64() % choices);
 }
 
-SampledBatch BatchSampler::sample(Stream& stream, const FrameData& frame, Random& random) {
-    return take(stream, frame, draw_first(frame, random), 0);
+SampledBatch BatchSampler::sample_random_batch(Stream& stream, const TrainingFrameData& frame,
+                                               Random& random) {
+    return gather_nth_batch(stream, frame, draw_first_column(frame, random), 0);
 }
 
-SampledBatch BatchSampler::take(Stream& stream, const FrameData& frame, std::uint32_t first,
-                                std::uint32_t index) {
+SampledBatch BatchSampler::gather_nth_batch(Stream& stream, const TrainingFrameData& frame,
+                                            std::uint32_t first_column, std::uint32_t batch_index) {
     Impl& b = *impl_;
-    const Columns columns = choose_columns_of_batch(frame, b.config, b.windows);
+    const StridedColumns columns = choose_batch_columns(frame, b.config, b.windows);
     if (columns.n > 0) {
-        const ImageShape image = get_frame_image(frame);
-        if (columns.stride > 1) first = (first + index * RELIDAR_COLUMN_GROUP) % image.columns;
+        const ImageShape image = get_frame_image_shape(frame);
+        if (columns.stride > 1)
+            first_column = (first_column + batch_index * RELIDAR_COLUMN_GROUP) % image.columns;
         const std::uint32_t n = image.rows * columns.n;
         run(stream, b.gather, n,
-            {.rays = frame.rays().address(),
-             .targets = frame.targets().address(),
+            {.rays = frame.get_device_rays().address(),
+             .targets = frame.get_device_targets().address(),
              .batch_rays = b.rays.address(),
              .batch_targets = b.targets.address(),
              .rows = image.rows,
              .columns = image.columns,
-             .first_column = first,
+             .first_column = first_column,
              .column_stride = columns.stride,
              .n_columns = columns.n});
         // The loss is divided by a number of rays. Uses the count of the full frame times
@@ -155,16 +159,16 @@ SampledBatch BatchSampler::take(Stream& stream, const FrameData& frame, std::uin
                  1,
                  n,
                  share * frame.n_returned,
-                 share * frame.n_known,
+                 share * frame.n_known_rays,
                  {image.rows, columns.n, false}},
-                {image.columns, first, columns.stride, columns.n}};
+                {image.columns, first_column, columns.stride, columns.n}};
     }
-    const std::uint32_t stride = n_batches(frame);
-    first = (first + index) % stride;
-    const RayBatch rays = frame.batch(first, stride);
+    const std::uint32_t stride = count_batches(frame);
+    first_column = (first_column + batch_index) % stride;
+    const RayBatch rays = frame.make_strided_batch(first_column, stride);
     return {rays,
-            {&frame.targets(), first, stride, rays.n_rays, frame.n_returned / stride, frame.n_known / stride,
-             stride == 1 ? frame.image : ImageShape{}},
+            {&frame.get_device_targets(), first_column, stride, rays.n_rays, frame.n_returned / stride,
+             frame.n_known_rays / stride, stride == 1 ? frame.image : ImageShape{}},
             {}};
 }
 

@@ -13,7 +13,7 @@
 namespace relidar {
 
 struct Config;
-struct FrameData;
+struct TrainingFrameData;
 
 /// Describes which columns of a frame are copied into a batch. See
 /// shared::GatherColumnsParams for the selection.
@@ -32,37 +32,39 @@ struct SampledBatch {
     TargetBatch targets;
     ColumnWindow window{};
 
-    /// Returns the index in the frame of ray `index` of the batch.
-    std::size_t get_ray_of_frame(std::uint32_t index) const;
+    /// Returns the index in the frame of ray `batch_ray_index` of the batch.
+    std::size_t get_frame_ray_index(std::uint32_t batch_ray_index) const;
 };
 
 /// Selects about train.rays_per_iteration rays of a frame; 0 means all rays. By default,
 /// it selects every n-th group of RELIDAR_COLUMN_GROUP neighbouring columns, starting at
 /// a random column. Groups are faster than single columns, because rays that are traced
-/// together visit the same tree nodes. Some losses need images (Config::needs_images):
-/// structural similarity and normal consistency. For these losses it selects one window
-/// of neighbouring columns. In a frame without image order, it selects every n-th ray.
+/// together visit the same tree nodes. Some losses need images
+/// (Config::has_neighbour_pixel_loss): structural similarity and normal consistency. For
+/// these losses it selects one window of neighbouring columns. In a frame without image
+/// order, it selects every n-th ray.
 class BatchSampler {
 public:
     /// Creates the device arrays for batches.
     /// @throws UsageError if a loss needs images (structural similarity or normal
     /// consistency), but the rays are not ordered as images
-    BatchSampler(Device& device, const Config& config, const std::vector<FrameData>& frames);
+    BatchSampler(Device& device, const Config& config, const std::vector<TrainingFrameData>& frames);
     ~BatchSampler();
     /// Records GPU commands that copy a random batch to the batch arrays. The batch is
     /// valid until the next call.
-    SampledBatch sample(Stream& stream, const FrameData& frame, Random& random);
+    SampledBatch sample_random_batch(Stream& stream, const TrainingFrameData& frame, Random& random);
     /// Records GPU commands that copy one of several batches, which together contain all
     /// rays of a frame. A few columns can be missing or repeated where a full turn
     /// closes. Batches that are windows of columns do not cover the frame.
-    /// @param first  start of the first batch, from draw_first()
-    /// @param index  index of the batch
-    SampledBatch take(Stream& stream, const FrameData& frame, std::uint32_t first, std::uint32_t index);
+    /// @param first_column  start of the first batch, from draw_first_column()
+    /// @param batch_index  index of the batch
+    SampledBatch gather_nth_batch(Stream& stream, const TrainingFrameData& frame, std::uint32_t first_column,
+                                  std::uint32_t batch_index);
     /// Draws a random column (or ray) at which the first batch starts.
-    std::uint32_t draw_first(const FrameData& frame, Random& random) const;
+    std::uint32_t draw_first_column(const TrainingFrameData& frame, Random& random) const;
     /// Returns the number of batches that together contain all rays of the frame, or 1 if
     /// the batches are windows of columns.
-    std::uint32_t n_batches(const FrameData& frame) const;
+    std::uint32_t count_batches(const TrainingFrameData& frame) const;
 
 private:
     struct Impl;

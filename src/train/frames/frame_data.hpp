@@ -24,14 +24,14 @@ struct FrameArrays {
     Array<DeviceRay> rays;        ///< [n] rays, computed from the poses at the start of training
     Array<DeviceTarget> targets;  ///< [n] measurements
     /// [n] position of each ray's firing time on the vehicle's track: index of the
-    /// previous pose, counted from FrameData::first_knot, and the fraction of the way to
-    /// the next pose. Empty if poses are not corrected.
-    Array<shared::RayPlace> places;
+    /// previous pose, counted from TrainingFrameData::first_knot, and the fraction of the
+    /// way to the next pose. Empty if poses are not corrected.
+    Array<shared::RayPlace> track_positions;
 };
 
 /// A training frame.
-struct FrameData {
-    int position = 0;  ///< index into Sequence::frames
+struct TrainingFrameData {
+    int position = 0;  ///< index into LidarSequence::frames
     int index = 0;     ///< frame number of the dataset
     std::uint32_t n_rays = 0;
     /// rows and columns of the rays; empty if the rays are not ordered as an image
@@ -45,36 +45,38 @@ struct FrameData {
     /// Number of rays with a return, without ignored rays. Set when the frame is uploaded
     /// for the first time.
     double n_returned = 0.0;
-    double n_known = 0.0;
+    double n_known_rays = 0.0;
     std::vector<InstancePose> placed;   ///< poses of all instances of the scene
     glm::vec3 sensor_position_m{0.0f};  ///< sensor position at the reference time, world frame
 
-    const Array<DeviceRay>& rays() const { return moved_rays ? *moved_rays : arrays->rays; }
-    const Array<DeviceTarget>& targets() const { return arrays->targets; }
-    /// Returns a batch with every stride-th ray of the frame, starting at ray `first`.
-    RayBatch batch(std::uint32_t first, std::uint32_t stride) const;
+    const Array<DeviceRay>& get_device_rays() const { return moved_rays ? *moved_rays : arrays->rays; }
+    const Array<DeviceTarget>& get_device_targets() const { return arrays->targets; }
+    /// Returns a batch with every stride-th ray of the frame, starting at ray
+    /// `first_ray`.
+    RayBatch make_strided_batch(std::uint32_t first_ray, std::uint32_t stride) const;
 };
 
 /// Returns the number of rays of the largest frame, or 0 if there are no frames.
-std::uint32_t find_max_rays(std::span<const FrameData> frames);
+std::uint32_t find_max_rays_per_frame(std::span<const TrainingFrameData> frames);
 
 /// Selects the measurements that training must ignore.
-struct Unknown {
+struct IgnoredMeasurements {
     /// settings that decide which moving boxes become actors, are ignored, or belong to
     /// the background
-    InitialiseOptions moving;
+    SceneInitialisationOptions moving;
     /// tracks of the actors that have a model in the scene; training uses the returns on
     /// these actors
     std::vector<std::string> actors;
     /// Measured drop rates of beams by azimuth. Directions in which at least 95 % of the
     /// rays drop are ignored. If the table is empty, no direction is ignored.
-    DropTable observed_drops;
+    RayDropTable observed_drops;
 };
 
 /// Computes the rays and target values of a frame on the host. Rays that the background
 /// must not learn get weight 0. These are returns from inside a moving box, and dropped
 /// rays that may have hit such a box.
-void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& unknown,
-                  std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets);
+void make_rays_and_targets(const LidarSequence& sequence, const LidarFrame& frame,
+                           const IgnoredMeasurements& mask_rules, std::vector<DeviceRay>& rays,
+                           std::vector<DeviceTarget>& targets);
 
 }  // namespace relidar

@@ -13,6 +13,7 @@ namespace relidar {
 /// time and beam of its nearest return (Eq. 6-7). A cell without a return becomes a
 /// dropped ray. The time of a dropped ray is the time at which the LiDAR's head faces the
 /// cell. Second returns are removed.
-Frame convert_to_grid(const Sequence& sequence, const Frame& frame, const RangeGrid& grid);
+LidarFrame convert_frame_to_grid(const LidarSequence& sequence, const LidarFrame& frame,
+                                 const RangeImageGrid& grid);
 
 }  // namespace relidar

@@ -6,36 +6,38 @@
 
 namespace relidar {
 
-SensorChoice make_nominal_rays_of_frame(const Config& config, const Sequence& sequence, const Frame& frame) {
-    SensorChoice sensor = choose_sensor("native", config, sequence, frame.lidar);
+SimulatedSensor choose_nominal_sensor_of_frame(const Config& config, const LidarSequence& sequence,
+                                               const LidarFrame& frame) {
+    SimulatedSensor sensor = choose_sensor("native", config, sequence, frame.lidar);
     if (sensor.rays.rows != frame.scan.rays.rows || sensor.rays.columns != frame.scan.rays.columns)
         sensor.rays = frame.scan.rays, sensor.follows_sweeps = false;
     sensor.rolling_shutter = sequence.rolling_shutter;  // Uses the same setting as the measured scan.
     return sensor;
 }
 
-Unknown make_masks(const Config& config, const Scene& scene) {
-    Unknown masks{config.init, {}, {}};
-    for (const Instance& instance : scene.instances)
+IgnoredMeasurements make_scene_mask_rules(const Config& config, const Scene& scene) {
+    IgnoredMeasurements masks{config.init, {}, {}};
+    for (const ModelInstance& instance : scene.instances)
         if (!instance.track.empty()) masks.actors.push_back(instance.track);
     return masks;
 }
 
-std::vector<float> find_measured_drops(const Sequence& sequence, const Frame& frame, const Unknown& masks) {
+std::vector<float> find_measured_drops(const LidarSequence& sequence, const LidarFrame& frame,
+                                       const IgnoredMeasurements& mask_rules) {
     std::vector<DeviceRay> rays;
     std::vector<DeviceTarget> targets;
-    make_targets(sequence, frame, masks, rays, targets);
+    make_rays_and_targets(sequence, frame, mask_rules, rays, targets);
     std::vector<float> dropped;
     for (std::size_t i = 0; i < targets.size(); ++i)
         dropped.push_back(!(targets[i].weight > 0.0f) ? -1.0f : frame.scan.range_m[i] > 0.0f ? 0.0f : 1.0f);
     return dropped;
 }
 
-std::vector<int> select_evenly_spaced(const std::vector<int>& positions, int count) {
-    if (count <= 0 || positions.size() <= std::size_t(count)) return positions;
+std::vector<int> select_evenly_spaced_frames(const std::vector<int>& frame_indices, int max_count) {
+    if (max_count <= 0 || frame_indices.size() <= std::size_t(max_count)) return frame_indices;
     std::vector<int> chosen;
-    for (std::size_t i = 0; i < std::size_t(count); ++i)
-        chosen.push_back(positions[i * positions.size() / std::size_t(count)]);
+    for (std::size_t i = 0; i < std::size_t(max_count); ++i)
+        chosen.push_back(frame_indices[i * frame_indices.size() / std::size_t(max_count)]);
     return chosen;
 }
 

@@ -16,18 +16,20 @@ namespace relidar {
 
 /// Returns the nominal rays of a frame's LiDAR, or the rays of the scan if the scan has
 /// other rows and columns.
-SensorChoice make_nominal_rays_of_frame(const Config& config, const Sequence& sequence, const Frame& frame);
+SimulatedSensor choose_nominal_sensor_of_frame(const Config& config, const LidarSequence& sequence,
+                                               const LidarFrame& frame);
 
 /// Selects the measurements that are ignored: those of moving objects without a model in
 /// the scene.
-Unknown make_masks(const Config& config, const Scene& scene);
+IgnoredMeasurements make_scene_mask_rules(const Config& config, const Scene& scene);
 
 /// Returns 0 for each returned ray of a frame and 1 for each dropped ray. Returns -1 for
 /// a ray that hit, or may have hit, a moving object without a model in the scene.
-std::vector<float> find_measured_drops(const Sequence& sequence, const Frame& frame, const Unknown& masks);
+std::vector<float> find_measured_drops(const LidarSequence& sequence, const LidarFrame& frame,
+                                       const IgnoredMeasurements& mask_rules);
 
-/// Returns at most `count` of the frame positions, evenly spaced. Returns all positions
-/// if `count` is 0.
-std::vector<int> select_evenly_spaced(const std::vector<int>& positions, int count);
+/// Returns at most `max_count` of the frame positions, evenly spaced. Returns all
+/// positions if `max_count` is 0.
+std::vector<int> select_evenly_spaced_frames(const std::vector<int>& frame_indices, int max_count);
 
 }  // namespace relidar

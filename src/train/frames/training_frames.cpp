@@ -22,31 +22,32 @@ namespace {
 // Number of frames that are prepared in parallel in host memory before their upload.
 constexpr std::size_t kPreparedAtOnce = 32;
 
-double compute_absolute_firing_time(const Sequence& sequence, const Frame& frame, float offset_s) {
+double compute_absolute_firing_time(const LidarSequence& sequence, const LidarFrame& frame, float offset_s) {
     return frame.time_s + (sequence.rolling_shutter ? double(offset_s) : 0.0);
 }
 
 /// A frame of the log, or its image on a range grid.
-struct TrainedFrame {
-    std::optional<Frame> binned;
-    const Frame& frame;
+struct GriddedFrame {
+    std::optional<LidarFrame> binned;
+    const LidarFrame& frame;
 
-    TrainedFrame(const Sequence& sequence, int position, const std::optional<RangeGrid>& grid)
-        : binned(grid
-                     ? std::optional(convert_to_grid(sequence, sequence.frames[std::size_t(position)], *grid))
-                     : std::nullopt),
+    GriddedFrame(const LidarSequence& sequence, int position, const std::optional<RangeImageGrid>& grid)
+        : binned(grid ? std::optional(
+                            convert_frame_to_grid(sequence, sequence.frames[std::size_t(position)], *grid))
+                      : std::nullopt),
           frame(binned ? *binned : sequence.frames[std::size_t(position)]) {}
 };
 
-FrameData make_frame_data(const Sequence& sequence, int position, const std::optional<RangeGrid>& grid) {
-    const TrainedFrame trained(sequence, position, grid);
-    const Frame& frame = trained.frame;
+TrainingFrameData make_frame_data(const LidarSequence& sequence, int frame_index,
+                                  const std::optional<RangeImageGrid>& grid) {
+    const GriddedFrame trained(sequence, frame_index, grid);
+    const LidarFrame& frame = trained.frame;
     const RayTable& table = frame.scan.rays;
     if (frame.scan.range_m.empty())
         throw DataError(fmt::format("cannot use frame {} of {} for training: it has no rays", frame.index,
                                     sequence.name));
-    FrameData data;
-    data.position = position;
+    TrainingFrameData data;
+    data.position = frame_index;
     data.index = frame.index;
     data.n_rays = static_cast<std::uint32_t>(frame.scan.range_m.size());
     const bool spins = !sequence.get_lidar(frame).sensor.beams.empty();
@@ -55,26 +56,28 @@ FrameData make_frame_data(const Sequence& sequence, int position, const std::opt
                       spins};
     const PoseTrack& track = sequence.world_from_vehicle;
     const auto [first, last] = std::minmax_element(table.time_offset_s.begin(), table.time_offset_s.end());
-    data.first_knot = track.place(compute_absolute_firing_time(sequence, frame, *first)).left;
-    const std::size_t last_knot = std::min(
-        track.place(compute_absolute_firing_time(sequence, frame, *last)).left + 1, track.pose.size() - 1);
+    data.first_knot = track.find_pose_segment(compute_absolute_firing_time(sequence, frame, *first)).left;
+    const std::size_t last_knot =
+        std::min(track.find_pose_segment(compute_absolute_firing_time(sequence, frame, *last)).left + 1,
+                 track.pose.size() - 1);
     data.n_knots = static_cast<std::uint32_t>(last_knot + 1 - data.first_knot);
     data.sensor_position_m =
-        glm::vec3(track.at(frame.time_s, sequence.get_lidar(frame).vehicle_from_sensor).translation);
+        glm::vec3(track.interpolate_mounted_pose(frame.time_s, sequence.get_lidar(frame).vehicle_from_sensor)
+                      .translation);
     return data;
 }
 
-void count_target_rays(FrameData& data, const std::vector<DeviceTarget>& targets) {
-    data.n_known = data.n_returned = 0.0;
+void count_known_and_returned_rays(TrainingFrameData& data, const std::vector<DeviceTarget>& targets) {
+    data.n_known_rays = data.n_returned = 0.0;
     for (const DeviceTarget& t : targets) {
-        data.n_known += t.weight > 0.0f;
+        data.n_known_rays += t.weight > 0.0f;
         data.n_returned += t.weight > 0.0f && t.range_m > 0.0f;
     }
 }
 
 template <class T>
 void upload_values(Stream& stream, const Array<T>& target, const std::vector<T>& values) {
-    stream.impl().write(target.buffer(), values.data(), values.size() * sizeof(T));
+    stream.impl().record_buffer_write(target.buffer(), values.data(), values.size() * sizeof(T));
 }
 
 }  // namespace
@@ -83,18 +86,19 @@ std::size_t TrainingFrames::count_bytes_per_ray() const {
     return sizeof(DeviceRay) + sizeof(DeviceTarget) + (use_.moves_rays ? sizeof(shared::RayPlace) : 0);
 }
 
-TrainingFrames::TrainingFrames(Device& device, const Sequence& sequence, const std::vector<int>& positions,
-                               FrameUse use)
+TrainingFrames::TrainingFrames(Device& device, const LidarSequence& sequence,
+                               const std::vector<int>& frame_indices, FrameUploadOptions use)
     : sequence_(sequence), use_(std::move(use)) {
-    for (const int position : positions) frames_.push_back(make_frame_data(sequence, position, use_.grid));
+    for (const int position : frame_indices)
+        frames_.push_back(make_frame_data(sequence, position, use_.grid));
     std::uint64_t bytes = 0;
-    for (const FrameData& frame : frames_) {
+    for (const TrainingFrameData& frame : frames_) {
         bytes += std::uint64_t(frame.n_rays) * count_bytes_per_ray();
         if (bytes > use_.resident_bytes) break;
         ++n_staying_;
     }
-    keep_on_device(device);
-    const std::uint32_t n = find_max_rays(std::span(frames_).subspan(n_staying_));
+    upload_resident_frames(device);
+    const std::uint32_t n = find_max_rays_per_frame(std::span(frames_).subspan(n_staying_));
     if (n == 0) return;
     shared_ = std::make_shared<FrameArrays>(FrameArrays{{device, n, "training rays"},
                                                         {device, n, "training targets"},
@@ -104,62 +108,63 @@ TrainingFrames::TrainingFrames(Device& device, const Sequence& sequence, const s
 
 TrainingFrames::~TrainingFrames() = default;
 
-void TrainingFrames::keep_on_device(Device& device) {
+void TrainingFrames::upload_resident_frames(Device& device) {
     for (std::size_t first = 0; first < n_staying_; first += kPreparedAtOnce) {
-        std::vector<HostFrame> batch(std::min(kPreparedAtOnce, n_staying_ - first));
+        std::vector<HostFrameArrays> batch(std::min(kPreparedAtOnce, n_staying_ - first));
         parallel_for(static_cast<int>(batch.size()),
-                     [&](int k) { batch[std::size_t(k)] = prepare(first + std::size_t(k)); });
+                     [&](int k) { batch[std::size_t(k)] = prepare_host_frame(first + std::size_t(k)); });
         for (std::size_t k = 0; k < batch.size(); ++k) {
-            FrameData& frame = frames_[first + k];
-            frame.arrays = std::make_shared<FrameArrays>(
-                FrameArrays{{device, std::span<const DeviceRay>(batch[k].rays), "training rays"},
-                            {device, std::span<const DeviceTarget>(batch[k].targets), "training targets"},
-                            {device, std::span<const shared::RayPlace>(batch[k].places), "places of rays"}});
-            count_target_rays(frame, batch[k].targets);
+            TrainingFrameData& frame = frames_[first + k];
+            frame.arrays = std::make_shared<FrameArrays>(FrameArrays{
+                {device, std::span<const DeviceRay>(batch[k].rays), "training rays"},
+                {device, std::span<const DeviceTarget>(batch[k].targets), "training targets"},
+                {device, std::span<const shared::RayPlace>(batch[k].track_positions), "places of rays"}});
+            count_known_and_returned_rays(frame, batch[k].targets);
         }
     }
 }
 
-TrainingFrames::HostFrame TrainingFrames::prepare(std::size_t index) const {
-    const FrameData& data = frames_[index];
-    const TrainedFrame trained(sequence_, data.position, use_.grid);
-    const Frame& frame = trained.frame;
-    HostFrame host;
-    make_targets(sequence_, frame, use_.unknown, host.rays, host.targets);
+TrainingFrames::HostFrameArrays TrainingFrames::prepare_host_frame(std::size_t frame_index) const {
+    const TrainingFrameData& data = frames_[frame_index];
+    const GriddedFrame trained(sequence_, data.position, use_.grid);
+    const LidarFrame& frame = trained.frame;
+    HostFrameArrays host;
+    make_rays_and_targets(sequence_, frame, use_.unknown, host.rays, host.targets);
     if (use_.moves_rays)
         for (const float offset_s : frame.scan.rays.time_offset_s) {
-            const TrackPosition place =
-                sequence_.world_from_vehicle.place(compute_absolute_firing_time(sequence_, frame, offset_s));
-            host.places.push_back(
-                {static_cast<std::uint32_t>(place.left - data.first_knot), static_cast<float>(place.s)});
+            const TrackInterpolation track_position = sequence_.world_from_vehicle.find_pose_segment(
+                compute_absolute_firing_time(sequence_, frame, offset_s));
+            host.track_positions.push_back({static_cast<std::uint32_t>(track_position.left - data.first_knot),
+                                            static_cast<float>(track_position.s)});
         }
     return host;
 }
 
-TrainingFrames::HostFrame TrainingFrames::take(std::size_t index) {
-    if (coming_.valid()) {
-        HostFrame host = coming_.get();
-        if (coming_frame_ == index) return host;
+TrainingFrames::HostFrameArrays TrainingFrames::take_prepared_frame(std::size_t frame_index) {
+    if (prefetched_frame_.valid()) {
+        HostFrameArrays host = prefetched_frame_.get();
+        if (prefetched_index_ == frame_index) return host;
     }
-    return prepare(index);
+    return prepare_host_frame(frame_index);
 }
 
-FrameData& TrainingFrames::make_resident(Stream& stream, std::size_t index) {
-    FrameData& frame = frames_[index];
-    if (index < n_staying_) return frame;
-    const HostFrame host = take(index);
+TrainingFrameData& TrainingFrames::make_frame_resident(Stream& stream, std::size_t frame_index) {
+    TrainingFrameData& frame = frames_[frame_index];
+    if (frame_index < n_staying_) return frame;
+    const HostFrameArrays host = take_prepared_frame(frame_index);
     upload_values(stream, frame.arrays->rays, host.rays);
     upload_values(stream, frame.arrays->targets, host.targets);
-    upload_values(stream, frame.arrays->places, host.places);
-    count_target_rays(frame, host.targets);
+    upload_values(stream, frame.arrays->track_positions, host.track_positions);
+    count_known_and_returned_rays(frame, host.targets);
     return frame;
 }
 
-void TrainingFrames::expect(std::size_t index) {
-    if (index < n_staying_ || (coming_.valid() && coming_frame_ == index)) return;
-    if (coming_.valid()) coming_.wait();
-    coming_frame_ = index;
-    coming_ = std::async(std::launch::async, [this, index] { return prepare(index); });
+void TrainingFrames::prefetch_frame(std::size_t frame_index) {
+    if (frame_index < n_staying_ || (prefetched_frame_.valid() && prefetched_index_ == frame_index)) return;
+    if (prefetched_frame_.valid()) prefetched_frame_.wait();
+    prefetched_index_ = frame_index;
+    prefetched_frame_ =
+        std::async(std::launch::async, [this, frame_index] { return prepare_host_frame(frame_index); });
 }
 
 }  // namespace relidar

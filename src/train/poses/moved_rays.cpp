@@ -11,47 +11,50 @@
 namespace relidar {
 namespace {
 
-std::uint32_t count_max_pose_knots(const std::vector<FrameData>& frames) {
+std::uint32_t find_max_poses_per_frame(const std::vector<TrainingFrameData>& frames) {
     std::uint32_t most = 0;
-    for (const FrameData& frame : frames) most = std::max(most, frame.n_knots);
+    for (const TrainingFrameData& frame : frames) most = std::max(most, frame.n_knots);
     return most;
 }
 
 }  // namespace
 
-MovedRays::MovedRays(Device& device, const std::vector<FrameData>& frames)
-    : most_knots_(count_max_pose_knots(frames)),
-      moved_(device, find_max_rays(frames), "moved rays"),
+PoseCorrectedRays::PoseCorrectedRays(Device& device, const std::vector<TrainingFrameData>& frames)
+    : most_knots_(find_max_poses_per_frame(frames)),
+      moved_(device, find_max_rays_per_frame(frames), "moved rays"),
       knots_(device, most_knots_, "sensor poses"),
       rows_(device, std::size_t(kRows) * 6 * most_knots_, "pose gradients"),
       move_(device, "train/move_rays"),
-      gradients_(device, "train/knot_gradients", {{ConstantId::WORKGROUP_SIZE, RELIDAR_KNOT_WORKGROUP}}) {}
+      gradients_(device, "train/knot_gradients",
+                 {{SpecialisationConstantId::WORKGROUP_SIZE, RELIDAR_KNOT_WORKGROUP}}) {}
 
-void MovedRays::move(Stream& stream, const TrackCorrection& sensor, FrameData& frame) {
+void PoseCorrectedRays::move_rays_to_corrected_poses(Stream& stream, const TrackCorrection& sensor_correction,
+                                                     TrainingFrameData& frame) {
     std::vector<shared::PoseKnot> knots;
     for (std::size_t k = frame.first_knot; k < frame.first_knot + frame.n_knots; ++k) {
-        const Twist c = sensor.at(k);
-        knots.push_back({glm::vec3(sensor.get_uncorrected_track().pose[k].translation),
+        const Twist c = sensor_correction.interpolate_correction(k);
+        knots.push_back({glm::vec3(sensor_correction.get_uncorrected_track().pose[k].translation),
                          glm::vec3(c[0], c[1], c[2]), glm::vec3(c[3], c[4], c[5])});
     }
-    stream.impl().write(knots_.buffer(), knots.data(), knots.size() * sizeof(knots[0]));
+    stream.impl().record_buffer_write(knots_.buffer(), knots.data(), knots.size() * sizeof(knots[0]));
     run(stream, move_, frame.n_rays,
         {.rays = frame.arrays->rays.address(),
-         .places = frame.arrays->places.address(),
+         .places = frame.arrays->track_positions.address(),
          .knots = knots_.address(),
          .moved = moved_.address(),
          .n_rays = frame.n_rays});
     frame.moved_rays = &moved_;
 }
 
-void MovedRays::sum_gradients(Stream& stream, const FrameData& frame, const SampledBatch& batch,
-                              const Array<float, shared::DeviceRayGradients>& d_rays) {
-    RELIDAR_ASSERT_LE(std::size_t(6) * batch.rays.n_rays, d_rays.size());
+void PoseCorrectedRays::record_pose_gradient_sums(
+    Stream& stream, const TrainingFrameData& frame, const SampledBatch& batch,
+    const Array<float, shared::DeviceRayGradients>& ray_gradients) {
+    RELIDAR_ASSERT_LE(std::size_t(6) * batch.rays.n_rays, ray_gradients.size());
     run(stream, gradients_, std::size_t(RELIDAR_KNOT_WORKGROUP) * kRows * most_knots_,
         {.moved = batch.rays.rays->address(),
-         .places = frame.arrays->places.address(),
+         .places = frame.arrays->track_positions.address(),
          .knots = knots_.address(),
-         .d_rays = d_rays.address(),
+         .d_rays = ray_gradients.address(),
          .rows = rows_.address(),
          .n_rays = batch.rays.n_rays,
          .first_ray = batch.rays.first,
@@ -64,14 +67,14 @@ void MovedRays::sum_gradients(Stream& stream, const FrameData& frame, const Samp
          .n_rows = kRows});
 }
 
-std::vector<PoseGradient> MovedRays::sum_pose_gradients(std::span<const float> gradient_rows,
-                                                        const FrameData& frame) const {
+std::vector<PoseGradient> PoseCorrectedRays::sum_pose_gradients(std::span<const float> partial_sums,
+                                                                const TrainingFrameData& frame) const {
     std::vector<PoseGradient> result(frame.n_knots);
     for (std::size_t k = 0; k < result.size(); ++k) {
         result[k].pose = frame.first_knot + k;
         for (std::size_t row = 0; row < kRows; ++row)
             for (std::size_t j = 0; j < 6; ++j)
-                result[k].gradient[j] += gradient_rows[6 * (row * most_knots_ + k) + j];
+                result[k].gradient[j] += partial_sums[6 * (row * most_knots_ + k) + j];
     }
     return result;
 }

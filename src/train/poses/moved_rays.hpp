@@ -24,24 +24,26 @@ struct PoseGradient {
     Twist gradient{};
 };
 
-class MovedRays {
+class PoseCorrectedRays {
 public:
-    MovedRays(Device& device, const std::vector<FrameData>& frames);
+    PoseCorrectedRays(Device& device, const std::vector<TrainingFrameData>& frames);
     /// Records GPU commands that compute the rays of a frame from the corrected poses.
     /// The frame must be on the device. Afterwards `frame` refers to the new rays, which
     /// are valid until the next call.
-    void move(Stream& stream, const TrackCorrection& sensor, FrameData& frame);
+    void move_rays_to_corrected_poses(Stream& stream, const TrackCorrection& sensor_correction,
+                                      TrainingFrameData& frame);
     /// Records GPU commands that convert gradients of rays to gradients of the sensor
-    /// poses before and after the firing time. Call move() for the same frame before. The
-    /// viewing direction of the spherical harmonics is treated as a constant.
-    void sum_gradients(Stream& stream, const FrameData& frame, const SampledBatch& batch,
-                       const Array<float, shared::DeviceRayGradients>& d_rays);
-    /// Returns the partial sums of the last sum_gradients(): [kRows, maximum poses of a
-    /// frame, 6].
-    const Array<float>& gradient_rows() const { return rows_; }
+    /// poses before and after the firing time. Call move_rays_to_corrected_poses() for
+    /// the same frame before. The viewing direction of the spherical harmonics is treated
+    /// as a constant.
+    void record_pose_gradient_sums(Stream& stream, const TrainingFrameData& frame, const SampledBatch& batch,
+                                   const Array<float, shared::DeviceRayGradients>& ray_gradients);
+    /// Returns the partial sums of the last record_pose_gradient_sums(): [kRows, maximum
+    /// poses of a frame, 6].
+    const Array<float>& get_partial_gradient_sums() const { return rows_; }
     /// Sums up the partial sums, and returns one gradient for each pose of a frame.
-    std::vector<PoseGradient> sum_pose_gradients(std::span<const float> gradient_rows,
-                                                 const FrameData& frame) const;
+    std::vector<PoseGradient> sum_pose_gradients(std::span<const float> partial_sums,
+                                                 const TrainingFrameData& frame) const;
 
 private:
     /// Number of workgroups that share the gradient sum of a pose, so that the GPU has
@@ -49,7 +51,8 @@ private:
     static constexpr std::uint32_t kRows = 16;
 
     std::uint32_t most_knots_;
-    Array<DeviceRay> moved_;         ///< [maximum rays of a frame] rays of the frame of the last move()
+    Array<DeviceRay>
+        moved_;  ///< [maximum rays of a frame] rays of the frame of the last move_rays_to_corrected_poses()
     Array<shared::PoseKnot> knots_;  ///< [most_knots_] poses of the frame of the last move()
     Array<float, shared::KnotGradientRows> rows_;
     Kernel<shared::MoveRaysParams> move_;

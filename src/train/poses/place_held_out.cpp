@@ -22,31 +22,33 @@ constexpr float kFewestWeight = 0.5f;
 
 /// Renders the trained background, to which scans are aligned. Excludes actors, because
 /// their poses are only estimates.
-class RunView {
+class TrainedBackgroundRenderer {
 public:
-    RunView(Device& device, const Run& run)
-        : run_(run), renderer_(device, run.scene, make_view_config(run.config), run.sequence) {}
+    TrainedBackgroundRenderer(Device& device, const TrainedRun& run)
+        : run_(run), renderer_(device, run.scene, make_surface_render_config(run.config), run.sequence) {}
 
-    std::vector<VisibleSurface> render_visible_surfaces(int position, const std::vector<std::size_t>& rays,
-                                                        const PoseTrack& world_from_vehicle) {
-        const Frame& frame = run_.sequence.frames[std::size_t(position)];
-        SensorChoice sensor;
-        sensor.rays = select_rays(frame.scan.rays, rays), sensor.follows_sweeps = false;
+    std::vector<SurfaceHit> render_visible_surfaces(int frame_index,
+                                                    const std::vector<std::size_t>& ray_indices,
+                                                    const PoseTrack& world_from_vehicle) {
+        const LidarFrame& frame = run_.sequence.frames[std::size_t(frame_index)];
+        SimulatedSensor sensor;
+        sensor.rays = select_rays(frame.scan.rays, ray_indices), sensor.follows_sweeps = false;
         sensor.lidar = frame.lidar;
         sensor.rolling_shutter = run_.sequence.rolling_shutter;
         const Pose& mounted = run_.sequence.get_lidar(frame).vehicle_from_sensor;
         const glm::dvec3& offset_m = run_.sequence.world_offset_m;
         const RenderedScan scan = renderer_.render(
-            sensor, {frame.time_s, shift_track(mount_on_track(world_from_vehicle, mounted), offset_m), {}});
-        const std::vector<glm::vec3>& normals = *find_values<glm::vec3>(scan.channels, "normal");
-        std::vector<VisibleSurface> surfaces(rays.size());
-        FiringPoses firing(scan);
-        for (std::size_t i = 0; i < rays.size(); ++i) {
+            sensor,
+            {frame.time_s, shift_track(compute_mounted_track(world_from_vehicle, mounted), offset_m), {}});
+        const std::vector<glm::vec3>& normals = *find_channel_values<glm::vec3>(scan.channels, "normal");
+        std::vector<SurfaceHit> surfaces(ray_indices.size());
+        FiringPoseInterpolator firing(scan);
+        for (std::size_t i = 0; i < ray_indices.size(); ++i) {
             const std::int32_t instance = scan.instance[i];
             if (scan.weight[i] < kFewestWeight || instance < 0 ||
                 !run_.scene.instances[std::size_t(instance)].track.empty())
                 continue;
-            const Pose& pose = firing.at(i);
+            const Pose& pose = firing.compute_firing_pose(i);
             const glm::vec3 point_m =
                 sensor.rays.origin[i] + scan.median_range_m[i] * sensor.rays.direction[i];
             surfaces[i] = {pose * glm::dvec3(point_m) - offset_m, pose.rotation * glm::dvec3(normals[i])};
@@ -55,10 +57,10 @@ public:
     }
 
 private:
-    const Run& run_;
+    const TrainedRun& run_;
     ScanRenderer renderer_;
 
-    static Config make_view_config(Config config) {
+    static Config make_surface_render_config(Config config) {
         config.render.channels = "normal";
         config.sensor.sub_rays = config.sensor.returns = 1;
         return config;
@@ -67,16 +69,16 @@ private:
 
 }  // namespace
 
-HeldOutPlacement place_held_out(Device& device, Run& run, const PlaceSession& session) {
-    HeldOutPlacement result;
+HeldOutPoseReport place_held_out(Device& device, TrainedRun& run, const HeldOutPoseCallbacks& session) {
+    HeldOutPoseReport result;
     const Config& config = run.config;
-    if (!config.train.place_held_out || !should_register_sensor(config.train) ||
+    if (!config.train.place_held_out || !should_register_sensor_poses(config.train) ||
         !get_primitive_kind(config.image.primitive).has_normals) {
         run.held_out_placed = true;
         return result;
     }
-    const RegisterOptions options = make_register_options(run.sequence, config);
-    RunView view(device, run);
+    const RegistrationOptions options = make_registration_options(run.sequence, config);
+    TrainedBackgroundRenderer view(device, run);
     PoseTrack track = run.sequence.world_from_vehicle;
     std::vector<double> moved_m;
     // Indices of the vehicle poses of the held-out sweeps. LiDARs that sweep at the same
@@ -88,14 +90,14 @@ HeldOutPlacement place_held_out(Device& device, Run& run, const PlaceSession& se
         if (session.progress)
             session.progress("aligning held-out scans", double(result.scans) / double(poses.size()));
         if (session.stop && session.stop()) return {};
-        const ScanPlacement placed = place_scan(
+        const ScanAlignment placed = align_scan_with_scene(
             run.sequence, pose,
             [&](int position, const std::vector<std::size_t>& rays, const PoseTrack& from) {
                 return view.render_visible_surfaces(position, rays, from);
             },
             options);
         ++result.scans;
-        if (!placed.found) continue;
+        if (!placed.is_aligned) continue;
         track.pose[pose] = placed.world_from_vehicle;
         moved_m.push_back(placed.moved_m);
     }

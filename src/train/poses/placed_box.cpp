@@ -7,9 +7,9 @@
 
 namespace relidar {
 
-glm::dvec2 PlacedBox::compute_ray_interval(const WorldRay& ray, double grown_m) const {
+glm::dvec2 PosedBox::compute_ray_entry_exit_m(const WorldRay& ray, double margin_m) const {
     const glm::dvec3 o = box_from_world * ray.origin_m, d = box_from_world.rotation * ray.direction,
-                     half_m = half_size_m + grown_m;
+                     half_m = half_size_m + margin_m;
     glm::dvec2 inside(0.0, 1e30);
     for (int axis = 0; axis < 3; ++axis) {
         if (std::abs(d[axis]) < 1e-12) {

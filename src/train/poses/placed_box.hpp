@@ -9,15 +9,15 @@
 
 namespace relidar {
 
-struct PlacedBox {
+struct PosedBox {
     Pose box_from_world;
     glm::dvec3 half_size_m;
 
     /// Returns the distances along a ray at which it enters and leaves the box. Both are
     /// at least 0.
-    /// @param grown_m  enlarges the box on every side
+    /// @param margin_m  enlarges the box on every side
     /// @return entry and exit; entry > exit if the ray misses the box
-    glm::dvec2 compute_ray_interval(const WorldRay& ray, double grown_m = 0.0) const;
+    glm::dvec2 compute_ray_entry_exit_m(const WorldRay& ray, double margin_m = 0.0) const;
 };
 
 }  // namespace relidar

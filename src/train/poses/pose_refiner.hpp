@@ -20,10 +20,10 @@
 
 namespace relidar {
 
-class MovedRays;
+class PoseCorrectedRays;
 class TrainingFrames;
-struct FrameData;
-struct Gradients;
+struct TrainingFrameData;
+struct DeviceGradients;
 struct RefinedPoses;
 struct SampledBatch;
 struct TrainConfig;
@@ -35,53 +35,54 @@ public:
     /// @param layout  layout of the scene; the tracks of its instances are corrected
     /// @param config  train.refine_poses selects which poses are corrected; with "none",
     /// all functions of this class do nothing
-    PoseRefiner(Device& device, const Sequence& sequence, const Scene& layout, const TrainConfig& config,
+    PoseRefiner(Device& device, const LidarSequence& sequence, const Scene& layout, const TrainConfig& config,
                 const TrainingFrames& frames);
     ~PoseRefiner();
 
     bool is_active() const { return is_active_; }
-    /// Returns the gradients that the backward pass must compute for record().
-    GradientSelection wanted() const;
+    /// Returns the gradients that the backward pass must compute for
+    /// record_pose_gradients().
+    GradientSelection get_required_gradients() const;
     /// Moves a frame to the corrected poses: its rays, actors and sensor position. The
     /// frame must be on the device.
-    void place(Stream& stream, FrameData& frame);
+    void move_frame_to_corrected_poses(Stream& stream, TrainingFrameData& frame);
     /// Records GPU commands that compute the pose gradients of a batch and copy them to
-    /// the host, where apply_steps() uses them later.
+    /// the host, where apply_pose_updates_until() uses them later.
     /// @param step  counts from 1
-    void record(Stream& stream, std::size_t frame_index, const FrameData& frame, const SampledBatch& batch,
-                const Gradients& gradients, int step);
-    /// Updates the poses with the gradients of all pending iterations up to `last`, in
-    /// order. Waits for these gradients if necessary.
-    void apply_steps(Stream& stream, int last);
+    void record_pose_gradients(Stream& stream, std::size_t frame_index, const TrainingFrameData& frame,
+                               const SampledBatch& batch, const DeviceGradients& gradients, int step);
+    /// Updates the poses with the gradients of all pending iterations up to `last_step`,
+    /// in order. Waits for these gradients if necessary.
+    void apply_pose_updates_until(Stream& stream, int last_step);
     /// Waits for the pending gradients without updating the poses, so that a checkpoint
     /// can store the gradients.
-    void fetch(Stream& stream);
-    RefinedPoses poses() const;
+    void fetch_pending_gradients(Stream& stream);
+    RefinedPoses get_refined_poses() const;
 
     template <class Visitor>
     void visit_state(Visitor&& visit) {
         if (!is_active()) return;
         if (sensor_) sensor_->visit_state("poses/sensor", visit);
-        for (Actor& actor : actors_)
+        for (RefinedActor& actor : actors_)
             actor.correction.visit_state("poses/actor " + poses_.boxes[actor.box].id, visit);
-        visit("poses/coming/step", coming_.step);
-        visit("poses/coming/frame", coming_.frame);
-        visit("poses/coming/actor_time_s", coming_.actor_time_s);
-        visit("poses/coming/gradient", coming_.gradient);
+        visit("poses/coming/step", pending_iterations_.step);
+        visit("poses/coming/frame", pending_iterations_.frame);
+        visit("poses/coming/actor_time_s", pending_iterations_.actor_time_s);
+        visit("poses/coming/gradient", pending_iterations_.gradient);
     }
     /// Recomputes the corrected poses after the state was read from a checkpoint.
     /// @throws DataError if the state does not fit the log
-    void restore();
+    void update_poses_after_restore();
 
 private:
-    struct Actor {
+    struct RefinedActor {
         std::size_t instance;  ///< index of the instance in the scene
         std::size_t box;       ///< index of the box in the sequence
         TrackCorrection correction;
     };
 
     /// Iterations whose pose gradients are still to be applied, oldest first.
-    struct Coming {
+    struct PendingPoseIterations {
         std::vector<std::uint64_t> step;
         /// index of the iteration's frame in the list of training frames
         std::vector<std::uint64_t> frame;
@@ -89,7 +90,7 @@ private:
         /// visible
         std::vector<double> actor_time_s;
         /// [iterations, floats_of_rays_ + floats_of_instances_] gradients; filled by
-        /// fetch()
+        /// fetch_pending_gradient()
         std::vector<float> gradient;
     };
 
@@ -97,21 +98,21 @@ private:
     const bool is_active_;
     const TrainingFrames& frames_;
     Scene layout_;
-    Sequence poses_;  ///< the log without its scans, with the current corrections
+    LidarSequence poses_;  ///< the log without its scans, with the current corrections
     std::optional<TrackCorrection> sensor_;
-    std::unique_ptr<MovedRays> rays_;
-    std::vector<Actor> actors_;
-    Coming coming_;
+    std::unique_ptr<PoseCorrectedRays> rays_;
+    std::vector<RefinedActor> actors_;
+    PendingPoseIterations pending_iterations_;
     std::size_t floats_of_rays_ = 0, floats_of_instances_ = 0;
     /// [kReadbackLag] host buffers for gradients; iteration i uses buffer i modulo
     /// kReadbackLag. Empty if the poses of sensor or actors are not corrected.
-    std::vector<Readback> of_rays_, of_instances_;
+    std::vector<ReadbackBuffer> of_rays_, of_instances_;
 
     /// Returns the gradients of the i-th pending iteration. Waits until the gradients are
     /// on the host.
-    std::span<float> fetch(Stream& stream, std::size_t index);
-    void apply_oldest_step(Stream& stream);
-    void update_poses();
+    std::span<float> fetch_pending_gradient(Stream& stream, std::size_t pending_index);
+    void apply_oldest_pose_update(Stream& stream);
+    void update_corrected_poses();
 };
 
 }  // namespace relidar

@@ -7,12 +7,12 @@
 
 namespace relidar {
 
-inline bool should_register_sensor(const TrainConfig& config) {
-    return config.pose_register && config.refines("sensor");
+inline bool should_register_sensor_poses(const TrainConfig& config) {
+    return config.pose_register && config.should_refine_poses("sensor");
 }
 
 /// Returns the registration options that follow from the settings. The caller must set
 /// `stop`, `progress` and `group`.
-RegisterOptions make_register_options(const Sequence& sequence, const Config& config);
+RegistrationOptions make_registration_options(const LidarSequence& sequence, const Config& config);
 
 }  // namespace relidar

@@ -12,8 +12,8 @@ namespace {
 
 constexpr double kBeta1 = 0.9, kBeta2 = 0.99, kEpsilon = 1e-15;
 
-glm::dvec3 get_twist_part(const Twist& twist, std::size_t first) {
-    return {twist[first], twist[first + 1], twist[first + 2]};
+glm::dvec3 get_twist_vector(const Twist& twist, std::size_t first_index) {
+    return {twist[first_index], twist[first_index + 1], twist[first_index + 2]};
 }
 
 }  // namespace
@@ -27,46 +27,49 @@ TrackCorrection::TrackCorrection(PoseTrack track)
       gradient_(values_),
       visited_(track_.pose.size(), false) {}
 
-Twist TrackCorrection::value(std::size_t pose) const {
+Twist TrackCorrection::get_stored_correction(std::size_t pose_index) const {
     Twist twist;
-    std::copy_n(values_.begin() + std::ptrdiff_t(6 * pose), 6, twist.begin());
+    std::copy_n(values_.begin() + std::ptrdiff_t(6 * pose_index), 6, twist.begin());
     return twist;
 }
 
-Twist TrackCorrection::at(std::size_t pose) const {
-    const auto is_known = [this](std::size_t index) { return n_steps_[index] > 0; };
-    std::size_t before = pose, after = pose;
-    while (before > 0 && !is_known(before)) --before;
-    while (after + 1 < n_steps_.size() && !is_known(after)) ++after;
-    if (!is_known(before) && !is_known(after)) return {};
-    if (before == after || !is_known(after)) return value(before);
-    if (!is_known(before)) return value(after);
+Twist TrackCorrection::interpolate_correction(std::size_t pose_index) const {
+    const auto is_corrected = [this](std::size_t index) { return n_steps_[index] > 0; };
+    std::size_t before = pose_index, after = pose_index;
+    while (before > 0 && !is_corrected(before)) --before;
+    while (after + 1 < n_steps_.size() && !is_corrected(after)) ++after;
+    if (!is_corrected(before) && !is_corrected(after)) return {};
+    if (before == after || !is_corrected(after)) return get_stored_correction(before);
+    if (!is_corrected(before)) return get_stored_correction(after);
     const double s =
-        (track_.time_s[pose] - track_.time_s[before]) / (track_.time_s[after] - track_.time_s[before]);
+        (track_.time_s[pose_index] - track_.time_s[before]) / (track_.time_s[after] - track_.time_s[before]);
     Twist twist;
-    for (std::size_t i = 0; i < 6; ++i) twist[i] = (1.0 - s) * value(before)[i] + s * value(after)[i];
+    for (std::size_t i = 0; i < 6; ++i)
+        twist[i] = (1.0 - s) * get_stored_correction(before)[i] + s * get_stored_correction(after)[i];
     return twist;
 }
 
 PoseTrack TrackCorrection::make_corrected_track() const {
     PoseTrack result = track_;
-    for (std::size_t k = 0; k < result.pose.size(); ++k) result.pose[k] = apply_twist(track_.pose[k], at(k));
+    for (std::size_t k = 0; k < result.pose.size(); ++k)
+        result.pose[k] = apply_twist(track_.pose[k], interpolate_correction(k));
     return result;
 }
 
-void TrackCorrection::add_gradient(double t_s, const Twist& gradient) {
-    const auto [left, s] = track_.place(t_s);
-    add_gradient(left, 1.0 - s, gradient);
-    if (s != 0.0) add_gradient(left + 1, s, gradient);
+void TrackCorrection::add_pose_gradient(double t_s, const Twist& gradient) {
+    const auto [left, s] = track_.find_pose_segment(t_s);
+    add_pose_gradient(left, 1.0 - s, gradient);
+    if (s != 0.0) add_pose_gradient(left + 1, s, gradient);
 }
 
-void TrackCorrection::add_gradient(std::size_t pose, double share, const Twist& gradient) {
-    if (std::all_of(gradient.begin(), gradient.end(), [share](double g) { return share * g == 0.0; })) return;
-    for (std::size_t i = 0; i < 6; ++i) gradient_[6 * pose + i] += share * gradient[i];
-    visited_[pose] = true;
+void TrackCorrection::add_pose_gradient(std::size_t pose_index, double weight, const Twist& gradient) {
+    if (std::all_of(gradient.begin(), gradient.end(), [weight](double g) { return weight * g == 0.0; }))
+        return;
+    for (std::size_t i = 0; i < 6; ++i) gradient_[6 * pose_index + i] += weight * gradient[i];
+    visited_[pose_index] = true;
 }
 
-void TrackCorrection::step(const PoseStep& step) {
+void TrackCorrection::run_adam_step(const PoseStepRates& step) {
     for (std::size_t k = 0; k < visited_.size(); ++k) {
         if (!visited_[k]) continue;
         const double n = double(++n_steps_[k]), bias1 = 1.0 - std::pow(kBeta1, n),
@@ -90,8 +93,8 @@ void TrackCorrection::remove_common_motion() {
     glm::dvec3 centre(0.0), v(0.0), w(0.0);
     for (std::size_t k = 0; k < track_.pose.size(); ++k) {
         centre += track_.pose[k].translation / n;
-        v += get_twist_part(value(k), 0) / n;
-        w += get_twist_part(value(k), 3) / n;
+        v += get_twist_vector(get_stored_correction(k), 0) / n;
+        w += get_twist_vector(get_stored_correction(k), 3) / n;
     }
     for (std::size_t k = 0; k < track_.pose.size(); ++k) {
         const glm::dvec3 carried = v + glm::cross(w, track_.pose[k].translation - centre);
@@ -102,7 +105,7 @@ void TrackCorrection::remove_common_motion() {
     }
 }
 
-bool TrackCorrection::is_sound() const {
+bool TrackCorrection::has_valid_state() const {
     const std::size_t n = track_.pose.size();
     return values_.size() == 6 * n && moment1_.size() == 6 * n && moment2_.size() == 6 * n &&
            n_steps_.size() == n;

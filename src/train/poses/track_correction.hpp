@@ -15,7 +15,7 @@
 namespace relidar {
 
 /// Learning rates and prior weights of one optimisation step.
-struct PoseStep {
+struct PoseStepRates {
     double rate_m = 0.0;
     double rate_rad = 0.0;
     double prior_per_m2 = 0.0;    ///< weight of the prior |v|^2
@@ -29,16 +29,16 @@ public:
     const PoseTrack& get_uncorrected_track() const { return track_; }
     /// Returns the correction of a pose. A pose that was not optimised yet gets the
     /// interpolated correction of the nearest optimised poses, or zero if there are none.
-    Twist at(std::size_t pose) const;
+    Twist interpolate_correction(std::size_t pose_index) const;
     PoseTrack make_corrected_track() const;
 
     /// Adds a loss gradient dL/d(v, w), for the pose at a given time or for one of the
-    /// recorded poses. The next call of step() uses the sum of the gradients.
-    void add_gradient(double t_s, const Twist& gradient);
-    void add_gradient(std::size_t pose, double share, const Twist& gradient);
+    /// recorded poses. The next call of run_adam_step() uses the sum of the gradients.
+    void add_pose_gradient(double t_s, const Twist& gradient);
+    void add_pose_gradient(std::size_t pose_index, double weight, const Twist& gradient);
     /// Performs one Adam step on the loss and the prior. Changes only poses that got a
     /// gradient since the last step.
-    void step(const PoseStep& step);
+    void run_adam_step(const PoseStepRates& step);
     /// Removes the rigid motion that all corrections have in common, so that the scene
     /// does not drift. The loss does not constrain this motion, because moving the scene
     /// and all sensors together does not change the images. Afterwards, the mean
@@ -56,7 +56,7 @@ public:
         visit(name + "/steps", n_steps_);
     }
     /// Returns true if a state that was read from a checkpoint is valid.
-    bool is_sound() const;
+    bool has_valid_state() const;
 
 private:
     PoseTrack track_;
@@ -65,7 +65,7 @@ private:
     std::vector<double> gradient_;                    ///< [poses,6] sum of the gradients since the last step
     std::vector<bool> visited_;  ///< [poses] true if a gradient was added since the last step
 
-    Twist value(std::size_t pose) const;
+    Twist get_stored_correction(std::size_t pose_index) const;
 };
 
 }  // namespace relidar

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that write_atomically() creates the complete file or nothing. After an error, no
-// temporary file may remain and the target must be unchanged.
+// Tests that write_file_atomically() creates the complete file or nothing. After an
+// error, no temporary file may remain and the target must be unchanged.
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/files.hpp>
 #include <relidar/base/images.hpp>
@@ -24,10 +24,10 @@ namespace fs = std::filesystem;
 using AtomicFile = TemporaryFolder;
 
 TEST_F(AtomicFile, WritesAndReplaces) {
-    write_text(folder / "a.txt", "first");
-    write_text(folder / "a.txt", "second, longer");
+    write_text_file(folder / "a.txt", "first");
+    write_text_file(folder / "a.txt", "second, longer");
     EXPECT_EQ(read_contents(folder / "a.txt"), "second, longer");
-    write_text(folder / "a.txt", "");
+    write_text_file(folder / "a.txt", "");
     EXPECT_EQ(read_contents(folder / "a.txt"), "");
     EXPECT_EQ(files(), std::vector<std::string>{"a.txt"});
 }
@@ -35,7 +35,7 @@ TEST_F(AtomicFile, WritesAndReplaces) {
 TEST_F(AtomicFile, WritesRelativePathsWithoutFolder) {
     const fs::path before = fs::current_path();
     fs::current_path(folder);
-    write_text("plain.txt", "here");
+    write_text_file("plain.txt", "here");
     fs::current_path(before);
     EXPECT_EQ(read_contents(folder / "plain.txt"), "here");
 }
@@ -43,7 +43,7 @@ TEST_F(AtomicFile, WritesRelativePathsWithoutFolder) {
 TEST_F(AtomicFile, KeepsOldFileWhereTheWriterThrows) {
     put(folder / "a.txt", "old");
     const std::string message = get_data_error_message([&] {
-        write_atomically(folder / "a.txt", [](const fs::path& temporary) {
+        write_file_atomically(folder / "a.txt", [](const fs::path& temporary) {
             put(temporary, "half");
             throw std::runtime_error("line one\nline two");
         });
@@ -59,17 +59,18 @@ TEST_F(AtomicFile, LetsDeviceErrorsThrough) {
         put(temporary, "half");
         throw DeviceError("device lost");
     };
-    EXPECT_THROW(write_atomically(folder / "a.bin", lose_device), DeviceError);
+    EXPECT_THROW(write_file_atomically(folder / "a.bin", lose_device), DeviceError);
     EXPECT_TRUE(files().empty());
 }
 
 TEST_F(AtomicFile, RefusesAWriterThatWritesNothing) {
-    get_data_error_message([&] { write_atomically(folder / "a.bin", [](const fs::path&) {}); });
+    get_data_error_message([&] { write_file_atomically(folder / "a.bin", [](const fs::path&) {}); });
     EXPECT_TRUE(files().empty());
 }
 
 TEST_F(AtomicFile, NamesAMissingFolder) {
-    const std::string message = get_data_error_message([&] { write_text(folder / "none" / "a.txt", "x"); });
+    const std::string message =
+        get_data_error_message([&] { write_text_file(folder / "none" / "a.txt", "x"); });
     EXPECT_NE(message.find("none'"), std::string::npos) << message;
     EXPECT_NE(message.find("No such file or directory"), std::string::npos) << message;
     EXPECT_FALSE(fs::exists(folder / "none"));
@@ -77,11 +78,11 @@ TEST_F(AtomicFile, NamesAMissingFolder) {
 
 TEST_F(AtomicFile, RefusesFoldersAndDevices) {
     fs::create_directory(folder / "sub");
-    get_data_error_message([&] { write_text(folder / "sub", "x"); });
-    get_data_error_message([&] { write_text(folder / "sub/", "x"); });
-    get_data_error_message([&] { write_text("/dev/null", "x"); });
+    get_data_error_message([&] { write_text_file(folder / "sub", "x"); });
+    get_data_error_message([&] { write_text_file(folder / "sub/", "x"); });
+    get_data_error_message([&] { write_text_file("/dev/null", "x"); });
     put(folder / "file", "");
-    get_data_error_message([&] { write_text(folder / "file" / "a.txt", "x"); });
+    get_data_error_message([&] { write_text_file(folder / "file" / "a.txt", "x"); });
     EXPECT_TRUE(fs::is_character_file("/dev/null"));
     EXPECT_EQ(files().size(), 2u);
 }
@@ -89,7 +90,7 @@ TEST_F(AtomicFile, RefusesFoldersAndDevices) {
 TEST_F(AtomicFile, WritesThroughALink) {
     put(folder / "target.txt", "old");
     fs::create_symlink("target.txt", folder / "link.txt");
-    write_text(folder / "link.txt", "new");
+    write_text_file(folder / "link.txt", "new");
     EXPECT_TRUE(fs::is_symlink(folder / "link.txt"));
     EXPECT_EQ(read_contents(folder / "target.txt"), "new");
 }
@@ -97,7 +98,7 @@ TEST_F(AtomicFile, WritesThroughALink) {
 TEST_F(AtomicFile, NamesAFolderThatCannotBeWritten) {
     if (::geteuid() == 0) GTEST_SKIP() << "root may write everywhere";
     fs::permissions(folder, fs::perms::owner_read | fs::perms::owner_exec);
-    const std::string message = get_data_error_message([&] { write_text(folder / "a.txt", "x"); });
+    const std::string message = get_data_error_message([&] { write_text_file(folder / "a.txt", "x"); });
     fs::permissions(folder, fs::perms::owner_all);
     EXPECT_NE(message.find("Permission denied"), std::string::npos) << message;
     EXPECT_TRUE(files().empty());
@@ -106,7 +107,7 @@ TEST_F(AtomicFile, NamesAFolderThatCannotBeWritten) {
 TEST_F(AtomicFile, NamesAFileSystemThatCannotBeWritten) {
     if (!fs::is_directory("/proc/self")) GTEST_SKIP() << "no /proc";
     // not writable for root either
-    const std::string message = get_data_error_message([&] { write_text("/proc/relidar.txt", "x"); });
+    const std::string message = get_data_error_message([&] { write_text_file("/proc/relidar.txt", "x"); });
     EXPECT_NE(message.find("/proc/relidar.txt"), std::string::npos) << message;
 }
 
@@ -115,16 +116,16 @@ TEST_F(AtomicFile, LeftoversOfAKilledProcessAreRemoved) {
         put(folder / name, "half");
     for (const char* name : {"a.txt", ".a.txt.tmp-123", "a.txt.tmp-1-1", ".hidden", ".a.tmp-1-1.txt"})
         put(folder / name, "somebody's");
-    remove_temporaries(folder);
-    remove_temporaries(folder / "nowhere");
+    remove_temporary_files(folder);
+    remove_temporary_files(folder / "nowhere");
     EXPECT_EQ(files().size(), 5u);
     pid_t child = ::fork();  // uses real leftovers of a killed process
     if (child == 0)
-        write_atomically(folder / "b.txt",
-                         [](const fs::path& temporary) { put(temporary, "half"), ::_exit(0); });
+        write_file_atomically(folder / "b.txt",
+                              [](const fs::path& temporary) { put(temporary, "half"), ::_exit(0); });
     ::waitpid(child, nullptr, 0);
     EXPECT_EQ(files().size(), 6u);
-    remove_temporaries(folder);
+    remove_temporary_files(folder);
     EXPECT_EQ(files().size(), 5u);
 }
 
@@ -133,16 +134,16 @@ using StagedFolders = TemporaryFolder;
 TEST_F(StagedFolders, AppearWhenTheyAreFinished) {
     {
         const StagedFolder staged(folder / "log" / "");
-        write_text(staged.path() / "a.txt", "first");
+        write_text_file(staged.path() / "a.txt", "first");
         EXPECT_FALSE(fs::exists(folder / "log"));
-        staged.finish();
+        staged.move_folder_to_final_path();
     }
     EXPECT_EQ(read_contents(folder / "log/a.txt"), "first");
     {
         const StagedFolder staged(folder / "log");
-        write_text(staged.path() / "b.txt", "second");
+        write_text_file(staged.path() / "b.txt", "second");
         EXPECT_EQ(read_contents(folder / "log/a.txt"), "first");
-        staged.finish();
+        staged.move_folder_to_final_path();
     }
     EXPECT_EQ(read_contents(folder / "log/b.txt"), "second");
     EXPECT_FALSE(fs::exists(folder / "log/a.txt")) << "the new one is in the place of the old one";
@@ -154,7 +155,7 @@ TEST_F(StagedFolders, LeaveNothingWhereTheyAreNotFinished) {
     put(folder / "log/a.txt", "first");
     {
         const StagedFolder staged(folder / "log");
-        write_text(staged.path() / "b.txt", "second");
+        write_text_file(staged.path() / "b.txt", "second");
     }
     EXPECT_EQ(files(), std::vector<std::string>{"log"});
     EXPECT_EQ(read_contents(folder / "log/a.txt"), "first");
@@ -183,14 +184,14 @@ TEST_F(AtomicFile, NoticesAFullDiskInEveryWriter) {
     // values that cannot be compressed
     for (std::size_t i = 0; i < noise.size(); ++i) noise[i] = float(i * 2654435761u % 65537u) / 65537.0f;
     const NamedArray array = make_array("noise", {64, 64}, noise.data(), noise.size());
-    const Points cloud{std::vector<glm::vec3>(4096), std::vector<float>(4096)};
+    const LidarPoints cloud{std::vector<glm::vec3>(4096), std::vector<float>(4096)};
     Report report;
     report.summary = std::string(20'000, 'x');
     const std::vector<std::function<void(const fs::path&)>> writers = {
         // fails in the last flush
-        [&](const fs::path& path) { write_text(path, std::string(5000, 'x')); },
+        [&](const fs::path& path) { write_text_file(path, std::string(5000, 'x')); },
         // fails in the write
-        [&](const fs::path& path) { write_text(path, std::string(5'000'000, 'x')); },
+        [&](const fs::path& path) { write_text_file(path, std::string(5'000'000, 'x')); },
         [&](const fs::path& path) { write_npz(path, {array}); },
         [&](const fs::path& path) { write_safetensors(path, {array}, {}); },
         [&](const fs::path& path) { write_ply(path, cloud); },

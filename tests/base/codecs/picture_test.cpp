@@ -112,7 +112,7 @@ std::vector<std::pair<std::string, std::string>> read_png_texts(const std::vecto
 
 TEST_F(Picture, PngCarriesNotes) {
     const Image image{2, 3, std::vector<std::uint8_t>(18, 7)};
-    const FileNotes notes{{"sensor", "VLP-16"}, {"run", "über zwei"}};
+    const FileMetadata notes{{"sensor", "VLP-16"}, {"run", "über zwei"}};
     EXPECT_EQ(read_png_texts(encode_png(image, notes)), notes);
     EXPECT_EQ(read_png(encode_png(image, notes)).rgb, image.rgb);
     EXPECT_TRUE(read_png_texts(encode_png(image)).empty());
@@ -189,7 +189,7 @@ TEST(ColourMap, RefusesWrongArguments) {
 TEST(Stack, StretchesAndSeparates) {
     const Image a = apply_colour_map({0, 1}, 1, 2, 0, 1, "gray"),
                 b = apply_colour_map({1, 0, 0, 1}, 2, 2, 0, 1, "gray");
-    const Image image = stack_images({a, b}, 3);
+    const Image image = stack_images_vertically({a, b}, 3);
     EXPECT_EQ(image.columns, 2);
     ASSERT_EQ(image.rows, 3 + 2 + 6);
     ASSERT_EQ(image.rgb.size(), std::size_t(11 * 2 * 3));
@@ -201,9 +201,9 @@ TEST(Stack, StretchesAndSeparates) {
 TEST(Stack, RefusesUnequalWidths) {
     const Image a = apply_colour_map({0, 1}, 1, 2, 0, 1, "gray"),
                 b = apply_colour_map({0, 1}, 2, 1, 0, 1, "gray");
-    get_data_error_message([&] { stack_images({a, b}); });
-    EXPECT_THROW(stack_images({a}, 0), UsageError);
-    EXPECT_EQ(stack_images({}).rows, 0);
+    get_data_error_message([&] { stack_images_vertically({a, b}); });
+    EXPECT_THROW(stack_images_vertically({a}, 0), UsageError);
+    EXPECT_EQ(stack_images_vertically({}).rows, 0);
 }
 
 }  // namespace

@@ -63,23 +63,23 @@ TEST_F(Safetensors, WritesTheDocumentedLayout) {
 
 TEST_F(Safetensors, RefusesEveryCut) {
     write_safetensors(folder / "a.safetensors", make_example_arrays(), {{"k", "v"}});
-    const std::string whole = read_contents(folder / "a.safetensors");
-    for (std::size_t n = 0; n < whole.size(); ++n) {
+    const std::string file_bytes = read_contents(folder / "a.safetensors");
+    for (std::size_t n = 0; n < file_bytes.size(); ++n) {
         SCOPED_TRACE(n);
-        put(folder / "cut", whole.substr(0, n));
+        put(folder / "cut", file_bytes.substr(0, n));
         EXPECT_NE(get_data_error_message([&] { read_safetensors(folder / "cut"); }).find("cut"),
                   std::string::npos);
     }
-    put(folder / "cut", whole + "x");
+    put(folder / "cut", file_bytes + "x");
     get_data_error_message([&] { read_safetensors(folder / "cut"); });
 }
 
 TEST_F(Safetensors, SurvivesEveryChangedByte) {
     write_safetensors(folder / "a.safetensors", make_example_arrays(), {{"k", "v"}});
-    const std::string whole = read_contents(folder / "a.safetensors");
-    for (std::size_t i = 0; i < whole.size(); ++i)
+    const std::string file_bytes = read_contents(folder / "a.safetensors");
+    for (std::size_t i = 0; i < file_bytes.size(); ++i)
         for (int change : {0x01, 0x20, 0x80, 0xFF}) {
-            std::string changed = whole;
+            std::string changed = file_bytes;
             changed[i] = char(changed[i] ^ change);
             put(folder / "changed", changed);
             try {

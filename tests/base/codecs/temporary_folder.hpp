@@ -50,14 +50,14 @@ inline void put(const std::filesystem::path& path, std::string_view bytes) {
     std::ofstream(path, std::ios::binary).write(bytes.data(), std::streamsize(bytes.size()));
 }
 
-/// Calls a function that must throw an error of type `Wanted`, and returns the message of
-/// the error. Fails the test if the function throws nothing or an error of a different
-/// type.
-template <class Wanted, class Call>
+/// Calls a function that must throw an error of type `ExpectedError`, and returns the
+/// message of the error. Fails the test if the function throws nothing or an error of a
+/// different type.
+template <class ExpectedError, class Call>
 std::string error_message(const Call& call) {
     try {
         call();
-    } catch (const Wanted& error) {
+    } catch (const ExpectedError& error) {
         const std::string message = error.what();
         EXPECT_EQ(message.find('\n'), std::string::npos) << "more than one line: " << message;
         return message;

@@ -23,14 +23,14 @@ protected:
 
     /// Makes actors on a background. The second actor and the last two actors walk. A
     /// further actor has no surfels.
-    static Scene make_walkers(Primitive primitive) {
+    static Scene make_walkers(PrimitiveType primitive) {
         test::TraversalCase random_case = test::make_random_case(3, kSurfels, 0);
-        if (primitive == Primitive::gaussian) random_case = test::to_gaussians(random_case, 4);
+        if (primitive == PrimitiveType::gaussian) random_case = test::to_gaussians(random_case, 4);
         Surfels surfels = random_case.surfels;
-        surfels.add_gait();
+        surfels.add_gait_without_motion();
         std::mt19937 random(6);
         std::uniform_real_distribution<float> u(-1.0f, 1.0f);
-        for (Gait& gait : surfels.gait)
+        for (GaitPhaseWindow& gait : surfels.gait)
             gait = {u(random), 0.8f * u(random), glm::vec3(u(random), u(random), u(random))};
         Scene scene = make_background_scene(surfels);
         scene.models.clear();
@@ -52,34 +52,34 @@ protected:
 };
 
 TEST_F(Bend, FitsTheTreesOfThoseThatWalkAndNoOthers) {
-    const Scene scene = make_walkers(Primitive::surfel);
+    const Scene scene = make_walkers(PrimitiveType::surfel);
     const std::vector<SurfelRange> walkers{{kFirstWalker, 400}, {kFirstWalker + 400, 400}};
     struct Placed {
         DeviceScene scene;
         Bvh bvh;
         Stream stream;
         void place(double turns) {
-            scene.place(stream, list_poses_at_phase(scene.layout(), turns));
-            scene.activate(stream, {}, glm::vec3(0.0f));
+            scene.record_instance_poses(stream, list_poses_at_phase(scene.get_scene_layout(), turns));
+            scene.compute_surfel_records(stream, {}, glm::vec3(0.0f));
         }
         Placed(Device& device, const Scene& s) : scene(device, s), bvh(device, scene), stream(device) {
             place(0.0);
-            bvh.build(stream, scene, {});
-            stream.finish();
+            bvh.build_trees(stream, scene, {});
+            stream.submit_and_wait();
         }
-        BvhOnHost at(double turns, const std::vector<SurfelRange>& ranges) {
+        HostBvhCopy at(double turns, const std::vector<SurfelRange>& ranges) {
             place(turns);
-            bvh.refit(stream, scene, {}, ranges);
-            stream.finish();
-            return bvh.download();
+            bvh.refit_trees(stream, scene, {}, ranges);
+            stream.submit_and_wait();
+            return bvh.download_bvh();
         }
     };
     Placed some(device(), scene), all(device(), scene);
-    const BvhOnHost before = some.bvh.download();
+    const HostBvhCopy before = some.bvh.download_bvh();
     // Runs several launches in a row, because no launch may leave data behind that
     // changes the next launch.
     for (const double turns : {0.3, 0.7, 0.0, 0.45}) {
-        const BvhOnHost a = some.at(turns, walkers), b = all.at(turns, {{0, kSurfels}});
+        const HostBvhCopy a = some.at(turns, walkers), b = all.at(turns, {{0, kSurfels}});
         ASSERT_EQ(a.nodes.size(), b.nodes.size());
         EXPECT_EQ(std::memcmp(a.nodes.data(), b.nodes.data(), a.nodes.size() * sizeof(shared::BvhNode)), 0)
             << turns << " turns";
@@ -90,8 +90,8 @@ TEST_F(Bend, FitsTheTreesOfThoseThatWalkAndNoOthers) {
     }
     Surfels elsewhere = scene.surfels;
     for (glm::vec3& mean : elsewhere.mean) mean += glm::vec3(50.0f, 0.0f, 0.0f);
-    some.scene.parameters().upload(elsewhere);
-    const BvhOnHost after = some.at(0.0, walkers);
+    some.scene.get_surfel_parameters().upload(elsewhere);
+    const HostBvhCopy after = some.at(0.0, walkers);
     for (std::uint32_t i = 0; i < kSurfels; ++i) {  // surfels outside the requested range must not change
         if (test::compute_surfel_box(before, i).empty()) continue;
         EXPECT_EQ(after.boxes[6 * i] == before.boxes[6 * i], i < kFirstWalker) << "surfel " << i;
@@ -99,21 +99,21 @@ TEST_F(Bend, FitsTheTreesOfThoseThatWalkAndNoOthers) {
 }
 
 TEST_F(Bend, RendersAsPlacedAnew) {
-    for (const Primitive primitive : {Primitive::surfel, Primitive::gaussian}) {
+    for (const PrimitiveType primitive : {PrimitiveType::surfel, PrimitiveType::gaussian}) {
         const Scene scene = make_walkers(primitive);
-        ImageModel model;
+        ImageFormationModel model;
         model.primitive = primitive;
         const WorldRays rays = test::make_random_case(3, 400, 1).rays;
-        for (const Proxy proxy : {Proxy::triangles, Proxy::boxes}) {
+        for (const ProxyShape proxy : {ProxyShape::triangles, ProxyShape::boxes}) {
             Renderer moved(device(), scene, model, {.accel = {.proxy = proxy}}),
                 anew(device(), scene, model, {.accel = {.proxy = proxy}});
-            moved.place(list_poses_at_phase(scene, 0.0), glm::vec3(0.0f));
-            const Rendering start = moved.forward(rays);
+            moved.prepare_view(list_poses_at_phase(scene, 0.0), glm::vec3(0.0f));
+            const RenderedRayValues start = moved.render_rays(rays);
             bool differs = false;
             for (const double turns : {0.25, 0.6}) {
-                moved.move(list_poses_at_phase(scene, turns), glm::vec3(0.0f));
-                anew.place(list_poses_at_phase(scene, turns), glm::vec3(0.0f));
-                const Rendering a = moved.forward(rays), b = anew.forward(rays);
+                moved.move_instances(list_poses_at_phase(scene, turns), glm::vec3(0.0f));
+                anew.prepare_view(list_poses_at_phase(scene, turns), glm::vec3(0.0f));
+                const RenderedRayValues a = moved.render_rays(rays), b = anew.render_rays(rays);
                 EXPECT_EQ(a.hits, b.hits);
                 EXPECT_EQ(a.depth, b.depth);
                 differs = differs || a.depth != start.depth;

@@ -62,50 +62,51 @@ protected:
         Bvh bvh;
         Stream stream;
         Built(Device& device, const Scene& s) : scene(device, s), bvh(device, scene), stream(device) {}
-        BvhOnHost build() {
-            scene.activate(stream, {}, glm::vec3(0.0f));
-            bvh.build(stream, scene, {});
-            stream.finish();
-            return bvh.download();
+        HostBvhCopy build() {
+            scene.compute_surfel_records(stream, {}, glm::vec3(0.0f));
+            bvh.build_trees(stream, scene, {});
+            stream.submit_and_wait();
+            return bvh.download_bvh();
         }
-        BvhOnHost refit() {
-            scene.activate(stream, {}, glm::vec3(0.0f));
-            bvh.refit(stream, scene, {}, {{0, scene.size()}});
-            stream.finish();
-            return bvh.download();
+        HostBvhCopy refit() {
+            scene.compute_surfel_records(stream, {}, glm::vec3(0.0f));
+            bvh.refit_trees(stream, scene, {}, {{0, scene.size()}});
+            stream.submit_and_wait();
+            return bvh.download_bvh();
         }
         double cost() {
-            bvh.record_cost_measurement(stream);
-            stream.submit();
-            return bvh.read_cost(stream).value();
+            bvh.record_tree_cost_measurement(stream);
+            stream.submit_commands();
+            return bvh.read_tree_cost(stream).value();
         }
     };
 
-    static void expect_valid_tree(const BvhOnHost& host, const Scene& layout,
+    static void expect_valid_tree(const HostBvhCopy& host, const Scene& layout,
                                   const std::string& description) {
-        std::vector<int> seen(host.nodes.size(), 0);
+        std::vector<int> node_visit_counts(host.nodes.size(), 0);
         std::uint32_t n = 0;
         for (std::size_t m = 0; m < layout.models.size(); ++m) {
-            const Model& model = layout.models[m];
+            const SurfelModel& model = layout.models[m];
             n += model.count;
             if (model.count == 0) {
                 EXPECT_EQ(host.roots[m], RELIDAR_BVH_NO_NODE) << description;
-                ++seen[m];  // an empty model does not use its root node
+                ++node_visit_counts[m];  // an empty model does not use its root node
                 continue;
             }
-            EXPECT_EQ(test::find_fault_of_tree(host, host.roots[m], model, seen), "")
+            EXPECT_EQ(test::find_fault_of_tree(host, host.roots[m], model, node_visit_counts), "")
                 << description << ", model " << m;
         }
-        EXPECT_EQ(std::count(seen.begin(), seen.end(), 1), std::ptrdiff_t(seen.size()))
+        EXPECT_EQ(std::count(node_visit_counts.begin(), node_visit_counts.end(), 1),
+                  std::ptrdiff_t(node_visit_counts.size()))
             << description << ": nodes that no root reaches";
         EXPECT_LE(host.nodes.size(),
-                  Bvh::compute_max_nodes(n, static_cast<std::uint32_t>(layout.models.size())))
+                  Bvh::compute_max_node_count(n, static_cast<std::uint32_t>(layout.models.size())))
             << description;
     }
 
     void expect_valid_tree(const Surfels& surfels, const std::string& description) {
         Built built(device(), make_background_scene(surfels));
-        expect_valid_tree(built.build(), built.scene.layout(), description);
+        expect_valid_tree(built.build(), built.scene.get_scene_layout(), description);
     }
 };
 
@@ -147,18 +148,18 @@ TEST_F(BvhBuild, SurfelsThatCannotBeHitAreEmptyAndHarmless) {
         if (i % 4 == 3) s.mean[i].z = -kInf;
     }
     Built built(device(), make_background_scene(s));
-    const BvhOnHost host = built.build();
-    expect_valid_tree(host, built.scene.layout(), "a third is hidden");
+    const HostBvhCopy host = built.build();
+    expect_valid_tree(host, built.scene.get_scene_layout(), "a third is hidden");
     for (std::uint32_t i = 0; i < n; ++i) {
         const bool hidden = i % 3 == 0 || s.opacity_logit[i] < std::log(1.0f / 254.0f);
         EXPECT_EQ(test::compute_surfel_box(host, i).empty(), hidden) << "surfel " << i;
     }
     Surfels gone = s;
     std::fill(gone.opacity_logit.begin(), gone.opacity_logit.end(), -30.0f);
-    built.scene.parameters().upload(gone);
-    expect_valid_tree(built.build(), built.scene.layout(), "all are hidden");
-    built.scene.parameters().upload(make_random_surfels(n));
-    expect_valid_tree(built.refit(), built.scene.layout(), "all come back with a refit");
+    built.scene.get_surfel_parameters().upload(gone);
+    expect_valid_tree(built.build(), built.scene.get_scene_layout(), "all are hidden");
+    built.scene.get_surfel_parameters().upload(make_random_surfels(n));
+    expect_valid_tree(built.refit(), built.scene.get_scene_layout(), "all come back with a refit");
 }
 
 TEST_F(BvhBuild, ManyModelsOfVeryDifferentSizes) {
@@ -171,7 +172,8 @@ TEST_F(BvhBuild, ManyModelsOfVeryDifferentSizes) {
     for (const std::vector<std::uint32_t>& some :
          {std::vector<std::uint32_t>{n}, {0, n}, {n - 1, 1}, {1, 0, n - 1, 0}, sizes}) {
         Built built(device(), scene_of(make_random_surfels(n), some));
-        expect_valid_tree(built.build(), built.scene.layout(), std::to_string(some.size()) + " models");
+        expect_valid_tree(built.build(), built.scene.get_scene_layout(),
+                          std::to_string(some.size()) + " models");
     }
     // a surfel belongs to no model
     EXPECT_THROW(Built(device(), scene_of(make_random_surfels(10), {4, 5})), DataError);
@@ -181,29 +183,29 @@ TEST_F(BvhBuild, RefitFollowsTheSurfels) {
     constexpr std::uint32_t n = 10'007;
     Surfels s = make_random_surfels(n);
     Built built(device(), scene_of(s, {6000, 1, 0, 4006}));
-    const BvhOnHost before = built.build();
+    const HostBvhCopy before = built.build();
     const double cost = built.cost();
     std::mt19937 random(5);
     std::normal_distribution<float> normal;
     for (int step = 0; step < 3; ++step) {
         for (glm::vec3& mean : s.mean) mean += glm::vec3(normal(random), normal(random), normal(random));
-        built.scene.parameters().upload(s);
-        const BvhOnHost after = built.refit();
-        expect_valid_tree(after, built.scene.layout(), "refit");
+        built.scene.get_surfel_parameters().upload(s);
+        const HostBvhCopy after = built.refit();
+        expect_valid_tree(after, built.scene.get_scene_layout(), "refit");
         EXPECT_EQ(after.order, before.order);
         EXPECT_EQ(after.nodes.size(), before.nodes.size());
     }
     const double refitted = built.cost();
     EXPECT_GT(refitted, 1.2 * cost);
-    expect_valid_tree(built.build(), built.scene.layout(), "rebuilt");
+    expect_valid_tree(built.build(), built.scene.get_scene_layout(), "rebuilt");
     EXPECT_LT(built.cost(), 0.9 * refitted);
 }
 
 TEST_F(BvhBuild, BuildsAreEqualBitForBit) {
     const Scene scene = scene_of(make_random_surfels(20'000), {15'000, 20, 4'980});
     Built a(device(), scene), b(device(), scene);
-    const BvhOnHost first = a.build(), second = b.build(), third = a.build(), refitted = a.refit();
-    for (const BvhOnHost& other : {second, third, refitted}) {
+    const HostBvhCopy first = a.build(), second = b.build(), third = a.build(), refitted = a.refit();
+    for (const HostBvhCopy& other : {second, third, refitted}) {
         ASSERT_EQ(first.nodes.size(), other.nodes.size());
         EXPECT_EQ(
             std::memcmp(first.nodes.data(), other.nodes.data(), first.nodes.size() * sizeof(shared::BvhNode)),
@@ -230,15 +232,15 @@ test::HostBox compute_expected_box(const Surfels& surfels, std::size_t index) {
 TEST_F(BvhBuild, SurfelBoxesHoldTheSurfelAndLittleMore) {
     const Surfels s = make_random_surfels(2'000);
     Built built(device(), make_background_scene(s));
-    const BvhOnHost host = built.build();
+    const HostBvhCopy host = built.build();
     int n_checked = 0;
     for (std::size_t i = 0; i < s.size(); ++i) {
         const test::HostBox box = test::compute_surfel_box(host, i);
         if (box.empty()) continue;
         const test::HostBox expected = compute_expected_box(s, i);
         EXPECT_TRUE(box.holds(expected)) << "surfel " << i;
-        const glm::dvec3 room = box.high - box.low - 1.005 * (expected.high - expected.low);
-        EXPECT_LT(std::max({room.x, room.y, room.z}), 1e-3) << "surfel " << i;
+        const glm::dvec3 excess_size_m = box.high - box.low - 1.005 * (expected.high - expected.low);
+        EXPECT_LT(std::max({excess_size_m.x, excess_size_m.y, excess_size_m.z}), 1e-3) << "surfel " << i;
         ++n_checked;
     }
     EXPECT_GT(n_checked, 1'500);
@@ -248,7 +250,7 @@ TEST_F(BvhBuild, RaysReachEverySurfelTheyMeet) {
     constexpr std::uint32_t n = 5'000;
     const Surfels s = make_random_surfels(n);
     Built built(device(), make_background_scene(s));
-    const BvhOnHost host = built.build();
+    const HostBvhCopy host = built.build();
     std::mt19937 random(6);
     std::uniform_real_distribution<double> unit(0.0, 1.0);
     std::normal_distribution<double> normal;
@@ -256,14 +258,14 @@ TEST_F(BvhBuild, RaysReachEverySurfelTheyMeet) {
     for (int r = 0; r < 500; ++r) {
         const test::HostRay ray{{40.0 * unit(random), 20.0 * unit(random), 5.0 * unit(random)},
                                 {normal(random), normal(random), normal(random)}};
-        std::set<std::uint32_t> expected, found;
+        std::set<std::uint32_t> expected, reached_surfels;
         for (std::uint32_t i = 0; i < n; ++i)
             if (test::meets(ray, test::compute_surfel_box(host, i))) expected.insert(i);
         n_visits += test::walk(host.nodes, host.roots[0], ray, [&](std::uint32_t entry) {
             if (test::meets(ray, test::compute_surfel_box(host, host.order[entry])))
-                found.insert(host.order[entry]);
+                reached_surfels.insert(host.order[entry]);
         });
-        EXPECT_EQ(found, expected) << "ray " << r;
+        EXPECT_EQ(reached_surfels, expected) << "ray " << r;
         n_hits += expected.size();
     }
     EXPECT_GT(n_hits, 1'000u);

@@ -61,25 +61,25 @@ protected:
         Bvh bvh;
         Stream stream;
         Built(Device& device, const Scene& s) : scene(device, s), bvh(device, scene), stream(device) {
-            scene.activate(stream, {}, glm::vec3(0.0f));
-            bvh.build(stream, scene, {});
-            stream.finish();
+            scene.compute_surfel_records(stream, {}, glm::vec3(0.0f));
+            bvh.build_trees(stream, scene, {});
+            stream.submit_and_wait();
         }
-        BvhOnHost move(const std::vector<InstancePose>& poses) {
-            scene.place(stream, poses);
-            bvh.move(stream, scene);
-            stream.finish();
-            return bvh.download();
+        HostBvhCopy move(const std::vector<InstancePose>& poses) {
+            scene.record_instance_poses(stream, poses);
+            bvh.rebuild_top_level_tree(stream, scene);
+            stream.submit_and_wait();
+            return bvh.download_bvh();
         }
         bool is_there(std::size_t index) const {
-            return scene.poses()[index].present &&
-                   scene.layout().models[scene.layout().instances[index].model].count > 0;
+            return scene.get_instance_poses()[index].present &&
+                   scene.get_scene_layout().models[scene.get_scene_layout().instances[index].model].count > 0;
         }
     };
 
     /// Computes the exact bounding box of all instances below a node, and counts how
     /// often each instance occurs.
-    static void check_node(const Built& built, const BvhOnHost& host, std::uint32_t index,
+    static void check_node(const Built& built, const HostBvhCopy& host, std::uint32_t index,
                            std::vector<int>& visits, test::HostBox& real) {
         ASSERT_LT(index, host.top_nodes.size());
         const auto slots = test::list_slots(host.top_nodes[index]);
@@ -101,15 +101,15 @@ protected:
 
     /// Computes the world box of an instance in double. The box contains the corners of
     /// all surfel boxes of the model at the pose of the instance.
-    static test::HostBox make_world_box(const Built& built, const BvhOnHost& host, std::uint32_t instance) {
-        const Scene& layout = built.scene.layout();
-        const Model& model = layout.models[layout.instances[instance].model];
+    static test::HostBox make_world_box(const Built& built, const HostBvhCopy& host, std::uint32_t instance) {
+        const Scene& layout = built.scene.get_scene_layout();
+        const SurfelModel& model = layout.models[layout.instances[instance].model];
         test::HostBox box;
         for (std::uint32_t i = model.first; i < model.first + model.count; ++i) {
             const test::HostBox b = test::compute_surfel_box(host, i);
             for (int corner = 0; corner < 8; ++corner) {
                 const glm::dvec3 p =
-                    built.scene.poses()[instance].world_from_model *
+                    built.scene.get_instance_poses()[instance].world_from_model *
                     glm::dvec3(corner & 1 ? b.low.x : b.high.x, corner & 2 ? b.low.y : b.high.y,
                                corner & 4 ? b.low.z : b.high.z);
                 box.add({p, p});
@@ -118,13 +118,14 @@ protected:
         return box;
     }
 
-    static void expect_valid_tree(const Built& built, const BvhOnHost& host, const std::string& description) {
+    static void expect_valid_tree(const Built& built, const HostBvhCopy& host,
+                                  const std::string& description) {
         SCOPED_TRACE(description);
-        std::vector<int> seen(host.top_order.size(), 0);
+        std::vector<int> instance_visit_counts(host.top_order.size(), 0);
         test::HostBox real;
-        check_node(built, host, 0, seen, real);
-        for (std::size_t i = 0; i < seen.size(); ++i) {
-            EXPECT_EQ(seen[i], built.is_there(i) ? 1 : 0) << "instance " << i;
+        check_node(built, host, 0, instance_visit_counts, real);
+        for (std::size_t i = 0; i < instance_visit_counts.size(); ++i) {
+            EXPECT_EQ(instance_visit_counts[i], built.is_there(i) ? 1 : 0) << "instance " << i;
             EXPECT_EQ(host.roots[i] == RELIDAR_BVH_NO_NODE, !built.is_there(i)) << "instance " << i;
         }
     }
@@ -151,9 +152,9 @@ TEST_F(BvhTop, MovesAreRepeatable) {
     std::mt19937 random(2);
     Built built(device(), make_scene_of_instances(100, random));
     const std::vector<InstancePose> poses = make_random_poses(100, random);
-    const BvhOnHost a = built.move(poses);
+    const HostBvhCopy a = built.move(poses);
     built.move(make_random_poses(100, random));
-    const BvhOnHost b = built.move(poses);
+    const HostBvhCopy b = built.move(poses);
     EXPECT_EQ(
         std::memcmp(a.top_nodes.data(), b.top_nodes.data(), a.top_nodes.size() * sizeof(shared::BvhNode)), 0);
     EXPECT_EQ(a.top_order, b.top_order);
@@ -162,31 +163,31 @@ TEST_F(BvhTop, MovesAreRepeatable) {
 TEST_F(BvhTop, RaysReachEverySurfelOfEveryInstance) {
     std::mt19937 random(3);
     Built built(device(), make_scene_of_instances(40, random));
-    const BvhOnHost host = built.move(make_random_poses(40, random, 4.0));
-    const Scene& layout = built.scene.layout();
+    const HostBvhCopy host = built.move(make_random_poses(40, random, 4.0));
+    const Scene& layout = built.scene.get_scene_layout();
     std::normal_distribution<double> normal;
     std::size_t n_hits = 0;
     for (int r = 0; r < 100; ++r) {
         const test::HostRay ray{4.0 * glm::dvec3(normal(random), normal(random), normal(random)),
                                 {normal(random), normal(random), normal(random)}};
-        std::set<std::pair<std::uint32_t, std::uint32_t>> expected, found;
+        std::set<std::pair<std::uint32_t, std::uint32_t>> expected, reached_surfels;
         for (std::uint32_t i = 0; i < 40; ++i) {
-            const Model& model = layout.models[layout.instances[i].model];
-            const test::HostRay local = to_model(ray, built.scene.poses()[i].world_from_model);
+            const SurfelModel& model = layout.models[layout.instances[i].model];
+            const test::HostRay local = to_model(ray, built.scene.get_instance_poses()[i].world_from_model);
             for (std::uint32_t k = 0; k < model.count; ++k)
                 if (test::meets(local, test::compute_surfel_box(host, model.first + k)))
                     expected.insert({i, k});
         }
         test::walk(host.top_nodes, 0, ray, [&](std::uint32_t entry) {
             const std::uint32_t i = host.top_order[entry];
-            const Model& model = layout.models[layout.instances[i].model];
-            const test::HostRay local = to_model(ray, built.scene.poses()[i].world_from_model);
+            const SurfelModel& model = layout.models[layout.instances[i].model];
+            const test::HostRay local = to_model(ray, built.scene.get_instance_poses()[i].world_from_model);
             test::walk(host.nodes, host.roots[i], local, [&](std::uint32_t leaf) {
                 if (test::meets(local, test::compute_surfel_box(host, model.first + host.order[leaf])))
-                    found.insert({i, host.order[leaf]});
+                    reached_surfels.insert({i, host.order[leaf]});
             });
         });
-        EXPECT_EQ(found, expected) << "ray " << r;
+        EXPECT_EQ(reached_surfels, expected) << "ray " << r;
         n_hits += expected.size();
     }
     EXPECT_GT(n_hits, 500u);

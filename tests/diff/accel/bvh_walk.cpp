@@ -22,10 +22,10 @@ double decoded(float origin, std::uint32_t exponent, std::uint32_t quantised) {
 
 /// Checks the BVH of a model recursively and stops at the first error.
 struct TreeCheck {
-    const BvhOnHost& bvh;
-    const Model& model;
-    std::vector<int>& seen;
-    std::vector<int> surfel_seen = {};
+    const HostBvhCopy& bvh;
+    const SurfelModel& model;
+    std::vector<int>& node_visit_counts;
+    std::vector<int> surfel_visit_counts = {};
     std::string fault = {};
 
     bool fail(std::string text) {
@@ -42,7 +42,8 @@ struct TreeCheck {
             const std::uint32_t surfel = bvh.order[slot.first + k];
             if (surfel >= model.count)
                 return fail(fmt::format("surfel {} of a model of {}", surfel, model.count));
-            if (++surfel_seen[surfel] > 1) return fail(fmt::format("surfel {} is in two leaves", surfel));
+            if (++surfel_visit_counts[surfel] > 1)
+                return fail(fmt::format("surfel {} is in two leaves", surfel));
             real.add(compute_surfel_box(bvh, model.first + surfel));
         }
         return true;
@@ -50,7 +51,7 @@ struct TreeCheck {
 
     bool node(std::uint32_t index, int depth, HostBox& real) {
         if (index >= bvh.nodes.size()) return fail(fmt::format("node {} of {}", index, bvh.nodes.size()));
-        if (++seen[index] > 1) return fail(fmt::format("node {} is reached twice", index));
+        if (++node_visit_counts[index] > 1) return fail(fmt::format("node {} is reached twice", index));
         if (depth > 100) return fail("deeper than 100 nodes");
         const std::array<Slot, RELIDAR_BVH_WIDTH> slots = list_slots(bvh.nodes[index]);
         for (int s = 0; s < RELIDAR_BVH_WIDTH; ++s) {
@@ -83,7 +84,7 @@ HostBox decode_box(const shared::BvhNode& node, int slot) {
     return box;
 }
 
-HostBox compute_surfel_box(const BvhOnHost& bvh, std::size_t surfel) {
+HostBox compute_surfel_box(const HostBvhCopy& bvh, std::size_t surfel) {
     HostBox box;
     for (int c = 0; c < 3; ++c) {
         box.low[c] = bvh.boxes[6 * surfel + c];
@@ -104,27 +105,28 @@ std::array<Slot, RELIDAR_BVH_WIDTH> list_slots(const shared::BvhNode& node) {
     return slots;
 }
 
-std::string find_fault_of_tree(const BvhOnHost& bvh, std::uint32_t root, const Model& model,
+std::string find_fault_of_tree(const HostBvhCopy& bvh, std::uint32_t root, const SurfelModel& model,
                                std::vector<int>& visits) {
     TreeCheck check{bvh, model, visits};
-    check.surfel_seen.assign(model.count, 0);
+    check.surfel_visit_counts.assign(model.count, 0);
     HostBox box;
     if (!check.node(root, 0, box)) return check.fault;
     for (std::uint32_t i = 0; i < model.count; ++i)
-        if (check.surfel_seen[i] != 1) return fmt::format("surfel {} of {} is in no leaf", i, model.count);
+        if (check.surfel_visit_counts[i] != 1)
+            return fmt::format("surfel {} of {} is in no leaf", i, model.count);
     return "";
 }
 
 bool meets(const HostRay& ray, const HostBox& box) {
     if (box.empty()) return false;
-    double near = 0.0, far = HUGE_VAL;
+    double t_near = 0.0, t_far = HUGE_VAL;
     for (int c = 0; c < 3; ++c) {
         const double a = (box.low[c] - ray.origin[c]) / ray.direction[c],
                      b = (box.high[c] - ray.origin[c]) / ray.direction[c];
-        near = std::max(near, std::min(a, b));
-        far = std::min(far, std::max(a, b));
+        t_near = std::max(t_near, std::min(a, b));
+        t_far = std::min(t_far, std::max(a, b));
     }
-    return near <= far;
+    return t_near <= t_far;
 }
 
 std::size_t walk(const std::vector<shared::BvhNode>& nodes, std::uint32_t root, const HostRay& ray,

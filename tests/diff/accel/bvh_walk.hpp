@@ -32,7 +32,7 @@ struct HostBox {
 /// Decodes the box of a child of a node with the same float arithmetic as the traversal
 /// on the device.
 HostBox decode_box(const shared::BvhNode& node, int slot);
-HostBox compute_surfel_box(const BvhOnHost& bvh, std::size_t surfel);
+HostBox compute_surfel_box(const HostBvhCopy& bvh, std::size_t surfel);
 
 struct Slot {
     bool inner = false;
@@ -47,7 +47,7 @@ std::array<Slot, RELIDAR_BVH_WIDTH> list_slots(const shared::BvhNode& node);
 /// be in a single leaf, and each box must be inside the box of its parent. All indices
 /// must be within their arrays, and each node must be reached once.
 /// @param visits [nodes] counts visits to each node, over all models
-std::string find_fault_of_tree(const BvhOnHost& bvh, std::uint32_t root, const Model& model,
+std::string find_fault_of_tree(const HostBvhCopy& bvh, std::uint32_t root, const SurfelModel& model,
                                std::vector<int>& visits);
 
 struct HostRay {

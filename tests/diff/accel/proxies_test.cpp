@@ -38,7 +38,7 @@ Surfels make_one_gaussian(float opacity) {
     s.rotation[0] = {1.0f, 0.0f, 0.0f, 0.0f};
     s.log_scale[0] = {std::log(2.0f), std::log(0.25f)};
     s.log_scale_w = {std::log(0.5f)};
-    s.primitive = Primitive::gaussian;
+    s.primitive = PrimitiveType::gaussian;
     return s;
 }
 
@@ -61,20 +61,20 @@ WorldRays make_rim_rays(float opacity, double factor, double alpha_min = 1.0 / 2
 TEST_F(Proxies, ModelRadiiHoldEverythingThatCanBeSeen) {
     constexpr std::uint32_t kFirst = 150, kAll = 230;  // more surfels than a single thread processes
     constexpr double kAlphaMin = 1.0 / 255.0;
-    Surfels surfels = make_benchmark_street(kAll);
+    Surfels surfels = make_benchmark_street_surfels(kAll);
     for (std::uint32_t i = 0; i < kAll; i += 3) surfels.opacity_logit[i] = 2.0f;
     surfels.opacity_logit[7] = -20.0f, surfels.mean[7] = {1e4f, 0.0f, 0.0f};  // too transparent to be hit
     Scene scene = make_background_scene(surfels);
     scene.models = {{"background", 0, kFirst}, {"actor", kFirst, kAll - kFirst}};
     DeviceScene on_device(device(), scene);
     Stream stream(device());
-    on_device.activate(stream, {}, glm::vec3(0.0f));
+    on_device.compute_surfel_records(stream, {}, glm::vec3(0.0f));
     Kernel<shared::ModelRadiiParams> kernel(device(), "diff/accel/model_radii");
     const Array<std::uint32_t, shared::ModelRadii> radii(device(), 2, "radii");
     stream.fill(radii);
     run(stream, kernel, (kAll + RELIDAR_RADIUS_STRETCH - 1) / RELIDAR_RADIUS_STRETCH,
-        {.records = on_device.records().address(),
-         .models = on_device.models().address(),
+        {.records = on_device.get_surfel_records().address(),
+         .models = on_device.get_model_table().address(),
          .radii = radii.address(),
          .alpha_min = float(kAlphaMin),
          .margin_m = 0.0f,
@@ -82,7 +82,7 @@ TEST_F(Proxies, ModelRadiiHoldEverythingThatCanBeSeen) {
          .n_models = 2,
          .first_surfel = 0,
          .n_surfels = kAll});
-    stream.finish();
+    stream.submit_and_wait();
     const std::vector<std::uint32_t> actual = radii.download();
     for (const std::uint32_t m : {0u, 1u}) {
         double expected = 0.0;
@@ -99,82 +99,82 @@ TEST_F(Proxies, ModelRadiiHoldEverythingThatCanBeSeen) {
 }
 
 TEST_F(Proxies, HoldEverythingThatCanBeSeen) {
-    for (const Proxy proxy : {Proxy::triangles, Proxy::boxes})
+    for (const ProxyShape proxy : {ProxyShape::triangles, ProxyShape::boxes})
         for (const float opacity : {0.005f, 0.1f, 0.6f, 0.999f}) {
             Renderer renderer(device(), make_background_scene(make_one_surfel(opacity)), {},
                               {.accel = {.proxy = proxy}});
-            renderer.place(glm::vec3(0.0f));
-            for (const std::uint32_t n : renderer.forward(make_rim_rays(opacity, 0.999)).hits)
+            renderer.prepare_view(glm::vec3(0.0f));
+            for (const std::uint32_t n : renderer.render_rays(make_rim_rays(opacity, 0.999)).hits)
                 EXPECT_EQ(n, 1u) << "opacity " << opacity;
-            for (const std::uint32_t n : renderer.forward(make_rim_rays(opacity, 1.001)).hits)
+            for (const std::uint32_t n : renderer.render_rays(make_rim_rays(opacity, 1.001)).hits)
                 EXPECT_EQ(n, 0u) << "opacity " << opacity;
         }
     // A surfel with an opacity below alpha_min has no proxy.
     Renderer renderer(device(), make_background_scene(make_one_surfel(1.0f / 256.0f)), {});
-    renderer.place(glm::vec3(0.0f));
-    for (const std::uint32_t n : renderer.forward(make_rim_rays(0.5f, 0.1)).hits) EXPECT_EQ(n, 0u);
+    renderer.prepare_view(glm::vec3(0.0f));
+    for (const std::uint32_t n : renderer.render_rays(make_rim_rays(0.5f, 0.1)).hits) EXPECT_EQ(n, 0u);
 }
 
 TEST_F(Proxies, HoldEverythingOfGaussiansThatCanBeSeen) {
-    ImageModel model;
-    model.primitive = Primitive::gaussian;
-    for (const Proxy proxy : {Proxy::triangles, Proxy::boxes})
+    ImageFormationModel model;
+    model.primitive = PrimitiveType::gaussian;
+    for (const ProxyShape proxy : {ProxyShape::triangles, ProxyShape::boxes})
         for (const float opacity : {0.005f, 0.1f, 0.999f}) {
             Renderer renderer(device(), make_background_scene(make_one_gaussian(opacity)), model,
                               {.accel = {.proxy = proxy}});
-            renderer.place(glm::vec3(0.0f));
-            for (const std::uint32_t n : renderer.forward(make_rim_rays(opacity, 0.999)).hits)
+            renderer.prepare_view(glm::vec3(0.0f));
+            for (const std::uint32_t n : renderer.render_rays(make_rim_rays(opacity, 0.999)).hits)
                 EXPECT_EQ(n, 1u) << "opacity " << opacity;
-            for (const std::uint32_t n : renderer.forward(make_rim_rays(opacity, 1.001)).hits)
+            for (const std::uint32_t n : renderer.render_rays(make_rim_rays(opacity, 1.001)).hits)
                 EXPECT_EQ(n, 0u) << "opacity " << opacity;
         }
 }
 
 TEST_F(Proxies, FollowTheCutOfTheImageModel) {
-    for (const Proxy proxy : {Proxy::triangles, Proxy::boxes})
+    for (const ProxyShape proxy : {ProxyShape::triangles, ProxyShape::boxes})
         for (const float alpha_min : {1e-4f, 0.05f}) {
-            ImageModel model;
+            ImageFormationModel model;
             model.alpha_min = alpha_min;
             Renderer renderer(device(), make_background_scene(make_one_surfel(0.6f)), model,
                               {.accel = {.proxy = proxy}});
-            renderer.place(glm::vec3(0.0f));
-            for (const std::uint32_t n : renderer.forward(make_rim_rays(0.6f, 0.999, alpha_min)).hits)
+            renderer.prepare_view(glm::vec3(0.0f));
+            for (const std::uint32_t n : renderer.render_rays(make_rim_rays(0.6f, 0.999, alpha_min)).hits)
                 EXPECT_EQ(n, 1u) << "alpha_min " << alpha_min;
-            for (const std::uint32_t n : renderer.forward(make_rim_rays(0.6f, 1.001, alpha_min)).hits)
+            for (const std::uint32_t n : renderer.render_rays(make_rim_rays(0.6f, 1.001, alpha_min)).hits)
                 EXPECT_EQ(n, 0u) << "alpha_min " << alpha_min;
         }
 }
 
 TEST_F(Proxies, RefitFollowsMovedSurfelsAndMovingInstancesBuildsNothing) {
-    for (const Proxy proxy : {Proxy::triangles, Proxy::boxes}) {
+    for (const ProxyShape proxy : {ProxyShape::triangles, ProxyShape::boxes}) {
         Stream stream(device());
         DeviceScene scene(device(), make_background_scene(make_one_surfel(0.9f)));
-        Accel accel(device(), scene, {.proxy = proxy});
-        ForwardPass forward(device(), {}, accel.proxy(), {});
+        AccelerationStructure accel(device(), scene, {.proxy = proxy});
+        ForwardPass forward(device(), {}, accel.get_bounding_shape(), {});
         const Array<DeviceRay> ray(device(), std::vector<DeviceRay>{{{0, 0, 0}, {1, 0, 0}}}, "ray");
         Array<shared::RenderedRay> rendered(device(), 1, "rendered");
         const auto depth = [&] {
-            forward.run(stream, scene, accel, {&ray, 0, 1, 1}, rendered);
-            stream.finish();
+            forward.record_forward_pass(stream, scene, accel, {&ray, 0, 1, 1}, rendered);
+            stream.submit_and_wait();
             const shared::RenderedRay r = rendered.download()[0];
             return r.depth / r.weight;
         };
-        scene.activate(stream, {}, glm::vec3(0.0f));
-        accel.update(stream, scene);
+        scene.compute_surfel_records(stream, {}, glm::vec3(0.0f));
+        accel.update_bvh(stream, scene);
         EXPECT_NEAR(depth(), 10.0f, 1e-5f);
         Surfels moved = make_one_surfel(0.9f);
         moved.mean[0].x = 4.0f;
-        scene.parameters().upload(moved);
-        scene.activate(stream, {}, glm::vec3(0.0f));
-        accel.update(stream, scene);
+        scene.get_surfel_parameters().upload(moved);
+        scene.compute_surfel_records(stream, {}, glm::vec3(0.0f));
+        accel.update_bvh(stream, scene);
         EXPECT_NEAR(depth(), 4.0f, 1e-5f);
-        const std::uint64_t updates = accel.updates();
+        const std::uint64_t updates = accel.get_update_count();
         Pose pose;
         pose.translation.x = 3.0;
-        scene.set_poses({pose});
-        accel.move(stream, scene);
+        scene.set_instance_poses({pose});
+        accel.update_top_level_bvh(stream, scene);
         EXPECT_NEAR(depth(), 7.0f, 1e-5f);
-        EXPECT_EQ(accel.updates(), updates);
+        EXPECT_EQ(accel.get_update_count(), updates);
     }
 }
 

@@ -25,33 +25,39 @@ using test::Passes;
 struct Way {
     const char* name;
     BackwardOptions options;
-    std::uint32_t kept = 0;  ///< hits per ray that the forward pass keeps
-    HitOrder order = HitOrder::chunks;
-    int list_room = 64;
+    std::uint32_t stored_hits_per_ray = 0;  ///< hits per ray that the forward pass keeps
+    HitSortMethod order = HitSortMethod::chunks;
+    int list_capacity = 64;
 };
-constexpr Way kWays[] = {
-    {"atomics", {.reduction = Reduction::atomics, .coalesced_atomics = false}},
-    {"gather", {.reduction = Reduction::gather}},
-    {"lists, some too short, some kept hits", {.reduction = Reduction::gather}, 5, HitOrder::lists, 8},
-    {"coalesced atomics", {.reduction = Reduction::atomics, .coalesced_atomics = true}},
-    {"atomics, kept hits", {.reduction = Reduction::atomics, .coalesced_atomics = false}, 64},
-    {"atomics, some kept hits", {.reduction = Reduction::atomics, .coalesced_atomics = false}, 5},
-    {"coalesced atomics, some kept hits", {.reduction = Reduction::atomics, .coalesced_atomics = true}, 5},
-    {"gather, some kept hits", {.reduction = Reduction::gather}, 5},
-    {"lists", {.reduction = Reduction::gather}, 64, HitOrder::lists},
+constexpr Way kGradientMethods[] = {
+    {"atomics", {.reduction = GradientReduction::atomics, .coalesced_atomics = false}},
+    {"gather", {.reduction = GradientReduction::gather}},
+    {"lists, some too short, some kept hits",
+     {.reduction = GradientReduction::gather},
+     5,
+     HitSortMethod::lists,
+     8},
+    {"coalesced atomics", {.reduction = GradientReduction::atomics, .coalesced_atomics = true}},
+    {"atomics, kept hits", {.reduction = GradientReduction::atomics, .coalesced_atomics = false}, 64},
+    {"atomics, some kept hits", {.reduction = GradientReduction::atomics, .coalesced_atomics = false}, 5},
+    {"coalesced atomics, some kept hits",
+     {.reduction = GradientReduction::atomics, .coalesced_atomics = true},
+     5},
+    {"gather, some kept hits", {.reduction = GradientReduction::gather}, 5},
+    {"lists", {.reduction = GradientReduction::gather}, 64, HitSortMethod::lists},
     {"gather without room for all",
-     {.reduction = Reduction::gather, .coalesced_atomics = true, .hits_per_ray = 2}}};
+     {.reduction = GradientReduction::gather, .coalesced_atomics = true, .hits_per_ray = 2}}};
 /// number of methods in the short test: both sums and all methods that find hits
-constexpr std::size_t kFewWays = 3;
+constexpr std::size_t kFewMethods = 3;
 
-constexpr std::optional<RangeKernel> kKernel = RangeKernel{0.3f};
+constexpr std::optional<RangeLikelihoodKernel> kKernel = RangeLikelihoodKernel{0.3f};
 
 /// Rendering options of a comparison, the outputs with gradients, and the tolerance.
 struct How {
-    Proxy proxy = Proxy::boxes;
-    /// If true, the software traversal tests all methods instead of the first kFewWays.
-    /// Used for a single scene of each gradient layout.
-    bool every_way = false;
+    ProxyShape proxy = ProxyShape::boxes;
+    /// If true, the software traversal tests all methods instead of the first
+    /// kFewMethods. Used for a single scene of each gradient layout.
+    bool tests_all_methods = false;
     /// If true, tests only the first two methods, because the method that finds hits
     /// makes no difference here.
     bool brute_force = false;
@@ -63,14 +69,16 @@ struct How {
 class DeviceGradient : public test::DeviceTest {
 protected:
     std::span<const Way> list_variants(const How& options) {
-        if (options.brute_force) return std::span(kWays).first(2);
+        if (options.brute_force) return std::span(kGradientMethods).first(2);
         // Sums of gradients do not depend on the traversal, so one traversal tests all.
-        const bool every_way = options.every_way && device().traversal() == Traversal::software;
-        return every_way ? std::span(kWays) : std::span(kWays).first(kFewWays);
+        const bool tests_all_methods =
+            options.tests_all_methods && device().traversal() == RayTracingBackend::software;
+        return tests_all_methods ? std::span(kGradientMethods)
+                                 : std::span(kGradientMethods).first(kFewMethods);
     }
 
-    void expect_agreement(const ImageModel& image, const test::RandomSceneOptions& options, const How& how,
-                          const std::string& title) {
+    void expect_agreement(const ImageFormationModel& image, const test::RandomSceneOptions& options,
+                          const How& how, const std::string& title) {
         reference::Settings settings;
         settings.image = image;
         settings.image.primitive = options.primitive;
@@ -91,21 +99,21 @@ protected:
                                                  upstream[i], expected));
 
         if (how.outputs != Outputs::image) trace.likelihood = kKernel;
-        for (const Way& way : list_variants(how)) {
-            const Forced forced(device(), {.brute_force = how.brute_force});
-            trace.order = way.order;
-            trace.list_room = way.list_room;
-            renderer.keep_hits = way.kept;
-            Passes passes(device(), settings.image, scene, upstream, renderer, way.options);
+        for (const Way& method : list_variants(how)) {
+            const ForcedBehaviourScope forced(device(), {.brute_force = how.brute_force});
+            trace.order = method.order;
+            trace.initial_list_capacity = method.list_capacity;
+            renderer.keep_hits = method.stored_hits_per_ray;
+            Passes passes(device(), settings.image, scene, upstream, renderer, method.options);
             passes.run();
             const test::GatheredHits hits = test::download_gathered_hits(passes);
-            EXPECT_EQ(hits.most > hits.capacity, way.options.hits_per_ray == 2) << title;
-            expect_rows(image, expected, d_rays, passes.gradients(), title + ", " + way.name, how);
+            EXPECT_EQ(hits.most > hits.capacity, method.options.hits_per_ray == 2) << title;
+            expect_rows(image, expected, d_rays, passes.gradients(), title + ", " + method.name, how);
         }
     }
 
-    void expect_rows(const ImageModel& image, const reference::Gradients& expected,
-                     const std::vector<reference::RayGradient>& d_rays, const Gradients& actual,
+    void expect_rows(const ImageFormationModel& image, const reference::Gradients& expected,
+                     const std::vector<reference::RayGradient>& d_rays, const DeviceGradients& actual,
                      const std::string& title, const How& options) {
         GradientTable table;
         test::add_surfel_rows(table, expected.surfels, actual.surfels.download());
@@ -127,7 +135,7 @@ protected:
 
 TEST_F(DeviceGradient, ShAlongRayWithInstances) {
     expect_agreement({.sh_direction = ShDirection::ray}, {.seed = 31, .rays = 60},
-                     {.proxy = Proxy::triangles, .every_way = true},
+                     {.proxy = ProxyShape::triangles, .tests_all_methods = true},
                      "triangles, SH along the ray, 3 instances");
 }
 
@@ -137,7 +145,7 @@ TEST_F(DeviceGradient, ModelsThatMoveWhileRaysAreFired) {
     // rounding error of 1e-6 m.
     const double tolerance = 3.0 * test::kKernelGradient;
     expect_agreement({.sh_direction = ShDirection::ray}, options,
-                     {.proxy = Proxy::triangles, .tolerance = tolerance}, "models that move");
+                     {.proxy = ProxyShape::triangles, .tolerance = tolerance}, "models that move");
     expect_agreement({.sh_direction = ShDirection::surfel}, options,
                      {.tolerance = tolerance, .outputs = Outputs::likelihood, .chunk = 4},
                      "likelihood, models that move");
@@ -145,7 +153,7 @@ TEST_F(DeviceGradient, ModelsThatMoveWhileRaysAreFired) {
 
 TEST_F(DeviceGradient, ShAlongSurfelWithInstance) {
     expect_agreement({.sh_direction = ShDirection::surfel}, {.seed = 32, .actor_instances = 1, .rays = 60},
-                     {.every_way = true}, "boxes, SH along sensor -> mean, 2 instances");
+                     {.tests_all_methods = true}, "boxes, SH along sensor -> mean, 2 instances");
 }
 
 TEST_F(DeviceGradient, ViewOriginAndLongLists) {
@@ -157,7 +165,7 @@ TEST_F(DeviceGradient, ViewOriginAndLongLists) {
                       .rays = 40,
                       .opacity_low = 0.02,
                       .opacity_high = 0.2},
-                     {.every_way = true}, "transparent, long lists");
+                     {.tests_all_methods = true}, "transparent, long lists");
 }
 
 TEST_F(DeviceGradient, OpaqueWithClampsBruteForce) {
@@ -178,18 +186,18 @@ TEST_F(DeviceGradient, OpaqueWithClampsBruteForce) {
 
 TEST_F(DeviceGradient, Gaussians) {
     test::RandomSceneOptions options;
-    options.primitive = Primitive::gaussian;
+    options.primitive = PrimitiveType::gaussian;
     // more rays hit a 3D Gaussian than a surfel
     options.seed = 36, options.rays = 30, options.background_surfels = 24, options.actor_surfels = 8;
     // Single precision rounds points 10 m away to 1e-6 m. This is 3e-5 standard
     // deviations of the thinnest Gaussian (0.03 m) and affects every gradient of alpha.
     const double tolerance = 3.0 * test::kKernelGradient;
     expect_agreement({.sh_direction = ShDirection::ray}, options,
-                     {.proxy = Proxy::triangles, .tolerance = tolerance},
+                     {.proxy = ProxyShape::triangles, .tolerance = tolerance},
                      "3D Gaussians, icosahedra, SH along the ray, 3 instances");
     options.seed = 37, options.actor_instances = 1;
     expect_agreement({.sh_direction = ShDirection::surfel}, options,
-                     {.every_way = true, .tolerance = tolerance},
+                     {.tests_all_methods = true, .tolerance = tolerance},
                      "3D Gaussians, boxes, SH along sensor -> mean, 2 instances");
 }
 
@@ -214,8 +222,8 @@ TEST_F(DeviceGradient, ImageAndLikelihood) {
     test::RandomSceneOptions options;
     options.rays = 60, options.seed = 72;
     expect_agreement({.sh_direction = ShDirection::ray}, options,
-                     {.proxy = Proxy::triangles,
-                      .every_way = true,
+                     {.proxy = ProxyShape::triangles,
+                      .tests_all_methods = true,
                       .tolerance = 2.0 * test::kKernelGradient,
                       .outputs = Outputs::all},
                      "image and likelihood, SH along the ray");
@@ -250,7 +258,7 @@ TEST_F(DeviceGradient, Likelihood) {
                .actor_surfels = 8,
                .actor_instances = 1,
                .rays = 30,
-               .primitive = Primitive::gaussian};
+               .primitive = PrimitiveType::gaussian};
     expect_agreement({.sh_direction = ShDirection::surfel}, options,
                      {.tolerance = 3.0 * test::kKernelGradient, .outputs = Outputs::likelihood},
                      "likelihood, 3D Gaussians");
@@ -259,9 +267,9 @@ TEST_F(DeviceGradient, Likelihood) {
 /// Compares the gradients with central differences computed on the device. Central
 /// differences are less accurate (single precision), but they share no code with the
 /// reference.
-class DeviceDifferences : public test::DeviceTest, public testing::WithParamInterface<Primitive> {};
+class DeviceDifferences : public test::DeviceTest, public testing::WithParamInterface<PrimitiveType> {};
 INSTANTIATE_TEST_SUITE_P(Primitives, DeviceDifferences,
-                         testing::Values(Primitive::surfel, Primitive::gaussian));
+                         testing::Values(PrimitiveType::surfel, PrimitiveType::gaussian));
 
 TEST_P(DeviceDifferences, OfTheStrongestSurfel) {
     reference::Settings settings;
@@ -274,7 +282,7 @@ TEST_P(DeviceDifferences, OfTheStrongestSurfel) {
                   test::make_options(settings.image));
     passes.run();
     const Surfels d = passes.gradients().surfels.download();
-    const Surfels start = passes.renderer.download().surfels;
+    const Surfels start = passes.renderer.download_scene().surfels;
     std::size_t strongest = 0;
     for (std::size_t i = 0; i < d.size(); ++i)
         if (glm::length(d.mean[i]) > glm::length(d.mean[strongest])) strongest = i;
@@ -282,32 +290,32 @@ TEST_P(DeviceDifferences, OfTheStrongestSurfel) {
         Surfels above = start, below = start;
         move(above, h);
         move(below, -h);
-        passes.renderer.upload(above);
+        passes.renderer.upload_surfels(above);
         const double high = passes.loss();
-        passes.renderer.upload(below);
+        passes.renderer.upload_surfels(below);
         return (high - passes.loss()) / (2.0 * h);
     };
-    const auto near_enough = [](double actual, double expected, double scale) {
+    const auto expect_close = [](double actual, double expected, double scale) {
         EXPECT_NEAR(actual, expected, 0.01 * std::abs(expected) + 2e-3 * scale);
     };
     const double scale = glm::length(d.mean[strongest]);
     for (int k = 0; k < 3; ++k)
-        near_enough(d.mean[strongest][k],
-                    difference([&](Surfels& surfels, float h) { surfels.mean[strongest][k] += h; }, 5e-4f),
-                    scale);
+        expect_close(d.mean[strongest][k],
+                     difference([&](Surfels& surfels, float h) { surfels.mean[strongest][k] += h; }, 5e-4f),
+                     scale);
     for (int k = 0; k < 2; ++k)
-        near_enough(
+        expect_close(
             d.log_scale[strongest][k],
             difference([&](Surfels& surfels, float h) { surfels.log_scale[strongest][k] += h; }, 2e-3f),
             scale);
-    if (GetParam() == Primitive::gaussian)
-        near_enough(
+    if (GetParam() == PrimitiveType::gaussian)
+        expect_close(
             d.log_scale_w[strongest],
             difference([&](Surfels& surfels, float h) { surfels.log_scale_w[strongest] += h; }, 2e-3f),
             scale);
-    near_enough(d.opacity_logit[strongest],
-                difference([&](Surfels& surfels, float h) { surfels.opacity_logit[strongest] += h; }, 5e-3f),
-                scale);
+    expect_close(d.opacity_logit[strongest],
+                 difference([&](Surfels& surfels, float h) { surfels.opacity_logit[strongest] += h; }, 5e-3f),
+                 scale);
 }
 
 }  // namespace

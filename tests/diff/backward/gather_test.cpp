@@ -17,7 +17,7 @@ namespace {
 using reference::PixelGradient;
 using test::Passes;
 
-std::vector<float> collect_all_gradients(const Gradients& gradients) {
+std::vector<float> collect_all_gradients(const DeviceGradients& gradients) {
     std::vector<float> all;
     const std::initializer_list<const Array<float>*> arrays{&gradients.records,
                                                             &gradients.surfels.mean,
@@ -50,24 +50,26 @@ protected:
 
 TEST_F(Gather, SameBitsInEveryRunAndTraversal) {
     using enum ShDirection;
-    for (const auto& [direction, primitive] :
-         {std::pair{ray, Primitive::surfel}, {surfel, Primitive::surfel}, {surfel, Primitive::gaussian}}) {
+    for (const auto& [direction, primitive] : {std::pair{ray, PrimitiveType::surfel},
+                                               {surfel, PrimitiveType::surfel},
+                                               {surfel, PrimitiveType::gaussian}}) {
         reference::Settings settings;
         settings.image.sh_direction = direction;
         settings.image.primitive = primitive;
         const test::RandomScene scene = make_crowded_scene(settings);
         const std::vector<PixelGradient> upstream = test::make_random_upstream(scene.rays.size(), 5);
         RendererOptions options = test::make_options(settings.image);
-        Passes passes(device(), settings.image, scene, upstream, options, {.reduction = Reduction::gather});
+        Passes passes(device(), settings.image, scene, upstream, options,
+                      {.reduction = GradientReduction::gather});
         passes.run();
         const std::vector<float> first = collect_all_gradients(passes.gradients());
         for (int i = 0; i < 3; ++i) {
             passes.run();
             EXPECT_EQ(collect_all_gradients(passes.gradients()), first);
         }
-        options.accel.proxy = Proxy::triangles;
+        options.accel.proxy = ProxyShape::triangles;
         Passes triangles(device(), settings.image, scene, upstream, options,
-                         {.reduction = Reduction::gather});
+                         {.reduction = GradientReduction::gather});
         triangles.run();
         EXPECT_EQ(collect_all_gradients(triangles.gradients()), first) << "the same hits found another way";
     }
@@ -85,11 +87,11 @@ TEST_F(Gather, SurfelsThatAreHitAreAllThatCount) {
         const test::RandomScene scene = test::make_random_scene(options, settings);
         const std::vector<PixelGradient> upstream = test::make_random_upstream(scene.rays.size(), 5);
         std::vector<std::uint32_t> touched;
-        for (const Reduction reduction : {Reduction::gather, Reduction::atomics}) {
+        for (const GradientReduction reduction : {GradientReduction::gather, GradientReduction::atomics}) {
             Passes passes(device(), settings.image, scene, upstream, test::make_options(settings.image),
                           {.reduction = reduction});
             passes.run();
-            Gradients& gradients = passes.gradients();
+            DeviceGradients& gradients = passes.gradients();
             const std::vector<float> first = collect_all_gradients(gradients);
             if (touched.empty()) touched = gradients.touched.download();
             EXPECT_EQ(gradients.touched.download(), touched);
@@ -97,11 +99,11 @@ TEST_F(Gather, SurfelsThatAreHitAreAllThatCount) {
             EXPECT_GT(std::ranges::count(touched, 1u), 20);
             Stream stream(device());
             gradients.surfels.fill_zero(stream);  // rows that are not written keep this value
-            stream.finish();
+            stream.submit_and_wait();
             gradients.zero_untouched = false;
             passes.run();
             EXPECT_EQ(gradients.touched.download(), touched);
-            if (reduction == Reduction::gather) {
+            if (reduction == GradientReduction::gather) {
                 EXPECT_EQ(collect_all_gradients(gradients), first);
             }
         }
@@ -119,11 +121,11 @@ TEST_F(Gather, SumsRowsOverManyBlocks) {
         for (int i = 1; i < 100; ++i)
             upstream.insert(upstream.end(), upstream.begin(), upstream.begin() + 20);
         Passes many(device(), settings.image, scene, upstream, test::make_options(settings.image),
-                    {.reduction = Reduction::gather});
+                    {.reduction = GradientReduction::gather});
         many.run();
         scene.rays.resize(20);
         Passes once(device(), settings.image, scene, upstream, test::make_options(settings.image),
-                    {.reduction = Reduction::atomics});
+                    {.reduction = GradientReduction::atomics});
         once.run();
         test::GradientTable table;
         const auto add = [&](const char* name, const Array<float>& expected, const Array<float>& actual,
@@ -147,7 +149,8 @@ TEST_F(Gather, SumsRowsOverManyBlocks) {
         const test::GatheredHits hits = test::download_gathered_hits(many);
         EXPECT_EQ(hits.capacity, 64u * many.rays.size());
         std::uint64_t n_hits = 0;
-        for (const std::uint32_t n : to_rendering(many.renderer.rendered().rendered->download()).hits)
+        for (const std::uint32_t n :
+             to_rendering(many.renderer.get_last_rendered_batch().rendered->download()).hits)
             n_hits += n;
         EXPECT_EQ(hits.most, n_hits);
         EXPECT_GT(n_hits, 5000u);
@@ -164,19 +167,19 @@ TEST_F(Gather, EmptySlotsAndSmallerBatches) {
     for (std::size_t i = 0; i < upstream.size(); ++i)
         if (i >= 20) upstream[i] = {};
     Passes many(device(), settings.image, scene, upstream, test::make_options(settings.image),
-                {.reduction = Reduction::gather});
+                {.reduction = GradientReduction::gather});
     many.run();
     test::RandomScene few = scene;
     few.rays.resize(20);
     Passes once(device(), settings.image, few, upstream, test::make_options(settings.image),
-                {.reduction = Reduction::gather});
+                {.reduction = GradientReduction::gather});
     once.run();
     EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download());
-    many.renderer.record_forward({&many.rays, 0, 1, 20});
-    many.differentiable.record_backward();
-    many.renderer.stream().finish();
+    many.renderer.record_forward_pass({&many.rays, 0, 1, 20});
+    many.differentiable.record_backward_pass();
+    many.renderer.stream().submit_and_wait();
     EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download());
-    many.differentiable.backward_pass().reserve_hits(many.renderer.stream(), 1u << 20);
+    many.differentiable.backward_pass().reserve_hit_memory(many.renderer.stream(), 1u << 20);
     many.run();
     EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download())
         << "room does not matter";
@@ -184,9 +187,9 @@ TEST_F(Gather, EmptySlotsAndSmallerBatches) {
 }
 
 TEST_F(Gather, RoomForNothingIsRefused) {
-    EXPECT_THROW(
-        BackwardPass(device(), {}, Proxy::boxes, {}, {.reduction = Reduction::gather, .hits_per_ray = 0}),
-        UsageError);
+    EXPECT_THROW(BackwardPass(device(), {}, ProxyShape::boxes, {},
+                              {.reduction = GradientReduction::gather, .hits_per_ray = 0}),
+                 UsageError);
 }
 
 }  // namespace

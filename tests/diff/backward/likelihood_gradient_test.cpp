@@ -129,7 +129,8 @@ struct WallProblem {
 
 RendererOptions make_options(const LossWeights& weights, std::uint32_t keep_hits) {
     RendererOptions options = test::make_options({});
-    if (weights.likelihood > 0.0f) options.trace.likelihood = RangeKernel{weights.likelihood_scale_m};
+    if (weights.likelihood > 0.0f)
+        options.trace.likelihood = RangeLikelihoodKernel{weights.likelihood_scale_m};
     options.keep_hits = keep_hits;
     return options;
 }
@@ -158,9 +159,10 @@ struct DevicePasses : test::Passes {
             &targets, 0, 1, kRows * kColumns, n_returned, double(kRows * kColumns), {kRows, kColumns, false}};
         run_forward();
         for (const std::unique_ptr<Loss>& loss : losses)
-            loss->compare(renderer.stream(), differentiable.batch(), measured, loss_terms);
-        differentiable.record_backward();
-        renderer.stream().finish();
+            loss->record_ray_losses(renderer.stream(), differentiable.get_last_rendered_batch(), measured,
+                                    loss_terms);
+        differentiable.record_backward_pass();
+        renderer.stream().submit_and_wait();
     }
 };
 
@@ -210,7 +212,7 @@ std::vector<std::pair<std::string, std::vector<double>>> compute_expected_rows(W
     return rows;
 }
 
-std::vector<std::vector<double>> collect_actual_rows(const Gradients& gradients) {
+std::vector<std::vector<double>> collect_actual_rows(const DeviceGradients& gradients) {
     std::vector<std::vector<double>> rows;
     const Surfels s = gradients.surfels.download();
     for (std::size_t i = 0; i < s.size(); ++i)
@@ -288,9 +290,9 @@ protected:
     void expect_agreement(const LossWeights& weights, const std::string& title) {
         const WallProblem p(weights);
         const auto [expected, moved] = compute_expected_and_moved(p);
-        for (const Reduction reduction : {Reduction::atomics, Reduction::gather})
-            for (const std::uint32_t kept : {0u, 4u}) {
-                DevicePasses passes(device(), p, kept, {.reduction = reduction});
+        for (const GradientReduction reduction : {GradientReduction::atomics, GradientReduction::gather})
+            for (const std::uint32_t stored_hits_per_ray : {0u, 4u}) {
+                DevicePasses passes(device(), p, stored_hits_per_ray, {.reduction = reduction});
                 passes.run_all();
                 const std::vector<double> terms = p.terms();
                 const std::vector<float> device_result = passes.loss_terms.download();
@@ -342,14 +344,14 @@ TEST_F(LikelihoodGradient, TwoSurfelsInClosedForm) {
         std::vector<reference::PixelGradient> upstream(1);
         upstream[0].likelihood = 1.0;
         RendererOptions options = test::make_options({});
-        options.trace.likelihood = RangeKernel{0.1f};
+        options.trace.likelihood = RangeLikelihoodKernel{0.1f};
         test::Passes passes(device(), {}, scene, upstream, options);
         passes.run();
         const double scale = double(0.1f), d = (t[0] - t[1]) / scale, k = 1.0 / (1.0 + d * d), w0 = 0.6,
                      w1 = 0.4 * 0.5;
         // rounding error of a range in float
         const double slope = -2.0 * d / scale * k * k, resolved = 1.2e-7 * start;
-        EXPECT_NEAR(passes.renderer.rendered().rendered->download()[0].likelihood, w0 * k + w1,
+        EXPECT_NEAR(passes.renderer.get_last_rendered_batch().rendered->download()[0].likelihood, w0 * k + w1,
                     1e-6 + w0 * slope * resolved);
         const Surfels device_result = passes.gradients().surfels.download();
         EXPECT_NEAR(device_result.mean[0].x, w0 * slope, 1e-6 + resolved * w0 / (scale * scale))
@@ -366,10 +368,10 @@ TEST_F(LikelihoodGradient, GatheredTheSameBitsInEveryRun) {
     const WallProblem p(make_weights(0.1f, 0.3f));
     std::vector<float> first;
     for (int i = 0; i < 3; ++i) {
-        DevicePasses passes(device(), p, 0, {.reduction = Reduction::gather});
+        DevicePasses passes(device(), p, 0, {.reduction = GradientReduction::gather});
         passes.run_all();
         std::vector<float> all;
-        const Gradients& g = passes.gradients();
+        const DeviceGradients& g = passes.gradients();
         for (const Array<float>* array :
              std::initializer_list<const Array<float>*>{&g.records, &g.surfels.rotation, &g.rays, &g.poses})
             for (const float x : array->download()) all.push_back(x);

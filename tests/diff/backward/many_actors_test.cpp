@@ -35,10 +35,11 @@ test::RandomScene make_many_actors(bool has_models, int n_actors) {
     for (reference::Surfel& s : scene.world.surfels) s.mean.x = double(float(0.25 * (s.mean.x - 6.0)));
     for (int i = 0; i < n_actors; ++i) {
         const glm::dvec3 cell(i % kAcross, i / kAcross % kAcross - 4.5, i / (kAcross * kAcross) - 4.5);
-        const glm::dquat turn = i % 3 == 0 ? glm::dquat(0.0, 0.0, 0.0, 1.0) : glm::dquat(1.0, 0.0, 0.0, 0.0);
+        const glm::dquat rotation =
+            i % 3 == 0 ? glm::dquat(0.0, 0.0, 0.0, 1.0) : glm::dquat(1.0, 0.0, 0.0, 0.0);
         const auto first = static_cast<std::uint32_t>(has_models ? kSurfels * i : 0);
         scene.world.instances.push_back(
-            {first, kSurfels, {turn, glm::dvec3(4.0, 0.0, 0.0) + kApart_m * cell}});
+            {first, kSurfels, {rotation, glm::dvec3(4.0, 0.0, 0.0) + kApart_m * cell}});
     }
     return scene;
 }
@@ -72,16 +73,16 @@ class ManyActors : public test::DeviceTest {
 protected:
     /// Evaluates the SH along the ray for a thousand instances of one model, and along
     /// the surfel for a thousand models.
-    static ImageModel make_image_model(bool has_models) {
+    static ImageFormationModel make_image_model(bool has_models) {
         return {.sh_direction = has_models ? ShDirection::surfel : ShDirection::ray};
     }
 };
 
 TEST_F(ManyActors, ImageAndGradientsAgreeWithTheReference) {
-    for (const bool own : {false, true}) {
+    for (const bool has_models : {false, true}) {
         reference::Settings settings;
-        settings.image = make_image_model(own);
-        test::RandomScene scene = make_many_actors(own, kAcross * kAcross * kAcross);
+        settings.image = make_image_model(has_models);
+        test::RandomScene scene = make_many_actors(has_models, kAcross * kAcross * kAcross);
         settings.view_origin = scene.view_origin;
         add_rays(scene, 30, &settings);
         ASSERT_EQ(scene.rays.size(), 30u);
@@ -92,7 +93,8 @@ TEST_F(ManyActors, ImageAndGradientsAgreeWithTheReference) {
         test::GradientTable table;
         Passes passes(device(), settings.image, scene, upstream, test::make_options(settings.image));
         passes.run();
-        const std::vector<shared::RenderedRay> rendered = passes.renderer.rendered().rendered->download();
+        const std::vector<shared::RenderedRay> rendered =
+            passes.renderer.get_last_rendered_batch().rendered->download();
         for (std::size_t i = 0; i < scene.rays.size(); ++i) {
             const reference::Pixel pixel = reference::render(scene.world, brute, settings, scene.rays[i], 16);
             reference::backward(scene.world, brute, settings, scene.rays[i], 16, upstream[i], expected);
@@ -103,7 +105,7 @@ TEST_F(ManyActors, ImageAndGradientsAgreeWithTheReference) {
             EXPECT_GT(pixel.hits, 0u);
         }
         test::add_surfel_rows(table, expected.surfels, passes.gradients().surfels.download());
-        table.print(own ? "1000 models" : "1000 instances of a model");
+        table.print(has_models ? "1000 models" : "1000 instances of a model");
         for (const auto& [name, group] : table.groups()) {
             // Computes the error over all rows, because a single row has only one or two
             // hits whose terms may cancel.
@@ -129,28 +131,29 @@ std::vector<float> train(Passes& passes) {
     Renderer& renderer = passes.renderer;
     Device& device = renderer.stream().device();
     passes.run_forward();
-    renderer.stream().finish();
+    renderer.stream().submit_and_wait();
     const std::vector<DeviceTarget> values =
-        make_targets_near(passes.renderer.rendered().rendered->download());
+        make_targets_near(passes.renderer.get_last_rendered_batch().rendered->download());
     const Array<DeviceTarget> targets(device, std::span<const DeviceTarget>(values), "targets");
     const Array<float> terms(device, kLossTerms, "loss terms");
     const auto n = static_cast<std::uint32_t>(values.size());
     constexpr LearningRates kRates{1e-3, 1e-3, 5e-3, 0.05, 0.01, 0.05};
     ImageLoss loss(device, {});
     Adam adam(device, renderer.scene().size(), {});
-    std::vector<InstancePose> placed = renderer.scene().poses();
+    std::vector<InstancePose> placed = renderer.scene().get_instance_poses();
     std::vector<float> losses;
     for (int step = 1; step <= 20; ++step) {
         for (InstancePose& pose : placed) pose.world_from_model.translation.y += 1e-4;
-        renderer.place(placed, passes.view_origin);
+        renderer.prepare_view(placed, passes.view_origin);
         renderer.stream().fill(terms);
-        renderer.record_forward(passes.batch());
-        loss.compare(renderer.stream(), differentiable.batch(), {&targets, 0, 1, n, double(n), double(n)},
-                     terms);
-        differentiable.record_backward();
-        adam.step(renderer.stream(), renderer.scene().parameters(), differentiable.gradients().surfels,
-                  &differentiable.gradients().touched, kRates, step, 3);
-        renderer.stream().finish();
+        renderer.record_forward_pass(passes.batch());
+        loss.record_ray_losses(renderer.stream(), differentiable.get_last_rendered_batch(),
+                               {&targets, 0, 1, n, double(n), double(n)}, terms);
+        differentiable.record_backward_pass();
+        adam.record_adam_step(renderer.stream(), renderer.scene().get_surfel_parameters(),
+                              differentiable.gradients().surfels, &differentiable.gradients().touched, kRates,
+                              step, 3);
+        renderer.stream().submit_and_wait();
         const std::vector<float> all = terms.download();
         losses.push_back(std::accumulate(all.begin(), all.end(), 0.0f));
     }
@@ -158,20 +161,20 @@ std::vector<float> train(Passes& passes) {
 }
 
 TEST_F(ManyActors, Train) {
-    for (const bool own : {false, true}) {
-        test::RandomScene scene = make_many_actors(own, kAcross * kAcross * kAcross);
+    for (const bool has_models : {false, true}) {
+        test::RandomScene scene = make_many_actors(has_models, kAcross * kAcross * kAcross);
         add_rays(scene, 300, nullptr);
-        Passes passes(device(), make_image_model(own), scene,
+        Passes passes(device(), make_image_model(has_models), scene,
                       std::vector<reference::PixelGradient>(scene.rays.size()),
-                      test::make_options(make_image_model(own)));
+                      test::make_options(make_image_model(has_models)));
         const std::vector<float> losses = train(passes);
-        const char* what = own ? "1000 models" : "1000 instances of a model";
+        const char* what = has_models ? "1000 models" : "1000 instances of a model";
         std::printf("%s: loss %.5f, after 20 steps %.5f\n", what, double(losses.front()),
                     double(losses.back()));
         EXPECT_LT(losses.back(), 0.8f * losses.front());
         for (const float l : losses) EXPECT_TRUE(std::isfinite(l));
-        const Surfels end = passes.renderer.scene().parameters().download();
-        for (const ParameterGroup& group : list_parameter_groups(end.parameters()))
+        const Surfels end = passes.renderer.scene().get_surfel_parameters().download();
+        for (const SurfelParameterGroup& group : list_parameter_groups(end.get_parameter_set()))
             for (const float x : group.values(end)) ASSERT_TRUE(std::isfinite(x)) << group.name;
     }
 }
@@ -179,7 +182,7 @@ TEST_F(ManyActors, Train) {
 /// The number of launches in an iteration must not depend on the number of models.
 TEST_F(ManyActors, AreLaunchedTogether) {
     if (!device().info().timestamps) GTEST_SKIP() << "no timestamps: launches are not counted";
-    SurfelLoss surfel_loss(device(), {.box = 0.1f});
+    ActorBoxLoss surfel_loss(device(), {.box = 0.1f});
     const Array<float> terms(device(), kLossTerms, "loss terms");
     const auto launches = [&](int n_actors) {
         test::RandomScene scene = make_many_actors(true, n_actors);
@@ -189,11 +192,11 @@ TEST_F(ManyActors, AreLaunchedTogether) {
                       test::make_options(make_image_model(true)));
         passes.run();  // builds the tree, which takes a number of launches logarithmic in its size
         Stream& stream = passes.renderer.stream();
-        stream.reset_times();
+        stream.reset_kernel_times();
         passes.run();
-        surfel_loss.regularise(stream, passes.renderer.scene(), {&passes.gradients().surfels, nullptr},
-                               terms);
-        stream.finish();
+        surfel_loss.record_regularisation_losses(stream, passes.renderer.scene(),
+                                                 {&passes.gradients().surfels, nullptr}, terms);
+        stream.submit_and_wait();
         std::map<std::string, std::size_t> counts;
         for (const auto& [kernel, times] : stream.times().milliseconds) counts[kernel] = times.size();
         return counts;

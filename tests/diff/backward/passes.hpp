@@ -27,8 +27,8 @@ inline glm::dquat make_rotation_by(const glm::dvec3& rotation_vector) {
 /// Returns options that trace boxes, with chunks of 4 hits for harmonics along the ray
 /// and of 16 along the surfel. All tests use these chunk sizes, because creating kernels
 /// takes most of the test time.
-inline RendererOptions make_options(const ImageModel& model) {
-    return {.accel = {.proxy = Proxy::boxes},
+inline RendererOptions make_options(const ImageFormationModel& model) {
+    return {.accel = {.proxy = ProxyShape::boxes},
             .trace = {.chunk = model.sh_direction == ShDirection::ray ? 4 : 16}};
 }
 
@@ -48,17 +48,17 @@ struct Passes {
 
     /// Creates the renderer and both passes.
     /// @param g [>= rays] upstream gradients of all rays, until a loss overwrites them
-    Passes(Device& device, const ImageModel& model, const RandomScene& s,
+    Passes(Device& device, const ImageFormationModel& model, const RandomScene& s,
            const std::vector<reference::PixelGradient>& g, const RendererOptions& options,
            const BackwardOptions& sums = {})
         : placed(to_scene(to_surfels(s.world.surfels), s.world.instances)),
           differentiable(device, placed.scene, model, add_hit_room(options, s.rays.size()),
-                         {.sums = sums, .wanted = {.rays = true, .poses = true}}),
+                         {.sums = sums, .requested_gradients = {.rays = true, .poses = true}}),
           renderer(differentiable.renderer()),
           rays(device, std::span<const DeviceRay>(to_device_rays(to_world_rays(s.rays))), "rays"),
           targets(device, std::span<const shared::DeviceTarget>(to_targets(s.rays)), "targets"),
           view_origin(s.view_origin) {
-        renderer.scene().set_poses(placed.world_from_instance);
+        renderer.scene().set_instance_poses(placed.world_from_instance);
         std::vector<shared::RayGradient> u;
         for (std::size_t i = 0; i < s.rays.size(); ++i) {
             shared::RayGradient& d = u.emplace_back();
@@ -66,27 +66,28 @@ struct Passes {
             RELIDAR_BLENDED_VALUES(RELIDAR_COPY)
 #undef RELIDAR_COPY
         }
-        differentiable.batch().upstream->upload(u);
+        differentiable.get_last_rendered_batch().upstream->upload(u);
     }
 
     RayBatch batch() const { return {&rays, 0, 1, static_cast<std::uint32_t>(rays.size()), 0, &targets}; }
-    Gradients& gradients() { return differentiable.gradients(); }
+    DeviceGradients& gradients() { return differentiable.gradients(); }
     void run_forward() {
-        renderer.place(view_origin);
-        renderer.record_forward(batch());
+        renderer.prepare_view(view_origin);
+        renderer.record_forward_pass(batch());
     }
     void run() {
         run_forward();
-        differentiable.record_backward();
-        renderer.stream().finish();
+        differentiable.record_backward_pass();
+        renderer.stream().submit_and_wait();
     }
     /// Returns the inner product of upstream gradients and rendered values over all rays,
     /// in double.
     double loss() {
         run_forward();
-        renderer.stream().finish();
-        const std::vector<shared::RenderedRay> r = renderer.rendered().rendered->download();
-        const std::vector<shared::RayGradient> u = differentiable.batch().upstream->download();
+        renderer.stream().submit_and_wait();
+        const std::vector<shared::RenderedRay> r = renderer.get_last_rendered_batch().rendered->download();
+        const std::vector<shared::RayGradient> u =
+            differentiable.get_last_rendered_batch().upstream->download();
         double sum = 0.0;
         for (std::size_t i = 0; i < rays.size(); ++i) {
 #define RELIDAR_ADD(name, built, value, input, slope, meaning) sum += double(r[i].name) * u[i].name;
@@ -104,10 +105,10 @@ struct GatheredHits {
 };
 inline GatheredHits download_gathered_hits(Passes& passes) {
     const BackwardPass& backward = passes.differentiable.backward_pass();
-    if (!backward.most_hits()) return {};
-    const GatheredHits hits{backward.most_hits()->download()[0], backward.hit_capacity()};
-    passes.renderer.stream().fill(*backward.most_hits());
-    passes.renderer.stream().finish();
+    if (!backward.get_device_max_hit_count()) return {};
+    const GatheredHits hits{backward.get_device_max_hit_count()->download()[0], backward.get_hit_capacity()};
+    passes.renderer.stream().fill(*backward.get_device_max_hit_count());
+    passes.renderer.stream().submit_and_wait();
     return hits;
 }
 

@@ -49,13 +49,13 @@ struct PoseProblem {
     /// Returns the loss terms after the sensor is translated by `vector` and rotated by w
     /// about the view origin.
     std::vector<double> compute_terms_of_moved_sensor(const glm::dvec3& vector, const glm::dvec3& w) const {
-        const glm::dquat turn = test::make_rotation_by(w);
+        const glm::dquat rotation = test::make_rotation_by(w);
         reference::Settings s = settings;
         s.view_origin += vector;
         std::vector<reference::Ray> rays = scene.rays;
         for (reference::Ray& ray : rays)
-            ray = {settings.view_origin + turn * (ray.origin - settings.view_origin) + vector,
-                   turn * ray.direction, 0.0, ray.time_s};
+            ray = {settings.view_origin + rotation * (ray.origin - settings.view_origin) + vector,
+                   rotation * ray.direction, 0.0, ray.time_s};
         return terms(rays, s);
     }
 };
@@ -112,7 +112,7 @@ protected:
             add_twist(table, "differences, pose", differences, lanes(poses.data() + 6 * k, 6));
         }
         // With moving instances the sensor's gradient is only an approximation (see
-        // Gradients::sensor), so it is not compared.
+        // DeviceGradients::sensor), so it is not compared.
         if (!options.moving)
             add_twist(table, "differences, sensor",
                       compute_twist_differences([&](const glm::dvec3& vector, const glm::dvec3& w) {
@@ -142,7 +142,7 @@ TEST_F(PoseGradient, OfModelsThatMoveWhileRaysAreFired) {
 TEST_F(PoseGradient, OfTheSensorIsExactInTranslationWhereModelsOnlyDrive) {
     test::RandomSceneOptions options;
     options.seed = 48, options.rays = 60, options.actor_instances = 3, options.moving = true,
-    options.turn_rate = 0.0;
+    options.angular_speed_radps = 0.0;
     PoseProblem p(ShDirection::ray, options);
     Passes passes(device(), p.settings.image, p.scene, p.upstream, test::make_options(p.settings.image));
     passes.run();
@@ -157,7 +157,7 @@ TEST_F(PoseGradient, OfTheSensorIsExactInTranslationWhereModelsOnlyDrive) {
 
 TEST_F(PoseGradient, GaussiansPlacedTwice) {
     test::RandomSceneOptions options;
-    options.seed = 46, options.rays = 60, options.primitive = Primitive::gaussian;
+    options.seed = 46, options.rays = 60, options.primitive = PrimitiveType::gaussian;
     expect_agreement(ShDirection::ray, options, "poses, 3D Gaussians, one model placed twice");
 }
 
@@ -178,7 +178,7 @@ TEST_F(PoseGradient, MoreSurfelsThanThreadsOfAWorkgroup) {
 
 /// Makes a street of `n_background` surfels and an actor of `n_actor` surfels.
 Scene make_background_and_actor(std::uint32_t n_background, std::uint32_t n_actor) {
-    Scene layout = make_background_scene(make_benchmark_street(n_background + n_actor));
+    Scene layout = make_background_scene(make_benchmark_street_surfels(n_background + n_actor));
     layout.models = {{"background", 0, n_background}, {"actor", n_background, n_actor}};
     layout.instances.push_back({1, "actor"});
     return layout;
@@ -199,21 +199,21 @@ TEST_F(PoseGradient, ManyBlocksOfSurfels) {
         for (std::size_t k = 0; k < 3; ++k) d_view[3 * i + k] = normal(random);
     }
     for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
-        ImageModel model;
+        ImageFormationModel model;
         model.sh_direction = direction;
         DeviceScene scene(device(), layout);
-        scene.set_poses({Pose{}, pose});
+        scene.set_instance_poses({Pose{}, pose});
         Stream stream(device());
-        scene.activate(stream, model, glm::vec3(view_origin));
-        stream.finish();
-        Gradients gradients(device(), scene, {.poses = true});
+        scene.compute_surfel_records(stream, model, glm::vec3(view_origin));
+        stream.submit_and_wait();
+        DeviceGradients gradients(device(), scene, {.poses = true});
         gradients.records.upload(d_records);
         gradients.pose_sums->d_view.upload(d_view);
-        PoseGradients kernels(device());
-        kernels.run(stream, scene, model, glm::vec3(view_origin), gradients);
-        stream.finish();
+        PoseGradientKernels kernels(device());
+        kernels.compute_pose_gradients(stream, scene, model, glm::vec3(view_origin), gradients);
+        stream.submit_and_wait();
         const std::vector<float> poses = gradients.poses.download(),
-                                 records = test::to_floats(scene.records().download());
+                                 records = test::to_floats(scene.get_surfel_records().download());
         const auto three = [](const std::vector<float>& v, std::size_t index) {
             return glm::dvec3(v[index], v[index + 1], v[index + 2]);
         };
@@ -240,8 +240,8 @@ TEST_F(PoseGradient, ManyBlocksOfSurfels) {
         for (const auto& [name, group] : table.groups())
             EXPECT_LE(group.compute_worst_error(), test::kKernelGradient) << name;
         for (int again = 0; again < 5; ++again) {
-            kernels.run(stream, scene, model, glm::vec3(view_origin), gradients);
-            stream.finish();
+            kernels.compute_pose_gradients(stream, scene, model, glm::vec3(view_origin), gradients);
+            stream.submit_and_wait();
             EXPECT_EQ(gradients.poses.download(), poses);
         }
     }
@@ -254,10 +254,10 @@ TEST_F(PoseGradient, WhatNoRayMeetsHasNone) {
     options.seed = 44, options.actor_instances = 3;
     PoseProblem p(ShDirection::ray, options);
     Passes passes(device(), p.settings.image, p.scene, p.upstream, test::make_options(p.settings.image));
-    std::vector<InstancePose> placed = passes.renderer.scene().poses();
+    std::vector<InstancePose> placed = passes.renderer.scene().get_instance_poses();
     placed[1].world_from_model.translation = {-20.0, 0.0, 0.0};
     placed[2].present = false;
-    passes.renderer.scene().place(passes.renderer.stream(), placed);
+    passes.renderer.scene().record_instance_poses(passes.renderer.stream(), placed);
     passes.run();
     const std::vector<float> poses = passes.gradients().poses.download();
     double met = 0.0;
@@ -267,7 +267,7 @@ TEST_F(PoseGradient, WhatNoRayMeetsHasNone) {
         met += std::abs(poses[18 + k]);
     }
     EXPECT_GT(met, 0.0);
-    passes.renderer.stream().fill(*passes.differentiable.batch().upstream);
+    passes.renderer.stream().fill(*passes.differentiable.get_last_rendered_batch().upstream);
     passes.run();
     for (const float x : passes.gradients().poses.download()) EXPECT_EQ(x, 0.0f);
     for (const float x : passes.gradients().sensor.download()) EXPECT_EQ(x, 0.0f);

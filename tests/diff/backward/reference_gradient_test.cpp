@@ -69,16 +69,16 @@ struct Row {
 /// to the surfel (random_scene.hpp), so small changes of the surfel do not affect them.
 Problem select_one_surfel(Problem problem, std::size_t surfel) {
     const BruteForce provider = problem.brute();
-    std::size_t kept = 0;
+    std::size_t n_selected_rays = 0;
     for (std::size_t i = 0; i < problem.scene.rays.size(); ++i) {
         const std::vector<Hit> hits = list_all_hits(provider, problem.scene.rays[i], problem.chunk);
         if (std::none_of(hits.begin(), hits.end(), [&](const Hit& hit) { return hit.surfel == surfel; }))
             continue;
-        problem.scene.rays[kept] = problem.scene.rays[i];
-        problem.upstream[kept++] = problem.upstream[i];
+        problem.scene.rays[n_selected_rays] = problem.scene.rays[i];
+        problem.upstream[n_selected_rays++] = problem.upstream[i];
     }
-    problem.scene.rays.resize(kept);
-    problem.upstream.resize(kept);
+    problem.scene.rays.resize(n_selected_rays);
+    problem.upstream.resize(n_selected_rays);
     return problem;
 }
 
@@ -136,12 +136,13 @@ void check_rays_and_poses(Problem& problem, const Gradients& gradients,
         table.add_row("pose translation", test::compute_central_differences(&pose.translation.x, 3, terms),
                       row(gradients.instances[i].translation));
         const glm::dquat start = pose.rotation;
-        const auto turn = [&](int k, double angle) {
+        const auto rotate_about_axis = [&](int k, double angle) {
             glm::dvec3 axis(0.0);
             axis[k] = 1.0;
             pose.rotation = glm::angleAxis(angle, axis) * start;
         };
-        table.add_row("pose rotation", test::compute_central_differences(3, turn, terms, test::kAngleStep),
+        table.add_row("pose rotation",
+                      test::compute_central_differences(3, rotate_about_axis, terms, test::kAngleStep),
                       row(gradients.instances[i].rotation));
     }
 }
@@ -195,7 +196,7 @@ TEST(ReferenceGradient, LikelihoodAlone) {
     options.background_surfels = 24, options.actor_surfels = 8, options.rays = 12;
     expect_differences_agree(ShDirection::surfel, options, 4, "likelihood alone", false,
                              test::Outputs::likelihood);
-    options.primitive = Primitive::gaussian;
+    options.primitive = PrimitiveType::gaussian;
     expect_differences_agree(ShDirection::ray, options, 4, "likelihood alone, 3D Gaussians", false,
                              test::Outputs::likelihood);
 }
@@ -212,7 +213,7 @@ TEST(ReferenceGradient, SingleDropLogit) {
 TEST(ReferenceGradient, GaussiansShAlongRay) {
     test::RandomSceneOptions options;
     options.seed = 6;
-    options.primitive = Primitive::gaussian;
+    options.primitive = PrimitiveType::gaussian;
     expect_differences_agree(ShDirection::ray, options, 4,
                              "3D Gaussians, SH along the ray, 3 instances, chunk 4");
 }
@@ -220,7 +221,7 @@ TEST(ReferenceGradient, GaussiansShAlongRay) {
 TEST(ReferenceGradient, GaussiansOpaqueShAlongSurfel) {
     test::RandomSceneOptions options;
     options.seed = 7;
-    options.primitive = Primitive::gaussian;
+    options.primitive = PrimitiveType::gaussian;
     options.opacity_low = 0.5, options.opacity_high = 0.98;
     expect_differences_agree(ShDirection::surfel, options, 2,
                              "3D Gaussians, opaque, SH along sensor -> mean, chunk 2");

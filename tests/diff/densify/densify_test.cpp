@@ -35,7 +35,7 @@ struct Case {
     Densifier densifier;
     Stream stream;
     std::vector<float> gradient_sum;
-    std::vector<std::uint32_t> n_seen, frames;
+    std::vector<std::uint32_t> n_observing_batches, frames;
     Surfels moment1, moment2;
 
     Case(Device& device, Scene initial, const DensifyOptions& o, bool with_poison = false)
@@ -46,13 +46,13 @@ struct Case {
           densifier(device, scene, options, kAlphaMin, kFrames, kSeed),
           stream(device) {
         if (with_poison) test::fill_with_nan(scene.surfels);
-        device_scene.parameters().upload(scene.surfels);
+        device_scene.get_surfel_parameters().upload(scene.surfels);
         std::mt19937 random(3);
         const std::size_t n = scene.surfels.size();
         for (std::size_t i = 0; i < n; ++i) {
-            n_seen.push_back(random() % 4);
+            n_observing_batches.push_back(random() % 4);
             // half of the means above 2e-4
-            gradient_sum.push_back(float(n_seen[i]) * 1e-4f * float(random() % 1000) / 250.0f);
+            gradient_sum.push_back(float(n_observing_batches[i]) * 1e-4f * float(random() % 1000) / 250.0f);
             for (int k = 0; k < 2; ++k) frames.push_back(random() % 3 ? std::uint32_t(random()) : 0u);
         }
         moment1 = moment2 = scene.surfels;
@@ -62,16 +62,16 @@ struct Case {
             moment1.mean[i] = moment2.mean[i] = glm::vec3(float(i) + 0.125f);
         }
         show();
-        adam.moment1().upload(moment1);
-        adam.moment2().upload(moment2);
+        adam.get_first_moments().upload(moment1);
+        adam.get_second_moments().upload(moment2);
     }
 
     void show() {
         densifier.statistics().gradient_sum.upload(gradient_sum);
-        densifier.statistics().n_seen.upload(n_seen);
+        densifier.statistics().n_observing_batches.upload(n_observing_batches);
         densifier.statistics().frames.upload(frames);
     }
-    DensifyReport run(int step) { return densifier.run(stream, device_scene, adam, step); }
+    DensifyReport run(int step) { return densifier.densify_surfels(stream, device_scene, adam, step); }
 };
 
 DensifyOptions make_adaptive_options() {
@@ -83,8 +83,8 @@ DensifyOptions make_adaptive_options() {
 std::vector<Fate> compute_expected_fates(const Case& test_case, int step) {
     std::vector<Fate> fates;
     for (std::size_t m = 0; m < test_case.scene.models.size(); ++m) {
-        const Model& model = test_case.scene.models[m];
-        const double extent = test_case.densifier.extents_m()[m];
+        const SurfelModel& model = test_case.scene.models[m];
+        const double extent = test_case.densifier.get_model_extents_m()[m];
         reference::DensifyRules rules;
         rules.min_opacity = std::max(test_case.options.min_opacity, double(kAlphaMin));
         rules.max_scale =
@@ -92,12 +92,15 @@ std::vector<Fate> compute_expected_fates(const Case& test_case, int step) {
         rules.clone_scale = test_case.options.clone_extent_share * extent;
         rules.gradient_threshold = test_case.options.gradient_threshold;
         rules.half_size = glm::dvec3(model.half_size_m);
-        rules.key = static_cast<std::uint32_t>(combine_hashes(combine_hashes(kSeed, 1), std::uint64_t(step)));
+        rules.key =
+            static_cast<std::uint32_t>(hash_integer_pair(hash_integer_pair(kSeed, 1), std::uint64_t(step)));
         for (std::uint32_t i = model.first; i < model.first + model.count; ++i)
             fates.push_back(reference::decide_fate(
                 test::densify_surfel(test_case.scene.surfels, i),
-                test_case.n_seen[i] ? double(test_case.gradient_sum[i]) / test_case.n_seen[i] : 0.0, rules,
-                i));
+                test_case.n_observing_batches[i]
+                    ? double(test_case.gradient_sum[i]) / test_case.n_observing_batches[i]
+                    : 0.0,
+                rules, i));
     }
     return fates;
 }
@@ -120,8 +123,8 @@ std::vector<Row> compute_expected_rows(const std::vector<Fate>& fates, std::uint
         total += weight.back();
     }
     const std::uint32_t phase =
-        total ? static_cast<std::uint32_t>(combine_hashes(combine_hashes(kSeed, 2), std::uint64_t(step)) %
-                                           total)
+        total ? static_cast<std::uint32_t>(
+                    hash_integer_pair(hash_integer_pair(kSeed, 2), std::uint64_t(step)) % total)
               : 0u;
     const std::vector<std::uint32_t> copies = reference::count_copies(weight, n_new, phase);
     std::vector<Row> rows;
@@ -160,10 +163,11 @@ void expect_values(const Case& test_case, const Row& row, const Surfels& surfels
 }
 
 void expect_state(Case& test_case, const std::vector<Row>& rows) {
-    const Surfels m1 = test_case.adam.moment1().download(), m2 = test_case.adam.moment2().download();
+    const Surfels m1 = test_case.adam.get_first_moments().download(),
+                  m2 = test_case.adam.get_second_moments().download();
     const SurfelStatistics& s = test_case.densifier.statistics();
     const std::vector<float> sums = s.gradient_sum.download(rows.size());
-    const std::vector<std::uint32_t> seen = s.n_seen.download(rows.size()),
+    const std::vector<std::uint32_t> n_observing_batches = s.n_observing_batches.download(rows.size()),
                                      frames = s.frames.download(2 * rows.size());
     for (std::size_t i = 0; i < rows.size(); ++i) {
         const std::uint32_t from = rows[i].source;
@@ -173,23 +177,23 @@ void expect_state(Case& test_case, const std::vector<Row>& rows) {
         ASSERT_EQ(m1.mean[i], fresh ? glm::vec3(0.0f) : test_case.moment1.mean[from]);
         ASSERT_EQ(m2.rotation[i], fresh ? glm::vec4(0.0f) : test_case.moment2.rotation[from]);
         ASSERT_EQ(m1.log_scale[i], fresh ? glm::vec2(0.0f) : test_case.moment1.log_scale[from]);
-        if (m1.primitive == Primitive::gaussian) {
+        if (m1.primitive == PrimitiveType::gaussian) {
             ASSERT_EQ(m1.log_scale_w[i], fresh ? 0.0f : test_case.moment1.log_scale_w[from]);
         }
         ASSERT_EQ(m2.sh[i * kShFloats + 16], fresh ? 0.0f : test_case.moment2.sh[from * kShFloats + 16]);
         ASSERT_EQ(sums[i], 0.0f);
-        ASSERT_EQ(seen[i], 0u);
+        ASSERT_EQ(n_observing_batches[i], 0u);
         ASSERT_EQ(frames[2 * i], test_case.frames[2 * from]) << "a copy has been seen where its original was";
         ASSERT_EQ(frames[2 * i + 1], test_case.frames[2 * from + 1]);
     }
 }
 
 void expect_models(const Case& test_case, const std::vector<Row>& rows) {
-    const std::vector<Model>& now = test_case.device_scene.layout().models;
+    const std::vector<SurfelModel>& now = test_case.device_scene.get_scene_layout().models;
     ASSERT_EQ(now.size(), test_case.scene.models.size());
     std::uint32_t next = 0;
     for (std::size_t m = 0; m < now.size(); ++m) {
-        const Model& was = test_case.scene.models[m];
+        const SurfelModel& was = test_case.scene.models[m];
         EXPECT_EQ(now[m].first, next);
         EXPECT_EQ(now[m].count, std::count_if(rows.begin(), rows.end(), [&](const Row& r) {
                       return r.source >= was.first && r.source < was.first + was.count;
@@ -216,10 +220,10 @@ DensifyReport expect_reference(Case& test_case, int step) {
     const std::vector<Row> rows = compute_expected_rows(fates, report.added, step);
     EXPECT_EQ(report.after, rows.size());
     EXPECT_EQ(test_case.device_scene.size(), rows.size());
-    const Surfels now = test_case.device_scene.parameters().download();
+    const Surfels now = test_case.device_scene.get_surfel_parameters().download();
     if (now.size() != rows.size()) return report;
     const std::uint32_t key =
-        static_cast<std::uint32_t>(combine_hashes(combine_hashes(kSeed, 1), std::uint64_t(step)));
+        static_cast<std::uint32_t>(hash_integer_pair(hash_integer_pair(kSeed, 1), std::uint64_t(step)));
     for (std::size_t i = 0; i < rows.size(); ++i) {
         EXPECT_EQ(test::get_tag(now, i), rows[i].source) << "row " << i;
         expect_values(test_case, rows[i], now, i, key);
@@ -251,7 +255,7 @@ TEST_F(Densify, AdaptiveAgreesWithTheReference) {
 /// decision must use it.
 TEST_F(Densify, GaussiansAgreeWithTheReference) {
     Scene scene = test::make_random_model_scene({500, 300}, 21);
-    make_primitive(scene.surfels, Primitive::gaussian, 1.5);
+    convert_to_primitive(scene.surfels, PrimitiveType::gaussian, 1.5);
     for (std::size_t i = 0; i < scene.surfels.size(); i += 3) scene.surfels.log_scale_w[i] -= 2.0f;
     DensifyOptions options = make_adaptive_options();
     options.clone_extent_share = 3e-3;
@@ -269,7 +273,7 @@ TEST_F(Densify, CapIsExactAndSpreadOverTheScene) {
     const DensifyReport r = expect_reference(c, 600);
     EXPECT_EQ(r.after, 700u);
     EXPECT_LT(r.added, r.clones + r.splits);
-    const Surfels now = c.device_scene.parameters().download();
+    const Surfels now = c.device_scene.get_surfel_parameters().download();
     std::size_t copies[2]{};
     for (std::size_t i = 1; i < now.size(); ++i)
         copies[test::get_tag(now, i) >= 450] += test::get_tag(now, i) == test::get_tag(now, i - 1);
@@ -283,12 +287,12 @@ TEST_F(Densify, NothingToDoChangesNothing) {
     options.gradient_threshold = 1e9;
     Scene scene = test::make_random_model_scene({300, 200}, 15);
     for (float& x : scene.surfels.opacity_logit) x = 1.0f;
-    for (Model& m : scene.models) m.half_size_m = glm::vec3(0.0f);
+    for (SurfelModel& m : scene.models) m.half_size_m = glm::vec3(0.0f);
     Case c(device(), scene, options);
-    const auto address = c.device_scene.parameters().mean.address();
+    const auto address = c.device_scene.get_surfel_parameters().mean.address();
     const DensifyReport r = expect_reference(c, 600);
-    EXPECT_EQ(r.removed() + r.added, 0u);
-    EXPECT_EQ(c.device_scene.parameters().mean.address(), address);
+    EXPECT_EQ(r.count_removed_surfels() + r.added, 0u);
+    EXPECT_EQ(c.device_scene.get_surfel_parameters().mean.address(), address);
 }
 
 TEST_F(Densify, ModelsAndScenesMayEndEmpty) {
@@ -296,16 +300,16 @@ TEST_F(Densify, ModelsAndScenesMayEndEmpty) {
     for (std::uint32_t i = 100; i < 150; ++i) scene.surfels.opacity_logit[i] = -20.0f;
     Case c(device(), scene, make_adaptive_options());
     expect_reference(c, 600);
-    EXPECT_EQ(c.device_scene.layout().models[1].count, 0u);
-    EXPECT_GT(c.device_scene.layout().models[2].count, 0u);
+    EXPECT_EQ(c.device_scene.get_scene_layout().models[1].count, 0u);
+    EXPECT_GT(c.device_scene.get_scene_layout().models[2].count, 0u);
 
     for (float& x : scene.surfels.opacity_logit) x = -20.0f;
     Case all(device(), scene, make_adaptive_options());
     EXPECT_EQ(expect_reference(all, 600).after, 0u);
     EXPECT_EQ(all.run(700).after, 0u) << "and nothing comes of nothing";
-    all.densifier.after_step(all.stream, all.device_scene, all.adam, 3000);
-    all.stream.finish();
-    EXPECT_EQ(all.device_scene.parameters().download().size(), 0u);
+    all.densifier.reset_opacities_if_scheduled(all.stream, all.device_scene, all.adam, 3000);
+    all.stream.submit_and_wait();
+    EXPECT_EQ(all.device_scene.get_surfel_parameters().download().size(), 0u);
 }
 
 /// After a densification, training must accept empty models and empty scenes.
@@ -313,11 +317,11 @@ TEST_F(Densify, EmptyModelsCanBeTraced) {
     for (const std::vector<std::uint32_t>& counts :
          {std::vector<std::uint32_t>{50, 0, 20}, std::vector<std::uint32_t>{0, 0}}) {
         Renderer renderer(device(), test::make_random_model_scene(counts, 20), {});
-        renderer.place(glm::vec3(0.0f));
+        renderer.prepare_view(glm::vec3(0.0f));
         WorldRays rays;
         rays.origin = {glm::vec3(0.0f)};
         rays.direction = {glm::vec3(1.0f, 0.0f, 0.0f)};
-        EXPECT_EQ(renderer.forward(rays).size(), 1u);
+        EXPECT_EQ(renderer.render_rays(rays).size(), 1u);
     }
 }
 
@@ -327,9 +331,10 @@ TEST_F(Densify, RunsAreEqualBitByBit) {
         Case c(device(), test::make_random_model_scene({400, 300}, 17), make_adaptive_options(), true);
         c.run(600);
         c.densifier.statistics().gradient_sum.upload(std::vector<float>(c.device_scene.size(), 1.0f));
-        c.densifier.statistics().n_seen.upload(std::vector<std::uint32_t>(c.device_scene.size(), 2u));
+        c.densifier.statistics().n_observing_batches.upload(
+            std::vector<std::uint32_t>(c.device_scene.size(), 2u));
         c.run(700);
-        results.push_back(c.device_scene.parameters().download());
+        results.push_back(c.device_scene.get_surfel_parameters().download());
     }
     ASSERT_GT(results[0].size(), 700u);
     EXPECT_EQ(results[0].mean, results[1].mean);

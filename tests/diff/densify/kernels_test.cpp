@@ -56,16 +56,16 @@ void expect_allotted(Device& device, std::uint32_t largest) {
              .n_new = n_new,
              .total_weight = total,
              .phase = plan.phase});
-        stream.finish();
+        stream.submit_and_wait();
         const std::vector<std::uint32_t> copies = reference::count_copies(weight, n_new, plan.phase),
                                          actual = rows.download(), fate = a.download();
         for (std::uint32_t i = 0; i < n; ++i) {
             EXPECT_EQ(actual[i], action[i] == RELIDAR_DENSIFY_DROP ? 0 : 1 + copies[i]);
             EXPECT_EQ(fate[i], action[i] == RELIDAR_DENSIFY_CLONE && copies[i] == 0 ? RELIDAR_DENSIFY_KEEP
                                                                                     : action[i]);
-            EXPECT_EQ(
-                plan.sum_earlier_weights(cumulative[i] + weight[i]) - plan.sum_earlier_weights(cumulative[i]),
-                copies[i])
+            EXPECT_EQ(plan.count_earlier_copies(cumulative[i] + weight[i]) -
+                          plan.count_earlier_copies(cumulative[i]),
+                      copies[i])
                 << "what the host expects";
         }
     }
@@ -96,16 +96,17 @@ TEST_F(DensifyKernels, ResetOpacityAtItsTimes) {
     Trained t(device(), test::make_random_model_scene({200}, 3), options);
     const Surfels tags = t.scene.surfels;
     Stream stream(device());
-    for (const int step : {2999, 3001, 15000}) t.densifier.after_step(stream, t.device_scene, t.adam, step);
-    stream.finish();
-    EXPECT_EQ(t.device_scene.parameters().download().opacity_logit, tags.opacity_logit)
+    for (const int step : {2999, 3001, 15000})
+        t.densifier.reset_opacities_if_scheduled(stream, t.device_scene, t.adam, step);
+    stream.submit_and_wait();
+    EXPECT_EQ(t.device_scene.get_surfel_parameters().download().opacity_logit, tags.opacity_logit)
         << "nothing is due at these steps";
-    t.adam.moment1().upload(tags);
-    t.adam.moment2().upload(tags);
-    t.densifier.after_step(stream, t.device_scene, t.adam, 3000);
-    stream.finish();
-    const Surfels after = t.device_scene.parameters().download(), m = t.adam.moment1().download(),
-                  v = t.adam.moment2().download();
+    t.adam.get_first_moments().upload(tags);
+    t.adam.get_second_moments().upload(tags);
+    t.densifier.reset_opacities_if_scheduled(stream, t.device_scene, t.adam, 3000);
+    stream.submit_and_wait();
+    const Surfels after = t.device_scene.get_surfel_parameters().download(),
+                  m = t.adam.get_first_moments().download(), v = t.adam.get_second_moments().download();
     const float limit = std::log(0.01f / 0.99f);
     std::size_t lowered = 0;
     for (std::size_t i = 0; i < after.size(); ++i) {
@@ -128,9 +129,9 @@ TEST_F(DensifyKernels, WhatIsResetStaysVisible) {
     Trained t(device(), test::make_random_model_scene({200}, 3), options, kAlphaMin);
     const std::vector<float> before = t.scene.surfels.opacity_logit;
     Stream stream(device());
-    t.densifier.after_step(stream, t.device_scene, t.adam, 3000);
-    stream.finish();
-    const std::vector<float> after = t.device_scene.parameters().download().opacity_logit;
+    t.densifier.reset_opacities_if_scheduled(stream, t.device_scene, t.adam, 3000);
+    stream.submit_and_wait();
+    const std::vector<float> after = t.device_scene.get_surfel_parameters().download().opacity_logit;
     const float limit = std::log(0.1f / 0.9f);  // opacity 2.5 * 0.04
     for (std::size_t i = 0; i < after.size(); ++i) EXPECT_NEAR(after[i], std::min(before[i], limit), 1e-6);
 }

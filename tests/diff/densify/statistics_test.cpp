@@ -40,8 +40,8 @@ struct Observed {
               std::uint32_t frame, bool is_full_frame) {
         gradients.mean.upload(d_mean);
         touched.upload(is_touched);
-        densifier.observe(stream, scene, {&gradients, &touched, frame, is_full_frame});
-        stream.finish();
+        densifier.accumulate_gradient_statistics(stream, scene, {&gradients, &touched, frame, is_full_frame});
+        stream.submit_and_wait();
     }
 };
 
@@ -51,7 +51,7 @@ TEST_F(Statistics, SumsAndCountsOverBatches) {
     std::mt19937 random(5);
     std::normal_distribution<float> normal;
     std::vector<double> sum(kN, 0.0);
-    std::vector<std::uint32_t> seen(kN, 0);
+    std::vector<std::uint32_t> n_observing_batches(kN, 0);
     std::vector<std::vector<bool>> frames(kN, std::vector<bool>(kFrames, false));
     for (int batch = 0; batch < 24; ++batch) {
         const std::uint32_t frame = random() % kFrames;
@@ -62,7 +62,7 @@ TEST_F(Statistics, SumsAndCountsOverBatches) {
             touched[i] = random() % 3 == 0;
             // undefined for surfels that are not touched
             for (std::uint32_t k = 0; k < 3; ++k) d_mean[3 * i + k] = touched[i] ? normal(random) : NAN;
-            if (touched[i] || (!full && frames[i][frame])) ++seen[i];
+            if (touched[i] || (!full && frames[i][frame])) ++n_observing_batches[i];
             if (!touched[i]) continue;
             sum[i] += std::sqrt(double(d_mean[3 * i]) * d_mean[3 * i] +
                                 double(d_mean[3 * i + 1]) * d_mean[3 * i + 1] +
@@ -74,10 +74,10 @@ TEST_F(Statistics, SumsAndCountsOverBatches) {
     const SurfelStatistics& s = o.densifier.statistics();
     ASSERT_EQ(s.n_words, 3u);
     const std::vector<float> sums = s.gradient_sum.download();
-    const std::vector<std::uint32_t> counts = s.n_seen.download(), bits = s.frames.download();
+    const std::vector<std::uint32_t> counts = s.n_observing_batches.download(), bits = s.frames.download();
     for (std::uint32_t i = 0; i < kN; ++i) {
         EXPECT_NEAR(sums[i], sum[i], 1e-5 * (1.0 + sum[i]));
-        EXPECT_EQ(counts[i], seen[i]);
+        EXPECT_EQ(counts[i], n_observing_batches[i]);
         for (std::uint32_t f = 0; f < kFrames; ++f)
             EXPECT_EQ((bits[3 * i + f / 32] >> (f % 32)) & 1u, frames[i][f] ? 1u : 0u);
     }
@@ -104,9 +104,10 @@ TEST_F(Statistics, EveryStridethRayCountsAsTheWholeFrame) {
             o.show(d_mean, touched, std::uint32_t(batch) % 3, stride == 1);
         }
         const std::vector<float> sum = o.densifier.statistics().gradient_sum.download();
-        const std::vector<std::uint32_t> seen = o.densifier.statistics().n_seen.download();
+        const std::vector<std::uint32_t> n_observing_batches =
+            o.densifier.statistics().n_observing_batches.download();
         std::vector<double> mean(kN);
-        for (std::uint32_t i = 0; i < kN; ++i) mean[i] = sum[i] / std::max(seen[i], 1u);
+        for (std::uint32_t i = 0; i < kN; ++i) mean[i] = sum[i] / std::max(n_observing_batches[i], 1u);
         return mean;
     };
     const std::vector<double> full = mean_of(1, 3), part = mean_of(kStride, 600);

@@ -18,16 +18,16 @@ class Freeze : public test::DeviceTest {
 protected:
     /// Makes a background and three actors, two of which walk, with harmonics of degree
     /// 3.
-    static Scene make_some_actors(Primitive primitive) {
+    static Scene make_some_actors(PrimitiveType primitive) {
         constexpr std::uint32_t kSurfels = 1500;
         test::TraversalCase random_case = test::make_random_case(5, kSurfels, 0);
-        if (primitive == Primitive::gaussian) random_case = test::to_gaussians(random_case, 4);
+        if (primitive == PrimitiveType::gaussian) random_case = test::to_gaussians(random_case, 4);
         Scene scene = make_background_scene(random_case.surfels);
         std::mt19937 random(7);
         std::uniform_real_distribution<float> u(-1.0f, 1.0f);
         for (float& v : scene.surfels.sh) v = 0.2f * u(random);
-        scene.surfels.add_gait();
-        for (Gait& gait : scene.surfels.gait)
+        scene.surfels.add_gait_without_motion();
+        for (GaitPhaseWindow& gait : scene.surfels.gait)
             gait = {u(random), u(random), 0.3f * glm::vec3(u(random), u(random), u(random))};
         scene.models = {{"background", 0, 900}};
         for (std::uint32_t k = 0; k < 3; ++k) {
@@ -45,7 +45,8 @@ protected:
             placed[k] = {{turns[k - 1], {0.5 * double(k), -0.3, 0.2}}, true, 0.0, 0.37 * double(k)};
         return placed;
     }
-    void expect_equal(const Rendering& first, const Rendering& second, const std::string& description) {
+    void expect_equal(const RenderedRayValues& first, const RenderedRayValues& second,
+                      const std::string& description) {
         ASSERT_EQ(first.size(), second.size());
         // allows a few different rays, because rounding can make a surfel visible or
         // invisible
@@ -66,24 +67,24 @@ protected:
 
 TEST_F(Freeze, RendersAsThePlacedScene) {
     const WorldRays rays = test::make_random_case(5, 1500, 2000).rays;
-    for (const Primitive primitive : {Primitive::surfel, Primitive::gaussian})
+    for (const PrimitiveType primitive : {PrimitiveType::surfel, PrimitiveType::gaussian})
         for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
-            ImageModel model;
+            ImageFormationModel model;
             model.primitive = primitive;
             model.sh_direction = direction;
             const Scene scene = make_some_actors(primitive);
             std::vector<InstancePose> placed = make_some_poses();
             for (const bool one_is_absent : {false, true}) {
                 placed[2].present = !one_is_absent;
-                const Surfels frozen = bake_instances(scene, placed);
+                const Surfels frozen = bake_surfels_to_world(scene, placed);
                 EXPECT_EQ(frozen.size(), one_is_absent ? 1300u : 1500u);
                 EXPECT_FALSE(frozen.bends);
                 const glm::vec3 view(0.2f, -0.1f, 0.3f);
                 Renderer moving(device(), scene, model),
                     still(device(), make_background_scene(frozen), model);
-                moving.place(placed, view);
-                still.place(view);
-                expect_equal(moving.forward(rays), still.forward(rays),
+                moving.prepare_view(placed, view);
+                still.prepare_view(view);
+                expect_equal(moving.render_rays(rays), still.render_rays(rays),
                              std::string(get_primitive_kind(primitive).name) +
                                  (direction == ShDirection::ray ? ", a ray" : ", a surfel"));
             }
@@ -91,7 +92,7 @@ TEST_F(Freeze, RendersAsThePlacedScene) {
 }
 
 TEST_F(Freeze, WantsAPoseForEachInstance) {
-    EXPECT_THROW(bake_instances(make_some_actors(Primitive::surfel), std::vector<InstancePose>(3)),
+    EXPECT_THROW(bake_surfels_to_world(make_some_actors(PrimitiveType::surfel), std::vector<InstancePose>(3)),
                  DataError);
 }
 

@@ -27,26 +27,29 @@ constexpr std::uint32_t kUntouched = 0xabababab;
 /// A hit provider.
 struct Provider {
     const char* name;
-    Proxy proxy = Proxy::automatic;
-    Walk walk = Walk::automatic;
+    ProxyShape proxy = ProxyShape::automatic;
+    BvhTraversalMode traversal_mode = BvhTraversalMode::automatic;
     bool brute_force = false;
 };
 
 std::vector<Provider> list_providers(const Device& device) {
     const Provider brute{.name = "brute force", .brute_force = true};
-    if (device.traversal() == Traversal::software)
-        return {{.name = "lane", .walk = Walk::lane}, {.name = "subgroup", .walk = Walk::subgroup}, brute};
-    return {
-        {.name = "triangles", .proxy = Proxy::triangles}, {.name = "boxes", .proxy = Proxy::boxes}, brute};
+    if (device.traversal() == RayTracingBackend::software)
+        return {{.name = "lane", .traversal_mode = BvhTraversalMode::lane},
+                {.name = "subgroup", .traversal_mode = BvhTraversalMode::subgroup},
+                brute};
+    return {{.name = "triangles", .proxy = ProxyShape::triangles},
+            {.name = "boxes", .proxy = ProxyShape::boxes},
+            brute};
 }
 
 /// A test case on the device that is ready for tracing.
 struct Placed {
     test::SceneAndPoses placed;
-    ImageModel model;
+    ImageFormationModel model;
     Stream stream;
     DeviceScene scene;
-    Accel accel;
+    AccelerationStructure accel;
     Array<DeviceRay> rays;
 
     Placed(Device& device, const TraversalCase& test_case, const Provider& provider)
@@ -56,20 +59,20 @@ struct Placed {
           accel(device, scene, {.proxy = provider.proxy}),
           rays(device, std::span<const DeviceRay>(to_device_rays(test_case.rays)), "rays") {
         model.primitive = test_case.surfels.primitive;
-        scene.set_poses(placed.world_from_instance);
-        scene.activate(stream, model, glm::vec3(0.0f));
-        accel.update(stream, scene);
-        stream.finish();
+        scene.set_instance_poses(placed.world_from_instance);
+        scene.compute_surfel_records(stream, model, glm::vec3(0.0f));
+        accel.update_bvh(stream, scene);
+        stream.submit_and_wait();
     }
 
     RayBatch batch() const { return {&rays, 0, 1, static_cast<std::uint32_t>(rays.size())}; }
 
-    std::vector<shared::RenderedRay> render(const TraceOptions& options, KeptHits* kept = nullptr) {
-        ForwardPass forward(stream.device(), model, accel.proxy(), options);
+    std::vector<shared::RenderedRay> render(const TraceOptions& options, StoredRayHits* kept = nullptr) {
+        ForwardPass forward(stream.device(), model, accel.get_bounding_shape(), options);
         Array<shared::RenderedRay> rendered(stream.device(), rays.size(), "rendered rays");
-        forward.run(stream, scene, accel, batch(), rendered, kept);
-        stream.finish();
-        EXPECT_EQ(forward.reset_pass_cap_count(), 0u);
+        forward.record_forward_pass(stream, scene, accel, batch(), rendered, kept);
+        stream.submit_and_wait();
+        EXPECT_EQ(forward.reset_truncated_ray_count(), 0u);
         return rendered.download();
     }
 
@@ -79,10 +82,11 @@ struct Placed {
         const Array<shared::RenderedRay> rendered(device, rays.size(), "rendered rays");
         const Array<std::uint32_t, shared::PassCapCount> pass_cap(device, std::vector<std::uint32_t>{0u},
                                                                   "pass cap count");
-        HitLists lists(device, get_traversal_variant(device),
-                       make_trace_constants(device, accel.proxy(), {}, model), capacity);
+        HitListTracer lists(device, get_traversal_kernel_variant(device),
+                            make_trace_kernel_constants(device, accel.get_bounding_shape(), {}, model),
+                            capacity);
         shared::ForwardParams params = {
-            .scene = make_trace_scene(scene, accel, batch(), model, {}, pass_cap.address()),
+            .scene = make_trace_scene_params(scene, accel, batch(), model, {}, pass_cap.address()),
             .lists = {},
             .rendered = rendered.address(),
             .kept = {},
@@ -92,8 +96,8 @@ struct Placed {
             .kept_in_lists = 0,
             .surface_gap_m = 0.0f};
         stream.fill(rendered, kUntouched);
-        lists.run(stream, batch(), params);
-        stream.finish();
+        lists.render_with_hit_lists(stream, batch(), params);
+        stream.submit_and_wait();
         return rendered.download();
     }
 };
@@ -122,7 +126,7 @@ std::size_t count_differences(const std::vector<shared::RenderedRay>& first,
 
 /// Counts the rays whose stored hits differ in any bit between two buffers with the same
 /// capacity per ray.
-std::size_t count_different_hits(const KeptHits& first, const KeptHits& second,
+std::size_t count_different_hits(const StoredRayHits& first, const StoredRayHits& second,
                                  const std::vector<shared::RenderedRay>& rays) {
     const std::vector<shared::Hit> hits_a = first.hits.download(), hits_b = second.hits.download();
     std::size_t n = 0;
@@ -139,19 +143,22 @@ class Lists : public test::DeviceTest {
 protected:
     void expect_what_chunks_render(const TraversalCase& test_case) {
         for (const Provider& provider : list_providers(device())) {
-            const Forced forced(device(), {.brute_force = provider.brute_force});
+            const ForcedBehaviourScope forced(device(), {.brute_force = provider.brute_force});
             Placed placed(device(), test_case, provider);
             for (const float least : {1e-4f, 1e-30f}) {  // with 1e-30 nearly all hits are blended
                 placed.model.transmittance_min = least;
-                const std::vector<shared::RenderedRay> expected =
-                    placed.render({.chunk = 5, .walk = provider.walk, .order = HitOrder::chunks});
-                for (const int room : {1, 7, 64, 512}) {
-                    const std::vector<shared::RenderedRay> actual = placed.render(
-                        {.chunk = 5, .walk = provider.walk, .order = HitOrder::lists, .list_room = room});
+                const std::vector<shared::RenderedRay> expected = placed.render(
+                    {.chunk = 5, .traversal_mode = provider.traversal_mode, .order = HitSortMethod::chunks});
+                for (const int list_capacity : {1, 7, 64, 512}) {
+                    const std::vector<shared::RenderedRay> actual =
+                        placed.render({.chunk = 5,
+                                       .traversal_mode = provider.traversal_mode,
+                                       .order = HitSortMethod::lists,
+                                       .initial_list_capacity = list_capacity});
                     // Allows a few differences, because rounding in a different kernel
                     // can decide whether a product is below T_min.
                     EXPECT_LE(count_differences(actual, expected), test_case.rays.size() / 5000)
-                        << test_case.name << ", " << provider.name << ", room " << room << ", T_min "
+                        << test_case.name << ", " << provider.name << ", room " << list_capacity << ", T_min "
                         << least;
                 }
             }
@@ -174,24 +181,25 @@ TEST_F(Lists, RenderWhatTheyHaveRoomFor) {
     for (const TraversalCase& other :
          {test::make_single_case(), test::make_equal_depth_case(), test::make_random_case(44, 300, 500)}) {
         Placed placed(device(), other, {.name = "any"});
-        const std::vector<shared::RenderedRay> expected = placed.render({.order = HitOrder::chunks});
+        const std::vector<shared::RenderedRay> expected = placed.render({.order = HitSortMethod::chunks});
         EXPECT_EQ(count_differences(placed.render_lists(512), expected), 0u) << other.name;
     }
     for (float& opacity : c.surfels.opacity_logit) opacity = -4.5f;  // no ray stops early
     Placed placed(device(), c, {.name = "any"});
-    const std::vector<shared::RenderedRay> expected = placed.render({.order = HitOrder::chunks});
+    const std::vector<shared::RenderedRay> expected = placed.render({.order = HitSortMethod::chunks});
     EXPECT_TRUE(std::ranges::any_of(expected, [](const auto& ray) { return ray.n_hits > 60; }));
-    for (const int requested_room : {1, 60, 512}) {
-        const int room = std::min(requested_room, static_cast<int>(compute_max_list_capacity(device())));
-        const std::vector<shared::RenderedRay> actual = placed.render_lists(requested_room);
+    for (const int requested_capacity : {1, 60, 512}) {
+        const int list_capacity =
+            std::min(requested_capacity, static_cast<int>(compute_max_hits_per_list(device())));
+        const std::vector<shared::RenderedRay> actual = placed.render_lists(requested_capacity);
         for (std::size_t i = 0; i < actual.size(); ++i) {
-            if (expected[i].n_hits > static_cast<std::uint32_t>(room))
+            if (expected[i].n_hits > static_cast<std::uint32_t>(list_capacity))
                 EXPECT_EQ(actual[i].n_hits, kUntouched) << "ray " << i;
             // A ray through the edge between two triangles may report the hit twice,
             // which uses two entries of the list.
             else if (actual[i].n_hits == kUntouched)
-                EXPECT_GE(2 * expected[i].n_hits, static_cast<std::uint32_t>(room)) << "ray " << i;
-            else EXPECT_TRUE(is_same(actual[i], expected[i])) << "ray " << i << ", room " << room;
+                EXPECT_GE(2 * expected[i].n_hits, static_cast<std::uint32_t>(list_capacity)) << "ray " << i;
+            else EXPECT_TRUE(is_same(actual[i], expected[i])) << "ray " << i << ", room " << list_capacity;
         }
     }
 }
@@ -201,10 +209,12 @@ TEST_F(Lists, PutHitsInOrderWhateverTheirNumber) {
     constexpr std::uint32_t kMost = 512;
     for (const int n :
          {1, 2, 3, 7, 8, 9, 16, 17, 31, 32, 33, 63, 64, 65, 100, 128, 129, 200, 256, 257, 400, 512}) {
-        Placed placed(device(), test::make_tied_list_case(n), {.name = "any", .proxy = Proxy::boxes});
-        KeptHits expected(device(), placed.rays.size(), kMost), actual(device(), placed.rays.size(), kMost);
-        const std::vector<shared::RenderedRay> rays = placed.render({.order = HitOrder::chunks}, &expected);
-        placed.render({.order = HitOrder::lists, .list_room = kMost}, &actual);
+        Placed placed(device(), test::make_tied_list_case(n), {.name = "any", .proxy = ProxyShape::boxes});
+        StoredRayHits expected(device(), placed.rays.size(), kMost),
+            actual(device(), placed.rays.size(), kMost);
+        const std::vector<shared::RenderedRay> rays =
+            placed.render({.order = HitSortMethod::chunks}, &expected);
+        placed.render({.order = HitSortMethod::lists, .initial_list_capacity = kMost}, &actual);
         EXPECT_TRUE(
             std::ranges::all_of(rays, [&](const auto& ray) { return ray.n_hits == std::uint32_t(n); }))
             << n << " hits";
@@ -222,14 +232,15 @@ TEST_F(Lists, KeepTheHitsThatTheyBlend) {
          {long_lists, test::make_equal_depth_case(), test::make_random_case(45, 300, 200)}) {
         Placed placed(device(), c, {.name = "any"});
         for (const std::uint32_t per_ray : {3u, 64u, 128u}) {
-            KeptHits expected(device(), c.rays.size(), per_ray);
+            StoredRayHits expected(device(), c.rays.size(), per_ray);
             const std::vector<shared::RenderedRay> rays =
-                placed.render({.order = HitOrder::chunks}, &expected);
-            for (const int room : {2, 64, 512}) {
-                KeptHits kept(device(), c.rays.size(), per_ray);
-                placed.render({.order = HitOrder::lists, .list_room = room}, &kept);
-                EXPECT_EQ(count_different_hits(kept, expected, rays), 0u)
-                    << c.name << ", " << per_ray << " kept, room " << room;
+                placed.render({.order = HitSortMethod::chunks}, &expected);
+            for (const int list_capacity : {2, 64, 512}) {
+                StoredRayHits stored_hits(device(), c.rays.size(), per_ray);
+                placed.render({.order = HitSortMethod::lists, .initial_list_capacity = list_capacity},
+                              &stored_hits);
+                EXPECT_EQ(count_different_hits(stored_hits, expected, rays), 0u)
+                    << c.name << ", " << per_ray << " kept, room " << list_capacity;
             }
         }
     }
@@ -239,12 +250,12 @@ TEST_F(Lists, KeepTheHitsThatTheyBlend) {
 TEST_F(Lists, EndBehindAWall) {
     TraversalCase c = test::make_long_list_case();
     for (float& opacity : c.surfels.opacity_logit) opacity = 8.0f;
-    Placed placed(device(), c, {.name = "any", .proxy = Proxy::boxes});
-    const std::vector<shared::RenderedRay> expected = placed.render({.order = HitOrder::chunks});
-    EXPECT_EQ(count_differences(placed.render({.order = HitOrder::lists}), expected), 0u);
+    Placed placed(device(), c, {.name = "any", .proxy = ProxyShape::boxes});
+    const std::vector<shared::RenderedRay> expected = placed.render({.order = HitSortMethod::chunks});
+    EXPECT_EQ(count_differences(placed.render({.order = HitSortMethod::lists}), expected), 0u);
     EXPECT_TRUE(std::ranges::all_of(expected, [](const auto& ray) { return ray.n_hits < 10; }));
     // the order of hits from a driver is unknown
-    if (device().traversal() != Traversal::software) return;
+    if (device().traversal() != RayTracingBackend::software) return;
     EXPECT_EQ(count_differences(placed.render_lists(64), expected), 0u) << "100 surfels lie along each ray";
 }
 
@@ -252,20 +263,20 @@ TEST_F(Lists, EndBehindAWall) {
 TEST_F(Lists, Grow) {
     TraversalCase c = test::make_long_list_case();
     for (float& opacity : c.surfels.opacity_logit) opacity = -4.5f;
-    Placed placed(device(), c, {.name = "any", .proxy = Proxy::boxes});
-    const std::vector<shared::RenderedRay> expected = placed.render({.order = HitOrder::chunks});
+    Placed placed(device(), c, {.name = "any", .proxy = ProxyShape::boxes});
+    const std::vector<shared::RenderedRay> expected = placed.render({.order = HitSortMethod::chunks});
     const std::uint32_t most = std::ranges::max(expected, {}, &shared::RenderedRay::n_hits).n_hits;
     const Array<std::uint32_t, shared::PassCapCount> pass_cap(device(), std::vector<std::uint32_t>{0u},
                                                               "pass cap count");
-    const std::vector<Constant> constants =
-        make_trace_constants(device(), placed.accel.proxy(), {}, placed.model);
-    const Kernel<shared::ForwardParams> trace(device(), "diff/forward/trace", get_traversal_variant(device()),
-                                              constants);
-    HitLists lists(device(), get_traversal_variant(device()), constants, 3);
+    const std::vector<SpecialisationConstant> constants =
+        make_trace_kernel_constants(device(), placed.accel.get_bounding_shape(), {}, placed.model);
+    const Kernel<shared::ForwardParams> trace(device(), "diff/forward/trace",
+                                              get_traversal_kernel_variant(device()), constants);
+    HitListTracer lists(device(), get_traversal_kernel_variant(device()), constants, 3);
     for (int i = 0; i < 30; ++i) {
         const Array<shared::RenderedRay> rendered(device(), c.rays.size(), "rendered rays");
-        const shared::TraceScene traced = make_trace_scene(placed.scene, placed.accel, placed.batch(),
-                                                           placed.model, {}, pass_cap.address());
+        const shared::TraceScene traced = make_trace_scene_params(placed.scene, placed.accel, placed.batch(),
+                                                                  placed.model, {}, pass_cap.address());
         shared::ForwardParams params = {.scene = traced,
                                         .lists = {},
                                         .rendered = rendered.address(),
@@ -275,19 +286,20 @@ TEST_F(Lists, Grow) {
                                         .n_kept = 0,
                                         .kept_in_lists = 0,
                                         .surface_gap_m = 0.0f};
-        lists.run(placed.stream, placed.batch(), params);
+        lists.render_with_hit_lists(placed.stream, placed.batch(), params);
         run(placed.stream, trace, count_trace_threads(placed.batch()), params);
-        placed.stream.finish();
+        placed.stream.submit_and_wait();
         EXPECT_EQ(count_differences(rendered.download(), expected), 0u)
-            << "room " << lists.get_list_capacity();
+            << "room " << lists.get_hits_per_list();
     }
-    EXPECT_GE(lists.get_list_capacity(), std::min(most, compute_max_list_capacity(device())));
-    EXPECT_LT(lists.get_list_capacity(), 4 * most);
+    EXPECT_GE(lists.get_hits_per_list(), std::min(most, compute_max_hits_per_list(device())));
+    EXPECT_LT(lists.get_hits_per_list(), 4 * most);
 }
 
 TEST_F(Lists, RoomThatCannotBeIsRefused) {
-    for (const int room : {0, 513})
-        EXPECT_THROW(ForwardPass(device(), {}, Proxy::boxes, {.list_room = room}), UsageError);
+    for (const int list_capacity : {0, 513})
+        EXPECT_THROW(ForwardPass(device(), {}, ProxyShape::boxes, {.initial_list_capacity = list_capacity}),
+                     UsageError);
 }
 
 }  // namespace

@@ -17,7 +17,7 @@
 namespace relidar {
 namespace {
 
-constexpr std::optional<RangeKernel> kKernel = RangeKernel{0.3f};
+constexpr std::optional<RangeLikelihoodKernel> kKernel = RangeLikelihoodKernel{0.3f};
 
 class OnDemand : public test::DeviceTest {
 protected:
@@ -27,34 +27,36 @@ protected:
         std::vector<float> surfaces;    ///< [n,4] normal and mode, or empty
     };
     /// Renders the rays of a scene.
-    Found trace(const test::RandomScene& random, const ImageModel& model, const TraceOptions& options) {
+    Found trace(const test::RandomScene& random, const ImageFormationModel& model,
+                const TraceOptions& options) {
         const test::SceneAndPoses placed =
             test::to_scene(test::to_surfels(random.world.surfels), random.world.instances);
         const std::uint32_t n_rays = std::uint32_t(random.rays.size());
         // adds an extra ray, to detect writes beyond the end
         Renderer renderer(device(), placed.scene, model, {.trace = options, .n_rays = n_rays + 1});
-        renderer.scene().set_poses(placed.world_from_instance);
+        renderer.scene().set_instance_poses(placed.world_from_instance);
         const Array<DeviceRay> rays(
             device(), std::span<const DeviceRay>(to_device_rays(test::to_world_rays(random.rays))), "rays");
         const std::vector<shared::DeviceTarget> measured = test::to_targets(random.rays);
         const Array<shared::DeviceTarget> targets(device(), std::span<const shared::DeviceTarget>(measured),
                                                   "targets");
-        const Array<shared::RenderedSurface>* surfaces = renderer.rendered().surfaces;
+        const Array<shared::RenderedSurface>* surfaces = renderer.get_last_rendered_batch().surfaces;
         if (surfaces) renderer.stream().fill(*surfaces, 0xc0e00000u);  // -7 as a float
-        renderer.place(glm::vec3(random.view_origin));
-        renderer.record_forward({&rays, 0, 1, n_rays, 0, &targets});
-        renderer.stream().finish();
-        Found found;
+        renderer.prepare_view(glm::vec3(random.view_origin));
+        renderer.record_forward_pass({&rays, 0, 1, n_rays, 0, &targets});
+        renderer.stream().submit_and_wait();
+        Found result;
         if (surfaces) {
-            found.surfaces = test::to_floats(surfaces->download());
-            for (int k = 0; k < 4; ++k, found.surfaces.pop_back())
-                EXPECT_EQ(found.surfaces.back(), -7.0f) << "wrote past the end";
+            result.surfaces = test::to_floats(surfaces->download());
+            for (int k = 0; k < 4; ++k, result.surfaces.pop_back())
+                EXPECT_EQ(result.surfaces.back(), -7.0f) << "wrote past the end";
         }
-        std::vector<shared::RenderedRay> image = renderer.rendered().rendered->download(n_rays);
+        std::vector<shared::RenderedRay> image =
+            renderer.get_last_rendered_batch().rendered->download(n_rays);
         for (shared::RenderedRay& ray : image)
-            found.likelihood.push_back(std::exchange(ray.likelihood, 0.0f));
-        found.image = test::to_floats(image);
-        return found;
+            result.likelihood.push_back(std::exchange(ray.likelihood, 0.0f));
+        result.image = test::to_floats(image);
+        return result;
     }
 };
 
@@ -69,36 +71,36 @@ TEST_F(OnDemand, AgreesWithDoubleReference) {
         const test::RandomScene scene = test::make_random_scene(options, settings);
         const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
         const TraceOptions both{.chunk = 5, .normals = true, .likelihood = kKernel};
-        const Found found = trace(scene, settings.image, both);
+        const Found result = trace(scene, settings.image, both);
         double likeliest = 0.0;
         for (std::size_t i = 0; i < scene.rays.size(); ++i) {
             const reference::Pixel p = reference::render(scene.world, brute, settings, scene.rays[i], 16);
-            const float* q = &found.surfaces[4 * i];
+            const float* q = &result.surfaces[4 * i];
             EXPECT_LE(glm::length(glm::dvec3(q[0], q[1], q[2]) - p.normal), 1e-5) << "ray " << i;
-            EXPECT_NEAR(found.likelihood[i], p.likelihood, 1e-5) << "ray " << i;
-            EXPECT_EQ(found.likelihood[i] > 0.0f, scene.rays[i].measured_m > 0.0) << "ray " << i;
+            EXPECT_NEAR(result.likelihood[i], p.likelihood, 1e-5) << "ray " << i;
+            EXPECT_EQ(result.likelihood[i] > 0.0f, scene.rays[i].measured_m > 0.0) << "ray " << i;
             likeliest = std::max(likeliest, p.likelihood);
         }
         EXPECT_GT(likeliest, 0.2) << "no ray meets what it measured";
-        EXPECT_EQ(trace(scene, settings.image, {.chunk = 5}).image, found.image)
+        EXPECT_EQ(trace(scene, settings.image, {.chunk = 5}).image, result.image)
             << "the image does not depend on it";
         TraceOptions other = both;
         other.chunk = 64;
         const Found again = trace(scene, settings.image, other);
-        EXPECT_EQ(again.surfaces, found.surfaces) << "nor on the chunk";
-        EXPECT_EQ(again.likelihood, found.likelihood);
-        other.chunk = 5, other.order = HitOrder::lists;
-        for (const int room : {4, 64}) {
-            other.list_room = room;
+        EXPECT_EQ(again.surfaces, result.surfaces) << "nor on the chunk";
+        EXPECT_EQ(again.likelihood, result.likelihood);
+        other.chunk = 5, other.order = HitSortMethod::lists;
+        for (const int list_capacity : {4, 64}) {
+            other.initial_list_capacity = list_capacity;
             const Found lists = trace(scene, settings.image, other);
             for (std::size_t k = 0; k < lists.surfaces.size(); ++k)
-                EXPECT_NEAR(lists.surfaces[k], found.surfaces[k], 1e-6f);
+                EXPECT_NEAR(lists.surfaces[k], result.surfaces[k], 1e-6f);
             for (std::size_t k = 0; k < lists.likelihood.size(); ++k)
-                EXPECT_NEAR(lists.likelihood[k], found.likelihood[k], 1e-6f);
+                EXPECT_NEAR(lists.likelihood[k], result.likelihood[k], 1e-6f);
         }
         const Found alone = trace(scene, settings.image, {.likelihood = kKernel});
-        EXPECT_EQ(alone.image, found.image);
-        EXPECT_EQ(alone.likelihood, found.likelihood);
+        EXPECT_EQ(alone.image, result.image);
+        EXPECT_EQ(alone.likelihood, result.likelihood);
         EXPECT_TRUE(alone.surfaces.empty());
     }
 }
@@ -115,10 +117,11 @@ TEST_F(OnDemand, ModeAgreesWithDoubleReference) {
     const Found with_mode = trace(scene, settings.image, {.chunk = 5, .mode_gap_m = kGap});
     EXPECT_EQ(with_mode.image, trace(scene, settings.image, {.chunk = 5}).image)
         << "the image does not depend on it";
-    const std::vector<float>& found = with_mode.surfaces;
+    const std::vector<float>& actual_surfaces = with_mode.surfaces;
     const std::vector<float> by_lists =
-        trace(scene, settings.image, {.order = HitOrder::lists, .mode_gap_m = kGap}).surfaces;
-    for (std::size_t k = 3; k < found.size(); k += 4) EXPECT_NEAR(by_lists[k], found[k], 1e-5f);
+        trace(scene, settings.image, {.order = HitSortMethod::lists, .mode_gap_m = kGap}).surfaces;
+    for (std::size_t k = 3; k < actual_surfaces.size(); k += 4)
+        EXPECT_NEAR(by_lists[k], actual_surfaces[k], 1e-5f);
     int clear = 0, other_than_first = 0;
     for (std::size_t i = 0; i < scene.rays.size(); ++i) {
         std::vector<reference::ShadedHit> hits;
@@ -131,7 +134,7 @@ TEST_F(OnDemand, ModeAgreesWithDoubleReference) {
         for (auto s = all.begin(); s != all.end(); ++s)
             is_clear = is_clear && (s == heaviest || heaviest->weight - s->weight > 1e-5);
         if (!is_clear) continue;
-        EXPECT_NEAR(found[4 * i + 3], heaviest->mean, 1e-5) << "ray " << i;
+        EXPECT_NEAR(actual_surfaces[4 * i + 3], heaviest->mean, 1e-5) << "ray " << i;
         ++clear;
         other_than_first += heaviest != all.begin();
     }
@@ -148,19 +151,20 @@ TEST_F(OnDemand, LikelihoodOfEveryThirdRay) {
     const test::SceneAndPoses placed =
         test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
     Renderer renderer(device(), placed.scene, {}, {.trace = {.likelihood = kKernel}, .n_rays = 60});
-    renderer.scene().set_poses(placed.world_from_instance);
-    renderer.place(glm::vec3(scene.view_origin));
+    renderer.scene().set_instance_poses(placed.world_from_instance);
+    renderer.prepare_view(glm::vec3(scene.view_origin));
     const Array<DeviceRay> rays(
         device(), std::span<const DeviceRay>(to_device_rays(test::to_world_rays(scene.rays))), "rays");
     const Array<shared::DeviceTarget> targets(
         device(), std::span<const shared::DeviceTarget>(test::to_targets(scene.rays)), "targets");
     const auto likelihoods = [&](const RayBatch& batch) {
-        renderer.record_forward(batch);
-        renderer.stream().finish();
-        std::vector<float> found;
-        for (const shared::RenderedRay& ray : renderer.rendered().rendered->download(batch.n_rays))
-            found.push_back(ray.likelihood);
-        return found;
+        renderer.record_forward_pass(batch);
+        renderer.stream().submit_and_wait();
+        std::vector<float> ray_likelihoods;
+        for (const shared::RenderedRay& ray :
+             renderer.get_last_rendered_batch().rendered->download(batch.n_rays))
+            ray_likelihoods.push_back(ray.likelihood);
+        return ray_likelihoods;
     };
     const std::vector<float> all = likelihoods({&rays, 0, 1, 60, 0, &targets}),
                              some = likelihoods({&rays, 1, 3, 20, 0, &targets});
@@ -177,12 +181,12 @@ TEST_F(OnDemand, OfARenderer) {
     const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
     const test::SceneAndPoses placed =
         test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
-    for (const bool wanted : {true, false}) {
-        Renderer renderer(device(), placed.scene, settings.image, {.trace = {.normals = wanted}});
-        renderer.scene().set_poses(placed.world_from_instance);
-        renderer.place(glm::vec3(scene.view_origin));
-        const Rendering actual = renderer.forward(test::to_world_rays(scene.rays));
-        ASSERT_EQ(actual.normal.size(), wanted ? scene.rays.size() : 0u);
+    for (const bool with_normals : {true, false}) {
+        Renderer renderer(device(), placed.scene, settings.image, {.trace = {.normals = with_normals}});
+        renderer.scene().set_instance_poses(placed.world_from_instance);
+        renderer.prepare_view(glm::vec3(scene.view_origin));
+        const RenderedRayValues actual = renderer.render_rays(test::to_world_rays(scene.rays));
+        ASSERT_EQ(actual.normal.size(), with_normals ? scene.rays.size() : 0u);
         for (std::size_t i = 0; i < actual.normal.size(); ++i) {
             const reference::Pixel p = reference::render(scene.world, brute, settings, scene.rays[i], 16);
             EXPECT_LE(glm::length(glm::dvec3(actual.normal[i]) - p.normal), 1e-5) << "ray " << i;

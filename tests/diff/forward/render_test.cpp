@@ -23,11 +23,11 @@ namespace {
 class Forward : public test::DeviceTest {};
 
 /// Renders a scene once, with all instances and the sensor at the origin.
-Rendering render_once(Device& device, const Scene& scene, const ImageModel& model, const WorldRays& rays,
-                      const RendererOptions& options = {}) {
+RenderedRayValues render_once(Device& device, const Scene& scene, const ImageFormationModel& model,
+                              const WorldRays& rays, const RendererOptions& options = {}) {
     Renderer renderer(device, scene, model, options);
-    renderer.place(glm::vec3(0.0f));
-    return renderer.forward(rays);
+    renderer.prepare_view(glm::vec3(0.0f));
+    return renderer.render_rays(rays);
 }
 
 /// Returns the normalised mean squared error of an output over the rays.
@@ -66,20 +66,21 @@ Expected render_reference(const test::RandomScene& scene, const reference::Setti
 /// Method to find and sort hits. Lists are long enough for all rays or only for some
 /// rays.
 struct Way {
-    Proxy proxy;
-    HitOrder order;
-    int room = 64;
+    ProxyShape proxy;
+    HitSortMethod order;
+    int list_capacity = 64;
 };
-constexpr Way kWays[] = {{Proxy::triangles, HitOrder::chunks},
-                         {Proxy::boxes, HitOrder::chunks},
-                         {Proxy::triangles, HitOrder::lists},
-                         {Proxy::boxes, HitOrder::lists},
-                         {Proxy::boxes, HitOrder::lists, 4}};
+constexpr Way kHitMethods[] = {{ProxyShape::triangles, HitSortMethod::chunks},
+                               {ProxyShape::boxes, HitSortMethod::chunks},
+                               {ProxyShape::triangles, HitSortMethod::lists},
+                               {ProxyShape::boxes, HitSortMethod::lists},
+                               {ProxyShape::boxes, HitSortMethod::lists, 4}};
 
 TEST_F(Forward, AgreesWithDoubleReference) {
     using enum ShDirection;
-    for (const auto& [direction, primitive] :
-         {std::pair{ray, Primitive::surfel}, {surfel, Primitive::surfel}, {surfel, Primitive::gaussian}}) {
+    for (const auto& [direction, primitive] : {std::pair{ray, PrimitiveType::surfel},
+                                               {surfel, PrimitiveType::surfel},
+                                               {surfel, PrimitiveType::gaussian}}) {
         reference::Settings settings;
         settings.image.sh_direction = direction;
         settings.image.primitive = primitive;
@@ -100,13 +101,13 @@ TEST_F(Forward, AgreesWithDoubleReference) {
             << on_actors << " of 300 rays meet an actor first: the scene does not test labels";
         test::SceneAndPoses placed =
             test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
-        for (const auto& [proxy, order, room] : kWays) {
-            Renderer renderer(
-                device(), placed.scene, settings.image,
-                {.accel = {.proxy = proxy}, .trace = {.chunk = 5, .order = order, .list_room = room}});
-            renderer.scene().set_poses(placed.world_from_instance);
-            renderer.place(glm::vec3(scene.view_origin));
-            const Rendering r = renderer.forward(test::to_world_rays(scene.rays));
+        for (const auto& [proxy, order, room] : kHitMethods) {
+            Renderer renderer(device(), placed.scene, settings.image,
+                              {.accel = {.proxy = proxy},
+                               .trace = {.chunk = 5, .order = order, .initial_list_capacity = room}});
+            renderer.scene().set_instance_poses(placed.world_from_instance);
+            renderer.prepare_view(glm::vec3(scene.view_origin));
+            const RenderedRayValues r = renderer.render_rays(test::to_world_rays(scene.rays));
             EXPECT_EQ(r.hits, e.hits);
             EXPECT_EQ(r.instance, e.instance);
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) \
@@ -131,8 +132,8 @@ TEST_F(Forward, MovedInstanceIsSeenWhereItStands) {
     for (const double x : {5.0, 9.0, 2.5}) {
         Pose pose;
         pose.translation = {x, 0.0, 0.0};
-        renderer.move({{pose}}, glm::vec3(0.0f));
-        const Rendering r = renderer.forward(ray);
+        renderer.move_instances({{pose}}, glm::vec3(0.0f));
+        const RenderedRayValues r = renderer.render_rays(ray);
         ASSERT_EQ(r.hits[0], 1u);
         EXPECT_NEAR(r.depth[0] / r.weight[0], x, 1e-5);
     }
@@ -155,13 +156,13 @@ TEST_F(Forward, SingleDropLogitAgreesWithDoubleReference) {
         const test::SceneAndPoses placed =
             test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
         Renderer renderer(device(), placed.scene, settings.image, {.trace = {.chunk = 5}});
-        renderer.scene().set_poses(placed.world_from_instance);
-        renderer.place(glm::vec3(scene.view_origin));
-        const Rendering r = renderer.forward(test::to_world_rays(scene.rays));
+        renderer.scene().set_instance_poses(placed.world_from_instance);
+        renderer.prepare_view(glm::vec3(scene.view_origin));
+        const RenderedRayValues r = renderer.render_rays(test::to_world_rays(scene.rays));
         EXPECT_EQ(r.hit_logit, std::vector<float>(scene.rays.size(), 0.0f));
         EXPECT_LE(compute_normalised_error(r.drop_logit, e.drop_logit), test::kKernelNmse);
         EXPECT_LE(compute_normalised_error(r.depth, e.depth), test::kKernelNmse);
-        const Rendering empty =
+        const RenderedRayValues empty =
             render_once(device(), make_background_scene({}), settings.image, {{{0, 0, 0}}, {{1, 0, 0}}});
         EXPECT_GT(empty.drop_logit[0], empty.hit_logit[0]);
     }
@@ -177,22 +178,22 @@ TEST_F(Forward, ThinGaussiansApproachSurfels) {
         test::to_scene(test::to_surfels(random.world.surfels), random.world.instances);
     const WorldRays rays = test::to_world_rays(random.rays);
     const auto rendered = [&](const Scene& scene) {
-        ImageModel model;
+        ImageFormationModel model;
         model.primitive = scene.surfels.primitive;
         Renderer renderer(device(), scene, model);
-        renderer.scene().set_poses(placed.world_from_instance);
-        renderer.place(glm::vec3(0.0f));
-        return renderer.forward(rays);
+        renderer.scene().set_instance_poses(placed.world_from_instance);
+        renderer.prepare_view(glm::vec3(0.0f));
+        return renderer.render_rays(rays);
     };
-    const Rendering flat = rendered(placed.scene);
+    const RenderedRayValues flat = rendered(placed.scene);
     const std::vector<double> depth(flat.depth.begin(), flat.depth.end()),
         weight(flat.weight.begin(), flat.weight.end());
     std::vector<double> error;
     // the smallest thickness corresponds to at least 1.5e-6 m
     for (const double thickness : {1.0, 0.1, 1e-3, 1e-5}) {
         Scene thin = placed.scene;
-        make_primitive(thin.surfels, Primitive::gaussian, thickness);
-        const Rendering r = rendered(thin);
+        convert_to_primitive(thin.surfels, PrimitiveType::gaussian, thickness);
+        const RenderedRayValues r = rendered(thin);
         error.push_back(
             std::max(compute_normalised_error(r.depth, depth), compute_normalised_error(r.weight, weight)));
         std::printf("thickness %g: error %.2e\n", thickness, error.back());
@@ -205,11 +206,11 @@ TEST_F(Forward, ThinGaussiansApproachSurfels) {
 
 TEST_F(Forward, SceneOfAnotherPrimitiveIsRefused) {
     Scene scene = make_background_scene(test::to_surfels(test::make_random_scene({}, {}).world.surfels));
-    ImageModel gaussians;
-    gaussians.primitive = Primitive::gaussian;
+    ImageFormationModel gaussians;
+    gaussians.primitive = PrimitiveType::gaussian;
     const WorldRays ray{{{0, 0, 0}}, {{1, 0, 0}}};
     EXPECT_THROW(render_once(device(), scene, gaussians, ray), UsageError);
-    make_primitive(scene.surfels, Primitive::gaussian, 1.0);
+    convert_to_primitive(scene.surfels, PrimitiveType::gaussian, 1.0);
     EXPECT_THROW(render_once(device(), scene, {}, ray), UsageError);
     EXPECT_NO_THROW(render_once(device(), scene, gaussians, ray));
 }
@@ -231,16 +232,17 @@ TEST_F(Forward, LabelIsThatOfTheSurfaceNotOfAFloater) {
     const auto at = [](double value, bool present) {
         return InstancePose{Pose{{1, 0, 0, 0}, {value, 0, 0}}, present};
     };
-    renderer.move({at(9, true), at(3, true)}, glm::vec3(0.0f));
-    EXPECT_EQ(renderer.forward(ray).instance[0], 0);
-    renderer.move({at(9, false), at(3, true)}, glm::vec3(0.0f));
-    EXPECT_EQ(renderer.forward(ray).instance[0], 1);
-    renderer.move({at(9, false), at(3, false)}, glm::vec3(0.0f));
-    EXPECT_EQ(renderer.forward(ray).instance[0], -1);
+    renderer.move_instances({at(9, true), at(3, true)}, glm::vec3(0.0f));
+    EXPECT_EQ(renderer.render_rays(ray).instance[0], 0);
+    renderer.move_instances({at(9, false), at(3, true)}, glm::vec3(0.0f));
+    EXPECT_EQ(renderer.render_rays(ray).instance[0], 1);
+    renderer.move_instances({at(9, false), at(3, false)}, glm::vec3(0.0f));
+    EXPECT_EQ(renderer.render_rays(ray).instance[0], -1);
 }
 
 TEST_F(Forward, EmptySceneIsBackground) {
-    const Rendering r = render_once(device(), make_background_scene({}), {}, {{{0, 0, 0}}, {{1, 0, 0}}});
+    const RenderedRayValues r =
+        render_once(device(), make_background_scene({}), {}, {{{0, 0, 0}}, {{1, 0, 0}}});
     EXPECT_EQ(r.hits[0], 0u);
     EXPECT_EQ(r.drop_logit[0], 1.0f);
     EXPECT_EQ(r.transmittance[0], 1.0f);
@@ -250,7 +252,7 @@ TEST_F(Forward, EmptySceneIsBackground) {
 /// Returns copies of some surfels. Each copy has an invalid value in a different
 /// parameter.
 Surfels make_poisoned_copies(const Surfels& good, float bad) {
-    const bool is_gaussian = good.primitive == Primitive::gaussian;
+    const bool is_gaussian = good.primitive == PrimitiveType::gaussian;
     Surfels extra = test::take(good, is_gaussian ? std::vector<std::uint32_t>{0, 1, 2, 3, 4, 5}
                                                  : std::vector<std::uint32_t>{0, 1, 2, 3, 4});
     extra.mean[0].x = bad, extra.rotation[1].y = bad, extra.log_scale[2].x = bad,
@@ -266,11 +268,11 @@ void expect_unharmed(Device& device, const Surfels& good, const WorldRays& rays)
     for (const float bad : {std::nanf(""), HUGE_VALF, -HUGE_VALF, 1e38f})
         poisoned.append(make_poisoned_copies(good, bad));
     for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
-        ImageModel model;
+        ImageFormationModel model;
         model.sh_direction = direction;
         model.primitive = good.primitive;
-        const Rendering expected = render_once(device, make_background_scene(good), model, rays);
-        const Rendering actual = render_once(device, make_background_scene(poisoned), model, rays);
+        const RenderedRayValues expected = render_once(device, make_background_scene(good), model, rays);
+        const RenderedRayValues actual = render_once(device, make_background_scene(poisoned), model, rays);
         EXPECT_EQ(actual.hits, expected.hits);
         EXPECT_EQ(actual.depth, expected.depth);
         EXPECT_EQ(actual.intensity, expected.intensity);
@@ -283,7 +285,7 @@ TEST_F(Forward, PoisonedSurfelsNeverReachTheImage) {
     reference::Settings settings;
     const test::RandomScene scene = test::make_random_scene(options, settings);
     Surfels good = test::to_surfels(scene.world.surfels), thick = good;
-    make_primitive(thick, Primitive::gaussian, 0.5);
+    convert_to_primitive(thick, PrimitiveType::gaussian, 0.5);
     for (const Surfels& sound : {good, thick})
         expect_unharmed(device(), sound, test::to_world_rays(scene.rays));
 }
@@ -306,20 +308,20 @@ TEST_F(Forward, StreetEqualsImageByOthers) {
     const std::filesystem::path file = get_shared_folder() / "bench" / "peer_render_A100k_kitti.npz";
     if (!std::filesystem::exists(file)) GTEST_SKIP() << file << " is not there";
     const std::vector<NamedArray> arrays = read_npz(file);
-    const std::vector<float> dirs = find(arrays, "dirs").as_float(),
-                             origin = find(arrays, "origin").as_float();
+    const std::vector<float> dirs = find(arrays, "dirs").convert_to_floats(),
+                             origin = find(arrays, "origin").convert_to_floats();
     WorldRays rays;
     for (std::size_t i = 0; i < dirs.size() / 3; ++i) {
         rays.origin.push_back({origin[0], origin[1], origin[2]});
         rays.direction.push_back({dirs[3 * i], dirs[3 * i + 1], dirs[3 * i + 2]});
     }
-    Surfels street = make_benchmark_street(100000);
-    street = street.reorder(compute_kd_order(street.mean));
-    const Rendering r =
+    Surfels street = make_benchmark_street_surfels(100000);
+    street = street.reorder(compute_kd_tree_order(street.mean));
+    const RenderedRayValues r =
         render_once(device(), make_background_scene(street), {}, rays, {.trace = {.chunk = 64}});
-    const std::vector<float> depth = find(arrays, "depth").as_float(),
-                             intensity = find(arrays, "intensity").as_float(),
-                             t = find(arrays, "T").as_float();
+    const std::vector<float> depth = find(arrays, "depth").convert_to_floats(),
+                             intensity = find(arrays, "intensity").convert_to_floats(),
+                             t = find(arrays, "T").convert_to_floats();
     std::size_t equal = 0;
     for (std::size_t i = 0; i < rays.size(); ++i)
         equal += std::abs(r.depth[i] - depth[i]) <= 1e-3f &&

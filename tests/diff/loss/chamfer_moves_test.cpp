@@ -62,19 +62,20 @@ double measure_distance_after(Device& device, float shift, bool cut_gradient, bo
     const TargetBatch measured{
         &device_targets, 0, 1, kRays, kRays, kRays, image ? ImageShape{kSide, kSide, false} : ImageShape{}};
     for (int step = 1; step <= 60; ++step) {
-        renderer.place(glm::vec3(0.0f));
-        renderer.record_forward(batch);
+        renderer.prepare_view(glm::vec3(0.0f));
+        renderer.record_forward_pass(batch);
         for (const std::unique_ptr<Loss>& loss : losses)
-            loss->compare(renderer.stream(), differentiable.batch(), measured, terms);
-        if (cut_gradient) renderer.stream().fill(*differentiable.batch().upstream);
-        differentiable.record_backward();
-        const Gradients& gradients = differentiable.gradients();
-        adam.step(renderer.stream(), renderer.scene().parameters(), gradients.surfels, &gradients.touched,
-                  {0.02, 0.0, 0.0, 0.0, 0.0, 1.0}, step, 3);
-        renderer.stream().finish();
+            loss->record_ray_losses(renderer.stream(), differentiable.get_last_rendered_batch(), measured,
+                                    terms);
+        if (cut_gradient) renderer.stream().fill(*differentiable.get_last_rendered_batch().upstream);
+        differentiable.record_backward_pass();
+        const DeviceGradients& gradients = differentiable.gradients();
+        adam.record_adam_step(renderer.stream(), renderer.scene().get_surfel_parameters(), gradients.surfels,
+                              &gradients.touched, {0.02, 0.0, 0.0, 0.0, 0.0, 1.0}, step, 3);
+        renderer.stream().submit_and_wait();
     }
     double sum = 0.0, n = 0.0;
-    for (const glm::vec3& m : renderer.download().surfels.mean) {
+    for (const glm::vec3& m : renderer.download_scene().surfels.mean) {
         if (std::abs(m.y) > 1.5f || std::abs(m.z) > 1.5f) continue;  // outside the rays
         sum += std::abs(m.x - kWall_m);
         n += 1.0;

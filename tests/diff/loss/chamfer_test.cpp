@@ -91,12 +91,14 @@ FoundChamfer compute_device_chamfer(Device& device, const Clouds& clouds, const 
     const Array<DeviceTarget> t(device, std::span<const DeviceTarget>(targets), "targets");
     Array<shared::RayGradient> upstream(device, n, "upstream");
     stream.fill(upstream);
-    loss.compare(stream, {{&device_rays, 0, setting.stride, static_cast<std::uint32_t>(n)}, &r, &upstream},
-                 {&t, 0, setting.stride, static_cast<std::uint32_t>(n), 0, 0,
-                  setting.image ? clouds.image : ImageShape{}},
-                 terms);
-    stream.finish();
-    return {loss.nearest(), terms.download()[loss_term::chamfer], test::to_floats(upstream.download())};
+    loss.record_ray_losses(stream,
+                           {{&device_rays, 0, setting.stride, static_cast<std::uint32_t>(n)}, &r, &upstream},
+                           {&t, 0, setting.stride, static_cast<std::uint32_t>(n), 0, 0,
+                            setting.image ? clouds.image : ImageShape{}},
+                           terms);
+    stream.submit_and_wait();
+    return {loss.download_nearest_point_indices(), terms.download()[loss_term::chamfer],
+            test::to_floats(upstream.download())};
 }
 
 /// Returns points as the device computes them, relative to the origin of the first ray. A

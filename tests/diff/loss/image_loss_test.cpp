@@ -71,9 +71,10 @@ TEST_F(ImageLossTest, AgreesWithReference) {
             stream.fill(upstream, 0x7fc00000u);
             double returned = 0.0;
             for (const DeviceTarget& t : d.targets) returned += t.range_m > 0.0f;
-            loss.compare(stream, {{}, &rendered, &upstream},
-                         {&targets, 0, 1, static_cast<std::uint32_t>(n), returned, double(n)}, sums);
-            stream.finish();
+            loss.record_ray_losses(stream, {{}, &rendered, &upstream},
+                                   {&targets, 0, 1, static_cast<std::uint32_t>(n), returned, double(n)},
+                                   sums);
+            stream.submit_and_wait();
             const std::vector<float> g = test::to_floats(upstream.download()), s = sums.download();
             EXPECT_NEAR(s[loss_term::depth], weights.depth * terms.depth, 1e-4 * weights.depth * terms.depth);
             EXPECT_NEAR(s[loss_term::intensity], weights.intensity * terms.intensity,
@@ -103,13 +104,13 @@ TEST_F(ImageLossTest, MaskedRaysAreIgnoredAndStrideSelects) {
     const Array<float> sums(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
     Array<shared::RayGradient> upstream(device(), 16, "upstream");
     // targets 0, 4, 8, ... are masked
-    loss.compare(stream, {{}, &rendered, &upstream}, {&targets, 0, 4, 16, 16.0, 16.0}, sums);
-    stream.finish();
+    loss.record_ray_losses(stream, {{}, &rendered, &upstream}, {&targets, 0, 4, 16, 16.0, 16.0}, sums);
+    stream.submit_and_wait();
     for (const float x : test::to_floats(upstream.download())) EXPECT_EQ(x, 0.0f);
     for (const float x : sums.download()) EXPECT_EQ(x, 0.0f);
     // targets 1, 5, 9, ... have a measured value
-    loss.compare(stream, {{}, &rendered, &upstream}, {&targets, 1, 4, 16, 16.0, 16.0}, sums);
-    stream.finish();
+    loss.record_ray_losses(stream, {{}, &rendered, &upstream}, {&targets, 1, 4, 16, 16.0, 16.0}, sums);
+    stream.submit_and_wait();
     EXPECT_GT(sums.download()[loss_term::drop], 0.0f);
 }
 
@@ -121,7 +122,7 @@ std::vector<std::string> list_made_kernels(Device& device, const LossWeights& we
         names.push_back(dynamic_cast<ImageLoss*>(loss.get())        ? "image"
                         : dynamic_cast<LikelihoodLoss*>(loss.get()) ? "likelihood"
                         : dynamic_cast<ChamferLoss*>(loss.get())    ? "chamfer"
-                        : dynamic_cast<SurfelLoss*>(loss.get())     ? "surfel"
+                        : dynamic_cast<ActorBoxLoss*>(loss.get())   ? "surfel"
                                                                     : "another");
     return names;
 }

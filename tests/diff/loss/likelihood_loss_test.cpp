@@ -48,12 +48,12 @@ TEST_F(LikelihoodTerm, AgreesWithReference) {
     weights.likelihood = 0.7f, weights.likelihood_floor = 0.02f;
     LikelihoodLoss loss(device(), weights);
     Stream stream(device());
-    loss.compare(stream, {{}, &rendered, &upstream},
-                 {&targets, 0, kStride, std::uint32_t(kRays), n_returned, double(kRays)}, terms);
-    stream.finish();
-    const std::vector<float> found = terms.download();
+    loss.record_ray_losses(stream, {{}, &rendered, &upstream},
+                           {&targets, 0, kStride, std::uint32_t(kRays), n_returned, double(kRays)}, terms);
+    stream.submit_and_wait();
+    const std::vector<float> actual_terms = terms.download();
     for (std::size_t k = 0; k < kLossTerms; ++k)
-        EXPECT_NEAR(found[k], k == loss_term::likelihood ? 0.7 * term : 0.0, 1e-5 * term);
+        EXPECT_NEAR(actual_terms[k], k == loss_term::likelihood ? 0.7 * term : 0.0, 1e-5 * term);
     const std::vector<shared::RayGradient> gradients = upstream.download();
     for (std::size_t i = 0; i < kRays; ++i) {
         const double d = 0.7 * expected[i].likelihood;

@@ -28,7 +28,7 @@ Image make_random_image(int rows, int columns, bool circular, double known_share
         const double flat = i % columns < columns / 2 ? 0.3 : 0.3 + 0.4 * unit(random);
         image.y.push_back(float(flat));
         image.x.push_back(float(flat + 0.05 * unit(random)));
-        image.known.push_back(unit(random) < known_share);
+        image.is_known.push_back(unit(random) < known_share);
     }
     return image;
 }
@@ -44,14 +44,14 @@ Result compute_device_ssim(Device& device, const Image& image, float share, std:
     const std::size_t n = image.x.size();
     std::vector<shared::RenderedRay> rendered;
     std::vector<DeviceTarget> targets(n * stride);
-    double known = 0.0;
+    double n_known_pixels = 0.0;
     for (std::size_t i = 0; i < n; ++i) {
-        known += image.known[i];
+        n_known_pixels += image.is_known[i];
         shared::RenderedRay& ray = rendered.emplace_back();
-        ray.depth = 10.0f, ray.weight = 1.0f, ray.intensity = image.known[i] ? float(image.x[i]) : 7.0f;
-        targets[i * stride] = image.known[i] ? DeviceTarget{10.0f, float(image.y[i]), 1.0f}
-                              : i % 2        ? DeviceTarget{0.0f, 5.0f, 1.0f}
-                                             : DeviceTarget{10.0f, 5.0f, 0.0f};
+        ray.depth = 10.0f, ray.weight = 1.0f, ray.intensity = image.is_known[i] ? float(image.x[i]) : 7.0f;
+        targets[i * stride] = image.is_known[i] ? DeviceTarget{10.0f, float(image.y[i]), 1.0f}
+                              : i % 2           ? DeviceTarget{0.0f, 5.0f, 1.0f}
+                                                : DeviceTarget{10.0f, 5.0f, 0.0f};
     }
     LossWeights weights;
     weights.intensity = 1.0f;
@@ -64,9 +64,10 @@ Result compute_device_ssim(Device& device, const Image& image, float share, std:
     Array<shared::RayGradient> upstream(device, n, "upstream");
     const ImageShape shape{static_cast<std::uint32_t>(image.rows), static_cast<std::uint32_t>(image.columns),
                            image.circular};
-    loss.compare(stream, {{}, &r, &upstream},
-                 {&t, 0, stride, static_cast<std::uint32_t>(n), known, double(n), shape}, terms);
-    stream.finish();
+    loss.record_ray_losses(stream, {{}, &r, &upstream},
+                           {&t, 0, stride, static_cast<std::uint32_t>(n), n_known_pixels, double(n), shape},
+                           terms);
+    stream.submit_and_wait();
     Result result{terms.download()[loss_term::ssim], terms.download()[loss_term::intensity], {}};
     for (const shared::RayGradient& g : upstream.download()) result.d_x.push_back(g.intensity);
     return result;
@@ -76,12 +77,12 @@ TEST_F(Ssim, AgreesWithReference) {
     struct Case {
         int rows, columns;
         bool circular;
-        double known;
+        double known_fraction;
         std::uint32_t stride;
     };
     for (const Case& c : {Case{16, 50, true, 0.8, 1}, Case{16, 50, false, 1.0, 3}, Case{1, 40, true, 0.7, 1},
                           Case{3, 7, true, 1.0, 1}, Case{33, 37, true, 0.15, 2}}) {
-        const Image image = make_random_image(c.rows, c.columns, c.circular, c.known);
+        const Image image = make_random_image(c.rows, c.columns, c.circular, c.known_fraction);
         std::vector<double> expected;
         const double loss = reference::compute_ssim_loss(image, &expected);
         const Result device_result = compute_device_ssim(device(), image, 1.0f, c.stride);
@@ -92,7 +93,8 @@ TEST_F(Ssim, AgreesWithReference) {
         EXPECT_EQ(table.groups().at("image").count_missing_rows(), 0u);
         EXPECT_LE(table.compute_worst_error(), test::kKernelGradient) << c.rows << " x " << c.columns;
         for (std::size_t i = 0; i < expected.size(); ++i)
-            EXPECT_TRUE(image.known[i] || device_result.d_x[i] == 0.0) << "pixel " << i << " takes no part";
+            EXPECT_TRUE(image.is_known[i] || device_result.d_x[i] == 0.0)
+                << "pixel " << i << " takes no part";
     }
 }
 

@@ -45,7 +45,7 @@ TEST_F(SurfelLossTest, AgreesWithReference) {
     weights.box = 0.3f;
     const std::size_t n = scene.surfels.size();
     for (const bool all : {true, false}) {
-        if (!all) make_primitive(scene.surfels, Primitive::gaussian, 3.0);
+        if (!all) convert_to_primitive(scene.surfels, PrimitiveType::gaussian, 3.0);
         const bool is_gaussian = !all;
         std::vector<std::uint32_t> touched(n);
         for (std::size_t i = 0; i < n; ++i) touched[i] = i % 3 != 0;
@@ -57,9 +57,9 @@ TEST_F(SurfelLossTest, AgreesWithReference) {
         const Array<std::uint32_t, shared::TouchedSurfels> rows(
             device(), std::span<const std::uint32_t>(touched), "touched");
         const Array<float> terms(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
-        SurfelLoss loss(device(), weights);
-        loss.regularise(stream, on_device, {&d, all ? nullptr : &rows}, terms);
-        stream.finish();
+        ActorBoxLoss loss(device(), weights);
+        loss.record_regularisation_losses(stream, on_device, {&d, all ? nullptr : &rows}, terms);
+        stream.submit_and_wait();
 
         double box = 0.0;
         test::GradientTable table;
@@ -99,15 +99,16 @@ TEST_F(SurfelLossTest, ActorsComeBackIntoTheirBoxAndTheBackgroundStays) {
     DeviceScene on_device(device(), scene);
     SurfelArrays d(device(), on_device.size(), "gradient");
     const Array<float> terms(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
-    SurfelLoss loss(device(), weights);
+    ActorBoxLoss loss(device(), weights);
     Adam adam(device(), on_device.size(), {});
     for (int step = 1; step <= 150; ++step) {
         d.fill_zero(stream);
-        loss.regularise(stream, on_device, {&d, nullptr}, terms);
-        adam.step(stream, on_device.parameters(), d, nullptr, {0.03, 0.0, 0.03, 0.0, 0.0, 1.0}, step, 3);
-        stream.finish();
+        loss.record_regularisation_losses(stream, on_device, {&d, nullptr}, terms);
+        adam.record_adam_step(stream, on_device.get_surfel_parameters(), d, nullptr,
+                              {0.03, 0.0, 0.03, 0.0, 0.0, 1.0}, step, 3);
+        stream.submit_and_wait();
     }
-    const Surfels end = on_device.parameters().download();
+    const Surfels end = on_device.get_surfel_parameters().download();
     for (std::size_t i = 0; i < end.size(); ++i) {
         if (i < kBackground) {
             ASSERT_EQ(end.mean[i], scene.surfels.mean[i]);

@@ -11,11 +11,11 @@
 namespace relidar {
 namespace {
 
-using refine::Attention, refine::AttentionState, refine::Grid;
+using refine::Attention, refine::AttentionActivations, refine::ImageBatchSize;
 using test::OnDevice, test::compute_worst_error;
 
 struct AttentionCase {
-    Grid grid;
+    ImageBatchSize grid;
     int channels, heads;
 };
 void PrintTo(const AttentionCase& test_case, std::ostream* out) {
@@ -36,20 +36,20 @@ TEST_P(AttentionSizes, ForwardAndBackward) {
     const test::ImageBatch values = test::make_random_images(c.grid, 3 * c.channels, 1),
                            upstream = test::make_random_images(c.grid, c.channels, 2);
     Attention attention(device(), std::uint32_t(c.heads));
-    AttentionState state = attention.make_state(device(), c.grid, true);
+    AttentionActivations state = attention.make_attention_state(device(), c.grid, true);
     Stream stream(device());
     const OnDevice qkv(device(), values), to = OnDevice::make_unwritten(device(), c.grid, c.channels),
                                           d_to(device(), upstream),
                                           d_qkv = OnDevice::make_unwritten(device(), c.grid, 3 * c.channels);
-    attention.forward(stream, qkv.slice(), state, to.slice());
-    attention.vjp(stream, qkv.slice(), state, d_to.slice(), d_qkv.slice());
-    stream.finish();
+    attention.compute_attention(stream, qkv.slice(), state, to.slice());
+    attention.backpropagate_to_qkv(stream, qkv.slice(), state, d_to.slice(), d_qkv.slice());
+    stream.submit_and_wait();
     EXPECT_LT(compute_worst_error(to.read(), reference::attend(values, c.heads)), test::kLayer);
     EXPECT_LT(
         compute_worst_error(d_qkv.read(), reference::backpropagate_attention(values, c.heads, upstream)),
         test::kLayer);
     const std::vector<double> shares = test::to_doubles(state.share.values);
-    const std::size_t pixels = c.grid.pixels();
+    const std::size_t pixels = c.grid.count_pixels_per_image();
     ASSERT_EQ(shares.size(), c.grid.n * std::size_t(c.heads) * pixels * pixels);
     for (std::size_t row = 0; row < shares.size() / pixels; ++row) {
         double sum = 0.0;
@@ -60,14 +60,14 @@ TEST_P(AttentionSizes, ForwardAndBackward) {
 
 /// exp() of these scores overflows float.
 TEST_F(AttentionTest, LargeScores) {
-    const Grid grid{1, 3, 7};
+    const ImageBatchSize grid{1, 3, 7};
     const test::ImageBatch values = test::make_random_images(grid, 12, 1, 30.0);
     Attention attention(device(), 1);
-    AttentionState state = attention.make_state(device(), grid, false);
+    AttentionActivations state = attention.make_attention_state(device(), grid, false);
     Stream stream(device());
     const OnDevice qkv(device(), values), to = OnDevice::make_unwritten(device(), grid, 4);
-    attention.forward(stream, qkv.slice(), state, to.slice());
-    stream.finish();
+    attention.compute_attention(stream, qkv.slice(), state, to.slice());
+    stream.submit_and_wait();
     // scores of 1e3 have an error of 1e-4
     EXPECT_LT(compute_worst_error(to.read(), reference::attend(values, 1)), 1e-3);
 }
@@ -84,11 +84,11 @@ TEST_F(AttentionTest, TakesWhatItAsksFor) {
         expected.at(0, (x + n - 1) % n, 0, x) = 1.0;
     }
     Attention attention(device(), 1);
-    AttentionState state = attention.make_state(device(), test::get_grid(values), false);
+    AttentionActivations state = attention.make_attention_state(device(), test::get_grid(values), false);
     Stream stream(device());
     const OnDevice qkv(device(), values), to = OnDevice::make_unwritten(device(), test::get_grid(values), n);
-    attention.forward(stream, qkv.slice(), state, to.slice());
-    stream.finish();
+    attention.compute_attention(stream, qkv.slice(), state, to.slice());
+    stream.submit_and_wait();
     EXPECT_LT(compute_worst_error(to.read(), expected), 1e-6);
 }
 

@@ -12,12 +12,12 @@
 namespace relidar {
 namespace {
 
-using refine::Conv, refine::Grid;
+using refine::ConvolutionKernels, refine::ImageBatchSize;
 using test::OnDevice, test::compute_worst_error;
 
 struct Case {
     std::uint32_t taps;
-    refine::Grid grid;
+    refine::ImageBatchSize grid;
     int n_in, n_out;
 };
 
@@ -51,16 +51,16 @@ Layer make_random_layer(const Case& test_case) {
 TEST_P(ConvSizes, Forward) {
     const Case& c = GetParam();
     const Layer layer = make_random_layer(c);
-    Conv conv(device(), c.taps);
+    ConvolutionKernels conv(device(), c.taps);
     Stream stream(device());
     const OnDevice from(device(), layer.from),
         to = OnDevice::make_unwritten(device(), c.grid, c.n_out),
         plain = OnDevice::make_unwritten(device(), c.grid, c.n_out, 0, 0);
     const auto weights = test::to_device<shared::ConvWeights>(device(), layer.weights);
     const auto bias = test::to_device<shared::ConvBias>(device(), layer.bias);
-    conv.forward(stream, from.slice(), weights.address(), bias.address(), to.slice());
-    conv.forward(stream, from.slice(), weights.address(), {}, plain.slice());
-    stream.finish();
+    conv.run_convolution(stream, from.slice(), weights.address(), bias.address(), to.slice());
+    conv.run_convolution(stream, from.slice(), weights.address(), {}, plain.slice());
+    stream.submit_and_wait();
     EXPECT_LT(compute_worst_error(to.read(), reference::convolve(layer.from, layer.weights, layer.bias,
                                                                  c.n_out, int(c.taps))),
               test::kLayer);
@@ -72,14 +72,14 @@ TEST_P(ConvSizes, Forward) {
 TEST_P(ConvSizes, DerivativeByTheInputAndItsSum) {
     const Case& c = GetParam();
     const Layer layer = make_random_layer(c);
-    Conv conv(device(), c.taps);
+    ConvolutionKernels conv(device(), c.taps);
     Stream stream(device());
     const OnDevice d_to(device(), layer.d_to), d_from = OnDevice::make_unwritten(device(), c.grid, c.n_in),
                                                sum(device(), layer.from);
     const auto weights = test::to_device<shared::ConvWeights>(device(), layer.weights);
     conv.backpropagate_input(stream, d_to.slice(), weights.address(), d_from.slice());
     conv.backpropagate_input(stream, d_to.slice(), weights.address(), sum.slice(), true);
-    stream.finish();
+    stream.submit_and_wait();
     test::ImageBatch expected =
         reference::backpropagate_convolution_input(layer.d_to, layer.weights, c.n_in, int(c.taps));
     EXPECT_LT(compute_worst_error(d_from.read(), expected), test::kLayer);
@@ -90,16 +90,17 @@ TEST_P(ConvSizes, DerivativeByTheInputAndItsSum) {
 TEST_P(ConvSizes, DerivativeByTheWeights) {
     const Case& c = GetParam();
     const Layer layer = make_random_layer(c);
-    Conv conv(device(), c.taps);
+    ConvolutionKernels conv(device(), c.taps);
     Stream stream(device());
     const OnDevice from(device(), layer.from), d_to(device(), layer.d_to);
     std::vector<double> guarded(layer.weights.size() + 1, std::nan(""));
     const auto d_weights = test::to_device<shared::ConvWeights>(device(), guarded),
                again = test::to_device<shared::ConvWeights>(device(), guarded);
-    conv.reserve(device(), conv.count_partial_floats(c.grid, std::uint32_t(c.n_in), std::uint32_t(c.n_out)));
+    conv.reserve_partial_sums(
+        device(), conv.count_partial_sum_floats(c.grid, std::uint32_t(c.n_in), std::uint32_t(c.n_out)));
     for (const auto* d : {&d_weights, &again}) {
         conv.backpropagate_weights(stream, from.slice(), d_to.slice(), d->address());
-        stream.finish();
+        stream.submit_and_wait();
     }
     std::vector<double> actual = test::to_doubles(d_weights), repeated = test::to_doubles(again);
     EXPECT_TRUE(std::isnan(actual.back())) << "wrote past the end";
@@ -115,7 +116,7 @@ TEST_P(ConvSizes, DerivativeByTheWeights) {
 TEST_F(ConvTest, ForwardAndBackwardAreTransposes) {
     const Case c{9, {4, 11, 37}, 9, 17};
     const Layer layer = make_random_layer(c);
-    Conv conv(device(), c.taps);
+    ConvolutionKernels conv(device(), c.taps);
     Stream stream(device());
     const OnDevice from(device(), layer.from), d_to(device(), layer.d_to),
         to = OnDevice::make_unwritten(device(), c.grid, c.n_out),
@@ -123,15 +124,15 @@ TEST_F(ConvTest, ForwardAndBackwardAreTransposes) {
     const auto weights = test::to_device<shared::ConvWeights>(device(), layer.weights),
                d_weights = test::to_device<shared::ConvWeights>(
                    device(), std::vector<double>(layer.weights.size(), 0.0));
-    conv.reserve(device(), conv.count_partial_floats(c.grid, 9, 17));
-    conv.forward(stream, from.slice(), weights.address(), {}, to.slice());
+    conv.reserve_partial_sums(device(), conv.count_partial_sum_floats(c.grid, 9, 17));
+    conv.run_convolution(stream, from.slice(), weights.address(), {}, to.slice());
     conv.backpropagate_input(stream, d_to.slice(), weights.address(), d_from.slice());
     conv.backpropagate_weights(stream, from.slice(), d_to.slice(), d_weights.address());
-    stream.finish();
-    const double asked = test::dot(layer.d_to.values, to.read().values),
+    stream.submit_and_wait();
+    const double expected_product = test::dot(layer.d_to.values, to.read().values),
                  scale = 1e-5 * std::sqrt(double(layer.d_to.values.size()) * 81.0);
-    EXPECT_NEAR(test::dot(d_from.read().values, layer.from.values), asked, scale);
-    EXPECT_NEAR(test::dot(test::to_doubles(d_weights), layer.weights), asked, scale);
+    EXPECT_NEAR(test::dot(d_from.read().values, layer.from.values), expected_product, scale);
+    EXPECT_NEAR(test::dot(test::to_doubles(d_weights), layer.weights), expected_product, scale);
 }
 
 /// A value in the first column must affect the last column, because columns form a ring.
@@ -141,25 +142,25 @@ TEST_F(ConvTest, ColumnsAreARingAndRowsEnd) {
         test::ImageBatch one(1, 1, 3, int(columns));
         one.at(0, 0, 0, 0) = 1.0;
         const std::vector<double> taps{1, 2, 3, 4, 5, 6, 7, 8, 9};
-        Conv conv(device(), 9);
+        ConvolutionKernels conv(device(), 9);
         Stream stream(device());
         const OnDevice from(device(), one), to = OnDevice::make_unwritten(device(), test::get_grid(one), 1),
                                             back = OnDevice::make_unwritten(device(), test::get_grid(one), 1);
         const auto weights = test::to_device<shared::ConvWeights>(device(), taps);
-        conv.forward(stream, from.slice(), weights.address(), {}, to.slice());
+        conv.run_convolution(stream, from.slice(), weights.address(), {}, to.slice());
         conv.backpropagate_input(stream, from.slice(), weights.address(), back.slice());
-        stream.finish();
-        const test::ImageBatch seen = to.read(), asked = back.read();
+        stream.submit_and_wait();
+        const test::ImageBatch output = to.read(), input_gradient = back.read();
         const int last = int(columns) - 1;
         // with two columns, the left and the right neighbour are the same column
         const double both = columns == 2 ? 1.0 : 0.0;
-        EXPECT_EQ(seen.at(0, 0, 0, 0), 5.0);
+        EXPECT_EQ(output.at(0, 0, 0, 0), 5.0);
         // the last column multiplies the value with the weight of its right neighbour
-        EXPECT_EQ(seen.at(0, 0, 0, last), 6.0 + both * 4.0);
-        EXPECT_EQ(seen.at(0, 0, 1, last), 3.0 + both * 1.0);
-        EXPECT_EQ(asked.at(0, 0, 0, last), 4.0 + both * 6.0);
-        EXPECT_EQ(asked.at(0, 0, 1, last), 7.0 + both * 9.0);
-        for (int x = 0; x <= last; ++x) EXPECT_EQ(seen.at(0, 0, 2, x), 0.0) << x;
+        EXPECT_EQ(output.at(0, 0, 0, last), 6.0 + both * 4.0);
+        EXPECT_EQ(output.at(0, 0, 1, last), 3.0 + both * 1.0);
+        EXPECT_EQ(input_gradient.at(0, 0, 0, last), 4.0 + both * 6.0);
+        EXPECT_EQ(input_gradient.at(0, 0, 1, last), 7.0 + both * 9.0);
+        for (int x = 0; x <= last; ++x) EXPECT_EQ(output.at(0, 0, 2, x), 0.0) << x;
     }
 }
 
@@ -178,12 +179,12 @@ TEST_P(ConvVariants, Agree) {
     for (const Case& c : {Case{9, {2, 5, 75}, 9, 17}, Case{1, {2, 3, 41}, 17, 9}}) {
         const Layer layer = make_random_layer(c);
         const Kernel<shared::ConvParams> kernel(device(), "diff/network/conv",
-                                                {{ConstantId::TAPS, c.taps},
-                                                 {ConstantId::PIXELS, GetParam().pixels},
-                                                 {ConstantId::LANES, lanes},
-                                                 {ConstantId::STAGED, GetParam().staged},
-                                                 {ConstantId::WORKGROUP_SIZE, 64}},
-                                                Subgroups::full);
+                                                {{SpecialisationConstantId::TAPS, c.taps},
+                                                 {SpecialisationConstantId::PIXELS, GetParam().pixels},
+                                                 {SpecialisationConstantId::LANES, lanes},
+                                                 {SpecialisationConstantId::STAGED, GetParam().staged},
+                                                 {SpecialisationConstantId::WORKGROUP_SIZE, 64}},
+                                                SubgroupRequirement::full);
         Stream stream(device());
         const OnDevice from(device(), layer.from), to = OnDevice::make_unwritten(device(), c.grid, c.n_out);
         const auto weights = test::to_device<shared::ConvWeights>(device(), layer.weights);
@@ -203,7 +204,7 @@ TEST_P(ConvVariants, Agree) {
              .n_out = std::uint32_t(c.n_out),
              .transposed = 0,
              .accumulate = 0});
-        stream.finish();
+        stream.submit_and_wait();
         EXPECT_LT(compute_worst_error(to.read(), reference::convolve(layer.from, layer.weights, layer.bias,
                                                                      c.n_out, int(c.taps))),
                   test::kLayer);

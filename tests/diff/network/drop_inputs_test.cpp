@@ -25,7 +25,7 @@ std::vector<double> shift() { return {0.0, 1.0, -3.0, 0.25, 2.0}; }
 /// Shifts the columns of each sample by `turn`.
 Batch turned(const test::ImageBatch& samples, const std::vector<double>& targets,
              const std::vector<std::uint32_t>& turn, int n_fixed) {
-    const refine::Grid grid = test::get_grid(samples);
+    const refine::ImageBatchSize grid = test::get_grid(samples);
     test::ImageBatch images(kImages, kChannels, samples.rows, samples.columns),
         start(kImages, 1, samples.rows, samples.columns);
     test::ImageBatch target = start;
@@ -48,23 +48,24 @@ Batch turned(const test::ImageBatch& samples, const std::vector<double>& targets
 }
 
 TEST_F(DropInputsTest, TurnsWhatIsSeenAndKeepsTheSensorsOwn) {
-    for (const refine::Grid& grid :
-         {refine::Grid{kSamples, 5, 13}, refine::Grid{kSamples, 1, 3}, refine::Grid{kSamples, 7, 70}})
+    for (const refine::ImageBatchSize& grid :
+         {refine::ImageBatchSize{kSamples, 5, 13}, refine::ImageBatchSize{kSamples, 1, 3},
+          refine::ImageBatchSize{kSamples, 7, 70}})
         for (const int n_fixed : {0, 2}) {
-            const std::vector<std::uint32_t> turn{0, 1, grid.columns - 1, 2 * grid.columns + 2};
+            const std::vector<std::uint32_t> column_shifts{0, 1, grid.columns - 1, 2 * grid.columns + 2};
             const test::ImageBatch values = test::make_random_images(grid, kChannels, 1);
-            const std::vector<double> known = test::make_random_floats(grid.all_pixels(), 2);
-            const Batch expected = turned(values, known, turn, n_fixed);
+            const std::vector<double> target_values = test::make_random_floats(grid.count_all_pixels(), 2);
+            const Batch expected = turned(values, target_values, column_shifts, n_fixed);
             const Kernel<shared::DropInputsParams> kernel(device(), "diff/network/drop_inputs");
             Stream stream(device());
             const auto samples = test::to_device<shared::DropSamples>(device(), values.values);
-            const auto targets = test::to_device<shared::SampleTargets>(device(), known);
+            const auto targets = test::to_device<shared::SampleTargets>(device(), target_values);
             const Array<std::uint32_t, shared::ChosenSamples> chosen(
                 device(), std::span<const std::uint32_t>(kChosen), "chosen");
             const Array<std::uint32_t, shared::SampleTurns> turns(
-                device(), std::span<const std::uint32_t>(turn), "turn");
+                device(), std::span<const std::uint32_t>(column_shifts), "turn");
             const Array<glm::vec2> affine = test::upload_pairs(device(), scale(), shift());
-            const std::size_t n = kImages * grid.pixels();
+            const std::size_t n = kImages * grid.count_pixels_per_image();
             const Array<float> images(device(), n * kChannels + 1, "images");
             const Array<float, shared::StartLogits> start(device(), n + 1, "start");
             const Array<float, shared::DropTargets> target(device(), n + 1, "target");
@@ -84,7 +85,7 @@ TEST_F(DropInputsTest, TurnsWhatIsSeenAndKeepsTheSensorsOwn) {
                      .logit_channel = kLogit,
                      .rows = grid.rows,
                      .columns = grid.columns});
-                stream.finish();
+                stream.submit_and_wait();
             };
             const auto written = [&](const Array<float>& array) {
                 std::vector<double> result = test::to_doubles(array);

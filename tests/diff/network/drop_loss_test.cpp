@@ -13,13 +13,13 @@
 namespace relidar {
 namespace {
 
-using refine::DropLoss, refine::DropScore;
+using refine::RayDropLoss, refine::RayDropScore;
 
 class DropLossTest : public test::DeviceTest {};
 
 struct Data {
     std::vector<double> logit, start, sum, target;
-    std::size_t known = 0;
+    std::size_t n_known_targets = 0;
 };
 
 Data make_random_data(std::size_t count) {
@@ -31,7 +31,7 @@ Data make_random_data(std::size_t count) {
         d.sum.push_back(double(float(d.logit[i]) + float(d.start[i])));
         const double u = unit(random);
         d.target.push_back(u < 0.2 ? -1.0 : u < 0.5 ? 1.0 : 0.0);
-        d.known += d.target.back() >= 0.0;
+        d.n_known_targets += d.target.back() >= 0.0;
     }
     return d;
 }
@@ -40,7 +40,7 @@ TEST_F(DropLossTest, AgreesWithReference) {
     for (const std::size_t n :
          {std::size_t(1), std::size_t(7), std::size_t(1000), std::size_t(66 * 1030), std::size_t(40961)}) {
         const Data d = make_random_data(n);
-        DropLoss loss(device(), n);
+        RayDropLoss loss(device(), n);
         Stream stream(device());
         const Array<float> logit = test::to_device(device(), d.logit);
         const auto start = test::to_device<shared::StartLogits>(device(), d.start);
@@ -52,20 +52,22 @@ TEST_F(DropLossTest, AgreesWithReference) {
                 reference::compute_drop_entropy(with_start ? d.sum : d.logit, d.target);
             stream.fill(d_logit, 0x7fc00000u);
             stream.fill(probability, 0x7fc00000u);
-            loss.run(stream, n,
-                     {logit.address_as<float, shared::DropLogits>(),
-                      with_start ? start.address() : Address<float, shared::StartLogits>(), target.address(),
-                      d_logit.address_as<float, shared::DropLogitGradients>(), probability.address()},
-                     d.known);
-            stream.finish();
-            const DropScore score = loss.score(d.known);
+            loss.compute_drop_loss(
+                stream, n,
+                {logit.address_as<float, shared::DropLogits>(),
+                 with_start ? start.address() : Address<float, shared::StartLogits>(), target.address(),
+                 d_logit.address_as<float, shared::DropLogitGradients>(), probability.address()},
+                d.n_known_targets);
+            stream.submit_and_wait();
+            const RayDropScore score = loss.read_drop_score(d.n_known_targets);
             EXPECT_NEAR(score.entropy, expected.mean, 1e-5 * expected.mean);
             EXPECT_NEAR(score.accuracy, expected.accuracy, 1e-6);
             std::vector<double> gradient = test::to_doubles(d_logit), p = test::to_doubles(probability);
             EXPECT_TRUE(std::isnan(gradient.back()) && std::isnan(p.back())) << "wrote past the end";
             for (std::size_t i = 0; i < n; ++i) {
                 EXPECT_NEAR(p[i], expected.probability[i], 1e-6);
-                EXPECT_NEAR(gradient[i] * double(d.known), expected.d_logit[i] * double(d.known), 1e-6);
+                EXPECT_NEAR(gradient[i] * double(d.n_known_targets),
+                            expected.d_logit[i] * double(d.n_known_targets), 1e-6);
             }
         }
     }
@@ -75,35 +77,35 @@ TEST_F(DropLossTest, AgreesWithReference) {
 TEST_F(DropLossTest, DerivativeIsThatOfTheScore) {
     const std::size_t n = 37;
     const Data d = make_random_data(n);
-    DropLoss loss(device(), n);
+    RayDropLoss loss(device(), n);
     Stream stream(device());
     const auto target = test::to_device<shared::DropTargets>(device(), d.target);
     const Array<float> d_logit(device(), n, "gradient");
     const auto entropy = [&](const std::vector<double>& logits) {
         const Array<float> logit = test::to_device(device(), logits);
-        loss.run(stream, n,
-                 {logit.address_as<float, shared::DropLogits>(),
-                  {},
-                  target.address(),
-                  d_logit.address_as<float, shared::DropLogitGradients>(),
-                  {}},
-                 d.known);
-        stream.finish();
-        return loss.score(d.known).entropy;
+        loss.compute_drop_loss(stream, n,
+                               {logit.address_as<float, shared::DropLogits>(),
+                                {},
+                                target.address(),
+                                d_logit.address_as<float, shared::DropLogitGradients>(),
+                                {}},
+                               d.n_known_targets);
+        stream.submit_and_wait();
+        return loss.read_drop_score(d.n_known_targets).entropy;
     };
     for (std::size_t i = 0; i < n; i += 5) {
         std::vector<double> logits = test::make_random_floats(n, 9), above = logits, below = logits;
         above[i] += 0.125, below[i] -= 0.125;  // differences of floats need a large step
         const double difference = (entropy(above) - entropy(below)) / 0.25;
         entropy(logits);
-        EXPECT_NEAR(test::to_doubles(d_logit)[i], difference, 3e-3 / double(d.known) * 2.0) << i;
+        EXPECT_NEAR(test::to_doubles(d_logit)[i], difference, 3e-3 / double(d.n_known_targets) * 2.0) << i;
     }
 }
 
 TEST_F(DropLossTest, NothingKnown) {
     const std::size_t n = 33;
     const Data d = make_random_data(n);
-    DropLoss loss(device(), n);
+    RayDropLoss loss(device(), n);
     Stream stream(device());
     const Array<float> logit = test::to_device(device(), d.logit);
     const auto none = test::to_device<shared::DropTargets>(device(), std::vector<double>(n, -1.0));
@@ -111,23 +113,23 @@ TEST_F(DropLossTest, NothingKnown) {
     Array<float, shared::DropProbabilities> probability(device(), n, "probability");
     for (const bool no_target : {true, false}) {
         stream.fill(d_logit, 0x7fc00000u);
-        loss.run(stream, n,
-                 {logit.address_as<float, shared::DropLogits>(),
-                  {},
-                  no_target ? Address<float, shared::DropTargets>() : none.address(),
-                  d_logit.address_as<float, shared::DropLogitGradients>(),
-                  probability.address()},
-                 0);
-        stream.finish();
+        loss.compute_drop_loss(stream, n,
+                               {logit.address_as<float, shared::DropLogits>(),
+                                {},
+                                no_target ? Address<float, shared::DropTargets>() : none.address(),
+                                d_logit.address_as<float, shared::DropLogitGradients>(),
+                                probability.address()},
+                               0);
+        stream.submit_and_wait();
         for (const double x : test::to_doubles(d_logit)) EXPECT_EQ(x, 0.0);
-        EXPECT_EQ(loss.score(0).entropy, 0.0);
-        EXPECT_EQ(loss.score(0).accuracy, 0.0);
+        EXPECT_EQ(loss.read_drop_score(0).entropy, 0.0);
+        EXPECT_EQ(loss.read_drop_score(0).accuracy, 0.0);
     }
     // no derivative requested: only probabilities
-    loss.run(stream, n,
-             {.logit = logit.address_as<float, shared::DropLogits>(), .probability = probability.address()},
-             0);
-    stream.finish();
+    loss.compute_drop_loss(
+        stream, n,
+        {.logit = logit.address_as<float, shared::DropLogits>(), .probability = probability.address()}, 0);
+    stream.submit_and_wait();
     const std::vector<double> p = test::to_doubles(probability);
     const reference::DropEntropy expected =
         reference::compute_drop_entropy(d.logit, std::vector<double>(n, -1.0));

@@ -23,11 +23,12 @@ class DropNetworkTest : public test::DeviceTest {};
 
 /// Makes an image with random intensities in which a ray is dropped if its right
 /// neighbour is dark. The rendered logit is 0.3 everywhere.
-DropImage make_dark_neighbours(int rows, int columns, const RefineOptions& options, std::uint64_t seed) {
+RayDropImage make_dark_neighbours(int rows, int columns, const RayDropNetworkOptions& options,
+                                  std::uint64_t seed) {
     std::mt19937_64 random(seed);
-    const std::vector<std::string> names = list_drop_channels(options);
+    const std::vector<std::string> names = list_network_input_channels(options);
     const std::size_t n = std::size_t(rows) * std::size_t(columns);
-    DropImage image{rows, columns, std::vector<float>(names.size() * n, 0.0f), std::vector<float>(n)};
+    RayDropImage image{rows, columns, std::vector<float>(names.size() * n, 0.0f), std::vector<float>(n)};
     float* intensity = image.channels.data() + n;
     for (std::size_t i = 0; i < n; ++i) {
         image.channels[i] = float(random() % 100) * 0.01f;
@@ -42,23 +43,23 @@ DropImage make_dark_neighbours(int rows, int columns, const RefineOptions& optio
     return image;
 }
 
-std::vector<DropImage> make_some_images(const RefineOptions& options, std::size_t count, int rows = 16,
-                                        int columns = 40) {
-    std::vector<DropImage> images;
+std::vector<RayDropImage> make_some_images(const RayDropNetworkOptions& options, std::size_t count,
+                                           int rows = 16, int columns = 40) {
+    std::vector<RayDropImage> images;
     for (std::size_t i = 0; i < count; ++i)
         images.push_back(make_dark_neighbours(rows, columns, options, 20 + i));
     return images;
 }
 
-double compute_accuracy(const std::vector<float>& probability, const DropImage& image) {
+double compute_accuracy(const std::vector<float>& probability, const RayDropImage& image) {
     double right = 0.0;
     for (std::size_t i = 0; i < probability.size(); ++i)
         right += (probability[i] > 0.5f) == (image.dropped[i] > 0.5f);
     return right / double(probability.size());
 }
 
-RefineOptions make_short_training() {
-    RefineOptions options;
+RayDropNetworkOptions make_short_training() {
+    RayDropNetworkOptions options;
     options.levels = 1;
     options.epochs = 40;
     options.batch = 2;
@@ -67,115 +68,123 @@ RefineOptions make_short_training() {
 }
 
 TEST_F(DropNetworkTest, LearnsWhatNeighboursSay) {
-    RefineOptions options = make_short_training();
+    RayDropNetworkOptions options = make_short_training();
     options.epochs = 20;
-    const DropNetwork network = train_drop_network(device(), make_some_images(options, 32), options, 1, {});
-    DropRefiner refiner(device(), network);
-    const DropImage seen_first_now = make_dark_neighbours(16, 40, options, 99),
-                    larger = make_dark_neighbours(25, 61, options, 98);
+    const RayDropNetwork network =
+        train_ray_drop_network(device(), make_some_images(options, 32), options, 1, {});
+    RayDropRefiner refiner(device(), network);
+    const RayDropImage untrained_image = make_dark_neighbours(16, 40, options, 99),
+                       larger = make_dark_neighbours(25, 61, options, 98);
     // always predicting a return would reach 0.7
-    EXPECT_GT(compute_accuracy(refiner.refine(seen_first_now), seen_first_now), 0.97);
-    EXPECT_GT(compute_accuracy(refiner.refine(larger), larger), 0.97);
-    EXPECT_EQ(refiner.refine(larger), refiner.refine(larger));
+    EXPECT_GT(compute_accuracy(refiner.predict_drop_probabilities(untrained_image), untrained_image), 0.97);
+    EXPECT_GT(compute_accuracy(refiner.predict_drop_probabilities(larger), larger), 0.97);
+    EXPECT_EQ(refiner.predict_drop_probabilities(larger), refiner.predict_drop_probabilities(larger));
     // more shapes than the network caches
-    const DropImage shapes[] = {seen_first_now, larger, make_dark_neighbours(20, 50, options, 97)};
+    const RayDropImage shapes[] = {untrained_image, larger, make_dark_neighbours(20, 50, options, 97)};
     for (const int which : {0, 1, 0, 2, 1, 2, 0})
-        EXPECT_EQ(refiner.refine(shapes[which]), DropRefiner(device(), network).refine(shapes[which]))
+        EXPECT_EQ(refiner.predict_drop_probabilities(shapes[which]),
+                  RayDropRefiner(device(), network).predict_drop_probabilities(shapes[which]))
             << which;
 }
 
 TEST_F(DropNetworkTest, PixelsByThemselvesCannotKnow) {
-    RefineOptions options = make_short_training();
+    RayDropNetworkOptions options = make_short_training();
     options.network = "pixel";
     options.levels = -1;
-    const DropNetwork network = train_drop_network(device(), make_some_images(options, 4), options, 1, {});
-    const DropImage image = make_dark_neighbours(16, 40, options, 99);
-    EXPECT_LT(compute_accuracy(DropRefiner(device(), network).refine(image), image), 0.8);
+    const RayDropNetwork network =
+        train_ray_drop_network(device(), make_some_images(options, 4), options, 1, {});
+    const RayDropImage image = make_dark_neighbours(16, 40, options, 99);
+    EXPECT_LT(compute_accuracy(RayDropRefiner(device(), network).predict_drop_probabilities(image), image),
+              0.8);
 }
 
 TEST_F(DropNetworkTest, SameSeedGivesTheSameBitsAnotherDoesNot) {
-    RefineOptions options = make_short_training();
+    RayDropNetworkOptions options = make_short_training();
     options.epochs = 2;
     options.network = "paper";  // the paper's network uses dropout
     options.width = 8;
-    const std::vector<DropImage> images = make_some_images(options, 4);
-    const DropNetwork a = train_drop_network(device(), images, options, 1, {}),
-                      b = train_drop_network(device(), images, options, 1, {}),
-                      c = train_drop_network(device(), images, options, 2, {});
+    const std::vector<RayDropImage> images = make_some_images(options, 4);
+    const RayDropNetwork a = train_ray_drop_network(device(), images, options, 1, {}),
+                         b = train_ray_drop_network(device(), images, options, 1, {}),
+                         c = train_ray_drop_network(device(), images, options, 2, {});
     EXPECT_EQ(a.parameters, b.parameters);
     EXPECT_EQ(a.running, b.running);
     EXPECT_NE(a.parameters, c.parameters);
 }
 
 TEST_F(DropNetworkTest, StartsAsTheRenderingItself) {
-    RefineOptions options = make_short_training();
+    RayDropNetworkOptions options = make_short_training();
     options.epochs = 1;
     options.rate = 1e-12;
-    const DropNetwork network = train_drop_network(device(), make_some_images(options, 2), options, 1, {});
-    for (const float p : DropRefiner(device(), network).refine(make_dark_neighbours(16, 40, options, 5)))
+    const RayDropNetwork network =
+        train_ray_drop_network(device(), make_some_images(options, 2), options, 1, {});
+    for (const float p : RayDropRefiner(device(), network)
+                             .predict_drop_probabilities(make_dark_neighbours(16, 40, options, 5)))
         EXPECT_NEAR(p, 1.0 / (1.0 + std::exp(-0.3)), 1e-5);
 }
 
 TEST_F(DropNetworkTest, PixelsThatAreNotKnownDoNotCount) {
-    RefineOptions options = make_short_training();
+    RayDropNetworkOptions options = make_short_training();
     options.epochs = 1;
-    std::vector<DropImage> images = make_some_images(options, 2), blinded = images;
+    std::vector<RayDropImage> images = make_some_images(options, 2), blinded = images;
     for (std::size_t i = 0; i < 100; ++i) {
         images[0].dropped[i] = images[1].dropped[i] = -1.0f;
         blinded[0].dropped[i] = blinded[1].dropped[i] = -3.0f;
     }
-    EXPECT_EQ(train_drop_network(device(), images, options, 1, {}).parameters,
-              train_drop_network(device(), blinded, options, 1, {}).parameters);
+    EXPECT_EQ(train_ray_drop_network(device(), images, options, 1, {}).parameters,
+              train_ray_drop_network(device(), blinded, options, 1, {}).parameters);
 }
 
 TEST_F(DropNetworkTest, StopsWhereProgressSaysSo) {
-    const RefineOptions options = make_short_training();
+    const RayDropNetworkOptions options = make_short_training();
     int steps = 0;
-    const auto three = [&](const RefineProgress& p, const auto&) {
+    const auto three = [&](const RayDropTrainProgress& p, const auto&) {
         EXPECT_EQ(p.step, ++steps);
         EXPECT_EQ(p.n_steps, 80);
         return steps < 3;
     };
-    const DropNetwork network = train_drop_network(device(), make_some_images(options, 4), options, 1, three);
+    const RayDropNetwork network =
+        train_ray_drop_network(device(), make_some_images(options, 4), options, 1, three);
     EXPECT_EQ(steps, 3);
     EXPECT_FALSE(network.empty());
 }
 
 /// Trains until `step` and returns the training state after this step.
-RefineState train_for_steps(Device& device, const std::vector<DropImage>& images,
-                            const RefineOptions& options, int step, const RefineState* start = nullptr) {
-    RefineState kept;
-    train_drop_network(
+RayDropTrainState train_for_steps(Device& device, const std::vector<RayDropImage>& images,
+                                  const RayDropNetworkOptions& options, int step,
+                                  const RayDropTrainState* start = nullptr) {
+    RayDropTrainState saved_state;
+    train_ray_drop_network(
         device, images, options, 1,
-        [&](const RefineProgress& p, const std::function<RefineState()>& state) {
-            if (p.step == step) kept = state();
+        [&](const RayDropTrainProgress& p, const std::function<RayDropTrainState()>& state) {
+            if (p.step == step) saved_state = state();
             return p.step < step;
         },
         start);
-    return kept;
+    return saved_state;
 }
 
 TEST_F(DropNetworkTest, GoesOnWithTheSameBits) {
     for (const char* name : {"small", "paper"}) {
-        RefineOptions options = make_short_training();
+        RayDropNetworkOptions options = make_short_training();
         options.network = name;
         options.width = 8;
         options.rays = "origin,direction";
         options.epochs = 4;
-        const std::vector<DropImage> images = make_some_images(options, 6);
-        std::vector<RefineProgress> uninterrupted, parts;
-        const auto collect_into = [](std::vector<RefineProgress>& lines) {
-            return [&](const RefineProgress& p, const auto&) { return lines.push_back(p), true; };
+        const std::vector<RayDropImage> images = make_some_images(options, 6);
+        std::vector<RayDropTrainProgress> uninterrupted, parts;
+        const auto collect_into = [](std::vector<RayDropTrainProgress>& lines) {
+            return [&](const RayDropTrainProgress& p, const auto&) { return lines.push_back(p), true; };
         };
-        const DropNetwork expected =
-            train_drop_network(device(), images, options, 1, collect_into(uninterrupted));
+        const RayDropNetwork expected =
+            train_ray_drop_network(device(), images, options, 1, collect_into(uninterrupted));
         ASSERT_EQ(uninterrupted.size(), 12u);
-        const RefineState in_an_epoch = train_for_steps(device(), images, options, 4),
-                          at_its_end = train_for_steps(device(), images, options, 6, &in_an_epoch);
+        const RayDropTrainState in_an_epoch = train_for_steps(device(), images, options, 4),
+                                at_its_end = train_for_steps(device(), images, options, 6, &in_an_epoch);
         EXPECT_EQ(at_its_end.step, 6);
         EXPECT_GE(at_its_end.seconds, in_an_epoch.seconds);
-        const DropNetwork resumed =
-            train_drop_network(device(), images, options, 1, collect_into(parts), &at_its_end);
+        const RayDropNetwork resumed =
+            train_ray_drop_network(device(), images, options, 1, collect_into(parts), &at_its_end);
         EXPECT_EQ(resumed.parameters, expected.parameters) << name;
         EXPECT_EQ(resumed.running, expected.running) << name;
         EXPECT_EQ(resumed.normalisation, expected.normalisation) << name;
@@ -185,39 +194,39 @@ TEST_F(DropNetworkTest, GoesOnWithTheSameBits) {
             EXPECT_EQ(parts[i].epoch, uninterrupted[i + 6].epoch);
             EXPECT_EQ(parts[i].entropy, uninterrupted[i + 6].entropy);
         }
-        const RefineState all = train_for_steps(device(), images, options, 12, &in_an_epoch);
-        EXPECT_EQ(train_drop_network(device(), images, options, 1, collect_into(parts), &all).parameters,
+        const RayDropTrainState all = train_for_steps(device(), images, options, 12, &in_an_epoch);
+        EXPECT_EQ(train_ray_drop_network(device(), images, options, 1, collect_into(parts), &all).parameters,
                   expected.parameters);
         EXPECT_EQ(parts.size(), 6u) << "nothing was left to do";
         options.epochs = 1;
-        EXPECT_THROW(train_drop_network(device(), images, options, 1, {}, &in_an_epoch), DataError)
+        EXPECT_THROW(train_ray_drop_network(device(), images, options, 1, {}, &in_an_epoch), DataError)
             << "4 steps of 3";
         options.epochs = 4;
         options.width = 16;
-        EXPECT_THROW(train_drop_network(device(), images, options, 1, {}, &in_an_epoch), DataError)
+        EXPECT_THROW(train_ray_drop_network(device(), images, options, 1, {}, &in_an_epoch), DataError)
             << "of another network";
     }
 }
 
 TEST_F(DropNetworkTest, RefusesWhatItCannotWorkWith) {
-    const auto message = [&](const std::vector<DropImage>& images,
-                             const RefineOptions& options) -> std::string {
+    const auto message = [&](const std::vector<RayDropImage>& images,
+                             const RayDropNetworkOptions& options) -> std::string {
         try {
-            train_drop_network(device(), images, options, 1, {});
+            train_ray_drop_network(device(), images, options, 1, {});
         } catch (const Error& error) {
             return error.what();
         }
         return "";
     };
-    RefineOptions options = make_short_training();
+    RayDropNetworkOptions options = make_short_training();
     options.levels = 3;
     EXPECT_THAT(message(make_some_images(options, 1, 6, 40), options), Names("6 x 40 pixels ... 8 x 8"));
     EXPECT_THAT(message({}, options), Names("training"));
-    std::vector<DropImage> images = make_some_images(options, 2);
+    std::vector<RayDropImage> images = make_some_images(options, 2);
     images[1].channels[16 * 40 + 45] = std::numeric_limits<float>::quiet_NaN();
     EXPECT_THAT(message(images, options), Names("intensity ... row 1 ... column 5 ... nan"));
     images = make_some_images(options, 2);
-    for (DropImage& image : images) std::fill(image.dropped.begin(), image.dropped.end(), 0.0f);
+    for (RayDropImage& image : images) std::fill(image.dropped.begin(), image.dropped.end(), 0.0f);
     EXPECT_THAT(message(images, options), Names("dropped"));
     images = make_some_images(options, 1);
     images.push_back(make_dark_neighbours(16, 41, options, 3));
@@ -228,28 +237,28 @@ TEST_F(DropNetworkTest, RefusesWhatItCannotWorkWith) {
 }
 
 TEST_F(DropNetworkTest, RefusesWeightsOfAnotherConfiguration) {
-    RefineOptions options = make_short_training();
+    RayDropNetworkOptions options = make_short_training();
     options.epochs = 1;
-    DropNetwork network = train_drop_network(device(), make_some_images(options, 2), options, 1, {});
+    RayDropNetwork network = train_ray_drop_network(device(), make_some_images(options, 2), options, 1, {});
     network.widths[0] += 1;
-    EXPECT_THAT([&] { DropRefiner(device(), network); },
+    EXPECT_THAT([&] { RayDropRefiner(device(), network); },
                 testing::ThrowsMessage<DataError>(Names("parameters, expected")));
     network.widths[0] -= 1;
-    DropRefiner refiner(device(), network);
+    RayDropRefiner refiner(device(), network);
     EXPECT_THAT(
         [&] {
-            refiner.refine({16, 40, std::vector<float>(16 * 40), {}});
+            refiner.predict_drop_probabilities({16, 40, std::vector<float>(16 * 40), {}});
         },
         testing::ThrowsMessage<DataError>(Names("channel")));
 }
 
 TEST(DropNetworkShape, PaperHasAbout65MillionParameters) {
-    RefineOptions options;
+    RayDropNetworkOptions options;
     options.network = "paper";
     options.rays = "origin,direction";
     // Channels: d, intensity, beta, origin, and the elevation of the direction.
-    EXPECT_EQ(list_drop_channels(options).size(), 7u);
-    EXPECT_NEAR(double(count_parameters(options)), 6.5e6, 0.1e6);
+    EXPECT_EQ(list_network_input_channels(options).size(), 7u);
+    EXPECT_NEAR(double(count_network_parameters(options)), 6.5e6, 0.1e6);
 }
 
 }  // namespace

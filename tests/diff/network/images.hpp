@@ -29,14 +29,14 @@ inline std::vector<double> make_random_floats(std::size_t count, std::uint64_t s
     return values;
 }
 
-inline ImageBatch make_random_images(const refine::Grid& grid, int channels, std::uint64_t seed,
+inline ImageBatch make_random_images(const refine::ImageBatchSize& grid, int channels, std::uint64_t seed,
                                      double scale = 1.0, double offset = 0.0) {
     ImageBatch images(int(grid.n), channels, int(grid.rows), int(grid.columns));
     images.values = make_random_floats(images.values.size(), seed, scale, offset);
     return images;
 }
 
-inline refine::Grid get_grid(const ImageBatch& images) {
+inline refine::ImageBatchSize get_grid(const ImageBatch& images) {
     return {std::uint32_t(images.n), std::uint32_t(images.rows), std::uint32_t(images.columns)};
 }
 
@@ -74,21 +74,23 @@ public:
         : tensor_(device, before + std::uint32_t(images.channels) + after, get_grid(images), "images"),
           before_(before),
           shape_(images) {
-        std::vector<float> values(tensor_.channels * tensor_.grid.all_pixels(), kGuard);
+        std::vector<float> values(tensor_.channels * tensor_.grid.count_all_pixels(), kGuard);
         for_slice([&](std::size_t in_tensor, std::size_t in_slice) {
             values[in_tensor] = float(images.values[in_slice]);
         });
         upload(tensor_, values);
     }
     /// Makes an output tensor filled with NaN.
-    static OnDevice make_unwritten(Device& device, const refine::Grid& grid, int channels,
+    static OnDevice make_unwritten(Device& device, const refine::ImageBatchSize& grid, int channels,
                                    std::uint32_t before = 1, std::uint32_t after = 2) {
         ImageBatch images(int(grid.n), channels, int(grid.rows), int(grid.columns));
         for (double& x : images.values) x = std::nan("");
         return OnDevice(device, images, before, after);
     }
 
-    refine::Slice slice() const { return tensor_.all().part(before_, std::uint32_t(shape_.channels)); }
+    refine::ChannelSlice slice() const {
+        return tensor_.get_all_channels().get_channel_range(before_, std::uint32_t(shape_.channels));
+    }
     /// Downloads the images. Fails the test if a neighbouring channel has changed.
     ImageBatch read() const {
         std::vector<float> values = tensor_.values.download();

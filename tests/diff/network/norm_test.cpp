@@ -11,11 +11,11 @@
 namespace relidar {
 namespace {
 
-using refine::Grid, refine::Norm, refine::NormState, refine::NormWeights;
+using refine::ImageBatchSize, refine::NormalisationKernels, refine::NormActivations, refine::NormWeights;
 using test::OnDevice, test::compute_worst_error;
 
 struct NormCase {
-    Grid grid;
+    ImageBatchSize grid;
     int channels;
 };
 
@@ -33,8 +33,8 @@ INSTANTIATE_TEST_SUITE_P(Refine, NormSizes,
 
 /// A layer and its parameters on the device.
 struct OnePass {
-    Norm norm;
-    NormState state;
+    NormalisationKernels norm;
+    NormActivations state;
     reference::NormLayer layer;
     Array<glm::vec2, shared::BetaGamma> beta_gamma;
     Array<glm::vec2, shared::RunningMoments> running;
@@ -52,13 +52,13 @@ struct OnePass {
                                                              std::vector<double>(layer.beta.size(), 0.5),
                                                              std::vector<double>(layer.beta.size(), 2.0))),
           stream(device) {
-        norm.reserve(device, std::uint32_t(test_case.channels), test_case.grid);
+        norm.reserve_channel_sums(device, std::uint32_t(test_case.channels), test_case.grid);
     }
     NormWeights weights() const { return {beta_gamma.address(), running.address()}; }
     test::ImageBatch forward(Device& device, const OnDevice& from, const NormCase& test_case) {
         const OnDevice to = OnDevice::make_unwritten(device, test_case.grid, test_case.channels);
-        norm.forward(stream, from.slice(), weights(), state, to.slice());
-        stream.finish();
+        norm.normalise_for_training(stream, from.slice(), weights(), state, to.slice());
+        stream.submit_and_wait();
         return to.read();
     }
 };
@@ -104,7 +104,7 @@ TEST_P(NormSizes, ForwardAndRunningMoments) {
     const test::ImageBatch actual = pass.forward(device(), from, c);
     const reference::Moments moments = reference::compute_moments(values);
     EXPECT_LT(compute_worst_error(actual, reference::normalise(values, moments, pass.layer)), test::kLayer);
-    const double n = double(c.grid.all_pixels());
+    const double n = double(c.grid.count_all_pixels());
     const std::vector<glm::vec2> running = pass.running.download();
     for (std::size_t k = 0; k < running.size(); ++k) {
         EXPECT_NEAR(running[k].x, 0.9 * 0.5 + 0.1 * moments.mean[k], 1e-5);
@@ -119,8 +119,8 @@ TEST_P(NormSizes, EvaluationUsesTheRunningMoments) {
     pass.state.dropout = 0.9f;  // has no effect here
     pass.state.dropout_key = 3;
     const OnDevice from(device(), values), to = OnDevice::make_unwritten(device(), c.grid, c.channels);
-    pass.norm.evaluate(pass.stream, from.slice(), pass.weights(), pass.state, to.slice());
-    pass.stream.finish();
+    pass.norm.normalise_for_inference(pass.stream, from.slice(), pass.weights(), pass.state, to.slice());
+    pass.stream.submit_and_wait();
     const std::vector<double> mean(pass.layer.beta.size(), 0.5), variance(pass.layer.beta.size(), 2.0);
     EXPECT_LT(compute_worst_error(to.read(), reference::normalise(values, {mean, variance}, pass.layer)),
               test::kLayer);
@@ -143,8 +143,9 @@ TEST_P(NormSizes, Derivatives) {
         // writes only a part of the array, starting at the fourth element
         const Array<float> d_parameters = test::to_device(device(), std::vector<double>(n + 6, -7.0));
         const test::ImageBatch actual = pass.forward(device(), from, c);
-        pass.norm.vjp(pass.stream, from.slice(), pass.state, d_to.slice(), d_from.slice(), {d_parameters, 4});
-        pass.stream.finish();
+        pass.norm.backpropagate_norm_layer(pass.stream, from.slice(), pass.state, d_to.slice(),
+                                           d_from.slice(), {d_parameters, 4});
+        pass.stream.submit_and_wait();
         EXPECT_LT(compute_worst_error(
                       actual, reference::normalise(values, reference::compute_moments(values), pass.layer)),
                   test::kLayer);
@@ -171,7 +172,7 @@ TEST_P(NormSizes, DerivativeByABias) {
     const auto d_bias =
         test::to_device<shared::ConvBias>(device(), std::vector<double>(std::size_t(c.channels) + 1, -7.0));
     pass.norm.backpropagate_bias(pass.stream, d_to.slice(), d_bias.address());
-    pass.stream.finish();
+    pass.stream.submit_and_wait();
     std::vector<double> actual = test::to_doubles(d_bias);
     EXPECT_EQ(actual.back(), -7.0) << "wrote past the end";
     actual.pop_back();
@@ -181,7 +182,7 @@ TEST_P(NormSizes, DerivativeByABias) {
 /// Tests values with mean 1000 and deviation 1. The formula E[x^2] - E[x]^2 would lose
 /// all digits in single precision.
 TEST_F(NormTest, MomentsOfValuesFarFromZero) {
-    for (const Grid& grid : {Grid{1, 66, 1030}, Grid{4, 7, 9}}) {
+    for (const ImageBatchSize& grid : {ImageBatchSize{1, 66, 1030}, ImageBatchSize{4, 7, 9}}) {
         const NormCase c{grid, 3};
         const test::ImageBatch values = test::make_random_images(grid, 3, 1, 1.0, 1000.0);
         OnePass pass(device(), c);

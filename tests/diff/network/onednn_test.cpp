@@ -16,7 +16,7 @@ namespace relidar {
 namespace {
 
 using dnnl::algorithm, dnnl::memory, dnnl::prop_kind;
-using refine::Grid;
+using refine::ImageBatchSize;
 using test::ImageBatch, test::OnDevice, test::compute_worst_error;
 
 class OneDnnTest : public test::DeviceTest {
@@ -131,7 +131,7 @@ INSTANTIATE_TEST_SUITE_P(Refine, OneDnnConv, testing::Values(1u, 9u));
 TEST_P(OneDnnConv, Agrees) {
     const std::uint32_t taps = GetParam();
     struct Sizes {
-        Grid grid;
+        ImageBatchSize grid;
         int n_in, n_out;
     };
     for (const Sizes& size :
@@ -142,11 +142,11 @@ TEST_P(OneDnnConv, Agrees) {
                                       test::make_random_floats(std::size_t(size.n_in) * size.n_out * taps, 3),
                                   bias = test::make_random_floats(std::size_t(size.n_out), 4);
         const ConvAnswers expected = ask(values, weights, bias, d_output, int(taps));
-        refine::Conv conv(device(), taps);
-        refine::Norm norm(device());
-        norm.reserve(device(), std::uint32_t(size.n_out), size.grid);
-        conv.reserve(device(), conv.count_partial_floats(size.grid, std::uint32_t(size.n_in),
-                                                         std::uint32_t(size.n_out)));
+        refine::ConvolutionKernels conv(device(), taps);
+        refine::NormalisationKernels norm(device());
+        norm.reserve_channel_sums(device(), std::uint32_t(size.n_out), size.grid);
+        conv.reserve_partial_sums(device(), conv.count_partial_sum_floats(size.grid, std::uint32_t(size.n_in),
+                                                                          std::uint32_t(size.n_out)));
         Stream stream(device());
         const OnDevice from(device(), values), d_to(device(), d_output),
             to = OnDevice::make_unwritten(device(), size.grid, size.n_out),
@@ -155,11 +155,11 @@ TEST_P(OneDnnConv, Agrees) {
         const auto b = test::to_device<shared::ConvBias>(device(), bias);
         const Array<float, shared::ConvWeights> d_w(device(), weights.size(), "gradient");
         const Array<float, shared::ConvBias> d_b(device(), bias.size(), "gradient");
-        conv.forward(stream, from.slice(), w.address(), b.address(), to.slice());
+        conv.run_convolution(stream, from.slice(), w.address(), b.address(), to.slice());
         conv.backpropagate_input(stream, d_to.slice(), w.address(), d_from.slice());
         conv.backpropagate_weights(stream, from.slice(), d_to.slice(), d_w.address());
         norm.backpropagate_bias(stream, d_to.slice(), d_b.address());
-        stream.finish();
+        stream.submit_and_wait();
         EXPECT_LT(compute_worst_error(to.read(), expected.to), test::kLayer);
         EXPECT_LT(compute_worst_error(d_from.read(), expected.d_from), test::kLayer);
         EXPECT_LT(compute_worst_error(test::to_doubles(d_w), expected.d_weights), test::kLayer);
@@ -217,7 +217,7 @@ protected:
 };
 
 TEST_F(OneDnnNorm, Agrees) {
-    for (const Grid& grid : {Grid{4, 33, 65}, Grid{1, 66, 1030}}) {
+    for (const ImageBatchSize& grid : {ImageBatchSize{4, 33, 65}, ImageBatchSize{1, 66, 1030}}) {
         const int channels = 9;
         const ImageBatch values = test::make_random_images(grid, channels, 1, 2.0, 0.7);
         ImageBatch d_output = test::make_random_images(grid, channels, 2);
@@ -227,9 +227,9 @@ TEST_F(OneDnnNorm, Agrees) {
         std::vector<double> gamma_beta = gamma;
         gamma_beta.insert(gamma_beta.end(), beta.begin(), beta.end());
         const NormAnswers expected = ask(values, gamma_beta, d_output);
-        refine::Norm norm(device());
-        norm.reserve(device(), channels, grid);
-        refine::NormState state(device(), channels);
+        refine::NormalisationKernels norm(device());
+        norm.reserve_channel_sums(device(), channels, grid);
+        refine::NormActivations state(device(), channels);
         const auto parameters = test::upload_pairs<shared::BetaGamma>(device(), beta, gamma);
         const auto running = test::upload_pairs<shared::RunningMoments>(device(), beta, gamma);
         const Array<float> d_parameters(device(), 2 * channels, "gradient");
@@ -237,9 +237,11 @@ TEST_F(OneDnnNorm, Agrees) {
         const OnDevice from(device(), values), d_to(device(), d_output),
             to = OnDevice::make_unwritten(device(), grid, channels),
             d_from = OnDevice::make_unwritten(device(), grid, channels);
-        norm.forward(stream, from.slice(), {parameters.address(), running.address()}, state, to.slice());
-        norm.vjp(stream, from.slice(), state, d_to.slice(), d_from.slice(), {d_parameters, 0});
-        stream.finish();
+        norm.normalise_for_training(stream, from.slice(), {parameters.address(), running.address()}, state,
+                                    to.slice());
+        norm.backpropagate_norm_layer(stream, from.slice(), state, d_to.slice(), d_from.slice(),
+                                      {d_parameters, 0});
+        stream.submit_and_wait();
         EXPECT_LT(compute_worst_error(to.read(), expected.to), test::kLayer);
         EXPECT_LT(compute_worst_error(d_from.read(), expected.d_from), 2e-5);
         const std::vector<double> d = test::to_doubles(d_parameters);
@@ -253,7 +255,7 @@ TEST_F(OneDnnNorm, Agrees) {
 class OneDnnResample : public OneDnnTest {};
 
 TEST_F(OneDnnResample, PoolingAgrees) {
-    for (const Grid& grid : {Grid{4, 7, 13}, Grid{1, 66, 1030}}) {
+    for (const ImageBatchSize& grid : {ImageBatchSize{4, 7, 13}, ImageBatchSize{1, 66, 1030}}) {
         const ImageBatch values = test::make_random_images(grid, 3, 1),
                          d_output = test::make_random_images(refine::halve_grid(grid), 3, 2);
         const memory::desc of_from = describe_images(values), of_to = describe_images(d_output);
@@ -269,14 +271,14 @@ TEST_F(OneDnnResample, PoolingAgrees) {
                 {{DNNL_ARG_SRC, in}, {DNNL_ARG_DST, out}, {DNNL_ARG_WORKSPACE, which}});
         execute(onednn::pooling_backward(backward),
                 {{DNNL_ARG_DIFF_DST, d_out}, {DNNL_ARG_WORKSPACE, which}, {DNNL_ARG_DIFF_SRC, d_in}});
-        refine::Resample resample(device());
+        refine::ResamplingKernels resample(device());
         Stream stream(device());
         const OnDevice from(device(), values), d_to(device(), d_output),
             to = OnDevice::make_unwritten(device(), refine::halve_grid(grid), 3),
             d_from(device(), ImageBatch(values.n, 3, values.rows, values.columns));
-        resample.pool(stream, from.slice(), to.slice());
-        resample.backpropagate_pool(stream, from.slice(), d_to.slice(), d_from.slice());
-        stream.finish();
+        resample.max_pool(stream, from.slice(), to.slice());
+        resample.backpropagate_max_pool(stream, from.slice(), d_to.slice(), d_from.slice());
+        stream.submit_and_wait();
         EXPECT_EQ(to.read().values, get_images(out, d_output).values);
         EXPECT_EQ(d_from.read().values, get_images(d_in, values).values);
     }
@@ -286,7 +288,7 @@ TEST_F(OneDnnResample, PoolingAgrees) {
 /// may have any size.
 TEST_F(OneDnnResample, UpsamplingAgrees) {
     struct Sizes {
-        Grid small, large;
+        ImageBatchSize small, large;
     };
     for (const Sizes& size : {Sizes{{4, 3, 13}, {4, 7, 26}}, Sizes{{1, 33, 515}, {1, 66, 1030}}}) {
         const ImageBatch values = test::make_random_images(size.small, 3, 1),
@@ -300,14 +302,14 @@ TEST_F(OneDnnResample, UpsamplingAgrees) {
         memory in = given(wide), d_out = given(wide_gradient), out = empty(of_to), d_in = empty(of_from);
         execute(dnnl::resampling_forward(forward), {{DNNL_ARG_SRC, in}, {DNNL_ARG_DST, out}});
         execute(dnnl::resampling_backward(backward), {{DNNL_ARG_DIFF_DST, d_out}, {DNNL_ARG_DIFF_SRC, d_in}});
-        refine::Resample resample(device());
+        refine::ResamplingKernels resample(device());
         Stream stream(device());
         const OnDevice from(device(), values), d_to(device(), d_output),
             to = OnDevice::make_unwritten(device(), size.large, 3),
             d_from = OnDevice::make_unwritten(device(), size.small, 3);
-        resample.upsample(stream, from.slice(), to.slice());
+        resample.upsample_bilinear(stream, from.slice(), to.slice());
         resample.backpropagate_upsample(stream, d_to.slice(), d_from.slice());
-        stream.finish();
+        stream.submit_and_wait();
         // tolerance: single precision computes a position among 1030 pixels with an error
         // of about 3e-5
         EXPECT_LT(compute_worst_error(to.read(), crop_images(get_images(out, wide_gradient), 2)), 5e-5);

@@ -10,11 +10,11 @@
 namespace relidar {
 namespace {
 
-using refine::Grid, refine::Resample;
+using refine::ImageBatchSize, refine::ResamplingKernels;
 using test::OnDevice, test::compute_worst_error;
 
 struct PoolCase {
-    Grid grid;
+    ImageBatchSize grid;
     int channels;
 };
 void PrintTo(const PoolCase& test_case, std::ostream* out) {
@@ -23,7 +23,7 @@ void PrintTo(const PoolCase& test_case, std::ostream* out) {
 }
 
 struct UpsampleCase {
-    Grid small, large;
+    ImageBatchSize small, large;
     int channels;
 };
 void PrintTo(const UpsampleCase& test_case, std::ostream* out) {
@@ -52,20 +52,20 @@ TEST_P(PoolSizes, PoolAndItsDerivative) {
     test::ImageBatch values = test::make_random_images(c.grid, c.channels, 1);
     // makes many values equal
     for (std::size_t i = 0; i < values.values.size(); i += 2) values.values[i] = std::round(values.values[i]);
-    const Grid small = refine::halve_grid(c.grid);
-    EXPECT_EQ(small, (Grid{c.grid.n, c.grid.rows / 2, c.grid.columns / 2}));
+    const ImageBatchSize small = refine::halve_grid(c.grid);
+    EXPECT_EQ(small, (ImageBatchSize{c.grid.n, c.grid.rows / 2, c.grid.columns / 2}));
     const test::ImageBatch upstream = test::make_random_images(small, c.channels, 2),
                            before = test::make_random_images(c.grid, c.channels, 3);
-    Resample resample(device());
+    ResamplingKernels resample(device());
     Stream stream(device());
     const OnDevice from(device(), values), to = OnDevice::make_unwritten(device(), small, c.channels),
                                            d_to(device(), upstream), d_from(device(), before);
-    resample.pool(stream, from.slice(), to.slice());
-    resample.backpropagate_pool(stream, from.slice(), d_to.slice(), d_from.slice());
-    stream.finish();
+    resample.max_pool(stream, from.slice(), to.slice());
+    resample.backpropagate_max_pool(stream, from.slice(), d_to.slice(), d_from.slice());
+    stream.submit_and_wait();
     EXPECT_EQ(to.read().values, reference::pool(values).values);
     test::ImageBatch expected = reference::backpropagate_pool(values, upstream);
-    // backpropagate_pool adds to the existing gradient
+    // backpropagate_max_pool adds to the existing gradient
     for (std::size_t i = 0; i < expected.values.size(); ++i) expected.values[i] += before.values[i];
     EXPECT_LT(compute_worst_error(d_from.read(), expected), 1e-6);
 }
@@ -82,12 +82,12 @@ TEST_F(ResampleTest, OfEqualPixelsTheFirstWins) {
         for (int k = 0; k < 4; ++k)
             values.at(0, 0, k / 2, 2 * q + k % 2) = quads[std::size_t(q)][std::size_t(k)];
     }
-    Resample resample(device());
+    ResamplingKernels resample(device());
     Stream stream(device());
     const OnDevice from(device(), values), d_to(device(), ones),
         d_from(device(), test::ImageBatch(1, 1, 2, 10));
-    resample.backpropagate_pool(stream, from.slice(), d_to.slice(), d_from.slice());
-    stream.finish();
+    resample.backpropagate_max_pool(stream, from.slice(), d_to.slice(), d_from.slice());
+    stream.submit_and_wait();
     const test::ImageBatch d = d_from.read();
     for (int q = 0; q < 5; ++q)
         for (int k = 0; k < 4; ++k)
@@ -99,14 +99,14 @@ TEST_P(UpsampleSizes, UpsampleAndItsDerivative) {
     const UpsampleCase& c = GetParam();
     const test::ImageBatch values = test::make_random_images(c.small, c.channels, 1),
                            upstream = test::make_random_images(c.large, c.channels, 2);
-    Resample resample(device());
+    ResamplingKernels resample(device());
     Stream stream(device());
     const OnDevice from(device(), values), to = OnDevice::make_unwritten(device(), c.large, c.channels),
                                            d_to(device(), upstream),
                                            d_from = OnDevice::make_unwritten(device(), c.small, c.channels);
-    resample.upsample(stream, from.slice(), to.slice());
+    resample.upsample_bilinear(stream, from.slice(), to.slice());
     resample.backpropagate_upsample(stream, d_to.slice(), d_from.slice());
-    stream.finish();
+    stream.submit_and_wait();
     const test::ImageBatch actual = to.read(), back = d_from.read();
     EXPECT_LT(compute_worst_error(actual, reference::upsample(values, actual.rows, actual.columns)), 2e-6);
     EXPECT_LT(compute_worst_error(back, reference::backpropagate_upsample(upstream, back.rows, back.columns)),
@@ -124,14 +124,14 @@ TEST_F(ResampleTest, ColumnsAreARingAndRowsEnd) {
     test::ImageBatch first(1, 1, 2, 4), ones(1, 1, 3, 5);
     first.at(0, 0, 0, 0) = 1.0;
     for (double& x : ones.values) x = 1.0;
-    Resample resample(device());
+    ResamplingKernels resample(device());
     Stream stream(device());
     const OnDevice from(device(), first), to = OnDevice::make_unwritten(device(), {1, 4, 8}, 1),
                                           even(device(), ones),
                                           even_to = OnDevice::make_unwritten(device(), {1, 7, 11}, 1);
-    resample.upsample(stream, from.slice(), to.slice());
-    resample.upsample(stream, even.slice(), even_to.slice());
-    stream.finish();
+    resample.upsample_bilinear(stream, from.slice(), to.slice());
+    resample.upsample_bilinear(stream, even.slice(), even_to.slice());
+    stream.submit_and_wait();
     const test::ImageBatch actual = to.read();
     const double column[8] = {0.75, 0.75, 0.25, 0.0, 0.0, 0.0, 0.0, 0.25}, row[4] = {1.0, 0.75, 0.25, 0.0};
     for (int y = 0; y < 4; ++y)

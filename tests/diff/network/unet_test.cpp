@@ -15,20 +15,20 @@ namespace relidar {
 namespace {
 
 using reference::ImageBatch;
-using refine::Block;
-using refine::ConvLayer;
-using refine::UnetPlan;
+using refine::ConvParameterOffsets;
+using refine::UnetBlockOffsets;
+using refine::UnetParameterLayout;
 
 /// Implements the network in double precision. In training mode, normalises each batch by
 /// the mean and variance of that batch.
 class ReferenceUnet {
 public:
-    ReferenceUnet(const DropNetwork& network, std::vector<double> parameters, bool training)
+    ReferenceUnet(const RayDropNetwork& network, std::vector<double> parameters, bool training)
         : network_(network), plan_(network), parameters_(std::move(parameters)), training_(training) {}
 
     ImageBatch compute_logits(const ImageBatch& inputs) const {
         const std::size_t n_levels = network_.widths.size() - 1;
-        std::vector<ImageBatch> skips{convolve(plan_.head, inputs)};
+        std::vector<ImageBatch> skips{convolve(plan_.first_conv, inputs)};
         for (std::size_t l = 1; l <= n_levels; ++l)
             skips.push_back(
                 run(plan_.down[2 * l - 1], run(plan_.down[2 * l - 2], reference::pool(skips.back()))));
@@ -40,12 +40,12 @@ public:
         }
         for (std::size_t l = skips.size(); l-- > 0;)
             up = run(plan_.up[2 * l + 1], run(plan_.up[2 * l], joined(up, skips[l])));
-        return convolve(plan_.tail, up);
+        return convolve(plan_.last_conv, up);
     }
 
 private:
-    const DropNetwork& network_;
-    UnetPlan plan_;
+    const RayDropNetwork& network_;
+    UnetParameterLayout plan_;
     std::vector<double> parameters_;
     bool training_;
 
@@ -53,13 +53,13 @@ private:
         return {parameters_.begin() + std::ptrdiff_t(first),
                 parameters_.begin() + std::ptrdiff_t(first + count)};
     }
-    ImageBatch convolve(const ConvLayer& layer, const ImageBatch& from) const {
+    ImageBatch convolve(const ConvParameterOffsets& layer, const ImageBatch& from) const {
         const std::vector<double> bias = layer.bias ? part(*layer.bias, layer.n_out) : std::vector<double>{};
         return reference::convolve(from,
                                    part(layer.weights, std::size_t(layer.n_in) * layer.n_out * layer.taps),
                                    bias, int(layer.n_out), int(layer.taps));
     }
-    ImageBatch run(const Block& block, const ImageBatch& from) const {
+    ImageBatch run(const UnetBlockOffsets& block, const ImageBatch& from) const {
         reference::NormLayer layer;
         reference::Moments running;
         for (std::size_t c = 0; c < block.conv.n_in; ++c) {
@@ -95,12 +95,12 @@ struct Shape {
     const char* name;
     std::vector<std::uint32_t> widths;
     std::uint32_t heads, taps;
-    refine::Grid grid;
+    refine::ImageBatchSize grid;
 };
 
 class UnetTest : public test::DeviceTest, public testing::WithParamInterface<Shape> {
 protected:
-    DropNetwork network_;
+    RayDropNetwork network_;
     ImageBatch inputs_;
     std::vector<double> parameters_;
 
@@ -109,8 +109,8 @@ protected:
         network_.widths = GetParam().widths;
         network_.heads = GetParam().heads;
         network_.taps = GetParam().taps;
-        const UnetPlan plan(network_);
-        refine::initialise(network_, plan, 5);
+        const UnetParameterLayout plan(network_);
+        refine::initialise_network_parameters(network_, plan, 5);
         // uses random values instead of the initial zeros, which would hide errors of
         // gradients
         parameters_ = test::make_random_floats(plan.n_parameters, 6, 0.4, 0.1);
@@ -120,7 +120,7 @@ protected:
             network_.running[i] = float(i % 2 ? 1.0 + std::abs(running[i]) : running[i]);
         inputs_ = test::make_random_images(GetParam().grid, 3, 8);
     }
-    void fill_inputs(const refine::Unet& unet) { test::upload(unet.inputs(), inputs_.values); }
+    void fill_inputs(const refine::Unet& unet) { test::upload(unet.get_input_images(), inputs_.values); }
 };
 
 INSTANTIATE_TEST_SUITE_P(Networks, UnetTest,
@@ -145,32 +145,32 @@ void expect_near(const std::vector<double>& device_result, const std::vector<dou
 TEST_P(UnetTest, LogitsAreTheReferencesInBothModes) {
     prepare();
     refine::Unet unet(device(), network_);
-    unet.reserve(device(), GetParam().grid, true);
+    unet.allocate_activations(device(), GetParam().grid, true);
     fill_inputs(unet);
     Stream stream(device());
-    unet.evaluate(stream);
-    stream.finish();
-    expect_near(test::to_doubles(unet.logit().values),
+    unet.run_inference(stream);
+    stream.submit_and_wait();
+    expect_near(test::to_doubles(unet.get_drop_logits().values),
                 ReferenceUnet(network_, parameters_, false).compute_logits(inputs_).values, 1e-5,
                 "evaluation");
-    unet.forward(stream, 1, 0.0f);
-    stream.finish();
-    expect_near(test::to_doubles(unet.logit().values),
+    unet.run_training_forward_pass(stream, 1, 0.0f);
+    stream.submit_and_wait();
+    expect_near(test::to_doubles(unet.get_drop_logits().values),
                 ReferenceUnet(network_, parameters_, true).compute_logits(inputs_).values, 1e-4, "training");
 }
 
 TEST_P(UnetTest, GradientAgreesWithDifferencesOfTheReference) {
     prepare();
     refine::Unet unet(device(), network_);
-    unet.reserve(device(), GetParam().grid, true);
+    unet.allocate_activations(device(), GetParam().grid, true);
     fill_inputs(unet);
-    const std::vector<double> upstream = test::make_random_floats(GetParam().grid.all_pixels(), 9);
-    test::upload(unet.d_logit(), upstream);
+    const std::vector<double> upstream = test::make_random_floats(GetParam().grid.count_all_pixels(), 9);
+    test::upload(unet.get_drop_logit_gradients(), upstream);
     Stream stream(device());
-    unet.forward(stream, 1, 0.0f);
-    unet.backward(stream);
-    stream.finish();
-    const std::vector<double> gradients = test::to_doubles(unet.gradients());
+    unet.run_training_forward_pass(stream, 1, 0.0f);
+    unet.run_backward_pass(stream);
+    stream.submit_and_wait();
+    const std::vector<double> gradients = test::to_doubles(unet.get_parameter_gradients());
 
     const auto loss = [&](std::size_t parameter, double step) {
         std::vector<double> moved = parameters_;
@@ -178,21 +178,21 @@ TEST_P(UnetTest, GradientAgreesWithDifferencesOfTheReference) {
         const ImageBatch logits = ReferenceUnet(network_, std::move(moved), true).compute_logits(inputs_);
         return std::inner_product(upstream.begin(), upstream.end(), logits.values.begin(), 0.0);
     };
-    const UnetPlan plan(network_);
+    const UnetParameterLayout plan(network_);
     std::vector<std::pair<std::size_t, std::size_t>> groups;  // first index and number of parameters
-    const auto add_conv = [&](const ConvLayer& layer) {
+    const auto add_conv = [&](const ConvParameterOffsets& layer) {
         groups.emplace_back(layer.weights, std::size_t(layer.n_in) * layer.n_out * layer.taps);
         if (layer.bias) groups.emplace_back(*layer.bias, layer.n_out);
     };
-    const auto add_block = [&](const Block& block) {
+    const auto add_block = [&](const UnetBlockOffsets& block) {
         groups.emplace_back(block.beta_gamma, 2 * block.conv.n_in);
         add_conv(block.conv);
     };
-    add_conv(plan.head);
-    for (const Block& block : plan.down) add_block(block);
+    add_conv(plan.first_conv);
+    for (const UnetBlockOffsets& block : plan.down) add_block(block);
     if (plan.query) add_block(*plan.query), add_conv(plan.project);
-    for (const Block& block : plan.up) add_block(block);
-    add_conv(plan.tail);
+    for (const UnetBlockOffsets& block : plan.up) add_block(block);
+    add_conv(plan.last_conv);
     for (const auto& [first, n] : groups) {
         std::vector<double> device_result, expected;
         for (std::size_t k = 0; k < std::min<std::size_t>(n, 6); ++k) {

@@ -21,7 +21,7 @@ class AdamTest : public test::DeviceTest {};
 class AdamThreads : public test::DeviceTest, public testing::WithParamInterface<bool> {};
 INSTANTIATE_TEST_SUITE_P(PerRowAndPerFloat, AdamThreads, testing::Bool());
 
-Surfels make_random_surfels(std::uint32_t count, std::uint64_t seed, ParameterSet parameter_set) {
+Surfels make_random_surfels(std::uint32_t count, std::uint64_t seed, SurfelParameterSet parameter_set) {
     std::mt19937_64 random(seed);
     std::normal_distribution<float> normal;
     Surfels s;
@@ -32,7 +32,7 @@ Surfels make_random_surfels(std::uint32_t count, std::uint64_t seed, ParameterSe
     for (auto& x : s.opacity_logit) x = normal(random);
     for (auto& x : s.sh) x = normal(random);
     for (auto& x : s.log_scale_w) x = normal(random);
-    for (Gait& x : s.gait)
+    for (GaitPhaseWindow& x : s.gait)
         x = {normal(random), normal(random), {normal(random), normal(random), normal(random)}};
     return s;
 }
@@ -61,18 +61,18 @@ TEST_P(AdamThreads, MeansLearnAtTheRateOfTheirModel) {
                               .opacity_logit = 4e-2,
                               .models = &models,
                               .mean_factors = {1.0f, 7.0f, 0.25f}};
-    const Forced forced(device(), {.coalesces = GetParam()});
+    const ForcedBehaviourScope forced(device(), {.coalesces = GetParam()});
     Adam adam(device(), n, {.n_fixed = n_fixed});
     Stream stream(device());
     SurfelArrays parameters(device(), n, "parameters"), gradients(device(), n, "gradients");
-    const Surfels start = make_random_surfels(n, 1, Primitive::surfel);
+    const Surfels start = make_random_surfels(n, 1, PrimitiveType::surfel);
     parameters.upload(start);
     std::vector<Surfels> g;
     for (int t = 1; t <= 2; ++t) {
-        g.push_back(make_random_surfels(n, 20 + std::uint64_t(t), Primitive::surfel));
+        g.push_back(make_random_surfels(n, 20 + std::uint64_t(t), PrimitiveType::surfel));
         gradients.upload(g.back());
-        adam.step(stream, parameters, gradients, nullptr, rates, t, 2);
-        stream.finish();
+        adam.record_adam_step(stream, parameters, gradients, nullptr, rates, t, 2);
+        stream.submit_and_wait();
     }
     const Surfels actual = parameters.download();
     for (std::uint32_t i = n_fixed; i < n; ++i) {
@@ -94,13 +94,13 @@ TEST_F(AdamTest, StepsEachParameterOnceInALargeLaunch) {
     Surfels start, gradient;
     start.resize(n), gradient.resize(n);
     std::ranges::fill(start.sh, 0.0f), std::ranges::fill(gradient.sh, 1.0f);
-    const Forced forced(device(), {.coalesces = true});
+    const ForcedBehaviourScope forced(device(), {.coalesces = true});
     Adam adam(device(), n, {});
     Stream stream(device());
     SurfelArrays parameters(device(), n, "parameters"), gradients(device(), n, "gradients");
     parameters.upload(start), gradients.upload(gradient);
-    adam.step(stream, parameters, gradients, nullptr, {.sh = 1e-2, .sh_rest_factor = 1.0}, 1, 3);
-    stream.finish();
+    adam.record_adam_step(stream, parameters, gradients, nullptr, {.sh = 1e-2, .sh_rest_factor = 1.0}, 1, 3);
+    stream.submit_and_wait();
     const Surfels actual = parameters.download();
     const auto n_wrong =
         std::ranges::count_if(actual.sh, [](float value) { return std::abs(value + 1e-2f) > 1e-6f; });
@@ -126,8 +126,8 @@ std::vector<float> make_some_bounds(std::uint32_t count) {
 /// Calls expect(value before, value after, learning rate, gradient) for each parameter of
 /// surfel `i`.
 template <class Expect>
-void for_each_parameter(const Surfels& start, const Surfels& actual, std::uint32_t i, const ParameterSet& set,
-                        Expect&& expect) {
+void for_each_parameter(const Surfels& start, const Surfels& actual, std::uint32_t i,
+                        const SurfelParameterSet& set, Expect&& expect) {
     for (int k = 0; k < 3; ++k)
         expect(start.mean[i][k], actual.mean[i][k], kRates.mean,
                [&](const Surfels& surfels) { return surfels.mean[i][k]; });
@@ -165,12 +165,12 @@ TEST_P(AdamThreads, AgreeWithAdamInDouble) {
     enum class Untouched { none, decay, stay };
     for (const Untouched untouched : {Untouched::none, Untouched::decay, Untouched::stay}) {
         const bool only_touched = untouched == Untouched::stay;
-        const ParameterSet parameter_set{only_touched ? Primitive::gaussian : Primitive::surfel,
-                                         untouched == Untouched::decay};
+        const SurfelParameterSet parameter_set{only_touched ? PrimitiveType::gaussian : PrimitiveType::surfel,
+                                               untouched == Untouched::decay};
         const std::uint32_t n_fixed = untouched == Untouched::none ? 0 : 37;
-        const Forced forced(device(), {.coalesces = GetParam()});
+        const ForcedBehaviourScope forced(device(), {.coalesces = GetParam()});
         Adam adam(device(), n, {.only_touched = only_touched, .n_fixed = n_fixed}, parameter_set);
-        adam.bound_scales(device(), bounds);
+        adam.set_max_log_scales(device(), bounds);
         Stream stream(device());
         SurfelArrays parameters(device(), n, "parameters", parameter_set),
             gradients(device(), n, "gradients", parameter_set);
@@ -188,9 +188,9 @@ TEST_P(AdamThreads, AgreeWithAdamInDouble) {
             for (std::uint32_t i = 0; i < n; ++i) touched[i] = is_touched(i, t);
             const Array<std::uint32_t, shared::TouchedSurfels> on_device(
                 device(), std::span<const std::uint32_t>(touched), "touched");
-            adam.step(stream, parameters, gradients, untouched == Untouched::none ? nullptr : &on_device,
-                      kRates, t, 2);
-            stream.finish();
+            adam.record_adam_step(stream, parameters, gradients,
+                                  untouched == Untouched::none ? nullptr : &on_device, kRates, t, 2);
+            stream.submit_and_wait();
         }
         const Surfels actual = parameters.download();
         for (std::uint32_t i = 0; i < n; ++i)
@@ -245,7 +245,7 @@ TEST_F(AdamTest, MoreRowsThanOneDimensionOfWorkgroups) {
          .block = 1,
          .n_blocks = 1,
          .n_active = 1});
-    stream.finish();
+    stream.submit_and_wait();
     const std::vector<float> values = value.download();
     EXPECT_EQ(std::count_if(values.begin(), values.end(), [](float x) { return std::abs(x + 1.0f) < 1e-4f; }),
               std::ptrdiff_t(n));

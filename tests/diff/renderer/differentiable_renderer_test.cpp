@@ -29,8 +29,8 @@ protected:
     WorldRays rays = test::to_world_rays(scene.rays);
 
     void place(Renderer& renderer) {
-        renderer.scene().set_poses(placed.world_from_instance);
-        renderer.place(glm::vec3(scene.view_origin));
+        renderer.scene().set_instance_poses(placed.world_from_instance);
+        renderer.prepare_view(glm::vec3(scene.view_origin));
     }
 };
 
@@ -62,13 +62,13 @@ TEST_F(Differentiable, HostGradientsAgreeWithTheReference) {
     std::vector<reference::RayGradient> d_rays;
     const reference::Gradients expected = compute_expected_gradients(scene, settings, d_rendered, d_rays);
     DifferentiableRenderer differentiable(device(), placed.scene, settings.image, {},
-                                          {.wanted = {.rays = true, .poses = true}});
+                                          {.requested_gradients = {.rays = true, .poses = true}});
     Renderer& renderer = differentiable.renderer();
     place(renderer);
     // renders a small batch before a larger batch
-    renderer.forward({{rays.origin[0]}, {rays.direction[0]}});
-    EXPECT_EQ(renderer.forward(rays).size(), rays.size());
-    const HostGradients device_result = differentiable.backward(to_arrays(d_rendered));
+    renderer.render_rays({{rays.origin[0]}, {rays.direction[0]}});
+    EXPECT_EQ(renderer.render_rays(rays).size(), rays.size());
+    const HostGradients device_result = differentiable.compute_gradients(to_arrays(d_rendered));
     test::GradientTable table;
     for (std::size_t i = 0; i < expected.surfels.size(); ++i) {
         table.add_row("mean", lanes(expected.surfels[i].mean, 3), lanes(device_result.surfels.mean[i], 3));
@@ -93,14 +93,15 @@ TEST_F(Differentiable, HostGradientsAgreeWithTheReference) {
 TEST_F(Differentiable, EmptyLanesAreZeroAndOnlyRequestedValuesReturn) {
     std::vector<reference::PixelGradient> d_rendered = test::make_random_upstream(scene.rays.size(), 6);
     for (reference::PixelGradient& g : d_rendered) g = {.depth = g.depth};
-    const GradientOptions bit_equal{.sums = {.reduction = Reduction::gather}};
+    const GradientOptions bit_equal{.sums = {.reduction = GradientReduction::gather}};
     DifferentiableRenderer differentiable(device(), placed.scene, settings.image, {.keep_hits = 8},
                                           bit_equal);
     Renderer& renderer = differentiable.renderer();
     place(renderer);
-    renderer.forward(rays);
-    const HostGradients all = differentiable.backward(to_arrays(d_rendered));
-    const HostGradients depth_alone = differentiable.backward({.depth = to_arrays(d_rendered).depth});
+    renderer.render_rays(rays);
+    const HostGradients all = differentiable.compute_gradients(to_arrays(d_rendered));
+    const HostGradients depth_alone =
+        differentiable.compute_gradients({.depth = to_arrays(d_rendered).depth});
     EXPECT_EQ(depth_alone.surfels.mean, all.surfels.mean);
     EXPECT_EQ(depth_alone.surfels.sh, std::vector<float>(all.surfels.sh.size(), 0.0f));
     EXPECT_TRUE(all.poses.empty() && all.sensor.empty() && all.rays.empty());
@@ -115,16 +116,16 @@ TEST_F(Differentiable, ArraysOfSeveralAllocationsGiveTheSameBits) {
     for (int i = 0; i < 4; ++i) surfels.append(Surfels(surfels));
     const Scene many = make_background_scene(surfels);
     const RenderedGradients d = to_arrays(test::make_random_upstream(scene.rays.size(), 7));
-    const GradientOptions bit_equal{.sums = {.reduction = Reduction::gather}};
-    std::vector<Rendering> images;
+    const GradientOptions bit_equal{.sums = {.reduction = GradientReduction::gather}};
+    std::vector<RenderedRayValues> images;
     std::vector<HostGradients> gradients;
     for (const std::uint64_t n_bytes : {impl.largest_allocation.n_bytes, std::uint64_t(1)}) {
         const std::uint64_t before = std::exchange(impl.largest_allocation.n_bytes, n_bytes);
         DifferentiableRenderer differentiable(device(), many, settings.image, {.keep_hits = 8}, bit_equal);
-        differentiable.renderer().place(glm::vec3(scene.view_origin));
-        images.push_back(differentiable.renderer().forward(rays));
-        gradients.push_back(differentiable.backward(d));
-        const Array<float>& sh = differentiable.renderer().scene().parameters().sh;
+        differentiable.renderer().prepare_view(glm::vec3(scene.view_origin));
+        images.push_back(differentiable.renderer().render_rays(rays));
+        gradients.push_back(differentiable.compute_gradients(d));
+        const Array<float>& sh = differentiable.renderer().scene().get_surfel_parameters().sh;
         EXPECT_EQ(sh.buffer().impl().memory.size() > 1, n_bytes == 1);
         impl.largest_allocation.n_bytes = before;
     }
@@ -145,9 +146,9 @@ TEST_F(Differentiable, ArraysOutliveSubmittedWork) {
         DifferentiableRenderer differentiable(device(), placed.scene, settings.image,
                                               {.n_rays = batch.n_rays});
         place(differentiable.renderer());
-        differentiable.renderer().record_forward(batch);
-        differentiable.record_backward();
-        differentiable.renderer().stream().submit();
+        differentiable.renderer().record_forward_pass(batch);
+        differentiable.record_backward_pass();
+        differentiable.renderer().stream().submit_commands();
     }
     EXPECT_GT(work.n_destroyed(), 20);
     EXPECT_EQ(work.n_destroyed_in_flight(), 0);
@@ -159,11 +160,11 @@ TEST_F(Differentiable, KeepsFewerHitsIfMemoryIsExhausted) {
     std::uint64_t& limit = device().impl().memory_limit_bytes;
     const std::uint64_t before = std::exchange(limit, device().allocated_bytes() + (48 << 20));
     Renderer renderer(device(), placed.scene, settings.image, {.n_rays = 65536, .keep_hits = 256});
-    EXPECT_EQ(renderer.kept_hits(), 32u);
-    EXPECT_THROW(renderer.keep_hits(128), OutOfDeviceMemory);
-    EXPECT_EQ(renderer.kept_hits(), 32u) << "unchanged after the failure";
+    EXPECT_EQ(renderer.get_stored_hits_per_ray(), 32u);
+    EXPECT_THROW(renderer.set_stored_hits_per_ray(128), OutOfDeviceMemory);
+    EXPECT_EQ(renderer.get_stored_hits_per_ray(), 32u) << "unchanged after the failure";
     place(renderer);
-    EXPECT_EQ(renderer.forward(rays).size(), rays.size());
+    EXPECT_EQ(renderer.render_rays(rays).size(), rays.size());
     limit = before;
 }
 
@@ -172,11 +173,11 @@ TEST_F(Differentiable, MovedIsAsPlaced) {
         settings.image.sh_direction = direction;
         Renderer moved(device(), placed.scene, settings.image), anew(device(), placed.scene, settings.image);
         place(moved);
-        std::vector<InstancePose> poses = moved.scene().poses();
+        std::vector<InstancePose> poses = moved.scene().get_instance_poses();
         poses[1].world_from_model.translation.x += 0.3;
-        moved.move(poses, glm::vec3(0.1f, 0.0f, 0.2f));
-        anew.place(poses, glm::vec3(0.1f, 0.0f, 0.2f));
-        const Rendering a = moved.forward(rays), b = anew.forward(rays);
+        moved.move_instances(poses, glm::vec3(0.1f, 0.0f, 0.2f));
+        anew.prepare_view(poses, glm::vec3(0.1f, 0.0f, 0.2f));
+        const RenderedRayValues a = moved.render_rays(rays), b = anew.render_rays(rays);
         EXPECT_EQ(a.depth, b.depth);
         EXPECT_EQ(a.intensity, b.intensity);
     }
@@ -191,7 +192,7 @@ TEST_F(Differentiable, ALossOfOnesOwnLearns) {
     std::vector<double> losses;
     for (int step = 1; step <= 30; ++step) {
         place(renderer);
-        const Rendering r = renderer.forward(rays);
+        const RenderedRayValues r = renderer.render_rays(rays);
         RenderedGradients d{.intensity = std::vector<float>(r.size())};
         losses.push_back(0.0);
         for (std::size_t i = 0; i < r.size(); ++i) {
@@ -199,10 +200,10 @@ TEST_F(Differentiable, ALossOfOnesOwnLearns) {
             losses.back() += error * error;
             d.intensity[i] = 2.0f * error;
         }
-        differentiable.backward(d);
-        const Gradients& gradients = differentiable.gradients();
-        adam.step(renderer.stream(), renderer.scene().parameters(), gradients.surfels, &gradients.touched,
-                  {0.0, 0.0, 0.0, 0.0, 0.05, 0.05}, step, 3);
+        differentiable.compute_gradients(d);
+        const DeviceGradients& gradients = differentiable.gradients();
+        adam.record_adam_step(renderer.stream(), renderer.scene().get_surfel_parameters(), gradients.surfels,
+                              &gradients.touched, {0.0, 0.0, 0.0, 0.0, 0.05, 0.05}, step, 3);
     }
     EXPECT_LT(losses.back(), 0.1 * losses.front());
 }
@@ -210,17 +211,17 @@ TEST_F(Differentiable, ALossOfOnesOwnLearns) {
 TEST_F(Differentiable, WhatIsOutOfOrderIsRefused) {
     DifferentiableRenderer differentiable(device(), placed.scene, settings.image);
     Renderer& renderer = differentiable.renderer();
-    EXPECT_THROW(renderer.forward(rays), UsageError) << "call place() first";
-    EXPECT_THROW(differentiable.backward({}), UsageError) << "not rendered";
+    EXPECT_THROW(renderer.render_rays(rays), UsageError) << "call place() first";
+    EXPECT_THROW(differentiable.compute_gradients({}), UsageError) << "not rendered";
     place(renderer);
-    renderer.forward(rays);
-    EXPECT_THROW(differentiable.backward({.weight = std::vector<float>(3)}), DataError);
-    EXPECT_THROW(renderer.upload(placed.scene.surfels.slice(0, 2)), DataError);
-    EXPECT_THROW(renderer.place({InstancePose{}}, glm::vec3(0.0f)), DataError);
-    differentiable.change_surfels([](double bytes) { EXPECT_GT(bytes, 0.0); });
-    EXPECT_THROW(renderer.forward(rays), UsageError) << "the structure is gone";
+    renderer.render_rays(rays);
+    EXPECT_THROW(differentiable.compute_gradients({.weight = std::vector<float>(3)}), DataError);
+    EXPECT_THROW(renderer.upload_surfels(placed.scene.surfels.slice(0, 2)), DataError);
+    EXPECT_THROW(renderer.prepare_view({InstancePose{}}, glm::vec3(0.0f)), DataError);
+    differentiable.apply_surfel_change([](double bytes) { EXPECT_GT(bytes, 0.0); });
+    EXPECT_THROW(renderer.render_rays(rays), UsageError) << "the structure is gone";
     place(renderer);
-    EXPECT_EQ(renderer.forward(rays).size(), rays.size());
+    EXPECT_EQ(renderer.render_rays(rays).size(), rays.size());
 }
 
 /// Tests the check of the device at the first use. The check must accept this device and
@@ -235,7 +236,7 @@ protected:
     }
     void TearDown() override {
         gpu::set_injected_faults("");
-        set_first_use({});
+        set_first_use_check({});
         test::DeviceTest::TearDown();
     }
 
@@ -243,18 +244,19 @@ protected:
 };
 
 TEST_F(FirstUseTest, FindsWhatIsWrong) {
-    const Trust unforced = device().traversal() == Traversal::ray_query ? Trust::right : Trust::unknown;
-    const DeviceTrust right = check_device_at_first_use(options);
+    const CheckVerdict unforced =
+        device().traversal() == RayTracingBackend::ray_query ? CheckVerdict::right : CheckVerdict::unknown;
+    const DeviceTestResults right = check_device_at_first_use(options);
     EXPECT_TRUE(right.float_atomics && right.float_swaps);
     EXPECT_EQ(right.subgroup_size, 0);
     EXPECT_EQ(right.ray_query, unforced);
     gpu::set_injected_faults("float_atomics,float_swaps,ray_query");
-    const DeviceTrust wrong = check_device_at_first_use(options);
+    const DeviceTestResults wrong = check_device_at_first_use(options);
     EXPECT_EQ(wrong.float_atomics, !device().info().float_atomics);
     EXPECT_FALSE(wrong.float_swaps);
-    EXPECT_EQ(wrong.ray_query, unforced == Trust::right ? Trust::wrong : Trust::unknown);
-    if (unforced == Trust::right) {
-        EXPECT_GT(count_wrong_rays(device()), 10);
+    EXPECT_EQ(wrong.ray_query, unforced == CheckVerdict::right ? CheckVerdict::wrong : CheckVerdict::unknown);
+    if (unforced == CheckVerdict::right) {
+        EXPECT_GT(count_wrongly_traced_rays(device()), 10);
     }
 }
 
@@ -275,14 +277,14 @@ TEST_F(FirstUseTest, ChoosesAnotherSubgroupSize) {
 
 TEST_F(FirstUseTest, WrongAtomicsLeadToGatheredGradients) {
     std::vector<std::string> notes;
-    set_first_use({check_device_at_first_use, [&](const std::string& text) { notes.push_back(text); }});
+    set_first_use_check({check_device_at_first_use, [&](const std::string& text) { notes.push_back(text); }});
     gpu::set_injected_faults("float_atomics");
     Device opened(options);
-    const ImageModel model{.sh_direction = ShDirection::surfel};
+    const ImageFormationModel model{.sh_direction = ShDirection::surfel};
     Surfels surfels;
     surfels.resize(1);
     DifferentiableRenderer differentiable(opened, make_background_scene(surfels), model);
-    EXPECT_NE(differentiable.backward_pass().most_hits(), nullptr);
+    EXPECT_NE(differentiable.backward_pass().get_device_max_hit_count(), nullptr);
     EXPECT_EQ(notes.size(), device().info().float_atomics ? 1u : 0u);
 }
 

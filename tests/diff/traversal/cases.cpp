@@ -230,10 +230,12 @@ TraversalCase make_random_case(std::uint64_t seed, int n_surfels, int n_rays) {
 
 TraversalCase make_street_test_case(const Surfels& street, const RayTable& rays, double radius_m,
                                     int stride) {
-    std::vector<std::uint32_t> near_sensor;
+    std::vector<std::uint32_t> indices_near_sensor;
     for (std::uint32_t i = 0; i < street.mean.size(); ++i)
-        if (double(glm::length(street.mean[i] - rays.origin.at(0))) < radius_m) near_sensor.push_back(i);
-    TraversalCase c{"street", take(street, near_sensor), make_one_instance(near_sensor.size()), {}};
+        if (double(glm::length(street.mean[i] - rays.origin.at(0))) < radius_m)
+            indices_near_sensor.push_back(i);
+    TraversalCase c{
+        "street", take(street, indices_near_sensor), make_one_instance(indices_near_sensor.size()), {}};
     for (std::size_t i = 0; i < rays.size(); i += std::size_t(stride)) {
         c.rays.origin.push_back(rays.origin[i]);
         c.rays.direction.push_back(rays.direction[i]);
@@ -250,7 +252,7 @@ TraversalCase to_gaussians(TraversalCase test_case, std::uint64_t seed) {
         const auto thickness = static_cast<float>(uniform(random, std::log(0.03), std::log(0.5)));
         test_case.surfels.log_scale_w.push_back(i % 20 == 19 ? unusable[i / 20 % 3] : thickness);
     }
-    test_case.surfels.primitive = Primitive::gaussian;
+    test_case.surfels.primitive = PrimitiveType::gaussian;
     test_case.name += " as 3D Gaussians";
     return test_case;
 }
@@ -290,7 +292,7 @@ TraversalCase make_moving_case(TraversalCase test_case, std::uint64_t seed) {
         if (i % 4 == 2) continue;
         reference::Motion& m = test_case.instances[i].motion;
         m.velocity = uniform(random, 5.0, 40.0) * draw_unit_vector(random);
-        if (i % 2 == 1) m.turn_rate = uniform(random, 0.5, 6.0) * draw_unit_vector(random);
+        if (i % 2 == 1) m.angular_velocity = uniform(random, 0.5, 6.0) * draw_unit_vector(random);
         m.half_span_s = double(float(i % 3 == 0 ? 0.05 : uniform(random, 0.002, 0.03)));
         m.middle_s = double(float(i % 3 == 0 ? 0.0 : uniform(random, -0.03, 0.03)));
     }

@@ -8,8 +8,9 @@
 
 namespace relidar::test {
 
-CollectedHits collect(Device& device, const KernelVariant& variant, const std::vector<Constant>& constants,
-                      shared::TraceScene scene, const WorldRays& rays, std::uint32_t max_hits) {
+CollectedHits collect(Device& device, const KernelVariant& variant,
+                      const std::vector<SpecialisationConstant>& constants, shared::TraceScene scene,
+                      const WorldRays& rays, std::uint32_t max_hits) {
     const Kernel<shared::CollectHitsParams> collect_hits(device, "diff/traversal/collect_hits", variant,
                                                          constants);
     const std::size_t n = rays.size(), n_slots = n * max_hits;
@@ -31,7 +32,7 @@ CollectedHits collect(Device& device, const KernelVariant& variant, const std::v
          .instance = instance.address(),
          .surfel = surfel.address(),
          .max_hits = max_hits});
-    stream.finish();
+    stream.submit_and_wait();
     EXPECT_EQ(pass_cap.download()[0], 0u) << variant.suffix << ": rays that did not end";
     return {max_hits, counts.download(), t.download(), instance.download(), surfel.download()};
 }

@@ -13,10 +13,12 @@
 namespace relidar::test {
 
 /// Collects the hits of rays.
-/// @param scene from make_trace_scene(); this function fills in the rays and the counter
+/// @param scene from make_trace_scene_params(); this function fills in the rays and the
+/// counter
 /// @param variant variant of diff/traversal/collect_hits
-/// @param constants constants of traversal/make_trace_scene.hpp
-CollectedHits collect(Device& device, const KernelVariant& variant, const std::vector<Constant>& constants,
-                      shared::TraceScene scene, const WorldRays& rays, std::uint32_t max_hits);
+/// @param constants constants of traversal/trace_scene.hpp
+CollectedHits collect(Device& device, const KernelVariant& variant,
+                      const std::vector<SpecialisationConstant>& constants, shared::TraceScene scene,
+                      const WorldRays& rays, std::uint32_t max_hits);
 
 }  // namespace relidar::test

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the traversal contract on the device (diff/traversal/collect_hits): ray query
-// over triangles and boxes, the software tree with a thread or a subgroup per ray, and
-// brute force. Compares with brute force and Embree on the host.
+// Checks the traversal contract on the device (diff/traversal/collect_hits): ray
+// query over triangles and boxes, the software tree with a thread or a subgroup per ray,
+// and brute force. Compares with brute force and Embree on the host.
 #include "device_hits.hpp"
 #include "diff/traversal/collect_hits.hpp"
 #include "gpu/forced.hpp"
@@ -19,11 +19,11 @@ protected:
     CollectedHits collect(const TraversalCase& test_case, const AccelOptions& accel,
                           const TraceOptions& trace) {
         const test::SceneAndPoses placed = test::to_scene(test_case.surfels, test_case.instances);
-        ImageModel model;
+        ImageFormationModel model;
         model.primitive = test_case.surfels.primitive;
         return test::convert_to_world(
-            collect_hits(device(), {&placed.scene, placed.world_from_instance, model, accel, trace},
-                         test_case.rays, kMaxHits),
+            collect_ray_hits(device(), {&placed.scene, placed.world_from_instance, model, accel, trace},
+                             test_case.rays, kMaxHits),
             placed);
     }
     void expect_conformance(const std::vector<TraversalCase>& cases);
@@ -40,12 +40,12 @@ struct Setting {
 /// setting.
 std::vector<Setting> providers(const Device& device, int chunk) {
     const Setting brute{"brute force", {}, {.chunk = chunk}, true};
-    if (device.traversal() == Traversal::software)
-        return {{"lane", {}, {.chunk = chunk, .walk = Walk::lane}},
-                {"subgroup", {}, {.chunk = chunk, .walk = Walk::subgroup}},
+    if (device.traversal() == RayTracingBackend::software)
+        return {{"lane", {}, {.chunk = chunk, .traversal_mode = BvhTraversalMode::lane}},
+                {"subgroup", {}, {.chunk = chunk, .traversal_mode = BvhTraversalMode::subgroup}},
                 brute};
-    return {{"triangles", {.proxy = Proxy::triangles}, {.chunk = chunk}},
-            {"boxes", {.proxy = Proxy::boxes}, {.chunk = chunk}},
+    return {{"triangles", {.proxy = ProxyShape::triangles}, {.chunk = chunk}},
+            {"boxes", {.proxy = ProxyShape::boxes}, {.chunk = chunk}},
             brute};
 }
 
@@ -55,7 +55,7 @@ void DeviceHits::expect_conformance(const std::vector<TraversalCase>& cases) {
         for (const int chunk : {1, 32})  // ChunkSize tests more sizes
             for (const Setting& s : providers(device(), chunk)) {
                 const std::string title = c.name + ", " + s.name + ", chunk " + std::to_string(chunk);
-                const Forced forced(device(), {.brute_force = s.brute_force});
+                const ForcedBehaviourScope forced(device(), {.brute_force = s.brute_force});
                 expect_equal(c, compare(c, brute, collect(c, s.accel, s.trace)), title);
             }
     }
@@ -66,16 +66,17 @@ TEST_F(DeviceHits, ConformanceCasesOfGaussians) { expect_conformance(test::make_
 
 TEST_F(DeviceHits, CasesThatMove) { expect_conformance(test::make_moving_cases(17, 200)); }
 
-class ChunkSize : public DeviceHits, public testing::WithParamInterface<Primitive> {};
-INSTANTIATE_TEST_SUITE_P(Primitives, ChunkSize, testing::Values(Primitive::surfel, Primitive::gaussian));
+class ChunkSize : public DeviceHits, public testing::WithParamInterface<PrimitiveType> {};
+INSTANTIATE_TEST_SUITE_P(Primitives, ChunkSize,
+                         testing::Values(PrimitiveType::surfel, PrimitiveType::gaussian));
 
 TEST_P(ChunkSize, DoesNotMatter) {
-    const TraversalCase c = GetParam() == Primitive::gaussian ? test::make_crowded_case(6, 100, 500)
-                                                              : test::make_random_case(5, 400, 2000);
+    const TraversalCase c = GetParam() == PrimitiveType::gaussian ? test::make_crowded_case(6, 100, 500)
+                                                                  : test::make_random_case(5, 400, 2000);
     const CollectedHits expected = collect(c, {}, {.chunk = 64});
     for (const int chunk : {1, 5, 32})
         for (const Setting& s : providers(device(), chunk)) {
-            const Forced forced(device(), {.brute_force = s.brute_force});
+            const ForcedBehaviourScope forced(device(), {.brute_force = s.brute_force});
             const CollectedHits actual = collect(c, s.accel, s.trace);
             EXPECT_EQ(actual.counts, expected.counts) << s.name << ", chunk " << chunk;
             for (std::size_t ray = 0; ray < c.rays.size(); ++ray)

@@ -29,8 +29,8 @@ void add_error(HitDifferences& differences, const std::string& message) {
 
 }  // namespace
 
-bool is_on_boundary(const reference::World& world, const ImageModel& model, const reference::Ray& ray,
-                    const reference::Hit& hit) {
+bool is_on_boundary(const reference::World& world, const ImageFormationModel& model,
+                    const reference::Ray& ray, const reference::Hit& hit) {
     const reference::DoubleRecord r = reference::make_record(world.surfels[hit.surfel]);
     const auto local = reference::to_model(world.instances[hit.instance].at(ray.time_s), ray);
     const reference::PlaneHit<double> met = reference::meet(r, local);
@@ -42,7 +42,7 @@ bool is_on_boundary(const reference::World& world, const ImageModel& model, cons
     // position error in standard deviations
     const double of_axes =
         4e-7 * size_m * (glm::length(r.axis_u) + glm::length(r.axis_v) + glm::length(r.normal));
-    const bool is_flat = r.primitive == Primitive::surfel;
+    const bool is_flat = r.primitive == PrimitiveType::surfel;
     const double t_error = is_flat ? 4e-7 * size_m / std::abs(along.z) : of_axes / glm::length(along);
     const double log_alpha = std::log(r.sigma) - 0.5 * glm::dot(uvw, uvw);
     // The density of a Gaussian does not change to first order along the ray at its
@@ -51,11 +51,11 @@ bool is_on_boundary(const reference::World& world, const ImageModel& model, cons
     // true for NaN
     const bool at_cut = !(std::abs(log_alpha - std::log(double(model.alpha_min))) >
                           1e-5 + (glm::length(uvw) + (is_flat ? 0.0 : uvw_error)) * uvw_error);
-    const bool at_near = !(std::abs(t - double(model.near_m)) > t_error);
-    return at_cut || at_near;
+    const bool at_near_limit = !(std::abs(t - double(model.near_m)) > t_error);
+    return at_cut || at_near_limit;
 }
 
-void compare_hits(const reference::World& world, const ImageModel& model, const reference::Ray& ray,
+void compare_hits(const reference::World& world, const ImageFormationModel& model, const reference::Ray& ray,
                   std::size_t ray_index, const std::vector<reference::Hit>& expected,
                   const std::vector<reference::Hit>& actual, HitDifferences& differences) {
     differences.n_rays += 1;
@@ -66,11 +66,12 @@ void compare_hits(const reference::World& world, const ImageModel& model, const 
     if (std::equal(expected.begin(), expected.end(), actual.begin(), actual.end(), same_id)) return;
     differences.n_different_rays += 1;
     std::map<Id, double> expected_t;
-    std::map<Id, int> seen;
+    std::map<Id, int> report_counts;
     for (const reference::Hit& hit : expected) expected_t[get_id(hit)] = hit.t;
     double last_t = -HUGE_VAL;
     for (const reference::Hit& hit : actual) {
-        if (++seen[get_id(hit)] > 1) add_error(differences, describe(ray_index, "reported twice:", hit));
+        if (++report_counts[get_id(hit)] > 1)
+            add_error(differences, describe(ray_index, "reported twice:", hit));
         const auto match = expected_t.find(get_id(hit));
         if (match == expected_t.end()) {
             if (is_on_boundary(world, model, ray, hit)) differences.n_flips += 1;
@@ -84,7 +85,7 @@ void compare_hits(const reference::World& world, const ImageModel& model, const 
         last_t = std::max(last_t, match->second);
     }
     for (const reference::Hit& hit : expected) {
-        if (seen.contains(get_id(hit))) continue;
+        if (report_counts.contains(get_id(hit))) continue;
         if (is_on_boundary(world, model, ray, hit)) differences.n_flips += 1;
         else add_error(differences, describe(ray_index, "missed:", hit));
     }

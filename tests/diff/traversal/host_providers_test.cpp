@@ -24,7 +24,7 @@ constexpr int kAll = 1 << 30;
 
 /// Compares every ray of a case with chunk sizes 1, 2, ... 32 in turn.
 HitDifferences compare(const TraversalCase& test_case, const HitProvider& expected, const HitProvider& actual,
-                       const ImageModel& model = {}) {
+                       const ImageFormationModel& model = {}) {
     const World world = to_world(test_case);
     HitDifferences differences;
     const std::vector<Ray> rays = test::to_reference(test_case.rays);
@@ -61,7 +61,7 @@ TEST(HostProviders, EmbreeAgreesOnAllCases) {
 TEST(HostProviders, AgreeOnModelsThatMove) {
     for (const TraversalCase& c : test::make_moving_cases(kSeed, 3000)) {
         const World world = to_world(c);
-        ImageModel model;
+        ImageFormationModel model;
         model.primitive = c.surfels.primitive;
         const BruteForce brute(world, model, Precision::float_record);
         const HitDifferences d = compare(c, BruteForce(world, model, Precision::double_record), brute);
@@ -80,8 +80,8 @@ TEST(HostProviders, EmbreeAgreesOn100000RandomRays) {
 }
 
 TEST(HostProviders, EmbreeAgreesInTheStreet) {
-    const TraversalCase c =
-        test::make_street_test_case(make_benchmark_street(100000), make_benchmark_rays("waymo"), 6.0, 9);
+    const TraversalCase c = test::make_street_test_case(make_benchmark_street_surfels(100000),
+                                                        make_benchmark_rays("waymo"), 6.0, 9);
     const HitDifferences d = compare_embree(c);
     expect_identical(d, c);
     EXPECT_GT(d.n_hits, d.n_rays);
@@ -134,7 +134,7 @@ TEST(HostProviders, DegenerateSurfelsAreNeverReported) {
     const World world = to_world(c);
     const BruteForce brute(world, {}, Precision::float_record);
     const EmbreeFilter embree(world, {});
-    std::size_t found = 0;
+    std::size_t n_hits = 0;
     for (const Ray& ray : test::to_reference(c.rays))
         for (const HitProvider* provider :
              {static_cast<const HitProvider*>(&brute), static_cast<const HitProvider*>(&embree)})
@@ -142,9 +142,9 @@ TEST(HostProviders, DegenerateSurfelsAreNeverReported) {
                 EXPECT_TRUE(hit.surfel == 2 || hit.surfel == 9 || hit.surfel == 14 || hit.surfel == 15)
                     << "surfel " << hit.surfel;
                 EXPECT_EQ(hit.instance, 0u);
-                ++found;
+                ++n_hits;
             }
-    EXPECT_GT(found, 100u);
+    EXPECT_GT(n_hits, 100u);
 }
 
 TEST(HostProviders, HugeSurfelsAndFarOriginsStayFinite) {

@@ -60,47 +60,53 @@ void move_randomly(Surfels& surfels, std::mt19937& random) {
         surfels.rotation[i] +=
             0.2f * glm::vec4(normal(random), normal(random), normal(random), normal(random));
         surfels.log_scale[i] += 0.2f * glm::vec2(normal(random), normal(random));
-        if (surfels.primitive == Primitive::gaussian) surfels.log_scale_w[i] += 0.2f * normal(random);
+        if (surfels.primitive == PrimitiveType::gaussian) surfels.log_scale_w[i] += 0.2f * normal(random);
     }
 }
 
-class ManyRays : public test::DeviceHits, public testing::WithParamInterface<Primitive> {
+class ManyRays : public test::DeviceHits, public testing::WithParamInterface<PrimitiveType> {
 protected:
     TraversalCase case_ = test::make_random_case(20261120, 900, get_many_count());
     test::SceneAndPoses placed_;
-    ImageModel model_;
+    ImageFormationModel model_;
 
     void SetUp() override {
         DeviceHits::SetUp();
-        if (GetParam() == Primitive::gaussian)
+        if (GetParam() == PrimitiveType::gaussian)
             case_ = test::to_gaussians(test::make_random_case(20261123, 450, get_many_count()), 3);
         fill_with_invalid_values(case_.surfels);
         model_.primitive = GetParam();
         placed_ = test::to_scene(case_.surfels, case_.instances);
     }
 
-    CollectedHits collect(const DeviceScene& scene, const Accel& accel, const TraceOptions& options) {
-        return test::collect(device(), get_traversal_variant(device()),
-                             make_trace_constants(device(), accel.proxy(), options, model_),
-                             make_trace_scene(scene, accel.addresses(), model_), case_.rays, 64);
+    CollectedHits collect(const DeviceScene& scene, const AccelerationStructure& accel,
+                          const TraceOptions& options) {
+        return test::collect(
+            device(), get_traversal_kernel_variant(device()),
+            make_trace_kernel_constants(device(), accel.get_bounding_shape(), options, model_),
+            make_trace_scene_params(scene, accel.get_device_addresses(), model_), case_.rays, 64);
     }
 
-    void expect_agreement(const DeviceScene& scene, const Accel& accel, const std::string& state) {
+    void expect_agreement(const DeviceScene& scene, const AccelerationStructure& accel,
+                          const std::string& state) {
         const CollectedHits brute = [&] {
-            const Forced forced(device(), {.brute_force = true});
+            const ForcedBehaviourScope forced(device(), {.brute_force = true});
             return collect(scene, accel, {});
         }();
-        for (const Walk walk : {Walk::lane, Walk::subgroup}) {
-            if (walk == Walk::lane && device().traversal() == Traversal::ray_query) continue;
-            const CollectedHits result = collect(scene, accel, {.walk = walk});
+        for (const BvhTraversalMode traversal_mode : {BvhTraversalMode::lane, BvhTraversalMode::subgroup}) {
+            if (traversal_mode == BvhTraversalMode::lane &&
+                device().traversal() == RayTracingBackend::ray_query)
+                continue;
+            const CollectedHits result = collect(scene, accel, {.traversal_mode = traversal_mode});
             std::size_t n_different = 0;
             for (std::size_t i = 0; i < case_.rays.size(); ++i)
                 n_different += test::list_hits(result, i) != test::list_hits(brute, i);
-            EXPECT_EQ(n_different, 0u) << state << (walk == Walk::lane ? ", lane" : ", subgroup")
-                                       << ": rays whose hits differ from brute force";
+            EXPECT_EQ(n_different, 0u)
+                << state << (traversal_mode == BvhTraversalMode::lane ? ", lane" : ", subgroup")
+                << ": rays whose hits differ from brute force";
         }
         std::unique_ptr<reference::HitProvider> host;  // Embree supports only the rectangles of surfels
-        if (GetParam() == Primitive::gaussian)
+        if (GetParam() == PrimitiveType::gaussian)
             host = std::make_unique<reference::BruteForce>(test::to_world(case_), model_,
                                                            reference::Precision::float_record);
         else host = std::make_unique<reference::EmbreeFilter>(test::to_world(case_), model_);
@@ -110,30 +116,31 @@ protected:
     }
 };
 
-INSTANTIATE_TEST_SUITE_P(Primitives, ManyRays, testing::Values(Primitive::surfel, Primitive::gaussian));
+INSTANTIATE_TEST_SUITE_P(Primitives, ManyRays,
+                         testing::Values(PrimitiveType::surfel, PrimitiveType::gaussian));
 
 TEST_P(ManyRays, AgreeAfterBuildRefitAndRebuild) {
     Stream stream(device());
     DeviceScene scene(device(), placed_.scene);
-    scene.set_poses(placed_.world_from_instance);
-    Accel accel(device(), scene, {});
+    scene.set_instance_poses(placed_.world_from_instance);
+    AccelerationStructure accel(device(), scene, {});
     std::mt19937 random(5);
     const auto update = [&](bool rebuild) {
         // The surfel ranges of this case are consecutive, so the indices are the same.
-        scene.parameters().upload(case_.surfels);
-        scene.activate(stream, model_, glm::vec3(0.0f));
-        accel.update(stream, scene, rebuild);
-        stream.finish();
+        scene.get_surfel_parameters().upload(case_.surfels);
+        scene.compute_surfel_records(stream, model_, glm::vec3(0.0f));
+        accel.update_bvh(stream, scene, rebuild);
+        stream.submit_and_wait();
     };
     update(false);
     expect_agreement(scene, accel, "built");
     move_randomly(case_.surfels, random);
     update(false);
-    ASSERT_EQ(accel.refits_since_build(), 1);
+    ASSERT_EQ(accel.count_refits_since_build(), 1);
     expect_agreement(scene, accel, "refitted");
     move_randomly(case_.surfels, random);
     update(true);
-    ASSERT_EQ(accel.refits_since_build(), 0);
+    ASSERT_EQ(accel.count_refits_since_build(), 0);
     expect_agreement(scene, accel, "rebuilt");
 }
 

@@ -18,17 +18,18 @@ protected:
         const test::SceneAndPoses placed = test::to_scene(test_case.surfels, test_case.instances);
         Stream stream(device());
         DeviceScene scene(device(), placed.scene);
-        scene.set_poses(placed.world_from_instance);
-        ImageModel model;
+        scene.set_instance_poses(placed.world_from_instance);
+        ImageFormationModel model;
         model.primitive = test_case.surfels.primitive;
-        scene.activate(stream, model, glm::vec3(0.0f));
-        stream.finish();
+        scene.compute_surfel_records(stream, model, glm::vec3(0.0f));
+        stream.submit_and_wait();
         const test::HostBvh bvh(device(), scene);
         const shared::TraceScene trace =
-            make_trace_scene(scene, {.tlas = {}, .proxy_reach = {}, .bvh = bvh.pointers()}, model);
+            make_trace_scene_params(scene, {.tlas = {}, .proxy_reach = {}, .bvh = bvh.pointers()}, model);
         const auto primitive = static_cast<std::uint32_t>(test_case.surfels.primitive);
-        const std::vector<Constant> constants{
-            {ConstantId::CHUNK, chunk}, {ConstantId::TOGETHER, packet}, {ConstantId::PRIMITIVE, primitive}};
+        const std::vector<SpecialisationConstant> constants{{SpecialisationConstantId::CHUNK, chunk},
+                                                            {SpecialisationConstantId::TOGETHER, packet},
+                                                            {SpecialisationConstantId::PRIMITIVE, primitive}};
         return test::convert_to_world(test::collect(device(), KernelVariant("@software_bvh"), constants,
                                                     trace, test_case.rays, test::kMaxHits),
                                       placed);
@@ -36,7 +37,7 @@ protected:
 };
 
 TEST_F(SoftwareWalk, ConformanceCases) {
-    if (device().traversal() != Traversal::software) GTEST_SKIP() << "the software traversal's own";
+    if (device().traversal() != RayTracingBackend::software) GTEST_SKIP() << "the software traversal's own";
     std::vector<TraversalCase> cases = test::make_conformance_cases(21, 1000);
     cases.push_back(test::make_crowded_case(22, 120, 500));
     for (const TraversalCase& c : cases) {

@@ -23,11 +23,11 @@ using Place = std::tuple<int, int, int>;
 Place to_place(const glm::ivec3& place) { return {place.x, place.y, place.z}; }
 
 /// Counts the labels in each cell, except those in moving boxes.
-std::map<Place, std::array<int, kSurfaceClasses>> count_labels(const Sequence& log,
+std::map<Place, std::array<int, kSurfaceClasses>> count_labels(const LidarSequence& log,
                                                                const std::vector<int>& positions) {
     std::map<Place, std::array<int, kSurfaceClasses>> counts;
     for (const int position : positions) {
-        const Frame& frame = log.frames[std::size_t(position)];
+        const LidarFrame& frame = log.frames[std::size_t(position)];
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (frame.scan.range_m[ray] == 0.0f) continue;
             const WorldReturn hit = compute_world_return(log, frame, ray);
@@ -40,14 +40,15 @@ std::map<Place, std::array<int, kSurfaceClasses>> count_labels(const Sequence& l
 }
 
 TEST(ClassMap, HasTheMostFrequentClassOfEachCell) {
-    const Sequence log = make_synthetic_street({.n_frames = 8, .rows = 16, .columns = 256, .people = true});
+    const LidarSequence log =
+        make_synthetic_street({.n_frames = 8, .rows = 16, .columns = 256, .people = true});
     const std::vector<int> positions = {0, 1, 3, 4};
     auto counts = count_labels(log, positions);
-    const ClassMap map = find_classes(log, log.world_from_vehicle, positions);
+    const SurfaceClassMap map = compute_class_map(log, log.world_from_vehicle, positions);
     ASSERT_EQ(map.size(), counts.size());
     std::array<std::size_t, kSurfaceClasses> n_cells{};
-    for (const ClassCell& cell : map) {
-        const std::array<int, kSurfaceClasses>& votes = counts[to_place(cell.place)];
+    for (const SurfaceClassCell& cell : map) {
+        const std::array<int, kSurfaceClasses>& votes = counts[to_place(cell.grid_index)];
         ++n_cells[std::size_t(cell.surface)];
         for (const int n : votes) ASSERT_LE(n, votes[std::size_t(cell.surface)]);
     }
@@ -59,51 +60,51 @@ TEST(ClassMap, HasTheMostFrequentClassOfEachCell) {
 }
 
 TEST(ClassMap, IgnoresScansWithoutLabels) {
-    Sequence log = make_synthetic_street({.n_frames = 2, .rows = 8, .columns = 64});
-    const std::size_t n_first = find_classes(log, log.world_from_vehicle, {0}).size();
+    LidarSequence log = make_synthetic_street({.n_frames = 2, .rows = 8, .columns = 64});
+    const std::size_t n_first = compute_class_map(log, log.world_from_vehicle, {0}).size();
     log.frames[1].scan.classes.clear();
-    EXPECT_EQ(find_classes(log, log.world_from_vehicle, {0, 1}).size(), n_first);
+    EXPECT_EQ(compute_class_map(log, log.world_from_vehicle, {0, 1}).size(), n_first);
     log.frames[0].scan.classes.clear();
-    EXPECT_TRUE(find_classes(log, log.world_from_vehicle, {0, 1}).empty());
+    EXPECT_TRUE(compute_class_map(log, log.world_from_vehicle, {0, 1}).empty());
 }
 
 TEST(ClassMap, KeepsItsOwnCellsIfAnotherMapIsAdded) {
-    ClassMap map = {{{-1, 2, 3}, SurfaceClass::road}};
-    add_classes(map, {{{-1, 2, 3}, SurfaceClass::pole}, {{1, 2, 3}, SurfaceClass::sign}});
-    EXPECT_EQ(map, (ClassMap{{{-1, 2, 3}, SurfaceClass::road}, {{1, 2, 3}, SurfaceClass::sign}}));
+    SurfaceClassMap map = {{{-1, 2, 3}, SurfaceClass::road}};
+    merge_class_map(map, {{{-1, 2, 3}, SurfaceClass::pole}, {{1, 2, 3}, SurfaceClass::sign}});
+    EXPECT_EQ(map, (SurfaceClassMap{{{-1, 2, 3}, SurfaceClass::road}, {{1, 2, 3}, SurfaceClass::sign}}));
 }
 
 TEST(ClassFinder, FindsTheNearestCell) {
     Random random(3);
     const auto random_vector = [&](double reach) {
-        return glm::dvec3(random.uniform(-reach, reach), random.uniform(-reach, reach),
-                          random.uniform(-reach, reach));
+        return glm::dvec3(random.draw_uniform(-reach, reach), random.draw_uniform(-reach, reach),
+                          random.draw_uniform(-reach, reach));
     };
-    ClassMap map;
+    SurfaceClassMap map;
     for (int i = 0; i < 300; ++i)
-        map.push_back({glm::ivec3(random_vector(60.0)), SurfaceClass(random.uniform() * 15.99)});
-    const ClassFinder finder(map);
+        map.push_back({glm::ivec3(random_vector(60.0)), SurfaceClass(random.draw_uniform() * 15.99)});
+    const SurfaceClassLookup finder(map);
     std::size_t n_far = 0;
     for (int i = 0; i < 2000; ++i) {
         const glm::dvec3 point = random_vector(8.0);
         double nearest_m = std::numeric_limits<double>::infinity();
         SurfaceClass expected = SurfaceClass::unknown;
-        for (const ClassCell& cell : map)
-            if (const double away_m = glm::distance(0.1 * (glm::dvec3(cell.place) + 0.5), point);
+        for (const SurfaceClassCell& cell : map)
+            if (const double away_m = glm::distance(0.1 * (glm::dvec3(cell.grid_index) + 0.5), point);
                 away_m < nearest_m)
                 nearest_m = away_m, expected = cell.surface;
         if (nearest_m > 2.0) expected = SurfaceClass::unknown, ++n_far;
-        ASSERT_EQ(finder.find(point), expected) << i;
+        ASSERT_EQ(finder.find_nearest_class(point), expected) << i;
     }
     EXPECT_GT(n_far, 50u);
-    EXPECT_EQ(finder.find(glm::dvec3(0.0, std::nan(""), 0.0)), SurfaceClass::unknown);
+    EXPECT_EQ(finder.find_nearest_class(glm::dvec3(0.0, std::nan(""), 0.0)), SurfaceClass::unknown);
 }
 
 TEST(DatasetClasses, AreRelidarsClasses) {
     using enum SurfaceClass;
-    EXPECT_EQ(convert_semantic_kitti_class(0), unknown);
-    EXPECT_EQ(convert_semantic_kitti_class(48), sidewalk);
-    EXPECT_EQ(convert_semantic_kitti_class(252), vehicle);
+    EXPECT_EQ(convert_semantic_kitti_label(0), unknown);
+    EXPECT_EQ(convert_semantic_kitti_label(48), sidewalk);
+    EXPECT_EQ(convert_semantic_kitti_label(252), vehicle);
     EXPECT_EQ(convert_nuscenes_class("vehicle.ego"), unknown);
     EXPECT_EQ(convert_nuscenes_class("vehicle.bus.rigid"), vehicle);
     EXPECT_EQ(convert_nuscenes_class("flat.other"), other_ground);

@@ -38,9 +38,9 @@ DatasetOptions make_skipping_options(const std::string& part = {}) {
 /// Truncates a file to half its size.
 void cut(const fs::path& file) { fs::resize_file(file, fs::file_size(file) / 2 + 1); }
 
-std::vector<int> numbers(const Sequence& sequence) {
+std::vector<int> numbers(const LidarSequence& sequence) {
     std::vector<int> numbers;
-    for (const Frame& frame : sequence.frames) numbers.push_back(frame.index);
+    for (const LidarFrame& frame : sequence.frames) numbers.push_back(frame.index);
     numbers.erase(std::unique(numbers.begin(), numbers.end()), numbers.end());
     return numbers;
 }
@@ -49,8 +49,8 @@ std::vector<int> numbers(const Sequence& sequence) {
 /// scans with a note.
 /// @param part part of a dataset with several parts
 /// @return log without the scan
-Sequence expect_left_out(const fs::path& log, const fs::path& scan, int number,
-                         const std::string& part = {}) {
+LidarSequence expect_left_out(const fs::path& log, const fs::path& scan, int number,
+                              const std::string& part = {}) {
     SCOPED_TRACE(scan.string());
     DatasetOptions strict = make_skipping_options(part);
     strict.skip_broken = false;
@@ -58,21 +58,21 @@ Sequence expect_left_out(const fs::path& log, const fs::path& scan, int number,
     EXPECT_EQ(std::erase(expected, number), 1u);
     cut(scan);
     EXPECT_THROW(load_sequence(log.string(), strict), DataError);
-    Sequence left = load_sequence(log.string(), make_skipping_options(part));
+    LidarSequence left = load_sequence(log.string(), make_skipping_options(part));
     EXPECT_EQ(numbers(left), expected);
     const auto n_notes = std::count_if(left.notes.begin(), left.notes.end(), [&](const std::string& note) {
         return test::find_missing_part(note, "broken ... " + scan.filename().string()).empty();
     });
     EXPECT_EQ(n_notes, 1) << testing::PrintToString(left.notes);
-    for (const Frame& frame : left.frames) EXPECT_GT(frame.scan.count_returns(), 0u) << frame.index;
+    for (const LidarFrame& frame : left.frames) EXPECT_GT(frame.scan.count_returns(), 0u) << frame.index;
     return left;
 }
 
 TEST(BrokenScans, OfKittiAreAsMissingOnes) {
     const test::KittiDrive drive("broken_scans");
-    const Sequence left = expect_left_out(drive.folder, drive.scan(1), 1);
+    const LidarSequence left = expect_left_out(drive.folder, drive.scan(1), 1);
     fs::remove(drive.scan(1));
-    const Sequence missing = load_sequence(drive.folder.string(), {});
+    const LidarSequence missing = load_sequence(drive.folder.string(), {});
     ASSERT_EQ(left.frames.size(), missing.frames.size());
     EXPECT_EQ(left.world_from_vehicle.time_s, missing.world_from_vehicle.time_s);
     for (std::size_t i = 0; i < left.frames.size(); ++i) {
@@ -101,7 +101,7 @@ TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
     const std::size_t n = original.size() / 16;
     const auto put = [&](const std::string& bytes) { test::write_text(drive.scan(1), bytes); };
     const auto expect_left = [&](const std::string& reason) {
-        const Sequence left = load_sequence(drive.folder.string(), {});
+        const LidarSequence left = load_sequence(drive.folder.string(), {});
         EXPECT_EQ(numbers(left), (std::vector<int>{0, 2})) << reason;
         EXPECT_THAT(left.notes, testing::Contains(Names("broken ... 0000000001.bin ... " + reason)));
     };
@@ -120,10 +120,10 @@ TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
     const auto early = testing::Contains(Names("0000000001.bin ... ring ... azimuth"));
     // The cut is in the last ring or in the ring before the last. In addition, every
     // tenth point is missing.
-    for (const int kept_deg : {120, 270}) {
-        const auto n_missing = std::size_t(0.9 * 701 * (kept_deg == 120 ? 240 : 360 + 90) / 360.0);
+    for (const int remaining_deg : {120, 270}) {
+        const auto n_missing = std::size_t(0.9 * 701 * (remaining_deg == 120 ? 240 : 360 + 90) / 360.0);
         put(original.substr(0, 16 * (n - n_missing)));
-        EXPECT_THAT(load_sequence(drive.folder.string(), {}).notes, early) << kept_deg;
+        EXPECT_THAT(load_sequence(drive.folder.string(), {}).notes, early) << remaining_deg;
         expect_left("ring ... azimuth");
     }
     put(original);
@@ -145,7 +145,7 @@ void set_intensities(const test::KittiDrive& drive, float intensity) {
 TEST(BrokenScans, OfKittiMayCountIntensitiesTo255) {
     const test::KittiDrive drive("intensities");
     set_intensities(drive, 51.0f);
-    const Sequence log = load_sequence(drive.folder.string(), {});
+    const LidarSequence log = load_sequence(drive.folder.string(), {});
     const Scan& scan = log.frames[0].scan;
     for (std::size_t i = 0; i < scan.range_m.size(); ++i)
         if (scan.range_m[i] > 0.0f) {

@@ -20,13 +20,13 @@ namespace {
 
 const float kNan = std::numeric_limits<float>::quiet_NaN();
 
-const Sequence& make_good_sequence() {
-    static const Sequence log = make_synthetic_street({.n_frames = 3, .rows = 4, .columns = 32});
+const LidarSequence& make_good_sequence() {
+    static const LidarSequence log = make_synthetic_street({.n_frames = 3, .rows = 4, .columns = 32});
     return log;
 }
 
-std::string get_error_after(const std::function<void(Sequence&)>& damage) {
-    Sequence log = make_good_sequence();
+std::string get_error_after(const std::function<void(LidarSequence&)>& damage) {
+    LidarSequence log = make_good_sequence();
     damage(log);
     try {
         check_sequence(log);
@@ -45,7 +45,7 @@ std::size_t returned(const Scan& scan) {
 
 TEST(CheckSequence, GoodLogsPass) {
     EXPECT_NO_THROW(check_sequence(make_good_sequence()));
-    EXPECT_EQ(get_error_after([](Sequence& s) {
+    EXPECT_EQ(get_error_after([](LidarSequence& s) {
                   s.frames[1].scan.second_returns.assign(
                       1, {std::vector<float>(128, 0.0f), std::vector<float>(128, 0.0f)});
                   s.frames[1].scan.second_returns[0].range_m[returned(s.frames[1].scan)] = 30.0f;
@@ -55,7 +55,7 @@ TEST(CheckSequence, GoodLogsPass) {
 
 /// Checks that each modification of a sequence causes an error with a single line that
 /// contains the expected text.
-void expect_errors(const std::vector<std::pair<std::function<void(Sequence&)>, std::string>>& cases) {
+void expect_errors(const std::vector<std::pair<std::function<void(LidarSequence&)>, std::string>>& cases) {
     for (const auto& [damage, expected] : cases) {
         const std::string message = get_error_after(damage);
         EXPECT_THAT(message, test::Names(expected));
@@ -65,9 +65,9 @@ void expect_errors(const std::vector<std::pair<std::function<void(Sequence&)>, s
 }
 
 TEST(CorrectInversePoses, IfTheScansConfirm) {
-    const Sequence street =
+    const LidarSequence street =
         make_synthetic_street({.n_frames = 12, .rows = 16, .columns = 240, .moving_cars = false});
-    const auto largest_error_m = [&](const Sequence& log) {
+    const auto largest_error_m = [&](const LidarSequence& log) {
         double largest_m = 0.0;
         const Pose first = inverse(log.world_from_vehicle.pose[0]),
                    truth = inverse(street.world_from_vehicle.pose[0]);
@@ -77,8 +77,8 @@ TEST(CorrectInversePoses, IfTheScansConfirm) {
                                                   (truth * street.world_from_vehicle.pose[i]).translation));
         return largest_m;
     };
-    Sequence log = street;
-    folder::correct_inverse_poses(log);
+    LidarSequence log = street;
+    folder::invert_poses_if_inverted(log);
     EXPECT_EQ(log.notes, street.notes);
     EXPECT_EQ(largest_error_m(log), 0.0);
     for (Pose& pose : log.world_from_vehicle.pose) {
@@ -87,7 +87,7 @@ TEST(CorrectInversePoses, IfTheScansConfirm) {
     }
     log.world_offset_m = glm::dvec3(0.0);
     EXPECT_GT(largest_error_m(log), 3.0);
-    folder::correct_inverse_poses(log);
+    folder::invert_poses_if_inverted(log);
     EXPECT_LT(largest_error_m(log), 1e-6);
     ASSERT_EQ(log.notes.size(), street.notes.size() + 1);
     EXPECT_NE(log.notes.back().find("sensor-from-world"), std::string::npos) << log.notes.back();
@@ -95,66 +95,69 @@ TEST(CorrectInversePoses, IfTheScansConfirm) {
 
 TEST(CheckSequence, NamesLidarFramePoseOrBox) {
     expect_errors({
-        {[](Sequence& s) { s.frames.clear(); }, "frame"},
-        {[](Sequence& s) { s.lidars.clear(); }, "LiDAR"},
-        {[](Sequence& s) { s.lidars.push_back(s.lidars[0]); }, "LiDAR '' ... name"},
-        {[](Sequence& s) { s.lidars[0].sensor.columns = 0; }, "4 beams and 0 columns"},
-        {[](Sequence& s) { s.lidars[0].vehicle_from_sensor.rotation.w = 2.0; },
+        {[](LidarSequence& s) { s.frames.clear(); }, "frame"},
+        {[](LidarSequence& s) { s.lidars.clear(); }, "LiDAR"},
+        {[](LidarSequence& s) { s.lidars.push_back(s.lidars[0]); }, "LiDAR '' ... name"},
+        {[](LidarSequence& s) { s.lidars[0].sensor.columns = 0; }, "4 beams and 0 columns"},
+        {[](LidarSequence& s) { s.lidars[0].vehicle_from_sensor.rotation.w = 2.0; },
          "vehicle_from_sensor ... quaternion ... 2 ... 1"},
-        {[](Sequence& s) { s.frames[1].lidar = 1; }, "frame 1 ... LiDAR ... 1"},
-        {[](Sequence& s) { s.frames[2].time_s = s.frames[1].time_s; },
+        {[](LidarSequence& s) { s.frames[1].lidar = 1; }, "frame 1 ... LiDAR ... 1"},
+        {[](LidarSequence& s) { s.frames[2].time_s = s.frames[1].time_s; },
          "frame 2 ... 0.1 s ... 0.1 s ... frame 1"},
-        {[](Sequence& s) { s.frames[2].time_s = s.frames[1].time_s + 1e-5; }, "frame 2 ... time"},
-        {[](Sequence& s) { s.frames[2].index = 1; }, "frame 1 ... second frame"},
-        {[](Sequence& s) { s.frames[2].time_s = 0.21; }, "frame 2 ... pose ... 0.21 s"},
-        {[](Sequence& s) { s.world_from_vehicle.pose.pop_back(); }, "2 poses and 3 times"},
-        {[](Sequence& s) { s.frames.pop_back(); }, "3 poses ... 2"},
-        {[](Sequence& s) { s.world_from_vehicle.pose[1].translation.x = double(kNan); },
+        {[](LidarSequence& s) { s.frames[2].time_s = s.frames[1].time_s + 1e-5; }, "frame 2 ... time"},
+        {[](LidarSequence& s) { s.frames[2].index = 1; }, "frame 1 ... second frame"},
+        {[](LidarSequence& s) { s.frames[2].time_s = 0.21; }, "frame 2 ... pose ... 0.21 s"},
+        {[](LidarSequence& s) { s.world_from_vehicle.pose.pop_back(); }, "2 poses and 3 times"},
+        {[](LidarSequence& s) { s.frames.pop_back(); }, "3 poses ... 2"},
+        {[](LidarSequence& s) { s.world_from_vehicle.pose[1].translation.x = double(kNan); },
          "vehicle ... pose 1 ... (nan"},
-        {[](Sequence& s) { s.world_from_vehicle.pose[1].translation.x = 5e6; }, "coordinates ... 1000000 m"},
-        {[](Sequence& s) { std::swap(s.world_from_vehicle.time_s[0], s.world_from_vehicle.time_s[1]); },
+        {[](LidarSequence& s) { s.world_from_vehicle.pose[1].translation.x = 5e6; },
+         "coordinates ... 1000000 m"},
+        {[](LidarSequence& s) { std::swap(s.world_from_vehicle.time_s[0], s.world_from_vehicle.time_s[1]); },
          "increasing"},
-        {[](Sequence& s) { s.boxes[1].id = s.boxes[0].id; }, "box '0' ... id"},
-        {[](Sequence& s) { s.boxes[1].size_m.y = 0.0; }, "box '1' ... size"},
-        {[](Sequence& s) { s.boxes[1].world_from_box = {}; }, "box '1': found 0 poses and 0 times"},
-        {[](Sequence& s) { s.boxes[1].world_from_box.pose[2].translation.y += 4e5; }, "box '1', pose 2: "},
+        {[](LidarSequence& s) { s.boxes[1].id = s.boxes[0].id; }, "box '0' ... id"},
+        {[](LidarSequence& s) { s.boxes[1].size_m.y = 0.0; }, "box '1' ... size"},
+        {[](LidarSequence& s) { s.boxes[1].world_from_box = {}; }, "box '1': found 0 poses and 0 times"},
+        {[](LidarSequence& s) { s.boxes[1].world_from_box.pose[2].translation.y += 4e5; },
+         "box '1', pose 2: "},
     });
 }
 
 TEST(CheckSequence, NamesFrameRayAndField) {
     expect_errors({
-        {[](Sequence& s) { s.frames[1].scan.range_m.pop_back(); },
+        {[](LidarSequence& s) { s.frames[1].scan.range_m.pop_back(); },
          "frame 1, range_m: found 127 entries, expected 4 x 32"},
-        {[](Sequence& s) { s.frames[1].scan.rays.channel.clear(); },
+        {[](LidarSequence& s) { s.frames[1].scan.rays.channel.clear(); },
          "frame 1, rays.channel: found 0 "
          "entries"},
-        {[](Sequence& s) { s.frames[1].scan.rays.rows = 1 << 30; },
+        {[](LidarSequence& s) { s.frames[1].scan.rays.rows = 1 << 30; },
          "frame 1: found 1073741824 rows and 32 "
          "columns"},
-        {[](Sequence& s) { s.frames[1].scan.rays.direction[5] *= 1.1f; },
+        {[](LidarSequence& s) { s.frames[1].scan.rays.direction[5] *= 1.1f; },
          "frame 1, ray 5, rays.direction: found length 1.1"},
-        {[](Sequence& s) { s.frames[1].scan.rays.origin[5].z = kNan; }, "frame 1, ray 5, rays.origin"},
-        {[](Sequence& s) { s.frames[1].scan.rays.time_offset_s[5] = 1e9f; },
+        {[](LidarSequence& s) { s.frames[1].scan.rays.origin[5].z = kNan; }, "frame 1, ray 5, rays.origin"},
+        {[](LidarSequence& s) { s.frames[1].scan.rays.time_offset_s[5] = 1e9f; },
          "frame 1, ray 5, rays.time_offset_s: found 1000000000 s"},
-        {[](Sequence& s) { s.frames[1].scan.rays.channel[5] = 4; },
+        {[](LidarSequence& s) { s.frames[1].scan.rays.channel[5] = 4; },
          "frame 1, ray 5, rays.channel: found 4 ... 4 beams"},
-        {[](Sequence& s) { s.frames[1].scan.rays.divergence_rad = -1e-3f; },
+        {[](LidarSequence& s) { s.frames[1].scan.rays.divergence_rad = -1e-3f; },
          "frame 1, ray 0, divergence: found -0.001"},
-        {[](Sequence& s) { s.frames[1].scan.rays.ray_divergence_rad.assign(127, 1e-3f); },
+        {[](LidarSequence& s) { s.frames[1].scan.rays.ray_divergence_rad.assign(127, 1e-3f); },
          "frame 1, rays.ray_divergence_rad: found 127 entries"},
-        {[](Sequence& s) {
+        {[](LidarSequence& s) {
              s.frames[1].scan.rays.ray_divergence_rad.assign(128, 1e-3f);
              s.frames[1].scan.rays.ray_divergence_rad[9] = kNan;
          },
          "frame 1, ray 9, divergence ... nan"},
-        {[](Sequence& s) { s.frames[2].scan.range_m[7] = kNan; }, "frame 2, ray 7, range_m ... nan m"},
-        {[](Sequence& s) { s.frames[2].scan.range_m[7] = -1.0f; }, "frame 2, ray 7, range_m ... -1 m"},
-        {[](Sequence& s) { s.frames[2].scan.intensity[returned(s.frames[2].scan)] = 255.0f; },
+        {[](LidarSequence& s) { s.frames[2].scan.range_m[7] = kNan; }, "frame 2, ray 7, range_m ... nan m"},
+        {[](LidarSequence& s) { s.frames[2].scan.range_m[7] = -1.0f; }, "frame 2, ray 7, range_m ... -1 m"},
+        {[](LidarSequence& s) { s.frames[2].scan.intensity[returned(s.frames[2].scan)] = 255.0f; },
          "intensity ... range"},
-        {[](Sequence& s) { s.frames[2].scan.range_m[returned(s.frames[2].scan)] = 0.0f; }, "0 ... dropped"},
-        {[](Sequence& s) { s.frames[2].scan.second_returns.resize(1); },
+        {[](LidarSequence& s) { s.frames[2].scan.range_m[returned(s.frames[2].scan)] = 0.0f; },
+         "0 ... dropped"},
+        {[](LidarSequence& s) { s.frames[2].scan.second_returns.resize(1); },
          "frame 2, second_returns.range_m: found 0 entries"},
-        {[](Sequence& s) {
+        {[](LidarSequence& s) {
              Scan& scan = s.frames[2].scan;
              scan.range_m[3] = scan.intensity[3] = 0.0f;
              scan.second_returns.assign(1, {std::vector<float>(128, 0.0f), std::vector<float>(128, 0.0f)});
@@ -165,36 +168,36 @@ TEST(CheckSequence, NamesFrameRayAndField) {
 }
 
 /// Makes ten frames. One frame starts `gap_s` seconds late.
-Sequence make_sequence_with_gap(double gap_s) {
-    Sequence log;
+LidarSequence make_sequence_with_gap(double gap_s) {
+    LidarSequence log;
     log.name = "log";
     for (int i = 0; i < 10; ++i) log.frames.push_back({i, 0.1 * i + (i > 6 ? gap_s : 0.0), {}});
     return log;
 }
 
 TEST(CheckGaps, SaysWhereFramesAreMissing) {
-    Sequence log = make_sequence_with_gap(4.9);
-    check_gaps(log);
+    LidarSequence log = make_sequence_with_gap(4.9);
+    check_time_gaps(log);
     ASSERT_EQ(log.notes.size(), 1u);
     EXPECT_THAT(log.notes[0], test::Names("1 gap ... 5.0 s ... frames 6 and 7 ... 0.1 s"));
     for (const double gap_s : {0.0, 0.3}) {
         log = make_sequence_with_gap(gap_s);
-        check_gaps(log);
+        check_time_gaps(log);
         EXPECT_TRUE(log.notes.empty()) << "frames that a log leaves out";
     }
 }
 
 TEST(CheckGaps, AJumpOfTheClockIsAnError) {
-    Sequence log = make_sequence_with_gap(3600.0);
+    LidarSequence log = make_sequence_with_gap(3600.0);
     try {
-        check_gaps(log);
+        check_time_gaps(log);
         FAIL() << "an hour between two frames";
     } catch (const DataError& error) {
         EXPECT_THAT(error.what(), test::Names("frame 7 ... 3600.7 s ... 3600.1 s ... frame 6"));
         EXPECT_EQ(std::string(error.what()).find('\n'), std::string::npos);
     }
-    for (Frame& frame : log.frames) frame.time_s = 100.0 * frame.index;
-    EXPECT_NO_THROW(check_gaps(log)) << "scans that are taken every 100 s";
+    for (LidarFrame& frame : log.frames) frame.time_s = 100.0 * frame.index;
+    EXPECT_NO_THROW(check_time_gaps(log)) << "scans that are taken every 100 s";
     EXPECT_TRUE(log.notes.empty());
 }
 

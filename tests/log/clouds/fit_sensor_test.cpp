@@ -34,14 +34,14 @@ SpinningSensor make_true_sensor(bool clockwise = true) {
 
 /// Returns points on four of five rays, at ranges of 3 to 70 m (3 to 8 m for beams that
 /// look down). Rings are counted from the lowest beam.
-Points make_points_on(const SpinningSensor& sensor, std::uint64_t seed) {
+LidarPoints make_points_on(const SpinningSensor& sensor, std::uint64_t seed) {
     Random random(seed);
     const RayTable rays = make_rays(sensor);
-    Points points;
+    LidarPoints points;
     for (std::size_t i = 0; i < rays.size(); ++i) {
-        if (random.uniform() < 0.2) continue;
+        if (random.draw_uniform() < 0.2) continue;
         points.position_m.push_back(rays.origin[i] +
-                                    float(random.uniform(3.0, rays.channel[i] < 20 ? 70.0 : 8.0)) *
+                                    float(random.draw_uniform(3.0, rays.channel[i] < 20 ? 70.0 : 8.0)) *
                                         rays.direction[i]);
         points.intensity.push_back(0.5f);
         points.ring.push_back(std::uint16_t(sensor.beams.size() - 1 - rays.channel[i]));
@@ -58,22 +58,22 @@ void expect_beams(const std::vector<Beam>& beams, const std::vector<Beam>& truth
 
 TEST(FindBeams, FromElevationsAlone) {
     const SpinningSensor truth = make_true_sensor();
-    expect_beams(find_beams({make_points_on(truth, 1), make_points_on(truth, 2)}), truth.beams, 1e-5);
+    expect_beams(estimate_beams({make_points_on(truth, 1), make_points_on(truth, 2)}), truth.beams, 1e-5);
 }
 
 TEST(FindBeams, NoneWhereElevationsDoNotGather) {
     Random random(3);
-    Points points;
+    LidarPoints points;
     for (int i = 0; i < 20000; ++i)
-        points.position_m.emplace_back(random.uniform(5.0, 50.0), random.uniform(-10.0, 10.0),
-                                       random.uniform(-3.0, 3.0));
-    EXPECT_TRUE(find_beams({points}).empty());
-    EXPECT_TRUE(find_beams({}).empty());
+        points.position_m.emplace_back(random.draw_uniform(5.0, 50.0), random.draw_uniform(-10.0, 10.0),
+                                       random.draw_uniform(-3.0, 3.0));
+    EXPECT_TRUE(estimate_beams({points}).empty());
+    EXPECT_TRUE(estimate_beams({}).empty());
     SpinningSensor wide = make_true_sensor();
     // Viewed from the centre, the elevation range of each beam is wider than the beam
     // spacing.
     for (Beam& beam : wide.beams) beam.origin_up_m = 1.0;
-    EXPECT_TRUE(find_beams({make_points_on(wide, 1)}).empty());
+    EXPECT_TRUE(estimate_beams({make_points_on(wide, 1)}).empty());
 }
 
 // In a scan of TIER IV's nebula, the lowest four beams of a QT128 that return have 1 to 4
@@ -85,28 +85,29 @@ TEST(FindBeams, KeepsBeamsWithFewReturns) {
     Random random(11);
     std::vector<int> n_left(128, 1004);
     n_left[0] = 2, n_left[60] = 3, n_left[125] = 2, n_left[126] = 1, n_left[127] = 4;
-    Points points;
+    LidarPoints points;
     for (std::size_t i = 0; i < rays.size(); ++i)
         if (const int n = n_left[rays.channel[i]]--; n > 0)
-            points.position_m.push_back(float(n < 5 ? 19.0 : random.uniform(2.0, 20.0)) * rays.direction[i]);
-    expect_beams(find_beams({points}), truth.beams, 1e-5);
+            points.position_m.push_back(float(n < 5 ? 19.0 : random.draw_uniform(2.0, 20.0)) *
+                                        rays.direction[i]);
+    expect_beams(estimate_beams({points}), truth.beams, 1e-5);
     for (const double elevation_deg : {-53.1, -54.2, 53.0, 0.31, 7.7}) {  // stray points between the beams
         const double e = elevation_deg * kPi / 180.0;
         points.position_m.emplace_back(10.0 * std::cos(e), 0.0, 10.0 * std::sin(e));
     }
-    expect_beams(find_beams({points}), truth.beams, 1e-5);
+    expect_beams(estimate_beams({points}), truth.beams, 1e-5);
 }
 
 TEST(RecoverRings, OfBeamsThatStartBesideTheCentre) {
     SpinningSensor s = make_true_sensor();
     // 2 degrees at 3 m, which is three beam spacings
     for (Beam& beam : s.beams) beam.origin_offset_m = 0.03, beam.origin_up_m = 0.15;
-    Points points = make_points_on(s, 4);
+    LidarPoints points = make_points_on(s, 4);
     std::vector<std::uint16_t> truth;
     for (const std::uint16_t ring : points.ring) truth.push_back(std::uint16_t(kBeams - 1 - ring));
-    recover_rings(points, s.beams);
+    assign_points_to_rings(points, s.beams);
     EXPECT_EQ(points.ring, truth);
-    EXPECT_THROW(recover_rings(points, {}), UsageError);
+    EXPECT_THROW(assign_points_to_rings(points, {}), UsageError);
 }
 
 TEST(FitSensor, BeamsColumnsAndTurning) {
@@ -128,7 +129,7 @@ TEST(FitSensor, BeamsColumnsAndTurning) {
 }
 
 TEST(FitSensor, WithoutTimesTakesThePeriodThatIsGiven) {
-    Points points = make_points_on(make_true_sensor(false), 5);
+    LidarPoints points = make_points_on(make_true_sensor(false), 5);
     points.time_offset_s.clear();
     const FittedSensor fit = fit_sensor({points}, 0.1);
     EXPECT_EQ(fit.sensor.period_s, 0.1);
@@ -136,7 +137,7 @@ TEST(FitSensor, WithoutTimesTakesThePeriodThatIsGiven) {
 }
 
 TEST(FitSensor, KeepsRingsWithoutPointsOut) {
-    Points points = make_points_on(make_true_sensor(), 5);
+    LidarPoints points = make_points_on(make_true_sensor(), 5);
     for (std::uint16_t& ring : points.ring) ring = std::uint16_t(ring + (ring >= 10));
     const FittedSensor fit = fit_sensor({points}, 0.1);
     EXPECT_EQ(fit.sensor.beams.size(), std::size_t(kBeams));
@@ -145,16 +146,16 @@ TEST(FitSensor, KeepsRingsWithoutPointsOut) {
 }
 
 TEST(FitSensor, WhatItCannotFit) {
-    Points points = make_points_on(make_true_sensor(), 5);
+    LidarPoints points = make_points_on(make_true_sensor(), 5);
     points.ring.clear();
     EXPECT_THROW(fit_sensor({points}, 0.1), UsageError);
     EXPECT_THROW(fit_sensor({}, 0.1), UsageError);
-    const Points one{.position_m = {{5.0f, 0.0f, 0.0f}},
-                     .intensity = {0.5f},
-                     .ring = {0},
-                     .time_offset_s = {},
-                     .return_number = {},
-                     .firing = {}};
+    const LidarPoints one{.position_m = {{5.0f, 0.0f, 0.0f}},
+                          .intensity = {0.5f},
+                          .ring = {0},
+                          .time_offset_s = {},
+                          .return_number = {},
+                          .firing = {}};
     EXPECT_THROW(fit_sensor({one}, 0.1), DataError);
 }
 

@@ -8,17 +8,17 @@
 namespace relidar {
 namespace {
 
-ChosenSequence kitti(const char* name, FrameRange frames = {}) {
+RequestedDriveFrames kitti(const char* name, FrameRange frames = {}) {
     DatasetOptions options;
     options.sequence = name;
     options.frames = frames;
-    return choose_sequence(options, kKitti360Benchmark);
+    return resolve_benchmark_sequence(options, kKitti360Benchmark);
 }
 
-ChosenSequence waymo(const char* name) {
+RequestedDriveFrames waymo(const char* name) {
     DatasetOptions options;
     options.sequence = name;
-    return choose_sequence(options, kWaymoBenchmark);
+    return resolve_benchmark_sequence(options, kWaymoBenchmark);
 }
 
 using Frames = std::vector<int>;

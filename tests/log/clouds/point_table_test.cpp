@@ -37,25 +37,26 @@ PointTable make_two_points(std::int64_t first_time, std::int64_t second_time) {
     }
     const std::vector<PointField> fields = {{"x", 'F', 4},    {"y", 'F', 4},   {"z", 'F', 4},
                                             {"ring", 'U', 2}, {"red", 'U', 1}, {"timestamp", 'I', 8}};
-    return read_packed(share_bytes(std::move(bytes)), fields, 2, Packing::by_point, "test");
+    return make_table_of_binary_points(move_to_shared_bytes(std::move(bytes)), fields, 2,
+                                       PointMemoryLayout::by_point, "test");
 }
 
 TEST(PointTable, KeepsTheTypeOfTheFile) {
     // two integers that are equal as doubles, because a double has 53 bits
     constexpr std::int64_t kFirst = (std::int64_t(1) << 53) + 1, kSecond = std::int64_t(1) << 53;
     const PointTable table = make_two_points(kFirst, kSecond);
-    const FieldValues* time = table.find(PointValue::time);
+    const PointFieldView* time = table.find_field(PointAttribute::time);
     ASSERT_NE(time, nullptr);
-    time->visit([&](const auto& time_at) {
+    time->visit_with_value_reader([&](const auto& time_at) {
         EXPECT_TRUE((std::is_same_v<decltype(time_at(0)), std::int64_t>));
         EXPECT_EQ(std::int64_t(time_at(0)), kFirst);
         EXPECT_EQ(std::int64_t(time_at(1)), kSecond);
     });
-    table.find(PointValue::ring)->visit([](const auto& ring_at) {
+    table.find_field(PointAttribute::ring)->visit_with_value_reader([](const auto& ring_at) {
         EXPECT_TRUE((std::is_same_v<decltype(ring_at(0)), std::uint16_t>));
         EXPECT_EQ(int(ring_at(1)), 300);
     });
-    EXPECT_EQ(table.find(PointValue::intensity), nullptr);
+    EXPECT_EQ(table.find_field(PointAttribute::intensity), nullptr);
 }
 
 TEST(PointTable, CopiesOutliveTheirTable) {
@@ -64,17 +65,18 @@ TEST(PointTable, CopiesOutliveTheirTable) {
         const PointTable table = make_two_points(0, 1);
         copy = table;
     }
-    EXPECT_EQ((*copy.find(PointValue::x))[1], -2.25);
-    copy.remove(PointValue::time);
-    EXPECT_EQ(copy.find(PointValue::time), nullptr);
+    EXPECT_EQ((*copy.find_field(PointAttribute::x))[1], -2.25);
+    copy.remove_fields(PointAttribute::time);
+    EXPECT_EQ(copy.find_field(PointAttribute::time), nullptr);
 }
 
 TEST(PointTable, NamesOfAValueHaveAnOrder) {
     PointTable table(1);
-    table.add("timestamp", NumberType::u4, std::vector<std::uint32_t>{4}, "test");
-    table.add("t", NumberType::u4, std::vector<std::uint32_t>{5}, "test");
-    EXPECT_EQ((*table.find(PointValue::time))[0], 5.0);
-    EXPECT_THROW(table.add("t", NumberType::u4, std::vector<std::uint32_t>{6}, "test"), DataError);
+    table.add_value_field("timestamp", ScalarType::u4, std::vector<std::uint32_t>{4}, "test");
+    table.add_value_field("t", ScalarType::u4, std::vector<std::uint32_t>{5}, "test");
+    EXPECT_EQ((*table.find_field(PointAttribute::time))[0], 5.0);
+    EXPECT_THROW(table.add_value_field("t", ScalarType::u4, std::vector<std::uint32_t>{6}, "test"),
+                 DataError);
 }
 
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
@@ -87,9 +89,9 @@ PointTable make_point_table(const std::vector<glm::vec3>& points,
     for (int axis = 0; axis < 3; ++axis) {
         std::vector<float> values;
         for (const glm::vec3& p : points) values.push_back(p[axis]);
-        table.add(std::string(1, char('x' + axis)), NumberType::f4, std::move(values), "test");
+        table.add_value_field(std::string(1, char('x' + axis)), ScalarType::f4, std::move(values), "test");
     }
-    for (const auto& [name, values] : fields) table.add(name, NumberType::f4, values, "test");
+    for (const auto& [name, values] : fields) table.add_value_field(name, ScalarType::f4, values, "test");
     return table;
 }
 
@@ -117,7 +119,8 @@ TEST(DroppedRays, HaveManySpellings) {
                                             {1e-5f, 0.0f, 1e-5f}};
     std::vector<glm::vec3> points;
     for (const glm::vec3& p : dropped) points.push_back(p), points.push_back(real);
-    const Points returns = make_points(make_point_table(points, {}), PointUnits{}, 0.0, "test");
+    const LidarPoints returns =
+        convert_table_to_points(make_point_table(points, {}), PointFileUnits{}, 0.0, "test");
     ASSERT_EQ(returns.size(), dropped.size());
     for (const glm::vec3& p : returns.position_m) EXPECT_EQ(p, real);
 }
@@ -125,7 +128,9 @@ TEST(DroppedRays, HaveManySpellings) {
 TEST(DroppedRays, HaveRangeZeroInARangeField) {
     const std::vector<glm::vec3> points = make_measured_points(4);
     const auto n_returns = [&](const std::vector<float>& range) {
-        return make_points(make_point_table(points, {{"range", range}}), PointUnits{}, 0.0, "test").size();
+        return convert_table_to_points(make_point_table(points, {{"range", range}}), PointFileUnits{}, 0.0,
+                                       "test")
+            .size();
     };
     for (const float unit : {1.0f, 1000.0f}) {  // metres, millimetres
         const float first = unit * glm::length(points[0]), last = unit * glm::length(points[3]);
@@ -138,28 +143,28 @@ TEST(DroppedRays, HaveRangeZeroInARangeField) {
 
 TEST(DroppedRays, HaveAPositionThatIsRepeated) {
     std::vector<glm::vec3> points = make_measured_points(2000);
-    EXPECT_EQ(find_meaning({make_point_table(points, {})}).no_return, std::nullopt);
+    EXPECT_EQ(interpret_point_fields({make_point_table(points, {})}).no_return, std::nullopt);
     // Mounting position of a LiDAR. Rays without a return are stored as points at the
     // sensor. The driver has transformed these points to the mounting position.
     const glm::vec3 mounting(1.2f, 0.0f, 1.7f);
     for (std::size_t i = 0; i < points.size(); i += 20) points[i] = mounting;
-    PointUnits units;
-    units.no_return = find_meaning({make_point_table(points, {})}).no_return;
+    PointFileUnits units;
+    units.no_return = interpret_point_fields({make_point_table(points, {})}).no_return;
     EXPECT_EQ(units.no_return, mounting);
-    EXPECT_EQ(make_points(make_point_table(points, {}), units, 0.0, "test").size(), 1900u);
+    EXPECT_EQ(convert_table_to_points(make_point_table(points, {}), units, 0.0, "test").size(), 1900u);
 }
 
 TEST(DroppedRays, MarkTheMaximumRangeOfTheSensor) {
     const auto n_returns = [](float marker_m) {
-        Sequence sequence;
+        LidarSequence sequence;
         add_frame(sequence, 0, 0.0, Pose{});
         Scan& scan = sequence.frames[0].scan;
-        scan = make_unordered_scan(Points{make_measured_points(2000), std::vector<float>(2000, 0.5f)});
+        scan = make_unordered_scan(LidarPoints{make_measured_points(2000), std::vector<float>(2000, 0.5f)});
         for (std::size_t i = 0; i < 2000; ++i) {
             scan.rays.channel[i] = std::uint16_t(i % 16);
             if (i % 10 == 0) scan.range_m[i] = marker_m * (1.0f + 1e-7f * float(i % 3));
         }
-        drop_max_range_markers(sequence);
+        drop_fake_max_range_returns(sequence);
         return scan.count_returns();
     };
     EXPECT_EQ(n_returns(100.0f), 1800u);
@@ -170,34 +175,36 @@ TEST(DroppedRays, MarkTheMaximumRangeOfTheSensor) {
 TEST(PointTable, FindsFieldsByTheirMeaning) {
     for (const char* name : {"intensity", "Intensity", "INTENSITY", "scalar_intensity", "scalar_Intensity",
                              "i", "intensities", "reflectance", "remission", "signal", "amplitude"})
-        EXPECT_EQ(find_value_of_field(name), PointValue::intensity) << name;
+        EXPECT_EQ(find_field_meaning(name), PointAttribute::intensity) << name;
     for (const char* name : {"x", "X", "scalar_x", "point_x", "pos_X", "position.x", "//X"})
-        EXPECT_EQ(find_value_of_field(name), PointValue::x) << name;
+        EXPECT_EQ(find_field_meaning(name), PointAttribute::x) << name;
     for (const char* name : {"nx", "normal_x", "velocity_x", "vx", "x_origin", "rgb", "ambient", "in", ""})
-        EXPECT_EQ(find_value_of_field(name), std::nullopt) << name;
+        EXPECT_EQ(find_field_meaning(name), std::nullopt) << name;
     const std::vector<glm::vec3> points = make_measured_points(3);
     const PointTable table = make_point_table(points, {{"scalar_x", {7.0f, 7.0f, 7.0f}}});
-    EXPECT_EQ((*table.find(PointValue::x))[1], double(points[1].x)) << "the exact name is used first";
+    EXPECT_EQ((*table.find_field(PointAttribute::x))[1], double(points[1].x))
+        << "the exact name is used first";
 }
 
 TEST(PointMeaning, UsesIntensitiesThatAreNotZero) {
     const std::vector<glm::vec3> points = make_measured_points(3);
     const std::vector<float> zero(3, 0.0f), bright = {12.0f, 187.0f, 3.0f};
-    const PointMeaning meaning =
-        find_meaning({make_point_table(points, {{"intensity", zero}, {"reflectivity", bright}})});
+    const PointFieldSemantics meaning =
+        interpret_point_fields({make_point_table(points, {{"intensity", zero}, {"reflectivity", bright}})});
     EXPECT_EQ(meaning.intensity_field, "reflectivity");
     EXPECT_EQ(meaning.scale.max, 255.0);
-    PointUnits units;
+    PointFileUnits units;
     units.intensity_field = meaning.intensity_field;
     units.intensity_max = meaning.scale.max;
     const PointTable table = make_point_table(points, {{"intensity", zero}, {"reflectivity", bright}});
-    EXPECT_FLOAT_EQ(make_points(table, units, 0.0, "test").intensity[1], 187.0f / 255.0f);
-    EXPECT_EQ(find_meaning({make_point_table(points, {{"intensity", zero}})}).notes.size(), 1u);
-    EXPECT_TRUE(find_meaning({make_point_table(points, {{"intensity", bright}})}).notes.size() == 1);
+    EXPECT_FLOAT_EQ(convert_table_to_points(table, units, 0.0, "test").intensity[1], 187.0f / 255.0f);
+    EXPECT_EQ(interpret_point_fields({make_point_table(points, {{"intensity", zero}})}).notes.size(), 1u);
+    EXPECT_TRUE(interpret_point_fields({make_point_table(points, {{"intensity", bright}})}).notes.size() ==
+                1);
 }
 
 TEST(PointMeaning, FindsTheScaleOfIntensities) {
-    const auto scale = [](std::vector<double> values) { return find_scale(values); };
+    const auto scale = [](std::vector<double> values) { return estimate_intensity_scale(values); };
     EXPECT_EQ(scale({0.0, 0.2, 1.0}).max, 1.0);
     EXPECT_EQ(scale({0.0, 12.0, 187.0}).max, 255.0);
     EXPECT_TRUE(scale({0.0, 12.0, 187.0}).is_sure);
@@ -209,15 +216,15 @@ TEST(PointMeaning, FindsTheScaleOfIntensities) {
 
 /// Scan source that counts how often each scan is read. The scans show a cylinder with 8
 /// beams x 90 columns.
-class CountedScans : public ScanSource {
+class CountedScans : public ScanProvider {
 public:
     explicit CountedScans(std::size_t count) : n_reads(count) {}
-    std::string name(std::size_t frame) const override { return "scan " + std::to_string(frame); }
-    bool has_points(std::size_t) const override { return true; }
-    Scan rays(std::size_t) const override { return {}; }
-    Points points(std::size_t frame) const override {
+    std::string get_frame_name(std::size_t frame) const override { return "scan " + std::to_string(frame); }
+    bool is_stored_as_points(std::size_t) const override { return true; }
+    Scan read_rays_of_frame(std::size_t) const override { return {}; }
+    LidarPoints read_points_of_frame(std::size_t frame) const override {
         ++n_reads[frame];
-        Points points;
+        LidarPoints points;
         for (std::uint16_t beam = 0; beam < 8; ++beam)
             for (int column = 0; column < 90; ++column) {
                 const double azimuth = kPi - (column + 0.5) * 2.0 * kPi / 90;
@@ -233,9 +240,9 @@ public:
 
 TEST(ReadScans, ReadsEachScanOnce) {
     constexpr std::size_t kFrames = 9;  // more than are looked at to find the sensor
-    Sequence sequence;
+    LidarSequence sequence;
     for (std::size_t i = 0; i < kFrames; ++i) add_frame(sequence, int(i), 0.1 * double(i), Pose{});
-    Head head;
+    SequenceHeader head;
     head.lidars.emplace_back().lidar = sequence.lidars[0];
     const CountedScans source(kFrames);
     read_scans(sequence, head, source, DatasetOptions{});

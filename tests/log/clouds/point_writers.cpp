@@ -125,8 +125,8 @@ std::string compress_lzf(const std::string& bytes) {
     };
     for (std::size_t at = 0; at < bytes.size();) {
         const std::string key = bytes.substr(at, 3);
-        const auto known = last.find(key);
-        const std::size_t back = known == last.end() ? 0 : at - known->second;
+        const auto match = last.find(key);
+        const std::size_t back = match == last.end() ? 0 : at - match->second;
         std::size_t length = 0;
         if (key.size() == 3 && back > 0 && back <= 8192)
             while (length < 264 && at + length < bytes.size() &&

@@ -35,7 +35,7 @@ SpinningSensor sensor() {
 /// have a second return.
 struct Truth {
     Scan scan;
-    Points points;  ///< shuffled
+    LidarPoints points;  ///< shuffled
 
     explicit Truth(const SpinningSensor& sensor, bool second = false) {
         Random random(5);
@@ -44,16 +44,17 @@ struct Truth {
         scan.intensity.assign(scan.rays.size(), 0.0f);
         if (second) scan.second_returns.assign(1, {to_vector(scan.range_m), to_vector(scan.intensity)});
         for (std::size_t i = 0; i < scan.rays.size(); ++i) {
-            if (random.uniform() < 0.2) continue;
-            scan.range_m[i] = float(random.uniform(2.0, 60.0)), scan.intensity[i] = float(random.uniform());
-            if (second && random.uniform() < 0.1)
+            if (random.draw_uniform() < 0.2) continue;
+            scan.range_m[i] = float(random.draw_uniform(2.0, 60.0)),
+            scan.intensity[i] = float(random.draw_uniform());
+            if (second && random.draw_uniform() < 0.1)
                 scan.second_returns[0].range_m[i] = scan.range_m[i] + 3.0f,
                 scan.second_returns[0].intensity[i] = 0.25f;
         }
         std::vector<std::size_t> order(scan.rays.size());
         std::iota(order.begin(), order.end(), std::size_t(0));
         for (std::size_t i = order.size(); i-- > 1;)
-            std::swap(order[i], order[std::size_t(random.next() % (i + 1))]);
+            std::swap(order[i], order[std::size_t(random.draw_uint64() % (i + 1))]);
         for (const std::size_t i : order) {
             if (scan.range_m[i] == 0.0f) continue;
             add(i, scan.range_m[i], scan.intensity[i], 1);
@@ -90,13 +91,13 @@ void expect_same_rays(const Scan& actual, const Scan& truth, float late_s) {
 TEST(SpinningScan, PointsFindTheirRaysAndTheRestIsDropped) {
     Truth truth(sensor());
     truth.points.time_offset_s.clear();
-    expect_same_rays(make_spinning_scan(truth.points, sensor(), make_uniform_sweep(truth.points, sensor())),
+    expect_same_rays(make_spinning_scan(truth.points, sensor(), fit_uniform_sweep(truth.points, sensor())),
                      truth.scan, 0.0f);
 }
 
 TEST(SpinningScan, RaysTakeTheTimesOfTheirPoints) {
     const Truth truth(sensor());
-    expect_same_rays(make_spinning_scan(truth.points, sensor(), make_uniform_sweep(truth.points, sensor())),
+    expect_same_rays(make_spinning_scan(truth.points, sensor(), fit_uniform_sweep(truth.points, sensor())),
                      truth.scan, 0.004f);
 }
 
@@ -105,14 +106,13 @@ TEST(SpinningScan, CounterClockwiseHeadsRunTheOtherWay) {
     other.clockwise = false;
     Truth truth(other);
     truth.points.time_offset_s.clear();
-    expect_same_rays(make_spinning_scan(truth.points, other, make_uniform_sweep(truth.points, other)),
+    expect_same_rays(make_spinning_scan(truth.points, other, fit_uniform_sweep(truth.points, other)),
                      truth.scan, 0.0f);
 }
 
 TEST(SpinningScan, KeepsSecondReturns) {
     const Truth truth(sensor(), true);
-    const Scan actual =
-        make_spinning_scan(truth.points, sensor(), make_uniform_sweep(truth.points, sensor()));
+    const Scan actual = make_spinning_scan(truth.points, sensor(), fit_uniform_sweep(truth.points, sensor()));
     ASSERT_EQ(actual.second_returns.size(), 1u);
     for (std::size_t i = 0; i < truth.scan.rays.size(); ++i) {
         EXPECT_NEAR(actual.range_m[i], truth.scan.range_m[i], 1e-4f);
@@ -120,7 +120,7 @@ TEST(SpinningScan, KeepsSecondReturns) {
         EXPECT_EQ(actual.second_returns[0].intensity[i], truth.scan.second_returns[0].intensity[i]);
     }
     Scan cut = actual;
-    drop_outside_limits(cut, {0.0, 30.0});
+    remove_returns_outside_limits(cut, {0.0, 30.0});
     for (std::size_t i = 0; i < cut.range_m.size(); ++i)
         EXPECT_TRUE(cut.second_returns[0].range_m[i] == 0.0f ||
                     (cut.second_returns[0].range_m[i] <= 30.0f && cut.range_m[i] > 0.0f));
@@ -128,12 +128,12 @@ TEST(SpinningScan, KeepsSecondReturns) {
 
 TEST(SpinningScan, FarPointsAreDroppedAndCrowdsThinned) {
     const SpinningSensor s = sensor();
-    Points points;
+    LidarPoints points;
     const BeamRay ray = compute_beam_ray(s.beams[0], 0.0);
     for (const double range : {10.0, 12.0, 14.0, 11.0, 9.0, 200.0})
         points.position_m.emplace_back(ray.origin_m + range * ray.direction),
             points.intensity.push_back(2.0f), points.ring.push_back(0);
-    const Scan scan = make_spinning_scan(points, s, make_uniform_sweep(points, s));
+    const Scan scan = make_spinning_scan(points, s, fit_uniform_sweep(points, s));
     EXPECT_EQ(scan.count_returns(), 3u) << "its own ray and those beside it";
     EXPECT_NEAR(*std::max_element(scan.range_m.begin(), scan.range_m.end()), 14.0f, 1e-3f);
     EXPECT_EQ(std::count(scan.intensity.begin(), scan.intensity.end(), 1.0f), 3) << "intensities are cut";
@@ -148,28 +148,30 @@ TEST(SpinningScan, ToldFiringsOfOneAzimuthStayApart) {
     SpinningSensor one = sensor();
     one.beams = {{.elevation_rad = 0.0}};
     one.columns = 3;
-    const HeadLattice lattice{360, 0.0};
-    const Sweep sweep{lattice, {lattice.tick(3.0), lattice.tick(3.0), lattice.tick(1.0)}};
+    const EncoderTickGrid lattice{360, 0.0};
+    const SweepFirings sweep{
+        lattice,
+        {lattice.find_nearest_tick(3.0), lattice.find_nearest_tick(3.0), lattice.find_nearest_tick(1.0)}};
     const auto point = [](double azimuth, float range_m) {
         return range_m * glm::vec3(std::cos(azimuth), std::sin(azimuth), 0.0);
     };
-    const Points points{{point(1.0, 7.0f), point(3.0, 5.0f), point(3.0, 6.0f)},
-                        {0.1f, 0.2f, 0.3f},
-                        {0, 0, 0},
-                        {0.05f, 0.0f, 0.1f},
-                        {},
-                        {2, 1, 0}};
+    const LidarPoints points{{point(1.0, 7.0f), point(3.0, 5.0f), point(3.0, 6.0f)},
+                             {0.1f, 0.2f, 0.3f},
+                             {0, 0, 0},
+                             {0.05f, 0.0f, 0.1f},
+                             {},
+                             {2, 1, 0}};
     const Scan scan = make_spinning_scan(points, one, sweep);
     EXPECT_EQ(scan.rays.time_offset_s, (ScanArray<float>{0.1f, 0.0f, 0.05f}));
     for (std::size_t i = 0; i < 3; ++i)
         EXPECT_NEAR(scan.range_m[i], (std::array{6.0f, 5.0f, 7.0f}[i]), 1e-6f);
-    Points beyond = points;
+    LidarPoints beyond = points;
     beyond.firing[0] = 3;
     EXPECT_THROW(make_spinning_scan(beyond, one, sweep), UsageError);
 }
 
 TEST(UnorderedScan, HasARayForEachPointAndNoOther) {
-    Points points;
+    LidarPoints points;
     points.position_m = {{3, 4, 0}, {6, 8, 0}, {0, 0, -2}, {0, 0, 0}, {1, 0, 0}};
     points.intensity = {0.1f, 0.2f, 0.3f, 0.4f, -1.0f};
     points.time_offset_s = {0.0f, 0.0f, 0.01f, 0.02f, 0.03f};
@@ -184,7 +186,7 @@ TEST(UnorderedScan, HasARayForEachPointAndNoOther) {
     EXPECT_EQ(scan.rays.time_offset_s[2], 0.03f);
 }
 
-std::string error_of(const Points& points) {
+std::string error_of(const LidarPoints& points) {
     try {
         make_spinning_scan(points, sensor(), {{360, 0.0}, {0}});
     } catch (const UsageError& error) {
@@ -194,7 +196,7 @@ std::string error_of(const Points& points) {
 }
 
 TEST(SpinningScan, SaysWhichArrayIsWrong) {
-    Points points;
+    LidarPoints points;
     points.position_m = {{3, 4, 0}, {6, 8, 0}};
     points.intensity = {0.1f, 0.2f};
     EXPECT_THAT(error_of(points), test::Names("scan: found 0 values ... points ... 2"));
@@ -213,15 +215,16 @@ TEST(UndoCompensation, BringsPointsBackToTheirOwnTimes) {
     const PoseTrack track{{0.0, 1.0},
                           {Pose{}, Pose{glm::angleAxis(0.5, glm::dvec3(0, 0, 1)), {9.0, -2.0, 0.3}}}};
     Random random(9);
-    Points points;
+    LidarPoints points;
     std::vector<glm::vec3> measured;
     for (int i = 0; i < 200; ++i) {
-        const double offset_s = random.uniform(-0.05, 0.05);
-        measured.emplace_back(random.uniform(-30.0, 30.0), random.uniform(-30.0, 30.0),
-                              random.uniform(-2.0, 3.0));
+        const double offset_s = random.draw_uniform(-0.05, 0.05);
+        measured.emplace_back(random.draw_uniform(-30.0, 30.0), random.draw_uniform(-30.0, 30.0),
+                              random.draw_uniform(-2.0, 3.0));
         points.time_offset_s.push_back(float(offset_s));
-        const glm::dmat4 compensate = glm::inverse(to_matrix(track.at(0.4))) *
-                                      to_matrix(track.at(0.4 + double(points.time_offset_s.back())));
+        const glm::dmat4 compensate =
+            glm::inverse(to_matrix(track.interpolate_pose(0.4))) *
+            to_matrix(track.interpolate_pose(0.4 + double(points.time_offset_s.back())));
         points.position_m.emplace_back(compensate * glm::dvec4(glm::dvec3(measured.back()), 1.0));
     }
     EXPECT_GT(glm::distance(points.position_m[0], measured[0]), 0.01f);
@@ -231,7 +234,7 @@ TEST(UndoCompensation, BringsPointsBackToTheirOwnTimes) {
 }
 
 TEST(Tracks, LabelsJoinByIdAndTheWorldMovesAsOne) {
-    Sequence log;
+    LidarSequence log;
     for (int i = 0; i < 3; ++i) add_frame(log, i, 0.1 * i, {{1, 0, 0, 0}, {1000.0 + i, 5.0, 0.0}});
     log.boxes = build_tracks({{"b", "Car", {4, 2, 1.5}, 0.0, {{1, 0, 0, 0}, {1010, 5, 0}}},
                               {"a", "Van", {5, 2, 2}, 0.0, {}},

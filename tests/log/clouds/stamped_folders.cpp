@@ -21,7 +21,7 @@ namespace relidar::test {
 namespace fs = std::filesystem;
 namespace {
 
-constexpr double kTurn_s = 0.1;
+constexpr double kRevolution_s = 0.1;
 constexpr double kDegree = kPi / 180.0;
 
 void append_floats(std::string& bytes, std::initializer_list<float> values) {
@@ -71,14 +71,15 @@ void StampedDrive::cast() {
         for (int c = 0; c < columns; ++c)
             for (std::size_t b = 0; b < beams.size(); ++b) {
                 StampedRay ray;
-                ray.time_s = s * step_s + kTurn_s * (double(c) / columns - 0.5);
+                ray.time_s = s * step_s + kRevolution_s * (double(c) / columns - 0.5);
                 const glm::dvec3 d =
                     compute_beam_ray(beams[b], first_azimuth_rad - 2.0 * kPi * c / columns).direction;
                 const Pose fired = compute_lidar_pose_at(ray.time_s);
                 ray.origin_m = fired.translation;
                 ray.point_m = world_m + intersect_yard(ray.origin_m - world_m, fired.rotation * d);
                 ray.local_m = glm::vec3(glm::distance(ray.origin_m, ray.point_m) * d);
-                ray.returned = combine_hashes(std::uint64_t(c) * beams.size() + b, std::uint64_t(s)) % 8 != 0;
+                ray.returned =
+                    hash_integer_pair(std::uint64_t(c) * beams.size() + b, std::uint64_t(s)) % 8 != 0;
                 scan.push_back(ray);
             }
     }

@@ -38,68 +38,68 @@ double measure_length_within(const Segment& segment, const Cell& cell) {
 
 std::vector<Segment> make_random_segments(int count, std::uint64_t seed) {
     Random random(seed);
-    const auto place = [&] {
-        return glm::dvec3(random.uniform(-12.0, 12.0), random.uniform(-12.0, 12.0),
-                          random.uniform(-9.0, 9.0));
+    const auto draw_point = [&] {
+        return glm::dvec3(random.draw_uniform(-12.0, 12.0), random.draw_uniform(-12.0, 12.0),
+                          random.draw_uniform(-9.0, 9.0));
     };
     std::vector<Segment> segments;
     for (int i = 0; i < count; ++i) {
-        const glm::dvec3 from = place();
-        segments.push_back({from, place()});
+        const glm::dvec3 from = draw_point();
+        segments.push_back({from, draw_point()});
     }
     return segments;
 }
 
 TEST(Coverage, SharesAreThoseOfCellsThatWereCrossed) {
     const std::vector<Segment> segments = make_random_segments(40, 1);
-    Coverage coverage;
+    ObservedVoxelSet coverage;
     std::set<Cell> crossed;
     for (const Segment& segment : segments) {
-        coverage.add(segment.from_m, segment.to_m);
+        coverage.add_segment(segment.from_m, segment.to_m);
         for (int x = -13; x < 13; ++x)
             for (int y = -13; y < 13; ++y)
                 for (int z = -10; z < 10; ++z)
                     if (measure_length_within(segment, {x, y, z}) > 0.0) crossed.insert({x, y, z});
     }
     std::size_t n_cells = 0;
-    for (const Coverage::Block& block : coverage.blocks())
+    for (const ObservedVoxelSet::VoxelBlock& block : coverage.list_cell_blocks())
         for (const std::uint16_t word : block.cells) n_cells += std::size_t(__builtin_popcount(word));
     EXPECT_EQ(n_cells, crossed.size());
     for (const Segment& segment : segments)
-        EXPECT_NEAR(coverage.share(segment.from_m, segment.to_m), 1.0, 1e-12);
+        EXPECT_NEAR(coverage.compute_observed_fraction(segment.from_m, segment.to_m), 1.0, 1e-12);
     int n_partly = 0;
     for (const Segment& segment : make_random_segments(60, 2)) {
         double within_m = 0.0;
         for (const Cell& cell : crossed) within_m += measure_length_within(segment, cell);
         const double expected = within_m / glm::distance(segment.from_m, segment.to_m);
-        EXPECT_NEAR(coverage.share(segment.from_m, segment.to_m), expected, 1e-9);
+        EXPECT_NEAR(coverage.compute_observed_fraction(segment.from_m, segment.to_m), expected, 1e-9);
         n_partly += expected > 0.01 && expected < 0.99;
     }
     EXPECT_GT(n_partly, 50);
 }
 
 TEST(Coverage, AlongAnAxisAndAtRestCellsAreFoundToo) {
-    Coverage coverage;
-    coverage.add({0.5, 0.5, 0.5}, {4.5, 0.5, 0.5});
-    EXPECT_DOUBLE_EQ(coverage.share({0.5, 0.2, 0.5}, {4.9, 0.2, 0.5}), 1.0);
-    EXPECT_DOUBLE_EQ(coverage.share({2.5, 0.5, 0.5}, {2.5, 0.5, 4.5}), 0.125);
-    EXPECT_EQ(coverage.share({2.5, 0.5, 0.5}, {2.5, 0.5, 0.5}), 0.0);
+    ObservedVoxelSet coverage;
+    coverage.add_segment({0.5, 0.5, 0.5}, {4.5, 0.5, 0.5});
+    EXPECT_DOUBLE_EQ(coverage.compute_observed_fraction({0.5, 0.2, 0.5}, {4.9, 0.2, 0.5}), 1.0);
+    EXPECT_DOUBLE_EQ(coverage.compute_observed_fraction({2.5, 0.5, 0.5}, {2.5, 0.5, 4.5}), 0.125);
+    EXPECT_EQ(coverage.compute_observed_fraction({2.5, 0.5, 0.5}, {2.5, 0.5, 0.5}), 0.0);
     const double nan = std::numeric_limits<double>::quiet_NaN();
-    coverage.add({nan, 0.0, 0.0}, {1.0, 0.0, 0.0});
-    coverage.add({0.0, 0.0, 0.0}, {1e300, 0.0, 0.0});
-    EXPECT_EQ(coverage.blocks().size(), 1u);
-    EXPECT_EQ(coverage.share({0.0, 0.0, nan}, {1.0, 0.0, 0.0}), 0.0);
+    coverage.add_segment({nan, 0.0, 0.0}, {1.0, 0.0, 0.0});
+    coverage.add_segment({0.0, 0.0, 0.0}, {1e300, 0.0, 0.0});
+    EXPECT_EQ(coverage.list_cell_blocks().size(), 1u);
+    EXPECT_EQ(coverage.compute_observed_fraction({0.0, 0.0, nan}, {1.0, 0.0, 0.0}), 0.0);
 }
 
 /// Makes a LiDAR 2 m above the origin with beams at 20, 0, -20 and -40 degrees and 360
 /// columns.
-Sequence make_one_sweep() {
-    Sequence sequence;
+LidarSequence make_one_sweep() {
+    LidarSequence sequence;
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     for (const double degrees : {20.0, 0.0, -20.0, -40.0}) sensor.beams.push_back({degrees * kPi / 180.0});
     sensor.columns = 360;
     sequence.world_from_vehicle = {{0.0}, {Pose{{1, 0, 0, 0}, {0, 0, 2.0}}}};
-    Frame frame;
+    LidarFrame frame;
     frame.scan.rays = make_rays(sensor);
     frame.scan.range_m.assign(frame.scan.rays.size(), 0.0f);
     frame.scan.intensity.assign(frame.scan.rays.size(), 0.0f);
@@ -108,24 +108,25 @@ Sequence make_one_sweep() {
     return sequence;
 }
 
-void set_ranges(Sequence& sequence, const std::array<float, 4>& range_m) {
+void set_ranges(LidarSequence& sequence, const std::array<float, 4>& range_m) {
     Scan& scan = sequence.frames[0].scan;
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) scan.range_m[i] = range_m[scan.rays.channel[i]];
 }
 
 /// Returns the share of a segment ahead of the sensor, at an elevation, that the scans
 /// have observed.
-double seen(const Coverage& coverage, double elevation_deg, double from_m, double to_m) {
+double seen(const ObservedVoxelSet& coverage, double elevation_deg, double from_m, double to_m) {
     const double e = elevation_deg * kPi / 180.0;
     const glm::dvec3 sensor(0.0, 0.0, 2.0),
         direction(std::cos(e) * std::cos(0.01), std::cos(e) * std::sin(0.01), std::sin(e));
-    return coverage.share(sensor + from_m * direction, sensor + to_m * direction);
+    return coverage.compute_observed_fraction(sensor + from_m * direction, sensor + to_m * direction);
 }
 
 TEST(Coverage, AScanHasLookedAsFarAsItsReturns) {
-    Sequence sequence = make_one_sweep();
+    LidarSequence sequence = make_one_sweep();
     set_ranges(sequence, {30.0f, 20.0f, 5.8f, 3.1f});  // a wall and flat ground
-    const Coverage coverage = find_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
+    const ObservedVoxelSet coverage =
+        compute_observed_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
     EXPECT_GT(seen(coverage, 20.0, 0.5, 29.5), 0.99);
     EXPECT_LT(seen(coverage, 20.0, 32.0, 60.0), 0.01) << "behind the wall";
     EXPECT_GT(seen(coverage, 10.0, 0.5, 19.5), 0.99) << "between two beams, as far as the nearer sees";
@@ -135,17 +136,17 @@ TEST(Coverage, AScanHasLookedAsFarAsItsReturns) {
 }
 
 TEST(Coverage, ADroppedRayTellsWhatItsNeighboursTell) {
-    Sequence sequence = make_one_sweep();
+    LidarSequence sequence = make_one_sweep();
     set_ranges(sequence, {0.0f, 0.0f, 5.8f, 3.1f});  // no surface above the ground
-    Coverage coverage = find_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
+    ObservedVoxelSet coverage = compute_observed_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
     EXPECT_GT(seen(coverage, 20.0, 0.5, 79.0), 0.99) << "the sky";
     EXPECT_LT(seen(coverage, 20.0, 82.0, 120.0), 0.01) << "beyond its range";
     set_ranges(sequence, {30.0f, 0.0f, 5.8f, 3.1f});
-    coverage = find_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
+    coverage = compute_observed_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
     EXPECT_GT(seen(coverage, 0.0, 0.5, 5.5), 0.99);
     EXPECT_LT(seen(coverage, 0.0, 8.0, 40.0), 0.05) << "a black car";
     set_ranges(sequence, {30.0f, 20.0f, 0.0f, 0.0f});
-    coverage = find_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
+    coverage = compute_observed_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
     EXPECT_LT(seen(coverage, -40.0, 3.0, 40.0), 0.01) << "the vehicle's own roof";
 }
 

@@ -35,7 +35,7 @@ SpinningSensor make_sensor_named(const std::string& name, int columns = 0) {
 /// Returns the time from the start of a firing to each laser, highest laser first.
 std::vector<double> find_laser_times_us(const std::string& product) {
     if (product.starts_with("OS")) return std::vector<double>(128, 0.0);
-    return packets::make_block_decoder(product.c_str(), {})->timing().offset_us;
+    return packets::make_block_packet_decoder(product.c_str(), {})->get_laser_timing().offset_us;
 }
 
 /// Returns the range that ray `index` measures. The range is a multiple of 8 mm. Every
@@ -65,10 +65,10 @@ std::vector<SensorPacket> make_packets_of(const SpinningSensor& sensor, const Pa
     PacketEncoder encoder(sensor, options);
     std::vector<SensorPacket> packets;
     for (int k = 0; k < n_scans; ++k)
-        for (SensorPacket& packet :
-             encoder.encode(make_known_scan(sensor, has_second_returns), 1.0 + sensor.period_s * k))
+        for (SensorPacket& packet : encoder.encode_scan_as_packets(
+                 make_known_scan(sensor, has_second_returns), 1.0 + sensor.period_s * k))
             packets.push_back(std::move(packet));
-    for (SensorPacket& packet : encoder.finish()) packets.push_back(std::move(packet));
+    for (SensorPacket& packet : encoder.flush_remaining_packets()) packets.push_back(std::move(packet));
     return packets;
 }
 
@@ -256,7 +256,8 @@ void PrintTo(const WrittenProduct& product, std::ostream* out) {
 }
 
 /// Writes two turns of a scan as a capture, and reads the capture as a log.
-Sequence write_and_load_log(const SpinningSensor& sensor, const PacketOptions& options, const Scan& scan) {
+LidarSequence write_and_load_log(const SpinningSensor& sensor, const PacketOptions& options,
+                                 const Scan& scan) {
     const std::filesystem::path folder =
         std::filesystem::path(::testing::TempDir()) / "relidar_sensor_packets";
     std::filesystem::create_directories(folder);
@@ -264,11 +265,12 @@ Sequence write_and_load_log(const SpinningSensor& sensor, const PacketOptions& o
     for (const char* ending : {".csv", ".json"})
         std::filesystem::remove(std::filesystem::path(file).replace_extension(ending));
     PacketEncoder encoder(sensor, options);
-    PacketCapture capture(file, encoder.port());
-    for (int k = 0; k < 2; ++k) capture.add(encoder.encode(scan, 1.0 + sensor.period_s * k));
-    capture.add(encoder.finish());
-    capture.close();
-    const PacketCalibration calibration = encoder.calibration();
+    PcapWriter capture(file, encoder.get_udp_port());
+    for (int k = 0; k < 2; ++k)
+        capture.write_packets(encoder.encode_scan_as_packets(scan, 1.0 + sensor.period_s * k));
+    capture.write_packets(encoder.flush_remaining_packets());
+    capture.close_file();
+    const PacketCalibrationFile calibration = encoder.get_packet_calibration();
     if (!calibration.ending.empty())
         std::ofstream(std::filesystem::path(file).replace_extension(calibration.ending)) << calibration.text;
     DatasetOptions reading;
@@ -284,9 +286,9 @@ TEST_P(WrittenPackets, GiveTheSameReturnsAgain) {
     const SpinningSensor sensor = make_sensor_named(name);
     const PacketOptions options{.start_ns = kStart_ns, .returns = returns, .ouster_profile = profile};
     const Scan scan = make_known_scan(sensor, returns == 2);
-    const Sequence log = write_and_load_log(sensor, options, scan);
+    const LidarSequence log = write_and_load_log(sensor, options, scan);
     ASSERT_EQ(log.frames.size(), 2u);
-    const double start_s = 1e-9 * double(log_start_ns(log) - kStart_ns);
+    const double start_s = 1e-9 * double(get_log_start_unix_ns(log) - kStart_ns);
     const std::vector<double> laser_times_us = find_laser_times_us(name);
     // [ring, nearest firing] of each written return
     const double step_s = sensor.period_s / sensor.columns;
@@ -300,8 +302,8 @@ TEST_P(WrittenPackets, GiveTheSameReturnsAgain) {
             if (scan.range_m[i] > 0.0f)
                 written[key(scan.rays.channel[i],
                             1.0 + sensor.period_s * k + double(scan.rays.time_offset_s[i]))] = i;
-    std::set<std::pair<std::size_t, long>> found;
-    for (const Frame& frame : log.frames) {
+    std::set<std::pair<std::size_t, long>> matched_keys;
+    for (const LidarFrame& frame : log.frames) {
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             if (!(frame.scan.range_m[i] > 0.0f)) continue;
             const std::size_t ring = frame.scan.rays.channel[i];
@@ -318,10 +320,10 @@ TEST_P(WrittenPackets, GiveTheSameReturnsAgain) {
                 ASSERT_NEAR(frame.scan.second_returns[0].range_m[i], scan.second_returns[0].range_m[ray],
                             0.5001 * quantum_m);
             }
-            found.insert(at->first);
+            matched_keys.insert(at->first);
         }
     }
-    EXPECT_GE(found.size() + 2 * sensor.beams.size(), written.size())
+    EXPECT_GE(matched_keys.size() + 2 * sensor.beams.size(), written.size())
         << "only firings at the ends of the log may be lost";
 }
 
@@ -359,7 +361,7 @@ TEST_P(AlternatingPackets, GiveTheRaysOfTheirLasers) {
     const SpinningSensor sensor = make_sensor_named(product.sensor, product.columns);
     const PacketOptions options{.start_ns = kStart_ns, .returns = product.returns};
     const Scan scan = make_known_scan(sensor, product.returns == 2);
-    const Sequence log = write_and_load_log(sensor, options, scan);
+    const LidarSequence log = write_and_load_log(sensor, options, scan);
     ASSERT_EQ(log.frames.size(), 2u);
     const SpinningSensor& decoded = log.lidars.front().sensor;
     const double step_s = sensor.period_s / sensor.columns;
@@ -369,9 +371,9 @@ TEST_P(AlternatingPackets, GiveTheRaysOfTheirLasers) {
     for (std::size_t i = 0; i < scan.range_m.size(); ++i)
         written[{scan.rays.channel[i], find_firing(1.0 + double(scan.rays.time_offset_s[i]))}] = i;
     std::map<std::size_t, std::set<long>> parities;  // [laser] firings, modulo 2
-    const double start_s = 1e-9 * double(log_start_ns(log) - kStart_ns);
-    std::size_t n_found = 0;
-    for (const Frame& frame : log.frames) {
+    const double start_s = 1e-9 * double(get_log_start_unix_ns(log) - kStart_ns);
+    std::size_t n_matched_returns = 0;
+    for (const LidarFrame& frame : log.frames) {
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             if (!(frame.scan.range_m[i] > 0.0f)) continue;
             const double elevation_rad = decoded.beams[frame.scan.rays.channel[i]].elevation_rad;
@@ -398,13 +400,13 @@ TEST_P(AlternatingPackets, GiveTheRaysOfTheirLasers) {
                 kPi;
             ASSERT_LT(apart_deg, product.most_apart_deg) << "laser " << laser;
             parities[laser].insert(firing % 2);
-            ++n_found;
+            ++n_matched_returns;
         }
     }
     EXPECT_EQ(std::ranges::count_if(parities, [](const auto& entry) { return entry.second.size() == 2; }),
               std::ptrdiff_t(product.n_common));
     const double n_rays = double(128 + product.n_common) * decoded.columns * 2;
-    EXPECT_NEAR(double(n_found) / n_rays, 0.8, 0.005);
+    EXPECT_NEAR(double(n_matched_returns) / n_rays, 0.8, 0.005);
 }
 
 INSTANTIATE_TEST_SUITE_P(
@@ -432,10 +434,10 @@ TEST(Packets, OfOtherSensorsAreRefused) {
     sensor = make_sensor_named("VLP-16");
     PacketEncoder encoder(sensor, {});
     Scan scan = make_known_scan(sensor);
-    encoder.encode(scan, 0.0);
-    EXPECT_THROW(encoder.encode(scan, 0.05), UsageError) << "scans that overlap";
+    encoder.encode_scan_as_packets(scan, 0.0);
+    EXPECT_THROW(encoder.encode_scan_as_packets(scan, 0.05), UsageError) << "scans that overlap";
     std::ranges::fill(scan.rays.time_offset_s, 0.0f);
-    EXPECT_THROW(encoder.encode(scan, 1.0), UsageError) << "no firing times";
+    EXPECT_THROW(encoder.encode_scan_as_packets(scan, 1.0), UsageError) << "no firing times";
 }
 
 /// If the time between frames is longer than a turn of the sensor, the packets must still
@@ -444,8 +446,9 @@ TEST(Packets, FollowEachOtherEvenlyThroughAGap) {
     const SpinningSensor sensor = make_sensor_named("HDL-32E");
     PacketEncoder encoder(sensor, {.start_ns = kStart_ns});
     const Scan scan = make_known_scan(sensor);
-    std::vector<SensorPacket> packets = encoder.encode(scan, 1.0);
-    for (SensorPacket& packet : encoder.encode(scan, 1.1035)) packets.push_back(std::move(packet));
+    std::vector<SensorPacket> packets = encoder.encode_scan_as_packets(scan, 1.0);
+    for (SensorPacket& packet : encoder.encode_scan_as_packets(scan, 1.1035))
+        packets.push_back(std::move(packet));
     for (std::size_t p = 1; p < packets.size(); ++p) {
         EXPECT_NEAR(1e-3 * double(packets[p].time_ns - packets[p - 1].time_ns), 12 * 46.08, 24.0) << p;
         const double before = 0.01 * number_at<std::uint16_t>(packets[p - 1].bytes, 2),

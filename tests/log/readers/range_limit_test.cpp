@@ -61,8 +61,8 @@ protected:
     }
     /// Loads the log with a sensor whose beam table has additional columns. By default,
     /// the limits are those of the sensor, as in the presets of the program.
-    Sequence load(const std::string& names, const std::string& values,
-                  const DatasetOptions& options = make_options_without_limit()) const {
+    LidarSequence load(const std::string& names, const std::string& values,
+                       const DatasetOptions& options = make_options_without_limit()) const {
         test::write_text(folder / "beams.csv", fmt::format("elevation_deg{0}\n5{1}\n-5{1}\n", names, values));
         test::write_text(folder / "sequence.json",
                          fmt::format(R"({{"format": "relidar log", "version": 1, "rate_hz": 10,
@@ -70,15 +70,15 @@ protected:
                                      kColumns));
         return load_sequence(folder.string(), options);
     }
-    static std::size_t count_returns(const Sequence& log) {
+    static std::size_t count_returns(const LidarSequence& log) {
         std::size_t n = 0;
-        for (const Frame& frame : log.frames) n += frame.scan.count_returns();
+        for (const LidarFrame& frame : log.frames) n += frame.scan.count_returns();
         return n;
     }
 };
 
 TEST_F(RangeLimit, OfATableWithoutOneIsTheFarthestReturn) {
-    const Sequence log = load("", "");
+    const LidarSequence log = load("", "");
     EXPECT_EQ(log.lidars[0].sensor.max_range_m, 150.0);
     EXPECT_EQ(count_returns(log), std::size_t(2 * kColumns * kScans)) << "no return is lost";
     EXPECT_THAT(log.notes, Contains(Names("range: 150 m ... farthest")));
@@ -86,11 +86,11 @@ TEST_F(RangeLimit, OfATableWithoutOneIsTheFarthestReturn) {
 }
 
 TEST_F(RangeLimit, OfATableCountsTheReturnsThatItExcludes) {
-    const Sequence far = load(",max_range_m", ",100");
+    const LidarSequence far = load(",max_range_m", ",100");
     EXPECT_EQ(far.lidars[0].sensor.max_range_m, 100.0);
     EXPECT_EQ(count_returns(far), std::size_t(2 * kColumns * kScans - 2));
     EXPECT_THAT(far.notes, Contains(Names("2 of 144 returns (1.39 %) ... dropped ... 2 are beyond 100 m")));
-    const Sequence both = load(",min_range_m,max_range_m", ",1,100");
+    const LidarSequence both = load(",min_range_m,max_range_m", ",1,100");
     EXPECT_THAT(both.notes,
                 Contains(Names("4 of 144 returns (2.78 %) ... 2 are beyond 100 m ... 2 ... nearer ... 1 m")));
 }

@@ -14,15 +14,15 @@
 namespace relidar {
 namespace {
 
-LoopOptions make_loop_options() {
+LoopClosureOptions make_loop_options() {
     return {{2.0, 0.5}, {0.5, 0.1}, [](double) { return true; }};
 }
 
-std::vector<std::vector<ThinPoint>> thin(const Sequence& log) {
-    RegisterOptions movers;
+std::vector<std::vector<SubsampledPoint>> thin(const LidarSequence& log) {
+    RegistrationOptions movers;
     movers.movers = log.boxes;
-    return thin_scans(log, group_frames_by_sweep(log), std::vector<bool>(log.frames.size(), true), movers,
-                      0.5);
+    return downsample_scans(log, group_frames_into_sweeps(log), std::vector<bool>(log.frames.size(), true),
+                            movers, 0.5);
 }
 
 /// Simulates the drift of odometry by rotating every step slightly sideways and down.
@@ -45,12 +45,12 @@ double gap_m(const PoseTrack& track, const PoseTrack& exact) {
 }
 
 TEST(CloseLoops, ADriveAroundABlockMeetsItsBeginning) {
-    const Sequence drive = test::drive_around_block(300);
+    const LidarSequence drive = test::drive_around_block(300);
     const PoseTrack& exact = drive.world_from_vehicle;
     const PoseTrack drifted = bend_track(exact, 2e-4, 2e-4);  // about 3.2 degrees over 283 m
     EXPECT_GT(gap_m(drifted, exact), 2.0) << "the start is far off";
-    const ClosedLoops closed = close_loops(drifted, thin(drive), make_loop_options());
-    EXPECT_GE(closed.places, 2u);
+    const LoopClosureResult closed = close_loops(drifted, thin(drive), make_loop_options());
+    EXPECT_GE(closed.n_closures, 2u);
     EXPECT_GT(closed.largest_m, 2.0);
     EXPECT_LT(gap_m(closed.track, exact), 0.1);
     for (std::size_t k = 1; k < exact.pose.size(); ++k) {  // no jumps between neighbouring poses
@@ -63,15 +63,15 @@ TEST(CloseLoops, ADriveAroundABlockMeetsItsBeginning) {
 TEST(CloseLoops, WhereNothingIsSeenAgainAllStays) {
     SyntheticOptions street;
     street.n_frames = 160, street.rows = 32, street.columns = 256;
-    const Sequence log = make_synthetic_street(street);
+    const LidarSequence log = make_synthetic_street(street);
     const auto scans = thin(log);
     const PoseTrack& exact = log.world_from_vehicle;
-    EXPECT_EQ(close_loops(exact, scans, make_loop_options()).places, 0u);
+    EXPECT_EQ(close_loops(exact, scans, make_loop_options()).n_closures, 0u);
     // Wrong poses turn the straight street into a circle. The end of the circle is close
     // to its start, but the scans at both positions differ.
     const PoseTrack circle = bend_track(exact, 2.0 * kPi / 120.0, 0.0);
-    const ClosedLoops closed = close_loops(circle, scans, make_loop_options());
-    EXPECT_EQ(closed.places, 0u) << "up to " << closed.largest_m << " m";
+    const LoopClosureResult closed = close_loops(circle, scans, make_loop_options());
+    EXPECT_EQ(closed.n_closures, 0u) << "up to " << closed.largest_m << " m";
     for (std::size_t k = 0; k < exact.pose.size(); ++k)
         ASSERT_EQ(closed.track.pose[k].translation, circle.pose[k].translation);
 }

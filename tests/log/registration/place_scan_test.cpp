@@ -16,9 +16,9 @@ namespace {
 constexpr double kSides_m[3][2] = {{-20.0, 25.0}, {-7.0, 9.0}, {-1.7, 6.0}};
 
 /// Returns the wall that a ray from inside hits.
-VisibleSurface intersect_wall(const glm::dvec3& origin_m, const glm::dvec3& direction) {
+SurfaceHit intersect_wall(const glm::dvec3& origin_m, const glm::dvec3& direction) {
     double nearest = std::numeric_limits<double>::infinity();
-    VisibleSurface wall;
+    SurfaceHit wall;
     for (int axis = 0; axis < 3; ++axis) {
         const double side = kSides_m[axis][direction[axis] > 0.0 ? 1 : 0],
                      t = (side - origin_m[axis]) / direction[axis];
@@ -33,15 +33,15 @@ VisibleSurface intersect_wall(const glm::dvec3& origin_m, const glm::dvec3& dire
 
 /// Makes three sweeps of 24 x 360 rays through the hall, without noise. Each ray has a
 /// separate firing time.
-Sequence drive() {
-    Sequence log;
+LidarSequence drive() {
+    LidarSequence log;
     for (int k = 0; k < 3; ++k) {
         log.world_from_vehicle.time_s.push_back(0.1 * k);
         log.world_from_vehicle.pose.push_back(
             {make_rotation(0.05 * k, 0.01 * k, -0.01), {1.0 * k, 0.1 * k, 0.0}});
     }
     for (int k = 0; k < 3; ++k) {
-        Frame frame{k, 0.1 * k, {}};
+        LidarFrame frame{k, 0.1 * k, {}};
         for (int i = 0; i < 24 * 360; ++i) {
             const double azimuth = (i / 24) * kPi / 180.0 - kPi, elevation = (i % 24) * 0.02 - 0.3;
             frame.scan.rays.origin.emplace_back(0.0f);
@@ -63,20 +63,20 @@ Sequence drive() {
     return log;
 }
 
-ScanPlacement placed(const Sequence& log, std::size_t pose, const RegisterOptions& options = {}) {
-    return place_scan(
+ScanAlignment placed(const LidarSequence& log, std::size_t pose, const RegistrationOptions& options = {}) {
+    return align_scan_with_scene(
         log, pose,
         [&](int position, const std::vector<std::size_t>& rays, const PoseTrack& world_from_vehicle) {
-            const Frame& frame = log.frames[std::size_t(position)];
+            const LidarFrame& frame = log.frames[std::size_t(position)];
             const PoseTrack world_from_sensor =
-                mount_on_track(world_from_vehicle, log.get_lidar(frame).vehicle_from_sensor);
-            std::vector<VisibleSurface> seen;
+                compute_mounted_track(world_from_vehicle, log.get_lidar(frame).vehicle_from_sensor);
+            std::vector<SurfaceHit> surface_hits;
             for (const std::size_t i : rays) {
                 const WorldRay ray =
                     make_world_ray(world_from_sensor, frame.time_s, frame.scan.rays, i, true);
-                seen.push_back(intersect_wall(ray.origin_m, ray.direction));
+                surface_hits.push_back(intersect_wall(ray.origin_m, ray.direction));
             }
-            return seen;
+            return surface_hits;
         },
         options);
 }
@@ -87,55 +87,56 @@ double compute_angle_between(const Pose& first, const Pose& second) {
 }
 
 TEST(PlaceScan, FindsThePoseOfOneSweepAmongOthersThatStay) {
-    const Sequence exact = drive();
+    const LidarSequence exact = drive();
     std::mt19937_64 random(3);
     std::normal_distribution<double> metres(0.0, 0.02), radians(0.0, 2e-3);
     // The first and the last sweep have rays whose times are beyond the ends of the
     // track.
     for (const std::size_t position : {0u, 1u, 2u}) {
-        Sequence log = exact;
+        LidarSequence log = exact;
         Pose& pose = log.world_from_vehicle.pose[position];
         pose = apply_twist(pose, {metres(random), metres(random), metres(random), radians(random),
                                   radians(random), radians(random)});
-        const ScanPlacement found = placed(log, position);
+        const ScanAlignment alignment = placed(log, position);
         const Pose& truth = exact.world_from_vehicle.pose[position];
-        ASSERT_TRUE(found.found);
-        EXPECT_LT(glm::distance(found.world_from_vehicle.translation, truth.translation), 1e-4) << position;
-        EXPECT_LT(compute_angle_between(found.world_from_vehicle, truth), 1e-5) << position;
-        EXPECT_NEAR(found.moved_m, glm::distance(pose.translation, truth.translation), 1e-4);
-        EXPECT_GT(found.on_surfaces, 0.99);
+        ASSERT_TRUE(alignment.is_aligned);
+        EXPECT_LT(glm::distance(alignment.world_from_vehicle.translation, truth.translation), 1e-4)
+            << position;
+        EXPECT_LT(compute_angle_between(alignment.world_from_vehicle, truth), 1e-5) << position;
+        EXPECT_NEAR(alignment.moved_m, glm::distance(pose.translation, truth.translation), 1e-4);
+        EXPECT_GT(alignment.on_surfaces, 0.99);
     }
 }
 
 TEST(PlaceScan, ReturnsThatAreNoWallsHardlyPull) {
-    const Sequence exact = drive();
-    Sequence log = exact;
+    const LidarSequence exact = drive();
+    LidarSequence log = exact;
     // a quarter of the returns
     for (std::size_t i = 0; i < log.frames[1].scan.range_m.size(); i += 4)
         log.frames[1].scan.range_m[i] *= 0.6f;
     log.world_from_vehicle.pose[1].translation += glm::dvec3(0.01, -0.02, 0.01);
-    const ScanPlacement found = placed(log, 1);
-    ASSERT_TRUE(found.found);
+    const ScanAlignment alignment = placed(log, 1);
+    ASSERT_TRUE(alignment.is_aligned);
     EXPECT_LT(
-        glm::distance(found.world_from_vehicle.translation, exact.world_from_vehicle.pose[1].translation),
+        glm::distance(alignment.world_from_vehicle.translation, exact.world_from_vehicle.pose[1].translation),
         1e-3);
-    EXPECT_LT(found.on_surfaces, 0.9);
+    EXPECT_LT(alignment.on_surfaces, 0.9);
 }
 
 /// Makes the same drive with two LiDARs that measure different surfaces. The LiDAR
 /// `first` has only the returns of the two side walls.
-Sequence make_drive_of_two() {
-    Sequence log = drive();
+LidarSequence make_drive_of_two() {
+    LidarSequence log = drive();
     const Pose mounted{make_rotation(0.4, 0.1, -0.05), {0.8, -0.3, 0.2}};
     log.lidars = {{"first", {}, {}}, {"second", {}, mounted}};
-    std::vector<Frame> frames;
-    const PoseTrack second = log.world_from_sensor(1);
-    for (const Frame& frame : log.frames) {
-        Frame other = frame;
+    std::vector<LidarFrame> frames;
+    const PoseTrack second = log.get_world_from_sensor(1);
+    for (const LidarFrame& frame : log.frames) {
+        LidarFrame other = frame;
         other.lidar = 1;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const WorldRay ray = make_world_ray(second, frame.time_s, frame.scan.rays, i, true);
-            const VisibleSurface wall = intersect_wall(ray.origin_m, ray.direction);
+            const SurfaceHit wall = intersect_wall(ray.origin_m, ray.direction);
             other.scan.range_m[i] =
                 wall.normal.y == 0.0 ? static_cast<float>(glm::distance(wall.point_m, ray.origin_m)) : 0.0f;
         }
@@ -153,33 +154,33 @@ Sequence make_drive_of_two() {
 }
 
 TEST(PlaceScan, LidarsThatSweepTogetherArePlacedTogether) {
-    const Sequence exact = make_drive_of_two();
-    Sequence log = exact;
+    const LidarSequence exact = make_drive_of_two();
+    LidarSequence log = exact;
     Pose& pose = log.world_from_vehicle.pose[1];
     pose = apply_twist(pose, {0.02, -0.03, 0.02, 2e-3, -1e-3, 2e-3});
     const Pose& truth = exact.world_from_vehicle.pose[1];
-    const ScanPlacement both = placed(log, 1);
-    ASSERT_TRUE(both.found);
+    const ScanAlignment both = placed(log, 1);
+    ASSERT_TRUE(both.is_aligned);
     EXPECT_LT(glm::distance(both.world_from_vehicle.translation, truth.translation), 5e-4)
         << "between poses the mounting turns on an arc, its track on a chord";
     EXPECT_LT(compute_angle_between(both.world_from_vehicle, truth), 1e-5);
-    std::erase_if(log.frames, [](const Frame& frame) { return frame.lidar == 1; });
+    std::erase_if(log.frames, [](const LidarFrame& frame) { return frame.lidar == 1; });
     EXPECT_GT(glm::distance(placed(log, 1).world_from_vehicle.translation, truth.translation), 0.01)
         << "side walls say nothing of the way";
 }
 
 TEST(PlaceScan, LeavesAScanThatIsNotFoundWhereItWas) {
-    Sequence log = drive();
+    LidarSequence log = drive();
     log.world_from_vehicle.pose[1].translation.y += 0.04;
-    RegisterOptions strict;
+    RegistrationOptions strict;
     strict.largest_m = 0.01;
-    const ScanPlacement far = placed(log, 1, strict);
-    EXPECT_FALSE(far.found);
+    const ScanAlignment far = placed(log, 1, strict);
+    EXPECT_FALSE(far.is_aligned);
     EXPECT_EQ(far.world_from_vehicle.translation.y, log.world_from_vehicle.pose[1].translation.y);
     for (float& range_m : log.frames[1].scan.range_m) range_m = 0.5f;  // invalid ranges
-    EXPECT_FALSE(placed(log, 1).found);
+    EXPECT_FALSE(placed(log, 1).is_aligned);
     for (float& range_m : log.frames[1].scan.range_m) range_m = 0.0f;  // no return
-    EXPECT_FALSE(placed(log, 1).found);
+    EXPECT_FALSE(placed(log, 1).is_aligned);
 }
 
 }  // namespace

@@ -17,15 +17,15 @@ constexpr int kPoses = 7, kPointsAPlane = 40;
 
 struct Problem {
     PoseTrack track;
-    std::vector<ThinPoint> points;
-    std::vector<PlacedPoint> placed;
+    std::vector<SubsampledPoint> points;
+    std::vector<WorldPointWithOrigin> placed;
     /// planes that were fitted with different weights than the weights of the equations
-    std::vector<Plane> planes;
+    std::vector<LocalPlane> planes;
     std::vector<std::vector<std::uint32_t>> members;  ///< [planes]
     double scale_m = 0.1;
 };
 
-Plane make_plane_through(const glm::dvec3& at_m, const glm::dvec3& normal) {
+LocalPlane make_plane_through(const glm::dvec3& at_m, const glm::dvec3& normal) {
     const glm::dvec3 n = glm::normalize(normal), u = glm::normalize(glm::cross(n, glm::dvec3(0.3, 0.5, 0.8)));
     return {at_m, n, u, glm::cross(n, u)};
 }
@@ -43,17 +43,19 @@ Problem make_random_problem(unsigned seed) {
     }
     for (int i = 0; i < 60; ++i) {
         const glm::dvec3 centre(10.0 * uniform(random), 10.0 * uniform(random), 3.0 * uniform(random));
-        const Plane plane = make_plane_through(centre, {uniform(random), uniform(random), uniform(random)});
+        const LocalPlane plane =
+            make_plane_through(centre, {uniform(random), uniform(random), uniform(random)});
         std::vector<std::uint32_t>& members = p.members.emplace_back();
         for (int k = 0; k < kPointsAPlane; ++k) {
             const double off_m = k % 3 == 0 ? 0.3 * uniform(random) : 0.02 * uniform(random);
             const glm::dvec3 at =
                 centre + uniform(random) * plane.u + 0.4 * uniform(random) * plane.v + off_m * plane.normal;
-            ThinPoint point;
+            SubsampledPoint point;
             point.left = std::uint32_t(k % kPoses);
             point.s = 0.5f * float(uniform(random) + 1.0);
             point.pose = point.left;
-            const glm::dvec3 sensor_m = p.track.at(0.1 * (point.left + double(point.s))).translation;
+            const glm::dvec3 sensor_m =
+                p.track.interpolate_pose(0.1 * (point.left + double(point.s))).translation;
             members.push_back(std::uint32_t(p.points.size()));
             p.points.push_back(point);
             p.placed.push_back({at, sensor_m});
@@ -76,8 +78,9 @@ DenseEquations make_dense_equations(const Problem& problem, double prior) {
     Eigen::VectorXd g = Eigen::VectorXd::Zero(m);
     for (std::size_t c = 0; c < problem.planes.size(); ++c)
         for (const std::uint32_t i : problem.members[c]) {
-            const Row row = make_plane_residual_row(problem.placed[i], problem.planes[c], problem.scale_m);
-            const ThinPoint& point = problem.points[i];
+            const PlaneResidual row =
+                compute_plane_residual(problem.placed[i], problem.planes[c], problem.scale_m);
+            const SubsampledPoint& point = problem.points[i];
             const glm::dvec3 d = problem.placed[i].point_m - problem.planes[c].point_m;
             Eigen::VectorXd all = Eigen::VectorXd::Zero(m);
             all.segment<6>(6 * Eigen::Index(point.left)) += (1.0 - double(point.s)) * row.j;
@@ -108,7 +111,7 @@ TEST(PoseEquations, StepIsThatOfTheWholeProblem) {
             equations.add_cell_residuals(p.points, p.placed, p.members[c], p.planes[c], p.scale_m);
         constexpr double kPrior = 1e-4;
         const Eigen::VectorXd actual =
-            equations.solve(p.track, Eigen::VectorXd::Zero(6 * (kPoses + 1)), kPrior);
+            equations.solve_for_all_pose_steps(p.track, Eigen::VectorXd::Zero(6 * (kPoses + 1)), kPrior);
         const DenseEquations dense = make_dense_equations(p, kPrior);
         const Eigen::VectorXd expected = -dense.h.ldlt().solve(dense.g), off = actual - expected;
         EXPECT_LT(off.dot(dense.h * off), 1e-4 * expected.dot(dense.h * expected)) << "seed " << seed;

@@ -58,13 +58,13 @@ TrackError measure_error_of_track(const BoxTrack& box, const BoxTrack& exact) {
 TEST(RegisterActors, CorrectsDriftingLabels) {
     SyntheticOptions options;
     options.n_frames = 30, options.rows = 64, options.columns = 1024;
-    const Sequence exact = make_synthetic_street(options);
-    Sequence street = exact;
+    const LidarSequence exact = make_synthetic_street(options);
+    LidarSequence street = exact;
     for (std::size_t i = 0; i < street.boxes.size(); ++i)
         street.boxes[i] = add_label_errors(street.boxes[i], i + 1);
-    const Sequence labelled = street;
-    const Split split = split_frames(street, 10);
-    const ActorRegistration registration = register_actors(street, split.train);
+    const LidarSequence labelled = street;
+    const TrainTestSplit split = split_frames(street, 10);
+    const ActorRegistrationResult registration = register_actors(street, split.train);
     EXPECT_GT(registration.n_registered, 0u);
     const TrackError before = measure_error_of_track(labelled.boxes[0], exact.boxes[0]),
                      after = measure_error_of_track(street.boxes[0], exact.boxes[0]);
@@ -79,8 +79,8 @@ TEST(RegisterActors, CorrectsDriftingLabels) {
 TEST(RegisterActors, KeepsExactLabels) {
     SyntheticOptions options;
     options.n_frames = 12, options.rows = 32, options.columns = 512;
-    const Sequence exact = make_synthetic_street(options);
-    Sequence street = exact;
+    const LidarSequence exact = make_synthetic_street(options);
+    LidarSequence street = exact;
     register_actors(street, split_frames(street, 0).train);
     for (std::size_t i = 0; i < street.boxes.size(); ++i)
         EXPECT_LT(measure_error_of_track(street.boxes[i], exact.boxes[i]).along_m, 0.01) << "box " << i;
@@ -90,7 +90,7 @@ TEST(RegisterActors, KeepsExactLabels) {
 TEST(RegisterActors, FindsStandingCarsWithDriftingLabels) {
     SyntheticOptions options;
     options.n_frames = 20, options.rows = 64, options.columns = 1024, options.speed_mps = 0.001;
-    Sequence street = make_synthetic_street(options);
+    LidarSequence street = make_synthetic_street(options);
     ASSERT_FALSE(street.boxes.empty());
     BoxTrack& box = street.boxes[0];
     std::vector<Pose>& poses = box.world_from_box.pose;
@@ -98,7 +98,7 @@ TEST(RegisterActors, FindsStandingCarsWithDriftingLabels) {
         poses[k] =
             poses[k] * Pose{{1.0, 0.0, 0.0, 0.0}, {2.5 * double(k) / double(poses.size()) - 1.25, 0.0, 0.0}};
     ASSERT_TRUE(box.is_moving());
-    const ActorRegistration registration = register_actors(street, split_frames(street, 0).train);
+    const ActorRegistrationResult registration = register_actors(street, split_frames(street, 0).train);
     EXPECT_EQ(registration.n_standing, 1u);
     EXPECT_FALSE(box.is_moving());
 }

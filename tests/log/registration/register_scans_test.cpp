@@ -22,27 +22,27 @@ namespace {
 using test::error_of;
 using test::PoseError;
 
-Sequence make_street_of(int n_frames) {
+LidarSequence make_street_of(int n_frames) {
     SyntheticOptions options;
     options.n_frames = n_frames, options.rows = 32, options.columns = 256;
     return make_synthetic_street(options);
 }
 
-RegisterOptions make_options_without_movers(const std::vector<BoxTrack>& movers) {
-    RegisterOptions options;
+RegistrationOptions make_options_without_movers(const std::vector<BoxTrack>& movers) {
+    RegistrationOptions options;
     options.movers = movers;
     return options;
 }
 
-Registration register_street(const Sequence& street, int test_every = 0) {
+RegistrationResult register_street(const LidarSequence& street, int test_every = 0) {
     return register_scans(street, split_frames(street, test_every),
                           make_options_without_movers(street.boxes));
 }
 
 /// Checks that the poses of training and test scans have the required accuracy: 1 cm and
 /// 0.05 degrees.
-void expect_registered(const Registration& registration, const PoseTrack& exact, const Split& split,
-                       const char* description) {
+void expect_registered(const RegistrationResult& registration, const PoseTrack& exact,
+                       const TrainTestSplit& split, const char* description) {
     const PoseError train = error_of(registration.world_from_vehicle, exact, split.train);
     EXPECT_LT(train.median_m, 0.005) << description;
     EXPECT_LT(train.median_deg, 0.02) << description;
@@ -65,8 +65,8 @@ void expect_registered(const Registration& registration, const PoseTrack& exact,
 TEST(RegisterScans, LongStreetStaysWhereItIs) {
     SyntheticOptions options;
     options.seed = 7, options.n_frames = 400, options.rows = 32, options.columns = 256;
-    const Sequence street = make_synthetic_street(options);
-    const Registration registration = register_street(street, 10);
+    const LidarSequence street = make_synthetic_street(options);
+    const RegistrationResult registration = register_street(street, 10);
     EXPECT_TRUE(registration.lost.empty()) << registration.lost.size() << " scans are lost";
     const PoseError error =
         error_of(registration.world_from_vehicle, street.world_from_vehicle, split_frames(street, 10).train);
@@ -75,9 +75,9 @@ TEST(RegisterScans, LongStreetStaysWhereItIs) {
 }
 
 TEST(RegisterScans, FindsPosesBackAfterNoiseAndDrift) {
-    const Sequence street = make_street_of(21);
+    const LidarSequence street = make_street_of(21);
     const PoseTrack& exact = street.world_from_vehicle;
-    const Split split = split_frames(street, 10);
+    const TrainTestSplit split = split_frames(street, 10);
     expect_registered(
         register_street(test::set_poses(street, test::perturb_track(exact, 0.05, 0.3 * test::kDegree, 1)),
                         10),
@@ -90,11 +90,11 @@ TEST(RegisterScans, FindsPosesBackAfterNoiseAndDrift) {
 /// Registers three sweeps with a held-out sweep among them. The planes of only two scans
 /// need more points of each scan.
 TEST(RegisterScans, TwoScansAreEnough) {
-    const Sequence street = make_street_of(3);
+    const LidarSequence street = make_street_of(3);
     const PoseTrack& exact = street.world_from_vehicle;
     PoseTrack wrong = test::perturb_track(exact, 0.1, 0.3 * test::kDegree, 6);
-    const Registration registration = register_scans(test::set_poses(street, wrong), {{0, 2}, {1}},
-                                                     make_options_without_movers(street.boxes));
+    const RegistrationResult registration = register_scans(test::set_poses(street, wrong), {{0, 2}, {1}},
+                                                           make_options_without_movers(street.boxes));
     ASSERT_TRUE(registration.done);
     EXPECT_TRUE(registration.lost.empty());
     const PoseError error = error_of(registration.world_from_vehicle, exact, {0, 1, 2});
@@ -105,11 +105,11 @@ TEST(RegisterScans, TwoScansAreEnough) {
 TEST(RegisterScans, WithoutARollingShutterToo) {
     SyntheticOptions options;
     options.n_frames = 11, options.rows = 32, options.columns = 256, options.speed_mps = 1.0;
-    Sequence street = make_synthetic_street(options);
-    for (Frame& frame : street.frames) {  // simulates a sensor that fires all rays at the same time
+    LidarSequence street = make_synthetic_street(options);
+    for (LidarFrame& frame : street.frames) {  // simulates a sensor that fires all rays at the same time
         RayTable rays = frame.scan.rays;
         std::fill(rays.time_offset_s.begin(), rays.time_offset_s.end(), 0.0f);
-        frame.scan = cast_synthetic_street(options, rays, street.world_from_vehicle, frame.time_s);
+        frame.scan = cast_rays_into_synthetic_street(options, rays, street.world_from_vehicle, frame.time_s);
     }
     street.rolling_shutter = false;
     const PoseTrack exact = street.world_from_vehicle;
@@ -119,10 +119,10 @@ TEST(RegisterScans, WithoutARollingShutterToo) {
 }
 
 TEST(RegisterScans, MeanCorrectionIsZeroAndExactPosesStay) {
-    const Sequence street = make_street_of(11);
-    const Sequence wrong =
+    const LidarSequence street = make_street_of(11);
+    const LidarSequence wrong =
         test::set_poses(street, test::perturb_track(street.world_from_vehicle, 0.05, 0.3 * test::kDegree, 3));
-    const Registration registration = register_street(wrong);
+    const RegistrationResult registration = register_street(wrong);
     glm::dvec3 v(0.0), w(0.0);
     for (std::size_t k = 0; k < registration.world_from_vehicle.pose.size(); ++k) {
         const Twist c =
@@ -132,26 +132,26 @@ TEST(RegisterScans, MeanCorrectionIsZeroAndExactPosesStay) {
     }
     EXPECT_LT(glm::length(v), 1e-6);
     EXPECT_LT(glm::length(w), 1e-6);
-    const Registration kept = register_street(street);
-    for (std::size_t k = 0; k < kept.world_from_vehicle.pose.size(); ++k)
-        EXPECT_LT(glm::length(kept.world_from_vehicle.pose[k].translation -
+    const RegistrationResult exact_registration = register_street(street);
+    for (std::size_t k = 0; k < exact_registration.world_from_vehicle.pose.size(); ++k)
+        EXPECT_LT(glm::length(exact_registration.world_from_vehicle.pose[k].translation -
                               street.world_from_vehicle.pose[k].translation),
                   0.01)
             << k;
-    EXPECT_TRUE(kept.lost.empty());
+    EXPECT_TRUE(exact_registration.lost.empty());
 }
 
 /// The content of a held-out scan must not change the training poses in any bit.
 TEST(RegisterScans, HeldOutScansMoveNoOtherPose) {
-    Sequence street = make_street_of(11);
+    LidarSequence street = make_street_of(11);
     set_vehicle_poses(street, test::perturb_track(street.world_from_vehicle, 0.05, 0.3 * test::kDegree, 4));
-    const Split split = split_frames(street, 5);
-    const Registration registration =
+    const TrainTestSplit split = split_frames(street, 5);
+    const RegistrationResult registration =
         register_scans(street, split, make_options_without_movers(street.boxes));
-    Sequence other = street;
+    LidarSequence other = street;
     for (const int k : split.test)
         for (float& range : other.frames[std::size_t(k)].scan.range_m) range *= 1.01f;
-    const Registration again = register_scans(other, split, make_options_without_movers(street.boxes));
+    const RegistrationResult again = register_scans(other, split, make_options_without_movers(street.boxes));
     for (const int k : split.train) {
         EXPECT_EQ(registration.world_from_vehicle.pose[std::size_t(k)].translation,
                   again.world_from_vehicle.pose[std::size_t(k)].translation);
@@ -165,13 +165,13 @@ TEST(RegisterScans, HeldOutScansMoveNoOtherPose) {
 }
 
 TEST(RegisterScans, AScanOfGarbageIsPlacedAsItsNeighbours) {
-    Sequence street = make_street_of(11);
+    LidarSequence street = make_street_of(11);
     const PoseTrack exact = street.world_from_vehicle;
     set_vehicle_poses(street, test::add_drift(exact, 0.2, 0.3 * test::kDegree));
     std::mt19937_64 random(5);
     std::uniform_real_distribution<float> range(2.0f, 70.0f);
     for (float& r : street.frames[5].scan.range_m) r = range(random);
-    const Registration registration = register_street(street);
+    const RegistrationResult registration = register_street(street);
     EXPECT_EQ(registration.lost, std::vector<std::size_t>{5});
     const PoseError error = error_of(registration.world_from_vehicle, exact, {0, 1, 2, 3, 4, 6, 7, 8, 9, 10});
     EXPECT_LT(error.median_m, 0.01);
@@ -181,29 +181,30 @@ TEST(RegisterScans, AScanOfGarbageIsPlacedAsItsNeighbours) {
 }
 
 TEST(RegisterScans, CorrectionsBeyondWhatIsAllowedAreNotBelieved) {
-    Sequence street = make_street_of(11);
+    LidarSequence street = make_street_of(11);
     PoseTrack track = street.world_from_vehicle;
     track.pose[4].translation += glm::dvec3(0.3, 0.4, 0.0);
     set_vehicle_poses(street, track);
-    RegisterOptions options = make_options_without_movers(street.boxes);
-    const Registration registration = register_scans(street, split_frames(street, 0), options);
+    RegistrationOptions options = make_options_without_movers(street.boxes);
+    const RegistrationResult registration = register_scans(street, split_frames(street, 0), options);
     EXPECT_TRUE(registration.lost.empty()) << "half a metre is found";
     options.largest_m = 0.25;
     EXPECT_EQ(register_scans(street, split_frames(street, 0), options).lost, std::vector<std::size_t>{4});
 }
 
 TEST(RegisterScans, SaysWhatIsMissing) {
-    Sequence street = make_street_of(4);
-    const Registration one = register_scans(street, {{0}, {}}, {});
+    LidarSequence street = make_street_of(4);
+    const RegistrationResult one = register_scans(street, {{0}, {}}, {});
     EXPECT_TRUE(one.rounds.empty()) << "one scan is where it is";
     int n_polls = 0;
-    RegisterOptions options;
+    RegistrationOptions options;
     options.stop = [&] { return ++n_polls == 3; };
     set_vehicle_poses(street, test::perturb_track(street.world_from_vehicle, 0.05, 0.0, 1));
-    const Registration stopped = register_scans(street, split_frames(street, 0), options);
+    const RegistrationResult stopped = register_scans(street, split_frames(street, 0), options);
     EXPECT_TRUE(stopped.stopped);
     EXPECT_EQ(stopped.world_from_vehicle.pose[2].translation, street.world_from_vehicle.pose[2].translation);
-    for (Frame& frame : street.frames) std::fill(frame.scan.range_m.begin(), frame.scan.range_m.end(), 0.0f);
+    for (LidarFrame& frame : street.frames)
+        std::fill(frame.scan.range_m.begin(), frame.scan.range_m.end(), 0.0f);
     try {
         register_scans(street, split_frames(street, 0), {});
         FAIL() << "expected DataError";

@@ -18,36 +18,38 @@ SyntheticOptions make_two_lidar_options() {
 
 /// Doubles the poses: a pose at each sweep of the first LiDAR, and a pose off_s later,
 /// when the second LiDAR sweeps.
-Sequence make_staggered_street(double off_s) {
-    const Sequence together = test::make_two_lidar_street(make_two_lidar_options());
-    Sequence street = together;
+LidarSequence make_staggered_street(double off_s) {
+    const LidarSequence together = test::make_two_lidar_street(make_two_lidar_options());
+    LidarSequence street = together;
     const RayTable rays = make_rays(street.lidars[1].sensor);
     street.frames.clear();
     street.world_from_vehicle = {};
-    for (const Frame& frame : together.frames) {
+    for (const LidarFrame& frame : together.frames) {
         const double time_s = frame.time_s + frame.lidar * off_s;
-        add_frame(street, frame.index, time_s, together.world_from_vehicle.at(time_s), frame.lidar).scan =
-            frame.lidar == 0 ? frame.scan
-                             : cast_synthetic_street(make_two_lidar_options(), rays,
-                                                     together.world_from_sensor(1), time_s);
+        add_frame(street, frame.index, time_s, together.world_from_vehicle.interpolate_pose(time_s),
+                  frame.lidar)
+            .scan = frame.lidar == 0
+                        ? frame.scan
+                        : cast_rays_into_synthetic_street(make_two_lidar_options(), rays,
+                                                          together.get_world_from_sensor(1), time_s);
     }
     check_sequence(street);
     return street;
 }
 
-std::vector<int> all_poses(const Sequence& street) {
+std::vector<int> all_poses(const LidarSequence& street) {
     std::vector<int> all;
     for (int k = 0; k < int(street.world_from_vehicle.pose.size()); ++k) all.push_back(k);
     return all;
 }
 
 TEST(SeveralLidars, AreRegisteredAsOneScanOfTheVehicle) {
-    const Sequence street = test::make_two_lidar_street(make_two_lidar_options());
+    const LidarSequence street = test::make_two_lidar_street(make_two_lidar_options());
     const PoseTrack& exact = street.world_from_vehicle;
-    const Split split = split_frames(street, 5);
+    const TrainTestSplit split = split_frames(street, 5);
     for (const PoseTrack& wrong : {test::perturb_track(exact, 0.05, 0.3 * test::kDegree, 1),
                                    test::add_drift(exact, 0.2, 0.3 * test::kDegree)}) {
-        const Registration registration = register_scans(test::set_poses(street, wrong), split, {});
+        const RegistrationResult registration = register_scans(test::set_poses(street, wrong), split, {});
         ASSERT_TRUE(registration.done);
         EXPECT_TRUE(registration.lost.empty());
         const test::PoseError error =
@@ -59,13 +61,13 @@ TEST(SeveralLidars, AreRegisteredAsOneScanOfTheVehicle) {
 }
 
 TEST(SeveralLidars, OneFindsWhatTheOtherMissed) {
-    Sequence street = test::make_two_lidar_street(make_two_lidar_options());
+    LidarSequence street = test::make_two_lidar_street(make_two_lidar_options());
     const PoseTrack exact = street.world_from_vehicle;
     Scan& missed = street.frames[8].scan;
     std::fill(missed.range_m.begin(), missed.range_m.end(), 0.0f);
     PoseTrack wrong = exact;
     wrong.pose[4].translation += glm::dvec3(0.2, -0.3, 0.1);
-    const Registration registration =
+    const RegistrationResult registration =
         register_scans(test::set_poses(street, wrong), split_frames(street, 0), {});
     EXPECT_TRUE(registration.lost.empty());
     EXPECT_LT(test::error_of(registration.world_from_vehicle, exact, all_poses(street)).worst_m, 0.02);
@@ -74,15 +76,16 @@ TEST(SeveralLidars, OneFindsWhatTheOtherMissed) {
 /// The rays of a sweep have times between poses of both LiDARs, in any order.
 TEST(SeveralLidars, OneThatSweepsAtOtherTimesRidesAlong) {
     for (const double off_s : {0.05, 0.01, 0.09}) {
-        const Sequence street = make_staggered_street(off_s);
+        const LidarSequence street = make_staggered_street(off_s);
         const PoseTrack& exact = street.world_from_vehicle;
         ASSERT_EQ(exact.pose.size(), 24u);
         const PoseTrack sweeps = test::make_two_lidar_street(make_two_lidar_options()).world_from_vehicle;
         const PoseTrack drift = test::add_drift(sweeps, 0.2, 0.3 * test::kDegree);
         PoseTrack wrong = exact;
         for (std::size_t k = 0; k < wrong.pose.size(); ++k)
-            wrong.pose[k] = drift.at(wrong.time_s[k]) * (inverse(sweeps.at(wrong.time_s[k])) * wrong.pose[k]);
-        const Registration registration =
+            wrong.pose[k] = drift.interpolate_pose(wrong.time_s[k]) *
+                            (inverse(sweeps.interpolate_pose(wrong.time_s[k])) * wrong.pose[k]);
+        const RegistrationResult registration =
             register_scans(test::set_poses(street, wrong), split_frames(street, 5), {});
         ASSERT_TRUE(registration.done);
         EXPECT_TRUE(registration.lost.empty());
@@ -94,12 +97,12 @@ TEST(SeveralLidars, OneThatSweepsAtOtherTimesRidesAlong) {
 }
 
 TEST(SeveralLidars, AreFollowedWithoutPoses) {
-    const Sequence street = test::make_two_lidar_street(make_two_lidar_options());
+    const LidarSequence street = test::make_two_lidar_street(make_two_lidar_options());
     PoseTrack none = street.world_from_vehicle;
     for (Pose& pose : none.pose) pose = {};
-    RegisterOptions blind;
+    RegistrationOptions blind;
     blind.use_pose_motion = false;
-    const Registration registration =
+    const RegistrationResult registration =
         register_scans(test::set_poses(street, none), split_frames(street, 5), blind);
     ASSERT_TRUE(registration.done);
     const test::PoseError error =

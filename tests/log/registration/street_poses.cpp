@@ -15,7 +15,7 @@ double median(std::vector<double> values) {
 
 }  // namespace
 
-Sequence set_poses(Sequence street, PoseTrack track) {
+LidarSequence set_poses(LidarSequence street, PoseTrack track) {
     set_vehicle_poses(street, std::move(track));
     return street;
 }
@@ -48,10 +48,10 @@ PoseTrack add_drift_and_jumps(const PoseTrack& exact) {
     for (std::size_t k = 1; k < n; ++k) {
         Pose step = inverse(exact.pose[k - 1]) * exact.pose[k];
         const double driven_length_m = glm::length(step.translation),
-                     turn_rad = 0.01 * driven_length_m * kPi / 180.0;
+                     drift_rad = 0.01 * driven_length_m * kPi / 180.0;
         step.translation *= 1.01;
-        step.rotation = glm::normalize(step.rotation * glm::angleAxis(turn_rad, glm::dvec3(0, 0, 1)) *
-                                       glm::angleAxis(0.3 * turn_rad, glm::dvec3(0, 1, 0)));
+        step.rotation = glm::normalize(step.rotation * glm::angleAxis(drift_rad, glm::dvec3(0, 0, 1)) *
+                                       glm::angleAxis(0.3 * drift_rad, glm::dvec3(0, 1, 0)));
         track.pose[k] = track.pose[k - 1] * step;
         if (k % (n / 5) == 0)
             track.pose[k].translation +=
@@ -72,9 +72,10 @@ PoseTrack align_track(PoseTrack track, const PoseTrack& exact, const std::vector
         v += glm::dvec3(twist[0], twist[1], twist[2]) / double(positions.size());
         w += glm::dvec3(twist[3], twist[4], twist[5]) / double(positions.size());
     }
-    const glm::dquat turn = apply_twist(Pose{}, {0, 0, 0, -w.x, -w.y, -w.z}).rotation;
+    const glm::dquat rotation_correction = apply_twist(Pose{}, {0, 0, 0, -w.x, -w.y, -w.z}).rotation;
     for (Pose& pose : track.pose)
-        pose = {glm::normalize(turn * pose.rotation), centre - v + turn * (pose.translation - centre)};
+        pose = {glm::normalize(rotation_correction * pose.rotation),
+                centre - v + rotation_correction * (pose.translation - centre)};
     return track;
 }
 

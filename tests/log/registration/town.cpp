@@ -12,7 +12,7 @@ namespace relidar::test {
 namespace {
 
 using street::Material;
-using street::Shape;
+using street::StreetShape;
 
 // lengths of the straights, which left turns connect
 constexpr double kStraights_m[] = {70.0, 40.0, 70.0, 40.0}, kRadius_m = 10.0;
@@ -45,7 +45,7 @@ Place lane(double s_m) {
 }
 
 /// Places a shape next to the lane, with the x axis of the shape along the lane.
-Shape beside(Shape shape, double s_m, double left_m) {
+StreetShape beside(StreetShape shape, double s_m, double left_m) {
     const Place p = lane(s_m);
     shape.centre = {p.at_m.x - left_m * std::sin(p.yaw_rad), p.at_m.y + left_m * std::cos(p.yaw_rad),
                     shape.half.z};
@@ -53,32 +53,45 @@ Shape beside(Shape shape, double s_m, double left_m) {
     return shape;
 }
 
-street::Street make_town() {
-    street::Street town;
+street::SyntheticStreet make_town() {
+    street::SyntheticStreet town;
     Random random(7);
     for (const double side : {1.0, -1.0}) {
         for (double s = 0.0; s < compute_loop_length() - 8.0;) {  // facades
-            const double width = random.uniform(7.0, 14.0), depth = random.uniform(5.0, 9.0),
-                         height = random.uniform(5.0, 14.0);
+            const double width = random.draw_uniform(7.0, 14.0), depth = random.draw_uniform(5.0, 9.0),
+                         height = random.draw_uniform(5.0, 14.0);
             if (side < 0.0 || !(lane(s).in_curve || lane(s + width).in_curve)) {
-                const Shape wall{
-                    Shape::Kind::box,        {}, 0.5 * glm::dvec3(width, depth, height), 0.0, Material::wall,
-                    random.uniform(0.3, 0.8)};
+                const StreetShape wall{StreetShape::Kind::box,
+                                       {},
+                                       0.5 * glm::dvec3(width, depth, height),
+                                       0.0,
+                                       Material::wall,
+                                       random.draw_uniform(0.3, 0.8)};
                 town.shapes.push_back(
-                    beside(wall, s + 0.5 * width, side * (random.uniform(7.0, 9.0) + 0.5 * depth)));
+                    beside(wall, s + 0.5 * width, side * (random.draw_uniform(7.0, 9.0) + 0.5 * depth)));
             }
-            s += width + (random.uniform() < 0.3 ? random.uniform(2.0, 5.0) : 0.0);
+            s += width + (random.draw_uniform() < 0.3 ? random.draw_uniform(2.0, 5.0) : 0.0);
         }
         // poles
-        for (double s = random.uniform(2.0, 8.0); s < compute_loop_length(); s += random.uniform(8.0, 15.0))
-            town.shapes.push_back(beside(
-                {Shape::Kind::cylinder, {}, {0.1, 0.1, random.uniform(2.0, 3.5)}, 0.0, Material::metal, 0.5},
-                s, 5.0 * side));
+        for (double s = random.draw_uniform(2.0, 8.0); s < compute_loop_length();
+             s += random.draw_uniform(8.0, 15.0))
+            town.shapes.push_back(beside({StreetShape::Kind::cylinder,
+                                          {},
+                                          {0.1, 0.1, random.draw_uniform(2.0, 3.5)},
+                                          0.0,
+                                          Material::metal,
+                                          0.5},
+                                         s, 5.0 * side));
         // parked cars
-        for (double s = random.uniform(2.0, 8.0); s < compute_loop_length(); s += random.uniform(7.0, 20.0))
-            town.shapes.push_back(beside(
-                {Shape::Kind::box, {}, {2.1, 0.9, 0.7}, random.uniform(-0.04, 0.04), Material::paint, 0.5}, s,
-                3.5 * side));
+        for (double s = random.draw_uniform(2.0, 8.0); s < compute_loop_length();
+             s += random.draw_uniform(7.0, 20.0))
+            town.shapes.push_back(beside({StreetShape::Kind::box,
+                                          {},
+                                          {2.1, 0.9, 0.7},
+                                          random.draw_uniform(-0.04, 0.04),
+                                          Material::paint,
+                                          0.5},
+                                         s, 3.5 * side));
     }
     return town;
 }
@@ -96,10 +109,10 @@ double compute_driven_m(double t_s, double duration_s) {
 
 Pose compute_sensor_pose_at(double s_m) {
     const Place p = lane(s_m);
-    const glm::dquat turn = glm::angleAxis(p.yaw_rad + 0.01 * std::sin(0.31 * s_m), glm::dvec3(0, 0, 1)) *
-                            glm::angleAxis(0.004 * std::sin(0.43 * s_m), glm::dvec3(0, 1, 0)) *
-                            glm::angleAxis(0.004 * std::sin(0.23 * s_m), glm::dvec3(1, 0, 0));
-    return {turn, {p.at_m.x, p.at_m.y, 1.8 + 0.02 * std::sin(0.5 * s_m)}};
+    const glm::dquat rotation = glm::angleAxis(p.yaw_rad + 0.01 * std::sin(0.31 * s_m), glm::dvec3(0, 0, 1)) *
+                                glm::angleAxis(0.004 * std::sin(0.43 * s_m), glm::dvec3(0, 1, 0)) *
+                                glm::angleAxis(0.004 * std::sin(0.23 * s_m), glm::dvec3(1, 0, 0));
+    return {rotation, {p.at_m.x, p.at_m.y, 1.8 + 0.02 * std::sin(0.5 * s_m)}};
 }
 
 SpinningSensor sensor() {
@@ -114,8 +127,8 @@ SpinningSensor sensor() {
 
 }  // namespace
 
-Sequence drive_around_block(int n_frames) {
-    Sequence drive;
+LidarSequence drive_around_block(int n_frames) {
+    LidarSequence drive;
     drive.name = "drive around a block";
     drive.lidars[0].sensor = sensor();
     const RayTable rays = make_rays(drive.lidars[0].sensor);
@@ -130,12 +143,12 @@ Sequence drive_around_block(int n_frames) {
     }
     const street::StreetCaster town(make_town());
     parallel_for(n_frames, [&](int k) {
-        Frame& frame = drive.frames[std::size_t(k)];
-        Random random(combine_hashes(11, std::uint64_t(k)));
+        LidarFrame& frame = drive.frames[std::size_t(k)];
+        Random random(hash_integer_pair(11, std::uint64_t(k)));
         for (std::size_t ray = 0; ray < rays.size(); ++ray) {
-            const auto hit = town.cast(
+            const auto hit = town.find_first_hit(
                 make_world_ray(drive.world_from_vehicle, frame.time_s, rays, ray, true), frame.time_s, 80.0);
-            const double noise_m = 0.01 * random.normal();
+            const double noise_m = 0.01 * random.draw_standard_normal();
             if (hit) frame.scan.range_m[ray] = static_cast<float>(hit->range_m + noise_m);
         }
     });

@@ -16,23 +16,23 @@ constexpr int kSweeps = 400;
 
 class WholeDrive : public testing::Test {
 protected:
-    static const Sequence& drive() {
-        static const Sequence drive = test::drive_around_block(kSweeps);
+    static const LidarSequence& drive() {
+        static const LidarSequence drive = test::drive_around_block(kSweeps);
         return drive;
     }
 
-    static Registration register_street(const PoseTrack& initial_poses, bool use_pose_motion,
-                                        const Split& split) {
-        Sequence wrong = drive();
+    static RegistrationResult register_street(const PoseTrack& initial_poses, bool use_pose_motion,
+                                              const TrainTestSplit& split) {
+        LidarSequence wrong = drive();
         set_vehicle_poses(wrong, initial_poses);
-        RegisterOptions options;
+        RegistrationOptions options;
         options.use_pose_motion = use_pose_motion;
         return register_scans(wrong, split, options);
     }
 
     /// Checks that the errors are at most 2 cm and 0.05 degrees over the complete drive,
     /// including held-out scans, and that all scans are registered.
-    static void expect_registered(const Registration& registration, const char* description) {
+    static void expect_registered(const RegistrationResult& registration, const char* description) {
         std::vector<int> all;
         for (std::size_t k = 0; k < drive().frames.size(); ++k) all.push_back(static_cast<int>(k));
         const test::PoseError error =
@@ -63,9 +63,9 @@ TEST_F(WholeDrive, StaysWithExactPoses) {
 TEST_F(WholeDrive, NeedsNoPoses) {
     PoseTrack none = drive().world_from_vehicle;
     for (Pose& pose : none.pose) pose = {};
-    const Registration registration = register_street(none, false, split_frames(drive(), 10));
+    const RegistrationResult registration = register_street(none, false, split_frames(drive(), 10));
     expect_registered(registration, "no poses");
-    const Split split = split_frames(drive(), 10);
+    const TrainTestSplit split = split_frames(drive(), 10);
     EXPECT_EQ(
         registration.world_from_vehicle.pose[std::size_t(split.train[split.train.size() / 2])].translation,
         glm::dvec3(0.0))

@@ -25,14 +25,14 @@ constexpr std::size_t kRays = std::size_t(kRows) * kColumns;
 
 /// Makes panels of 16 columns each. The rendered brightness of a panel is 0.2, 0.4, 0.6
 /// or 0.8.
-RenderedIntensities make_panels() {
-    RenderedIntensities image{kRows,
-                              kColumns,
-                              {},
-                              std::vector<float>(kRays, 10.0f),
-                              std::vector<float>(kRays, 0.0f),
-                              std::vector<float>(kRays, 1.0f),
-                              {}};
+RenderedIntensityImage make_panels() {
+    RenderedIntensityImage image{kRows,
+                                 kColumns,
+                                 {},
+                                 std::vector<float>(kRays, 10.0f),
+                                 std::vector<float>(kRays, 0.0f),
+                                 std::vector<float>(kRays, 1.0f),
+                                 {}};
     for (int row = 0; row < kRows; ++row)
         for (int column = 0; column < kColumns; ++column) {
             image.intensity.push_back(0.2f * float(1 + (column / 16 + 3 * row) % 4));
@@ -44,22 +44,22 @@ RenderedIntensities make_panels() {
 /// Measures all rays. The function measure(intensity, residual of the left neighbour,
 /// random) returns the measured value of a ray.
 template <class Measure>
-MeasuredIntensities measured(std::uint64_t seed, const Measure& measure) {
-    MeasuredIntensities result{make_panels(), {}};
+PairedIntensities measured(std::uint64_t seed, const Measure& measure) {
+    PairedIntensities result{make_panels(), {}};
     Random random(seed);
     double before = 0.0;
     for (std::size_t i = 0; i < kRays; ++i) {
         const double rendered = double(result.rendered.intensity[i]),
                      value = measure(rendered, i % kColumns == 0 ? 0.0 : before, random);
         before = value - rendered;
-        result.measured.push_back(random.uniform() < 0.1 ? kNoIntensity : static_cast<float>(value));
+        result.measured.push_back(random.draw_uniform() < 0.1 ? kNoIntensity : static_cast<float>(value));
     }
     return result;
 }
 
 template <class Measure>
-std::vector<MeasuredIntensities> make_scans(int count, const Measure& measure) {
-    std::vector<MeasuredIntensities> scans;
+std::vector<PairedIntensities> make_scans(int count, const Measure& measure) {
+    std::vector<PairedIntensities> scans;
     for (int k = 0; k < count; ++k) scans.push_back(measured(std::uint64_t(k), measure));
     return scans;
 }
@@ -71,7 +71,7 @@ const std::vector<std::uint8_t> kAll(kRays, 1);
 double coins(double rendered, double, Random& random) {
     const int n = rendered > 0.7 ? 16 : 4;
     int heads = 0;
-    for (int k = 0; k < n; ++k) heads += random.uniform() < 0.5;
+    for (int k = 0; k < n; ++k) heads += random.draw_uniform() < 0.5;
     return (std::round(100.0 * rendered) + heads - n / 2) / 100.0;
 }
 
@@ -81,16 +81,16 @@ double compute_binomial(int count, int k) {
 }
 
 TEST(Scatter, DrawsTheDistributionOfEachBrightness) {
-    const IntensityScatter scatter = fit_scatter(make_scans(60, coins));
+    const IntensityScatterModel scatter = fit_intensity_scatter(make_scans(60, coins));
     ASSERT_FALSE(scatter.empty());
     EXPECT_NEAR(scatter.step, 0.01, 1e-8);
-    const RenderedIntensities image = make_panels();
+    const RenderedIntensityImage image = make_panels();
     for (const int panel : {1, 2, 3, 4}) {
         const int n = panel == 4 ? 16 : 4;
         std::vector<double> counts(std::size_t(n) + 1, 0.0);
         double drawn = 0.0;
         for (std::uint64_t seed = 1; seed <= 4; ++seed) {
-            const std::vector<float> one = draw_intensities(scatter, image, kAll, seed);
+            const std::vector<float> one = draw_random_intensities(scatter, image, kAll, seed);
             for (std::size_t i = 0; i < kRays; ++i) {
                 if (std::abs(image.intensity[i] - 0.2f * float(panel)) > 0.01f) continue;
                 const int k = int(std::lround(100.0f * one[i])) - 20 * panel + n / 2;
@@ -115,18 +115,18 @@ TEST(Scatter, DrawsTheDistributionOfEachBrightness) {
 /// noise has a variance of 0.0025, and a correlation of 0.8^k between rays k columns
 /// apart.
 double grain(double rendered, double before, Random& random) {
-    return rendered + 0.8 * before + 0.03 * random.normal();
+    return rendered + 0.8 * before + 0.03 * random.draw_standard_normal();
 }
 
 TEST(Scatter, IsCorrelatedAlongABeam) {
-    const IntensityScatter scatter = fit_scatter(make_scans(100, grain));
+    const IntensityScatterModel scatter = fit_intensity_scatter(make_scans(100, grain));
     EXPECT_EQ(scatter.step, 0.0) << "a continuous log stays continuous";
-    EXPECT_EQ(scatter.round_to_step(0.123456f), 0.123456f);
-    const RenderedIntensities image = make_panels();
+    EXPECT_EQ(scatter.quantise_intensity(0.123456f), 0.123456f);
+    const RenderedIntensityImage image = make_panels();
     std::array<double, 4> products{};
     double n = 0.0;
     for (std::uint64_t seed = 1; seed <= 8; ++seed) {
-        const std::vector<float> drawn = draw_intensities(scatter, image, kAll, seed);
+        const std::vector<float> drawn = draw_random_intensities(scatter, image, kAll, seed);
         for (std::size_t i = 0; i < kRays; ++i) {
             if (i % kColumns < 32) continue;  // the process starts at 0
             for (std::size_t lag = 0; lag < products.size(); ++lag)
@@ -142,12 +142,12 @@ TEST(Scatter, IsCorrelatedAlongABeam) {
 }
 
 /// Returns a value uniformly distributed between 0.5 and 1.5 times the rendered value.
-double even(double rendered, double, Random& random) { return rendered * random.uniform(0.5, 1.5); }
+double even(double rendered, double, Random& random) { return rendered * random.draw_uniform(0.5, 1.5); }
 
 TEST(Scatter, ContinuousDrawsFollowTheirDistributionFunction) {
-    const IntensityScatter scatter = fit_scatter(make_scans(60, even));
-    const RenderedIntensities image = make_panels();
-    const std::vector<float> drawn = draw_intensities(scatter, image, kAll, 5);
+    const IntensityScatterModel scatter = fit_intensity_scatter(make_scans(60, even));
+    const RenderedIntensityImage image = make_panels();
+    const std::vector<float> drawn = draw_random_intensities(scatter, image, kAll, 5);
     for (const int panel : {1, 2, 3, 4}) {
         std::vector<double> shares;  // position between 0.5 and 1.5
         for (std::size_t i = 0; i < kRays; ++i)
@@ -164,19 +164,19 @@ TEST(Scatter, ContinuousDrawsFollowTheirDistributionFunction) {
 }
 
 TEST(Scatter, TheSeedReproducesAndDroppedRaysHaveNone) {
-    const IntensityScatter scatter = fit_scatter(make_scans(10, coins)),
-                           again = fit_scatter(make_scans(10, coins));
+    const IntensityScatterModel scatter = fit_intensity_scatter(make_scans(10, coins)),
+                                again = fit_intensity_scatter(make_scans(10, coins));
     EXPECT_EQ(scatter.values, again.values);
     std::vector<std::uint8_t> returns(kRays);
     for (std::size_t i = 0; i < kRays; ++i) returns[i] = i % 3 != 0;
-    const std::vector<float> drawn = draw_intensities(scatter, make_panels(), returns, 9);
-    EXPECT_EQ(drawn, draw_intensities(again, make_panels(), returns, 9));
-    EXPECT_NE(drawn, draw_intensities(scatter, make_panels(), returns, 10));
+    const std::vector<float> drawn = draw_random_intensities(scatter, make_panels(), returns, 9);
+    EXPECT_EQ(drawn, draw_random_intensities(again, make_panels(), returns, 9));
+    EXPECT_NE(drawn, draw_random_intensities(scatter, make_panels(), returns, 10));
     for (std::size_t i = 0; i < kRays; ++i) ASSERT_EQ(drawn[i] == kNoIntensity, i % 3 == 0) << i;
 }
 
 /// The first rows and columns of an image.
-RenderedIntensities crop_image(const RenderedIntensities& image, int rows, int columns) {
+RenderedIntensityImage crop_image(const RenderedIntensityImage& image, int rows, int columns) {
     const auto cut = [&](const std::vector<float>& values) {
         std::vector<float> part;
         for (int row = 0; row < rows; ++row) {
@@ -197,34 +197,36 @@ RenderedIntensities crop_image(const RenderedIntensities& image, int rows, int c
 /// Tiles are drawn in parallel. The widths give a narrow last tile, a single tile, and a
 /// tile that is narrower than the columns that a tile looks ahead.
 TEST(Scatter, IsDrawnAsOneRayAfterTheOther) {
-    const IntensityScatter scatter = fit_scatter(make_scans(40, grain));
+    const IntensityScatterModel scatter = fit_intensity_scatter(make_scans(40, grain));
     for (const auto& [rows, columns] :
          {std::pair(kRows, kColumns), {kRows, 129}, {kRows, 64}, {1, kColumns}, {kRows, 2}}) {
-        const RenderedIntensities image = crop_image(make_panels(), rows, columns);
+        const RenderedIntensityImage image = crop_image(make_panels(), rows, columns);
         std::vector<float> expected(image.intensity.size(), kNoIntensity);
-        const scatter_detail::Context context(image, expected);
+        const scatter_detail::RayFeatureExtractor context(image, expected);
         for (std::size_t i = 0; i < expected.size(); ++i) {
-            const scatter_detail::Features asked = context.of(int(i) / columns, int(i) % columns);
-            const IntensityScatter::Node* node = &scatter.nodes[0];
+            const scatter_detail::RayFeatures features =
+                context.compute_all_features(int(i) / columns, int(i) % columns);
+            const IntensityScatterModel::DecisionTreeNode* node = &scatter.nodes[0];
             while (node->feature >= 0)
                 node = &scatter.nodes[std::size_t(node->child) +
-                                      (asked[std::size_t(node->feature)] <= node->at ? 0 : 1)];
-            expected[i] = scatter.values[node->first + std::size_t(Random(combine_hashes(11, i)).uniform() *
-                                                                   double(node->count))];
+                                      (features[std::size_t(node->feature)] <= node->at ? 0 : 1)];
+            expected[i] =
+                scatter.values[node->first + std::size_t(Random(hash_integer_pair(11, i)).draw_uniform() *
+                                                         double(node->count))];
         }
         const std::vector<std::uint8_t> all(expected.size(), 1);
         for (int repetition = 0; repetition < 20; ++repetition)
-            ASSERT_EQ(draw_intensities(scatter, image, all, 11), expected) << rows << " x " << columns;
+            ASSERT_EQ(draw_random_intensities(scatter, image, all, 11), expected) << rows << " x " << columns;
     }
 }
 
 TEST(Scatter, FewReturnsTellNothingAndSizesAreChecked) {
-    MeasuredIntensities image = measured(1, coins);
+    PairedIntensities image = measured(1, coins);
     std::fill(image.measured.begin() + 900, image.measured.end(), kNoIntensity);
-    EXPECT_TRUE(fit_scatter(std::vector{image}).empty());
-    EXPECT_TRUE(fit_scatter({}).empty());
+    EXPECT_TRUE(fit_intensity_scatter(std::vector{image}).empty());
+    EXPECT_TRUE(fit_intensity_scatter({}).empty());
     image.rendered.cosine.pop_back();
-    EXPECT_THROW(fit_scatter(std::vector{image}), DataError);
+    EXPECT_THROW(fit_intensity_scatter(std::vector{image}), DataError);
 }
 
 TEST(Scatter, FindsTheStepOfALog) {
@@ -246,12 +248,12 @@ TEST(Scatter, FindsTheStepOfALog) {
     EXPECT_EQ(find_quantisation_step(almost), 0.0);
     std::vector<float> continuous;
     Random random(3);
-    for (int k = 0; k < 5000; ++k) continuous.push_back(static_cast<float>(random.uniform()));
+    for (int k = 0; k < 5000; ++k) continuous.push_back(static_cast<float>(random.draw_uniform()));
     EXPECT_EQ(find_quantisation_step(continuous), 0.0);
-    IntensityScatter scatter;
+    IntensityScatterModel scatter;
     scatter.step = 0.01;
-    EXPECT_EQ(scatter.round_to_step(0.3749f), 0.37f);
-    EXPECT_EQ(scatter.round_to_step(0.0f), 0.0f);
+    EXPECT_EQ(scatter.quantise_intensity(0.3749f), 0.37f);
+    EXPECT_EQ(scatter.quantise_intensity(0.0f), 0.0f);
 }
 
 }  // namespace

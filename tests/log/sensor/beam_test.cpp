@@ -16,11 +16,11 @@ namespace {
 TEST(Beam, MeasuringAndItsInverseArePairs) {
     Random random(11);
     for (int i = 0; i < 1000; ++i) {
-        const Beam beam{.intensity_gain = 0.5 + random.uniform(),
-                        .intensity_offset = 0.1 * random.uniform(),
-                        .range_offset_m = 0.2 * random.uniform() - 0.1};
-        const double range = 1.0 + 80.0 * random.uniform(), fall = 0.3 + 0.5 * random.uniform(),
-                     albedo = 0.6 * random.uniform();
+        const Beam beam{.intensity_gain = 0.5 + random.draw_uniform(),
+                        .intensity_offset = 0.1 * random.draw_uniform(),
+                        .range_offset_m = 0.2 * random.draw_uniform() - 0.1};
+        const double range = 1.0 + 80.0 * random.draw_uniform(), fall = 0.3 + 0.5 * random.draw_uniform(),
+                     albedo = 0.6 * random.draw_uniform();
         EXPECT_NEAR(beam.to_surface_range(beam.to_measured_range(range)), range, 1e-12);
         EXPECT_NEAR(beam.to_measured_range(beam.to_surface_range(range)), range, 1e-12);
         EXPECT_NEAR(beam.to_surface_intensity(beam.to_measured_intensity(albedo, fall), fall), albedo, 1e-12);
@@ -41,12 +41,13 @@ TEST(Beam, CutsWhatItCannotMeasure) {
 TEST(HeadAzimuth, IsTheHeadThatFired) {
     Random random(12);
     for (int i = 0; i < 1000; ++i) {
-        const Beam beam{.elevation_rad = random.uniform() - 0.5,
-                        .azimuth_offset_rad = 0.4 * random.uniform() - 0.2,
-                        .origin_offset_m = 0.1 * random.uniform(),
-                        .origin_up_m = 0.3 * random.uniform(),
-                        .origin_left_m = 0.1 * random.uniform() - 0.05};
-        const double head = 2.0 * kPi * (random.uniform() - 0.5), range = 1.0 + 60.0 * random.uniform();
+        const Beam beam{.elevation_rad = random.draw_uniform() - 0.5,
+                        .azimuth_offset_rad = 0.4 * random.draw_uniform() - 0.2,
+                        .origin_offset_m = 0.1 * random.draw_uniform(),
+                        .origin_up_m = 0.3 * random.draw_uniform(),
+                        .origin_left_m = 0.1 * random.draw_uniform() - 0.05};
+        const double head = 2.0 * kPi * (random.draw_uniform() - 0.5),
+                     range = 1.0 + 60.0 * random.draw_uniform();
         const BeamRay ray = compute_beam_ray(beam, head);
         EXPECT_NEAR(std::remainder(compute_head_azimuth(beam, ray.origin_m + range * ray.direction) - head,
                                    2.0 * kPi),

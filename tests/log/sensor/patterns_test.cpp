@@ -13,12 +13,12 @@
 namespace relidar {
 namespace {
 
-const Rosette kRosette{.name = "r",
-                       .deflection_rad = 0.15,
-                       .first_hz = 110.0,
-                       .second_hz = -70.0,
-                       .n_rays = 5000,
-                       .period_s = 0.1};
+const RosetteSensor kRosette{.name = "r",
+                             .deflection_rad = 0.15,
+                             .first_hz = 110.0,
+                             .second_hz = -70.0,
+                             .n_rays = 5000,
+                             .period_s = 0.1};
 
 /// Tests the sum of two rotating deflections of equal size. Its length must be 2 |cos| of
 /// half the angle between them, and its direction must be their mean direction.
@@ -45,14 +45,14 @@ TEST(Patterns, RosettesOfTwoScansDiffer) {
 }
 
 TEST(Patterns, WindowsHaveTheirCornersAndTimes) {
-    const ScanningWindow window{.name = "w",
-                                .rows = 3,
-                                .columns = 5,
-                                .left_rad = 1.0,
-                                .right_rad = -0.5,
-                                .top_rad = 0.2,
-                                .bottom_rad = -0.4,
-                                .period_s = 0.05};
+    const WindowScanSensor window{.name = "w",
+                                  .rows = 3,
+                                  .columns = 5,
+                                  .left_rad = 1.0,
+                                  .right_rad = -0.5,
+                                  .top_rad = 0.2,
+                                  .bottom_rad = -0.4,
+                                  .period_s = 0.05};
     const RayTable rays = make_rays(window);
     ASSERT_EQ(rays.size(), 15u);
     const auto expect = [&](std::size_t at, double azimuth, double elevation, double time_s) {
@@ -68,13 +68,13 @@ TEST(Patterns, WindowsHaveTheirCornersAndTimes) {
 }
 
 TEST(Patterns, SizesThatNoSensorHasAreRefused) {
-    Rosette many = kRosette;
+    RosetteSensor many = kRosette;
     many.n_rays = 1 << 30;
     EXPECT_THROW(make_rays(many, 0.0), UsageError);
     EXPECT_THROW(make_rays(kRosette, std::nan("")), UsageError);
-    EXPECT_THROW(make_rays(ScanningWindow{.name = "w", .rows = 70'000, .columns = 1}), UsageError);
-    EXPECT_THROW(make_rays(ScanningWindow{.name = "w", .rows = 100'000, .columns = 100'000}), UsageError);
-    EXPECT_THROW(make_rays(ScanningWindow{.name = "w", .rows = 1, .columns = 1, .period_s = 0.0}),
+    EXPECT_THROW(make_rays(WindowScanSensor{.name = "w", .rows = 70'000, .columns = 1}), UsageError);
+    EXPECT_THROW(make_rays(WindowScanSensor{.name = "w", .rows = 100'000, .columns = 100'000}), UsageError);
+    EXPECT_THROW(make_rays(WindowScanSensor{.name = "w", .rows = 1, .columns = 1, .period_s = 0.0}),
                  UsageError);
 }
 

@@ -106,9 +106,9 @@ TEST(SensorFiles, BeamsMayDivergeEachByItself) {
         ASSERT_EQ(rays.ray_divergence_rad.size(), 3u) << file;
         for (std::size_t i = 0; i < 3; ++i) {
             EXPECT_FLOAT_EQ(rays.ray_divergence_rad[i], divergence[i]) << file << " " << i;
-            EXPECT_EQ(rays.compute_divergence(i), double(rays.ray_divergence_rad[i]));
+            EXPECT_EQ(rays.get_beam_divergence_rad(i), double(rays.ray_divergence_rad[i]));
         }
-        EXPECT_FLOAT_EQ(float(rays.find_largest_divergence()), 2e-3f);
+        EXPECT_FLOAT_EQ(float(rays.find_max_divergence_rad()), 2e-3f);
     }
     const RayTable alike = make_rays(find_sensor(npz("alike.npz", same)));
     EXPECT_TRUE(alike.ray_divergence_rad.empty()) << "one number where all have the same";
@@ -181,10 +181,11 @@ TEST(SensorFiles, ByteOrderMarksAreAccepted) {
         make_rays(find_sensor(write("mark_beams.csv", mark + "elevation_deg\n5\n-5\n") + ":360x10")).size(),
         720u);
     EXPECT_EQ(make_rays(find_sensor(write("mark.json", mark + R"({"directions": [[1,0,0]]})"))).size(), 1u);
-    EXPECT_EQ(find_rig(write("mark_rig.json", mark + R"({"sensors": [{"name": "a", "sensor": "VLP-16"}]})"))
-                  .value()
-                  .size(),
-              1u);
+    EXPECT_EQ(
+        read_sensor_rig(write("mark_rig.json", mark + R"({"sensors": [{"name": "a", "sensor": "VLP-16"}]})"))
+            .value()
+            .size(),
+        1u);
 }
 
 TEST(SensorFiles, SpinningSensorsByNameTakeColumnsAndRate) {
@@ -239,7 +240,7 @@ TEST(SensorFiles, WrongFilesAreNamed) {
         Names("lidar_mode is \"fast\""));
     EXPECT_THAT(message(write("i.json", R"({"directions": [[1,0,0]], "time": [1e300]})")),
                 Names("entry 0 of time ... 1e+300"));
-    write_npz(path_of("a.npz"), {make_text("name", "x")});
+    write_npz(path_of("a.npz"), {make_single_text_array("name", "x")});
     EXPECT_THAT(message(path_of("a.npz")), Names("array \"directions\" ... missing"));
 }
 
@@ -281,10 +282,10 @@ TEST(Rigs, SensorsAreMountedAsTheFileSays) {
     write("near.csv", "elevation_deg\n5\n-5\n");
     const std::string file = write("rig.json", R"({"sensors": [{"name": "top", "sensor": "VLP-16:900x20"},
         {"name": "left", "sensor": "near.csv:360x10", "returns": 2, "translation_m": [1, 2, 3], "yaw_pitch_roll_deg": [90, 0, 180]}]})");
-    EXPECT_FALSE(find_rig(write("no_rig.json", "{}")));
-    EXPECT_FALSE(find_rig(write("broken.json", "{")));
-    EXPECT_FALSE(find_rig("VLP-16"));
-    const std::vector<MountedSensor> rig = find_rig(file).value();
+    EXPECT_FALSE(read_sensor_rig(write("no_rig.json", "{}")));
+    EXPECT_FALSE(read_sensor_rig(write("broken.json", "{")));
+    EXPECT_FALSE(read_sensor_rig("VLP-16"));
+    const std::vector<MountedSensor> rig = read_sensor_rig(file).value();
     ASSERT_EQ(rig.size(), 2u);
     EXPECT_EQ(rig[0].name, "top");
     EXPECT_EQ(std::pair(rig[0].returns, rig[1].returns), std::pair(1, 2));
@@ -305,13 +306,14 @@ TEST(SensorFiles, EveryKindReadsBackToTheSameBits) {
         {"thirds",
          "",
          {1.0 / 3.0, 200.0 / 3.0},
-         ScanningWindow{"thirds", 4, 6, 1.0 / 3.0, -0.3, 0.1, -0.2, 1.0 / 30.0, 1e-3 / 3.0}}};
+         WindowScanSensor{"thirds", 4, 6, 1.0 / 3.0, -0.3, 0.1, -0.2, 1.0 / 30.0, 1e-3 / 3.0}}};
     for (const char* name : {"HDL-64E-KITTI:400x7", "kitti360", "AT128", "window-128", "rosette"})
         sensors.push_back(find_sensor(name));
     for (const SensorModel& sensor : sensors) {
-        const std::string text = write_sensor_json(sensor);
+        const std::string text = format_sensor_json(sensor);
         const std::vector<MountedSensor> rig =
-            find_rig(write("inline.json", R"({"sensors": [{"name": "a", "sensor": )" + text + "}]}")).value();
+            read_sensor_rig(write("inline.json", R"({"sensors": [{"name": "a", "sensor": )" + text + "}]}"))
+                .value();
         for (const SensorModel& read : {find_sensor(write("any.json", text)), rig.at(0).sensor}) {
             EXPECT_EQ(read.name, sensor.name);
             EXPECT_EQ(read.pattern.index(), sensor.pattern.index());
@@ -323,8 +325,8 @@ TEST(SensorFiles, EveryKindReadsBackToTheSameBits) {
                         a.time_offset_s == b.time_offset_s && a.channel == b.channel &&
                         a.divergence_rad == b.divergence_rad && a.ray_divergence_rad == b.ray_divergence_rad)
                 << sensor.name;
-            EXPECT_EQ(write_sensor_json(read), text);
-            EXPECT_EQ(describe_pattern(read.pattern).n_rays, b.size());
+            EXPECT_EQ(format_sensor_json(read), text);
+            EXPECT_EQ(summarise_scan_pattern(read.pattern).n_rays, b.size());
         }
     }
     EXPECT_THAT(message(write("p.json", R"({"spinning": {"columns": 90}})")), Names("beams"));
@@ -358,7 +360,7 @@ TEST(SensorFiles, RangeOfAFileThatGivesNoneIsTheCallers) {
 TEST(Rigs, WrongRigsAreNamed) {
     const auto complaint = [](const std::string& text) {
         try {
-            find_rig(write("bad_rig.json", text));
+            read_sensor_rig(write("bad_rig.json", text));
         } catch (const Error& error) {
             return std::string(error.what());
         }

@@ -64,7 +64,7 @@ Scan make_uneven_scan(double share, unsigned seed) {
 }
 
 std::vector<float> shift_of(const Scan& scan) {
-    return find_azimuth_shift(scan, sensor(), make_rays(sensor()));
+    return measure_azimuth_shifts_rad(scan, sensor(), make_rays(sensor()));
 }
 
 /// Returns the largest angle between corresponding rays of two tables.
@@ -134,7 +134,8 @@ TEST(AzimuthShift, IsNotThereWhereNothingSaysIt) {
     even.rays = nominal;
     EXPECT_TRUE(shift_of(even).empty()) << "where it nominally is";
     EXPECT_TRUE(shift_of(make_uneven_scan(0.0, 1)).empty()) << "no returns";
-    EXPECT_TRUE(find_azimuth_shift(make_uneven_scan(1.0, 1), sensor(), {}).empty()) << "no nominal rays";
+    EXPECT_TRUE(measure_azimuth_shifts_rad(make_uneven_scan(1.0, 1), sensor(), {}).empty())
+        << "no nominal rays";
     Scan other = make_uneven_scan(1.0, 1);
     other.rays.rows = 8, other.rays.columns = 2 * kColumns;
     EXPECT_TRUE(shift_of(other).empty()) << "another order";

@@ -21,14 +21,14 @@ double compute_brightness(const glm::dvec3& point) {
 
 /// Makes a log of a sensor with n beams 2 m above a plane. The sensor looks down while it
 /// drives forward, so that every beam measures the same tiles.
-Sequence drive(const std::vector<Beam>& beams, double noise_size) {
-    Sequence sequence;
+LidarSequence drive(const std::vector<Beam>& beams, double noise_size) {
+    LidarSequence sequence;
     sequence.lidars[0].sensor.beams = beams;
     sequence.lidars[0].sensor.columns = 1440;
     sequence.rolling_shutter = false;
     std::uint64_t k = 0;
     for (int f = 0; f < 12; ++f) {
-        Frame frame{f, 0.1 * f, {make_rays(sequence.lidars[0].sensor), {}, {}}};
+        LidarFrame frame{f, 0.1 * f, {make_rays(sequence.lidars[0].sensor), {}, {}}};
         Pose pose;
         pose.translation = {0.37 * f, 0.0, 2.0};
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
@@ -68,8 +68,8 @@ std::vector<Beam> make_unequal_beams() {
 
 TEST(IntensityResponse, ComesBackFromSharedPlaces) {
     const std::vector<Beam> truth = make_unequal_beams();
-    Sequence sequence = drive(truth, 0.01);
-    const IntensityCalibration calibration = calibrate_intensity(sequence, kAll);
+    LidarSequence sequence = drive(truth, 0.01);
+    const IntensityCalibrationResult calibration = calibrate_intensity(sequence, kAll);
     ASSERT_GT(calibration.returns, 2000u);
     EXPECT_GT(calibration.rms_before, 3.0 * calibration.rms_after);
     // Compares beams with each other, because the data do not determine a common scale
@@ -95,7 +95,7 @@ TEST(IntensityResponse, ComesBackFromSharedPlaces) {
 TEST(IntensityResponse, EqualLasersStayEqual) {
     std::vector<Beam> beams = make_unequal_beams();
     for (Beam& beam : beams) beam.intensity_gain = 1.0, beam.intensity_offset = 0.0;
-    Sequence sequence = drive(beams, 0.02);
+    LidarSequence sequence = drive(beams, 0.02);
     calibrate_intensity(sequence, kAll);
     for (const Beam& beam : sequence.lidars[0].sensor.beams)
         for (const double surface : {0.3, 0.6})
@@ -104,7 +104,7 @@ TEST(IntensityResponse, EqualLasersStayEqual) {
 
 /// Returns a street whose intensities are reflectance * (0.3 + 0.7 cos) * (1 - range /
 /// 160 m), with equal beams (src/log/readers/street/synthetic.cpp).
-Sequence street() {
+LidarSequence street() {
     SyntheticOptions options;
     options.n_frames = 40;  // 32 m: near and far views of the same surfaces
     return make_synthetic_street(options);
@@ -113,13 +113,14 @@ Sequence street() {
 void expect_the_streets_fall(const IntensityResponse& calibration, double tolerance) {
     const auto exact = [](double range_m) { return (1.0 - range_m / 160.0) / (1.0 - 10.0 / 160.0); };
     for (const double range_m : {4.0, 7.0, 15.0, 25.0, 40.0})
-        EXPECT_NEAR(calibration.at_range(range_m) / exact(range_m), 1.0, tolerance) << range_m;
+        EXPECT_NEAR(calibration.compute_range_factor(range_m) / exact(range_m), 1.0, tolerance) << range_m;
     EXPECT_NEAR(calibration.incidence, 0.7, 0.05);
 }
 
 TEST(IntensityResponse, FallWithRangeAndIncidenceIsNotTheLasers) {
-    Sequence sequence = street();
-    const IntensityCalibration calibration = calibrate_intensity(sequence, split_frames(sequence, 0).train);
+    LidarSequence sequence = street();
+    const IntensityCalibrationResult calibration =
+        calibrate_intensity(sequence, split_frames(sequence, 0).train);
     EXPECT_TRUE(calibration.shared);
     EXPECT_FALSE(calibration.beams);
     for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.intensity_gain, 1.0);
@@ -127,16 +128,17 @@ TEST(IntensityResponse, FallWithRangeAndIncidenceIsNotTheLasers) {
 }
 
 TEST(IntensityResponse, FallAndLasersAreToldApart) {
-    Sequence sequence = street();
+    LidarSequence sequence = street();
     std::vector<double> gains;
     double mean = 0.0;
     for (std::size_t b = 0; b < sequence.lidars[0].sensor.beams.size(); ++b)
         gains.push_back(1.0 + 0.25 * noise(b + 5)),
             mean += gains.back() / double(sequence.lidars[0].sensor.beams.size());
-    for (Frame& frame : sequence.frames)
+    for (LidarFrame& frame : sequence.frames)
         for (std::size_t i = 0; i < frame.scan.intensity.size(); ++i)
             frame.scan.intensity[i] *= float(gains[frame.scan.rays.channel[i]]);
-    const IntensityCalibration calibration = calibrate_intensity(sequence, split_frames(sequence, 0).train);
+    const IntensityCalibrationResult calibration =
+        calibrate_intensity(sequence, split_frames(sequence, 0).train);
     EXPECT_TRUE(calibration.shared && calibration.beams);
     // A beam sees the ground at a single range.
     expect_the_streets_fall(sequence.intensity_response, 0.06);
@@ -149,7 +151,7 @@ TEST(IntensityResponse, FallAndLasersAreToldApart) {
 }
 
 TEST(IntensityResponse, OnlyTheGivenFramesAreLookedAt) {
-    Sequence original = drive(make_unequal_beams(), 0.01), changed = original;
+    LidarSequence original = drive(make_unequal_beams(), 0.01), changed = original;
     for (float& value : changed.frames[5].scan.intensity) value = 0.9f;
     const std::vector<int> without{0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11};
     calibrate_intensity(original, without);
@@ -163,15 +165,15 @@ TEST(IntensityResponse, OnlyTheGivenFramesAreLookedAt) {
 }
 
 TEST(IntensityResponse, NothingSharedLeavesTheSensorAlone) {
-    Sequence sequence = drive(make_unequal_beams(), 0.0);
-    const IntensityCalibration calibration = calibrate_intensity(sequence, {});
+    LidarSequence sequence = drive(make_unequal_beams(), 0.0);
+    const IntensityCalibrationResult calibration = calibrate_intensity(sequence, {});
     EXPECT_EQ(calibration.returns, 0u);
     for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.intensity_gain, 1.0);
 }
 
 TEST(IntensityResponse, SurfaceIntensityUndoesTheResponse) {
-    Sequence sequence = drive(make_unequal_beams(), 0.0);
-    const Frame& frame = sequence.frames[3];
+    LidarSequence sequence = drive(make_unequal_beams(), 0.0);
+    const LidarFrame& frame = sequence.frames[3];
     for (std::size_t i = 0; i < frame.scan.range_m.size(); i += 7) {
         const WorldReturn w = compute_world_return(sequence, frame, i);
         EXPECT_NEAR(w.intensity, compute_surface_return(sequence, frame, i).intensity, 0.0);
@@ -179,9 +181,9 @@ TEST(IntensityResponse, SurfaceIntensityUndoesTheResponse) {
         EXPECT_NEAR(beam.intensity_gain * double(w.intensity) + beam.intensity_offset,
                     double(frame.scan.intensity[i]), 1e-6);
     }
-    const float near_by = compute_surface_return(sequence, frame, 3).intensity;
+    const float original_intensity = compute_surface_return(sequence, frame, 3).intensity;
     sequence.intensity_response = {{0.0, 100.0}, {0.5, 0.5}, 0.0};
-    EXPECT_NEAR(compute_surface_return(sequence, frame, 3).intensity, 2.0f * near_by, 1e-6f)
+    EXPECT_NEAR(compute_surface_return(sequence, frame, 3).intensity, 2.0f * original_intensity, 1e-6f)
         << "what falls to half was twice as bright";
 }
 

@@ -29,38 +29,41 @@ TEST(PoseTrack, InterpolatesAndContinuesAtTheEnds) {
     const PoseTrack track{{0.0, 1.0, 3.0},
                           {make_turned_pose(0.0, {0, 0, 0}), make_turned_pose(0.2, {1, 0, 0}),
                            make_turned_pose(0.2, {1, 4, 0})}};
-    EXPECT_NEAR(track.at(0.5).translation.x, 0.5, 1e-12);
-    EXPECT_NEAR(get_yaw(track.at(0.5)), 0.1, 1e-9);
-    EXPECT_NEAR(track.at(2.0).translation.y, 2.0, 1e-12);
-    EXPECT_NEAR(track.at(-0.5).translation.x, -0.5, 1e-12);
-    EXPECT_NEAR(get_yaw(track.at(-0.5)), -0.1, 1e-9);
-    EXPECT_NEAR(track.at(3.5).translation.y, 5.0, 1e-12);
-    EXPECT_THROW(PoseTrack{}.at(0.0), DataError);
+    EXPECT_NEAR(track.interpolate_pose(0.5).translation.x, 0.5, 1e-12);
+    EXPECT_NEAR(get_yaw(track.interpolate_pose(0.5)), 0.1, 1e-9);
+    EXPECT_NEAR(track.interpolate_pose(2.0).translation.y, 2.0, 1e-12);
+    EXPECT_NEAR(track.interpolate_pose(-0.5).translation.x, -0.5, 1e-12);
+    EXPECT_NEAR(get_yaw(track.interpolate_pose(-0.5)), -0.1, 1e-9);
+    EXPECT_NEAR(track.interpolate_pose(3.5).translation.y, 5.0, 1e-12);
+    EXPECT_THROW(PoseTrack{}.interpolate_pose(0.0), DataError);
     const PoseTrack one{{2.0}, {make_turned_pose(0.3, {1, 2, 3})}};
-    EXPECT_NEAR(one.at(7.0).translation.z, 3.0, 1e-12);
+    EXPECT_NEAR(one.interpolate_pose(7.0).translation.z, 3.0, 1e-12);
 }
 
 TEST(PoseTrack, WhatIsMountedGoesRoundBendsOfFineTurns) {
     const PoseTrack track{{0.0, 1.0, 1.5, 3.0},
                           {make_turned_pose(0.0, {0, 0, 0}), make_turned_pose(0.8, {1, 0, 0}),
                            make_turned_pose(0.8, {2, 0, 1}), make_turned_pose(-0.4, {1, 4, 0})}};
-    const PoseTrack fine = refine_turns(track);
+    const PoseTrack fine = subdivide_turning_segments(track);
     const Pose mounted = make_turned_pose(0.3, {2, 1, 0.5});
-    const PoseTrack coarse_ride = mount_on_track(track, mounted), ride = mount_on_track(fine, mounted);
+    const PoseTrack coarse_ride = compute_mounted_track(track, mounted),
+                    ride = compute_mounted_track(fine, mounted);
     double largest_m = 0.0, coarse_m = 0.0;
     for (double t = 0.0; t <= 3.0; t += 0.01) {
-        EXPECT_LT(glm::distance(fine.at(t).translation, track.at(t).translation), 1e-12)
+        EXPECT_LT(glm::distance(fine.interpolate_pose(t).translation, track.interpolate_pose(t).translation),
+                  1e-12)
             << "the same path at " << t;
-        EXPECT_NEAR(get_yaw(fine.at(t)), get_yaw(track.at(t)), 1e-9);
-        const glm::dvec3 truth = (track.at(t) * mounted).translation;
-        largest_m = std::max(largest_m, glm::distance(ride.at(t).translation, truth));
-        coarse_m = std::max(coarse_m, glm::distance(coarse_ride.at(t).translation, truth));
+        EXPECT_NEAR(get_yaw(fine.interpolate_pose(t)), get_yaw(track.interpolate_pose(t)), 1e-9);
+        const glm::dvec3 truth = (track.interpolate_pose(t) * mounted).translation;
+        largest_m = std::max(largest_m, glm::distance(ride.interpolate_pose(t).translation, truth));
+        coarse_m = std::max(coarse_m, glm::distance(coarse_ride.interpolate_pose(t).translation, truth));
     }
     EXPECT_LT(largest_m, 1e-5);
     EXPECT_GT(coarse_m, 0.1) << "along chords";
     EXPECT_EQ(fine.time_s.size(), fine.pose.size());
-    EXPECT_TRUE(refine_turns({}).pose.empty());
-    EXPECT_EQ(refine_turns({{0.0, 1.0}, {make_turned_pose(0.2, {0, 0, 0}), make_turned_pose(0.2, {9, 0, 0})}})
+    EXPECT_TRUE(subdivide_turning_segments({}).pose.empty());
+    EXPECT_EQ(subdivide_turning_segments(
+                  {{0.0, 1.0}, {make_turned_pose(0.2, {0, 0, 0}), make_turned_pose(0.2, {9, 0, 0})}})
                   .pose.size(),
               2u)
         << "straight on needs none";
@@ -70,7 +73,7 @@ TEST(SensorPoses, BoxesStayWhereTheSensorSawThem) {
     const auto make_turned_pose = [](double angle, const glm::dvec3& t) {
         return Pose{glm::angleAxis(angle, glm::normalize(glm::dvec3(1, 2, 3))), t};
     };
-    Sequence log;
+    LidarSequence log;
     log.world_from_vehicle = {{0.0, 1.0},
                               {make_turned_pose(0.1, {0, 0, 0}), make_turned_pose(0.3, {8, 1, 0})}};
     log.boxes.push_back(
@@ -78,17 +81,21 @@ TEST(SensorPoses, BoxesStayWhereTheSensorSawThem) {
          "Car",
          {4, 2, 1.5},
          {{0.25, 1.0}, {make_turned_pose(0.7, {10, 3, 0}), make_turned_pose(0.9, {15, 3, 1})}}});
-    const Sequence before = log;
+    const LidarSequence before = log;
     const PoseTrack track{{0.0, 1.0},
                           {make_turned_pose(0.2, {0.3, -0.2, 0.1}), make_turned_pose(0.25, {8.1, 1.4, 0.2})}};
     set_vehicle_poses(log, track);
     EXPECT_EQ(log.world_from_vehicle.pose[1].translation, track.pose[1].translation);
     for (std::size_t k = 0; k < 2; ++k) {
         const double t_s = before.boxes[0].world_from_box.time_s[k];
-        const Pose seen = inverse(before.world_from_vehicle.at(t_s)) * before.boxes[0].world_from_box.pose[k],
-                   sees = inverse(log.world_from_vehicle.at(t_s)) * log.boxes[0].world_from_box.pose[k];
-        EXPECT_LT(glm::length(seen.translation - sees.translation), 1e-12);
-        EXPECT_NEAR(std::abs(glm::dot(seen.rotation, sees.rotation)), 1.0, 1e-12);
+        const Pose vehicle_from_box_before = inverse(before.world_from_vehicle.interpolate_pose(t_s)) *
+                                             before.boxes[0].world_from_box.pose[k],
+                   vehicle_from_box_after = inverse(log.world_from_vehicle.interpolate_pose(t_s)) *
+                                            log.boxes[0].world_from_box.pose[k];
+        EXPECT_LT(glm::length(vehicle_from_box_before.translation - vehicle_from_box_after.translation),
+                  1e-12);
+        EXPECT_NEAR(std::abs(glm::dot(vehicle_from_box_before.rotation, vehicle_from_box_after.rotation)),
+                    1.0, 1e-12);
         EXPECT_GT(glm::length(before.boxes[0].world_from_box.pose[k].translation -
                               log.boxes[0].world_from_box.pose[k].translation),
                   0.1);
@@ -114,7 +121,7 @@ TEST(Scan, PointsAndReturns) {
     scan.rays.direction = {{1, 0, 0}, {0, 1, 0}};
     scan.range_m = {3.0f, 0.0f};
     EXPECT_EQ(scan.count_returns(), 1u);
-    EXPECT_EQ(scan.point(0), glm::vec3(3, 0, 1));
+    EXPECT_EQ(scan.compute_end_point(0), glm::vec3(3, 0, 1));
 }
 
 /// Makes a car with `count` labels at intervals of step_s. The labels vary by 9 cm, as in
@@ -165,7 +172,7 @@ TEST(MovingBox, IsNoneThatJittersHoweverOftenItIsLabelled) {
         for (int i = 0; i <= 10 * (n - 1); ++i) {
             for (BoxTrack* box : {&parked, &driving}) {
                 box->world_from_box.time_s.push_back(0.05 * i);
-                box->world_from_box.pose.push_back(keyframes.at(0.05 * i));
+                box->world_from_box.pose.push_back(keyframes.interpolate_pose(0.05 * i));
             }
             driving.world_from_box.pose.back().translation.x += 2.0 * 0.05 * i;
         }
@@ -206,7 +213,7 @@ RayTable make_turning_rays(const SpinningSensor& sensor, double from_rad, double
 }
 
 TEST(SweepStart, AHeadFacesAThingWhenItsRayIsFired) {
-    Sequence sequence;
+    LidarSequence sequence;
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     for (const bool clockwise : {true, false}) {
         sensor.clockwise = clockwise;
@@ -218,8 +225,8 @@ TEST(SweepStart, AHeadFacesAThingWhenItsRayIsFired) {
                 // skips the first ray, which is as close to the end of the turn as to its
                 // start
                 for (std::size_t i = 1; i < 500; i += 7) {
-                    const double facing_s =
-                        compute_facing_time(sequence, 9.0 * glm::dvec3(rays.direction[i]), {100.0, 0, start});
+                    const double facing_s = compute_point_scan_time_s(
+                        sequence, 9.0 * glm::dvec3(rays.direction[i]), {100.0, 0, start});
                     ASSERT_NEAR(facing_s, 100.0 + double(rays.time_offset_s[i]), 1e-6)
                         << from_rad << " " << from_s << " " << i;
                 }
@@ -229,15 +236,15 @@ TEST(SweepStart, AHeadFacesAThingWhenItsRayIsFired) {
 }
 
 TEST(SweepStart, AWindowFacesAThingWhenItsColumnIsFired) {
-    const ScanningWindow window{.name = "w",
-                                .rows = 2,
-                                .columns = 40,
-                                .left_rad = 1.0,
-                                .right_rad = -0.8,
-                                .top_rad = 0.1,
-                                .bottom_rad = 0.0,
-                                .period_s = 0.08};
-    Sequence sequence;
+    const WindowScanSensor window{.name = "w",
+                                  .rows = 2,
+                                  .columns = 40,
+                                  .left_rad = 1.0,
+                                  .right_rad = -0.8,
+                                  .top_rad = 0.1,
+                                  .bottom_rad = 0.0,
+                                  .period_s = 0.08};
+    LidarSequence sequence;
     sequence.lidars[0].sensor.period_s = 0.0;
     sequence.lidars[0].pattern = window;
     // The time of the frame is in the middle of the scan, at its start, or after its end.
@@ -247,16 +254,17 @@ TEST(SweepStart, AWindowFacesAThingWhenItsColumnIsFired) {
         const auto start = find_sweep_start(rays, sequence.lidars[0]);
         EXPECT_EQ(start.has_value(), later_s != 0.0f);
         for (std::size_t i = 0; i < rays.size(); ++i)
-            ASSERT_NEAR(compute_facing_time(sequence, 5.0 * glm::dvec3(rays.direction[i]), {7.0, 0, start}),
-                        7.0 + double(rays.time_offset_s[i]), 1.1e-3)
+            ASSERT_NEAR(
+                compute_point_scan_time_s(sequence, 5.0 * glm::dvec3(rays.direction[i]), {7.0, 0, start}),
+                7.0 + double(rays.time_offset_s[i]), 1.1e-3)
                 << "half a column: " << later_s << " " << i;
     }
     EXPECT_EQ(make_nominal_rays(sequence.lidars[0], 3.0).direction, make_rays(window).direction);
-    const Rosette rosette{
+    const RosetteSensor rosette{
         .name = "r", .deflection_rad = 0.1, .first_hz = 30.0, .second_hz = -20.0, .n_rays = 50};
     sequence.lidars[0].pattern = rosette;
-    EXPECT_EQ(compute_facing_time(sequence, {3, 1, 0}, {7.0, 0, {}}), 7.0);
-    EXPECT_EQ(compute_facing_time(sequence, {3, 1, 0}, {7.0, 0, SweepStart{0.0, 0.0}}), 7.05)
+    EXPECT_EQ(compute_point_scan_time_s(sequence, {3, 1, 0}, {7.0, 0, {}}), 7.0);
+    EXPECT_EQ(compute_point_scan_time_s(sequence, {3, 1, 0}, {7.0, 0, SweepStart{0.0, 0.0}}), 7.05)
         << "half of 0.1 s after its beginning";
     EXPECT_EQ(make_nominal_rays(sequence.lidars[0], 3.3).direction, make_rays(rosette, 3.3).direction);
 }
@@ -273,9 +281,9 @@ TEST(SweepStart, TheUsualOneIsNoneAndNothingIsMadeUp) {
 }
 
 TEST(Split, EveryTenthOfFiftyButTheFirst) {
-    Sequence sequence;
+    LidarSequence sequence;
     for (int i = 0; i < 50; ++i) sequence.frames.emplace_back().index = i;
-    const Split split = split_frames(sequence, 10);
+    const TrainTestSplit split = split_frames(sequence, 10);
     EXPECT_EQ(split.test, (std::vector<int>{10, 20, 30, 40}));
     EXPECT_EQ(split.train.size(), 46u);
     EXPECT_EQ(split_frames(sequence, 0).train.size(), 50u);
@@ -283,12 +291,12 @@ TEST(Split, EveryTenthOfFiftyButTheFirst) {
 }
 
 TEST(Split, APublishedPartHoldsOutWhatIsPublished) {
-    Sequence sequence;
+    LidarSequence sequence;
     for (int i = 2351; i <= 2400; ++i)
         // a frame without a pose shifts no index
         if (i != 2355) sequence.frames.emplace_back().index = i;
     sequence.test_frames = {2360, 2370, 2380, 2390};
-    const auto indices = [&](const Split& split) {
+    const auto indices = [&](const TrainTestSplit& split) {
         std::vector<int> all;
         for (const int position : split.test) all.push_back(sequence.frames[std::size_t(position)].index);
         return all;
@@ -302,12 +310,12 @@ TEST(Split, APublishedPartHoldsOutWhatIsPublished) {
 
 /// Makes a log with the frames 100, 103, 106 ... of two LiDARs. The second LiDAR has no
 /// sweep 106.
-Sequence make_sweeps_of_three() {
-    Sequence sequence;
+LidarSequence make_sweeps_of_three() {
+    LidarSequence sequence;
     for (int i = 0; i < 8; ++i) {
         for (int lidar = 0; lidar < 2; ++lidar) {
             if (i == 2 && lidar == 1) continue;
-            Frame& frame = sequence.frames.emplace_back();
+            LidarFrame& frame = sequence.frames.emplace_back();
             frame.index = 100 + 3 * i;
             frame.lidar = lidar;
         }
@@ -316,9 +324,9 @@ Sequence make_sweeps_of_three() {
 }
 
 TEST(Split, NamedSweepsAreHeldOutWithAllTheirLidars) {
-    const Sequence sequence = make_sweeps_of_three();
+    const LidarSequence sequence = make_sweeps_of_three();
     const auto held_out = [&](const std::string& list) {
-        const Split split = split_frames(sequence, 10, list);
+        const TrainTestSplit split = split_frames(sequence, 10, list);
         std::vector<int> all = split.train;
         all.insert(all.end(), split.test.begin(), split.test.end());
         std::sort(all.begin(), all.end());
@@ -333,13 +341,13 @@ TEST(Split, NamedSweepsAreHeldOutWithAllTheirLidars) {
     EXPECT_EQ(held_out(""), std::vector<int>{}) << "fewer than ten sweeps";
     EXPECT_EQ(split_frames(sequence, 1, "109").test, (std::vector<int>{5, 6}));
 
-    Sequence ten;
+    LidarSequence ten;
     for (int i = 0; i < 50; ++i) ten.frames.emplace_back().index = i;
     EXPECT_EQ(split_frames(ten, 0, "13,26,40:45").test, (std::vector<int>{13, 26, 40, 41, 42, 43, 44}));
 }
 
 TEST(Split, ListsThatNameNoPartOfTheLogAreRefused) {
-    const Sequence sequence = make_sweeps_of_three();
+    const LidarSequence sequence = make_sweeps_of_three();
     const auto refused = [&](const std::string& list, const std::string& why) {
         try {
             split_frames(sequence, 10, list);
@@ -368,12 +376,12 @@ TEST(BoxTrack, KnowsWhatOfItWasLabelled) {
         car.world_from_box.time_s.push_back(0.1 * i);
         car.world_from_box.pose.push_back({{}, {double(i), 0.0, 0.0}});
     }
-    EXPECT_EQ(car.get_labelled_part().world_from_box.time_s, car.world_from_box.time_s);
+    EXPECT_EQ(car.copy_labelled_poses().world_from_box.time_s, car.world_from_box.time_s);
     car.n_before = 2, car.n_after = 1;
-    const PoseTrack labelled = car.get_labelled_part().world_from_box;
+    const PoseTrack labelled = car.copy_labelled_poses().world_from_box;
     EXPECT_EQ(labelled.time_s, (std::vector<double>{0.1 * 2, 0.1 * 3, 0.1 * 4}));
     EXPECT_EQ(labelled.pose.front().translation.x, 2.0);
-    EXPECT_EQ(car.get_labelled_part().n_before + car.get_labelled_part().n_after, 0u);
+    EXPECT_EQ(car.copy_labelled_poses().n_before + car.copy_labelled_poses().n_after, 0u);
 }
 
 }  // namespace

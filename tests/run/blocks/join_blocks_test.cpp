@@ -48,13 +48,13 @@ protected:
         run.config.refine.enabled = false;
         std::vector<float> xs;
         for (float x = -40.0f; x < 830.0f; x += 7.0f) xs.push_back(x);
-        whole = make_background_scene(test::make_walls_at(xs));
+        full_scene = make_background_scene(test::make_walls_at(xs));
         // no surfels on the road
-        for (std::size_t i = 1; i < whole.surfels.size(); i += 3) whole.surfels.mean[i].y = 14.0f;
-        blocks = plan_blocks(log, run.split, {200.0, 40.0});
+        for (std::size_t i = 1; i < full_scene.surfels.size(); i += 3) full_scene.surfels.mean[i].y = 14.0f;
+        blocks = plan_training_blocks(log, run.split, {200.0, 40.0});
         ASSERT_THAT(blocks, SizeIs(4));
         for (std::size_t k = 0; k < blocks.size(); ++k) save_block(k);
-        join_blocks(run, blocks, folders);
+        join_trained_blocks(run, blocks, folders);
         save_run(run);
     }
     void TearDown() override {
@@ -65,10 +65,10 @@ protected:
     /// Saves block `index` in the same way as training. Blocks 0 and 1 contain the car.
     /// In block 0, the car is near the sensor in more frames.
     void save_block(std::size_t index) {
-        const BlockLog part = load_block_log(log, run.split, blocks[index], run.config);
+        const BlockTrainingLog part = extract_block_log(log, run.split, blocks[index], run.config);
         folders.push_back(run.folder / "blocks" / ("00" + std::to_string(index)));
-        relidar::Run block{folders.back(), part.config, part.sequence, part.split, whole};
-        remove_overlap_surfels(block.scene, log, blocks, index);
+        relidar::TrainedRun block{folders.back(), part.config, part.sequence, part.split, full_scene};
+        remove_surfels_of_other_blocks(block.scene, log, blocks, index);
         block.scene.sensor_drop = {1, 2, {0.25f * float(index), 0.5f}};
         // poses as after refinement
         for (Pose& pose : block.sequence.world_from_vehicle.pose) pose.translation.z += 0.001 * double(index);
@@ -89,10 +89,10 @@ protected:
     }
 
     fs::path folder;
-    Sequence log;
-    relidar::Run run;
-    Scene whole;
-    std::vector<Block> blocks;
+    LidarSequence log;
+    relidar::TrainedRun run;
+    Scene full_scene;
+    std::vector<TrajectoryBlock> blocks;
     std::vector<fs::path> folders;
 };
 
@@ -109,28 +109,29 @@ void expect_same(const RenderedScan& first, const RenderedScan& second, const st
 }
 
 TEST_F(JoinedBlocks, HasEverySurfelOnceAndTheCarOfTheBlockThatSawItMost) {
-    const relidar::Run read = load_run(run.folder);
+    const relidar::TrainedRun read = load_run(run.folder);
     EXPECT_THAT(read.scene.blocks, SizeIs(4));
     EXPECT_EQ(read.scene.models[0].count, 0u);
-    EXPECT_EQ(count_surfels(read.scene), whole.surfels.size() + 3);
+    EXPECT_EQ(count_surfels(read.scene), full_scene.surfels.size() + 3);
     ASSERT_THAT(read.scene.instances, SizeIs(2));
     EXPECT_EQ(read.scene.instances[1].track, "car");
     EXPECT_EQ(read.scene.surfels.mean[read.scene.models[1].first].x, 0.0f) << "the car of block 0";
 
     const Scene all = load_all_blocks(read.scene);
     EXPECT_TRUE(all.blocks.empty());
-    const auto places = [](const Scene& scene) {
-        std::multiset<std::tuple<float, float, float>> found;
+    const auto collect_surfel_positions = [](const Scene& scene) {
+        std::multiset<std::tuple<float, float, float>> surfel_positions;
         for (std::uint32_t i = 0; i < scene.models[0].count; ++i)
-            found.emplace(scene.surfels.mean[i].x, scene.surfels.mean[i].y, scene.surfels.sh[i * kShFloats]);
-        return found;
+            surfel_positions.emplace(scene.surfels.mean[i].x, scene.surfels.mean[i].y,
+                                     scene.surfels.sh[i * kShFloats]);
+        return surfel_positions;
     };
-    EXPECT_EQ(places(all), places(whole));
+    EXPECT_EQ(collect_surfel_positions(all), collect_surfel_positions(full_scene));
 }
 
 TEST_F(JoinedBlocks, TakesPosesAndDropsFromTheBlocks) {
     for (std::size_t k = 0; k < blocks.size(); ++k)
-        for (const int position : blocks[k].own)
+        for (const int position : blocks[k].recorded_frames)
             EXPECT_DOUBLE_EQ(run.sequence.world_from_vehicle.pose[std::size_t(position)].translation.z,
                              0.001 * double(k));
     EXPECT_EQ(run.refined_poses, "sensor");
@@ -147,7 +148,7 @@ TEST_F(JoinedBlocks, RendersAsOnePieceWithFewBlocksOnTheDevice) {
     Config config = run.config;
     config.render.memory_mib = 0;
     const Scene one = load_all_blocks(run.scene);
-    const SensorChoice sensor = make_configured_sensor(config, log);
+    const SimulatedSensor sensor = make_configured_sensor(config, log);
     const std::uint64_t before = device().allocated_bytes();
     std::uint64_t most = 0;
     {
@@ -169,7 +170,7 @@ TEST_F(JoinedBlocks, RendersAsOnePieceWithFewBlocksOnTheDevice) {
 }
 
 TEST_F(JoinedBlocks, EditedAndSavedElsewhereItRendersTheSame) {
-    relidar::Run read = load_run(run.folder);
+    relidar::TrainedRun read = load_run(run.folder);
     const RenderedScan before = rendered(read.scene, read.config, 22);
     read.folder = folder / "edited";
     save_run(read);

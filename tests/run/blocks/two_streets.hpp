@@ -11,8 +11,8 @@ namespace relidar::test {
 
 /// Returns a log of `count` frames at intervals of 0.1 s. In frame i the vehicle is at
 /// position way(i).
-inline Sequence log_along(int count, const std::function<glm::dvec3(int)>& path) {
-    Sequence log;
+inline LidarSequence log_along(int count, const std::function<glm::dvec3(int)>& path) {
+    LidarSequence log;
     log.name = "way";
     for (int i = 0; i < count; ++i) {
         log.frames.push_back({100 + i, 0.1 * i, {}});

@@ -20,7 +20,7 @@ using CheckpointFile = TemporaryFolder;
 
 Checkpoint example(int iteration) {
     Checkpoint checkpoint{iteration, {{"setting/loss.depth", "0.1"}, {"layout", "{\"models\":[]}"}}, {}};
-    StateWriter write(checkpoint);
+    CheckpointWriter write(checkpoint);
     write("steps", std::vector<std::uint64_t>{1, 2, 0xFFFFFFFFFFFFFFFFull});
     write("values", std::vector<float>{0.1f, -0.0f, 1e-40f, 3e38f});
     write("extent", 1.0 / 3.0);
@@ -91,12 +91,12 @@ TEST_F(CheckpointFile, CutAnywhereItIsRefusedAndTheOneBeforeIsTaken) {
     save_checkpoint(folder, example(100), 2);
     save_checkpoint(folder, example(200), 2);
     const fs::path newest = list_checkpoints(folder).back();
-    const std::string whole = read_contents(newest);
+    const std::string file_bytes = read_contents(newest);
     constexpr std::size_t kCuts = 200;
     for (std::size_t i = 0; i < kCuts; ++i) {
-        const std::size_t length = i * whole.size() / kCuts;
+        const std::size_t length = i * file_bytes.size() / kCuts;
         SCOPED_TRACE(length);
-        put(newest, whole.substr(0, length));
+        put(newest, file_bytes.substr(0, length));
         const std::string message = get_data_error_message([&] { read_checkpoint(newest); });
         EXPECT_NE(message.find(newest.string()), std::string::npos) << message;
         const Loaded loaded = load(folder);
@@ -104,18 +104,18 @@ TEST_F(CheckpointFile, CutAnywhereItIsRefusedAndTheOneBeforeIsTaken) {
         EXPECT_EQ(loaded.checkpoint->iteration, 100);
         EXPECT_EQ(loaded.notes.size(), 1u);
     }
-    put(newest, whole.substr(0, whole.size() - 1));  // without the last byte
+    put(newest, file_bytes.substr(0, file_bytes.size() - 1));  // without the last byte
     EXPECT_EQ(load(folder).checkpoint->iteration, 100);
 }
 
 TEST_F(CheckpointFile, EveryFlippedBitIsNoticed) {
     write_checkpoint(folder / "a", example(400));
-    const std::string whole = read_contents(folder / "a");
+    const std::string file_bytes = read_contents(folder / "a");
     std::mt19937 random(7);
     for (int i = 0; i < 2000; ++i) {
-        const std::size_t bit = random() % (8 * whole.size());
+        const std::size_t bit = random() % (8 * file_bytes.size());
         SCOPED_TRACE(bit);
-        std::string flipped = whole;
+        std::string flipped = file_bytes;
         flipped[bit / 8] = static_cast<char>(flipped[bit / 8] ^ (1 << bit % 8));
         put(folder / "a", flipped);
         try {
@@ -148,7 +148,7 @@ TEST_F(CheckpointFile, NumbersThatAreNotFiniteAreRefused) {
     for (const float bad :
          {std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::infinity()}) {
         Checkpoint checkpoint = example(400);
-        StateWriter write(checkpoint);
+        CheckpointWriter write(checkpoint);
         write("moments", std::vector<float>{1.0f, 2.0f, bad});
         const std::string before = get_data_error_message([&] { check_finite(checkpoint); });
         EXPECT_NE(before.find("row 2 of array \"moments\""), std::string::npos) << before;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests StateWriter and StateReader, which save and load training states. Host and device
-// values must be restored bit by bit. If a value does not fit, the error must name it.
+// Tests CheckpointWriter and CheckpointReader, which save and load training states. Host
+// and device values must be restored bit by bit. If a value does not fit, the error must
+// name it.
 #include <bit>
 
 #include <relidar/run/checkpoint.hpp>
@@ -17,13 +18,13 @@ class DeviceState : public test::DeviceTest {};
 
 TEST(State, NumbersAndVectorsComeBack) {
     Checkpoint checkpoint;
-    StateWriter write(checkpoint);
+    CheckpointWriter write(checkpoint);
     const std::uint64_t state = 0x0123456789ABCDEFull;
     write("state", state);
     write("order", std::vector<std::uint64_t>{2, 0, 1});
     write("extent", 0.1);
     write("empty", std::vector<float>{});
-    const StateReader read(checkpoint);
+    const CheckpointReader read(checkpoint);
     std::uint64_t state_back = 0;
     double extent = 0.0;
     std::vector<std::uint64_t> order;
@@ -40,9 +41,9 @@ TEST(State, NumbersAndVectorsComeBack) {
 
 TEST(State, WhatDoesNotFitIsNamed) {
     Checkpoint checkpoint{7, {}, {}};
-    StateWriter write(checkpoint);
+    CheckpointWriter write(checkpoint);
     write("x", std::vector<float>{1.0f, 2.0f});
-    const StateReader read(checkpoint);
+    const CheckpointReader read(checkpoint);
     double number = 0.0;
     std::vector<double> wrong_type;
     EXPECT_THAT(get_data_error_message([&] { read("y", number); }),
@@ -53,7 +54,8 @@ TEST(State, WhatDoesNotFitIsNamed) {
     EXPECT_NE(
         get_data_error_message([&] { read("x", wrong_type); }).find("array x: found f4 [2], expected f8 [2]"),
         std::string::npos);
-    EXPECT_THAT(get_data_error_message([&] { checkpoint.text("layout"); }), test::Names("key \"layout\""));
+    EXPECT_THAT(get_data_error_message([&] { checkpoint.get_text("layout"); }),
+                test::Names("key \"layout\""));
 }
 
 TEST_F(DeviceState, SurfelsAndArraysComeBack) {
@@ -65,14 +67,14 @@ TEST_F(DeviceState, SurfelsAndArraysComeBack) {
     Array<float> statistics(device(), std::vector<float>{3.0f, 1.0f, 4.0f}, "statistics"),
         statistics_back(device(), 3, "statistics read back");
     Checkpoint checkpoint;
-    StateWriter write(checkpoint);
+    CheckpointWriter write(checkpoint);
     write("parameters", arrays);
     write("statistics", statistics);
-    EXPECT_EQ(checkpoint.array("parameters/sh").shape, (std::vector<std::size_t>{n, 3, 16}));
-    const StateReader read(checkpoint);
+    EXPECT_EQ(checkpoint.get_array("parameters/sh").shape, (std::vector<std::size_t>{n, 3, 16}));
+    const CheckpointReader read(checkpoint);
     read("parameters", back);
     read("statistics", statistics_back);
-    const Surfels b = back.download(), host = read.surfels("parameters");
+    const Surfels b = back.download(), host = read.read_all_surfels("parameters");
     for (const Surfels* s : {&b, &host}) {
         EXPECT_EQ(s->mean, surfels.mean);
         EXPECT_EQ(s->rotation, surfels.rotation);
@@ -86,34 +88,36 @@ TEST_F(DeviceState, SurfelsAndArraysComeBack) {
               }).find("array parameters/mean: found f4 [5, 3], expected f4 [4, 3]"),
               std::string::npos);
     std::erase_if(checkpoint.arrays, [](const NamedArray& a) { return a.name == "parameters/rotation"; });
-    EXPECT_THAT(get_data_error_message([&] { read.surfels("parameters"); }),
+    EXPECT_THAT(get_data_error_message([&] { read.read_all_surfels("parameters"); }),
                 test::Names("array \"parameters/rotation\""));
 }
 
 TEST_F(DeviceState, GaussiansComeBackAndNothingElseInTheirPlace) {
     constexpr std::uint32_t n = 5;
     Surfels gaussians = make_example_surfels(n);
-    make_primitive(gaussians, Primitive::gaussian, 0.3);
-    SurfelArrays arrays(device(), n, "state", Primitive::gaussian),
-        back(device(), n, "state read back", Primitive::gaussian), of_surfels(device(), n, "surfels");
+    convert_to_primitive(gaussians, PrimitiveType::gaussian, 0.3);
+    SurfelArrays arrays(device(), n, "state", PrimitiveType::gaussian),
+        back(device(), n, "state read back", PrimitiveType::gaussian), of_surfels(device(), n, "surfels");
     arrays.upload(gaussians);
     Checkpoint checkpoint;
-    StateWriter{checkpoint}("parameters", arrays);
-    const StateReader read(checkpoint);
+    CheckpointWriter{checkpoint}("parameters", arrays);
+    const CheckpointReader read(checkpoint);
     read("parameters", back);
     EXPECT_EQ(back.download().log_scale_w, gaussians.log_scale_w);
-    EXPECT_EQ(read.surfels("parameters").log_scale_w, gaussians.log_scale_w);
+    EXPECT_EQ(read.read_all_surfels("parameters").log_scale_w, gaussians.log_scale_w);
     get_data_error_message([&] { read("parameters", of_surfels); });
-    EXPECT_EQ(checkpoint.text("parameters/primitive"), "gaussian");
+    EXPECT_EQ(checkpoint.get_text("parameters/primitive"), "gaussian");
     checkpoint.texts.clear();
-    EXPECT_NE(get_data_error_message([&] { read.surfels("parameters"); }).find("\"parameters/primitive\""),
-              std::string::npos);
+    EXPECT_NE(
+        get_data_error_message([&] { read.read_all_surfels("parameters"); }).find("\"parameters/primitive\""),
+        std::string::npos);
     checkpoint.arrays.pop_back();
     checkpoint.texts["parameters/primitive"] = "gaussian";
-    EXPECT_THAT(get_data_error_message([&] { read.surfels("parameters"); }),
+    EXPECT_THAT(get_data_error_message([&] { read.read_all_surfels("parameters"); }),
                 test::Names("array \"parameters/log_scale_w\""));
     checkpoint.texts["parameters/primitive"] = "cube";
-    EXPECT_THAT(get_data_error_message([&] { read.surfels("parameters"); }), test::Names("found \"cube\""));
+    EXPECT_THAT(get_data_error_message([&] { read.read_all_surfels("parameters"); }),
+                test::Names("found \"cube\""));
 }
 
 }  // namespace

@@ -106,25 +106,26 @@ TEST_F(ConfigFile, ValuesReadBackBitByBit) {
 /// A saved file with missing or additional settings was written by a different version
 /// and must be rejected.
 TEST_F(ConfigFile, SavedFilesHaveEverySettingAndNoOther) {
-    const std::string whole = to_toml(make_preset("quick"));
+    const std::string full_toml = to_toml(make_preset("quick"));
     const auto error = [&](const std::string& text) {
         put(folder / "config.toml", text);
         return get_data_error_message([&] { load_saved_config(folder / "config.toml"); });
     };
-    put(folder / "config.toml", whole);
+    put(folder / "config.toml", full_toml);
     expect_equal(load_saved_config(folder / "config.toml"), make_preset("quick"));
     const std::string file = (folder / "config.toml").string() + ": ";
     EXPECT_THAT(
-        error(whole + "[mars]\ncolour = \"red\"\n"),
+        error(full_toml + "[mars]\ncolour = \"red\"\n"),
         test::Names(file + "setting mars.colour: unknown ... `relidar list settings --all` ... version"));
     const std::string line = "alpha_min = 0.04\n";
-    std::string less = whole;
+    std::string less = full_toml;
     ASSERT_NE(less.find(line), std::string::npos);
     EXPECT_THAT(error(less.erase(less.find(line), line.size())),
                 test::Names(file + "the setting image.alpha_min ... missing ... version"));
-    EXPECT_THAT(error(whole.substr(0, whole.find("preset = ")) + whole.substr(whole.find("[dataset]"))),
+    EXPECT_THAT(error(full_toml.substr(0, full_toml.find("preset = ")) +
+                      full_toml.substr(full_toml.find("[dataset]"))),
                 test::Names(file + "the setting preset ... missing ... version"));
-    std::string changed = whole;
+    std::string changed = full_toml;
     const std::string quoted = "rolling_shutter = \"auto\"";
     ASSERT_NE(changed.find(quoted), std::string::npos);
     EXPECT_THAT(
@@ -151,23 +152,23 @@ TEST_F(ConfigFile, ShortFormReadsBackToTheSame) {
 TEST(Config, ChannelsAreAList) {
     Config config;
     set_config_value(config, "render.channels", "normal, seen");
-    EXPECT_EQ(parse_channels(config.render.channels).size(), 2u);
+    EXPECT_EQ(parse_channel_names(config.render.channels).size(), 2u);
     set_config_value(config, "render.channels", "");
     EXPECT_THAT(set_error("render.channels", "normal,sean"), test::Names("found \"normal,sean\""));
 }
 
 TEST(Config, KeysAreUniqueAndExplained) {
-    std::set<std::string> seen;
+    std::set<std::string> unique_keys;
     for (const ConfigKey& entry : list_config_keys(Config{})) {
-        EXPECT_TRUE(seen.insert(entry.key).second) << entry.key << " twice";
+        EXPECT_TRUE(unique_keys.insert(entry.key).second) << entry.key << " twice";
         EXPECT_GT(entry.help.size(), 10u) << entry.key;
         if (entry.key == "preset") continue;
         Config config;
         EXPECT_NO_THROW(set_config_value(config, entry.key, entry.value))
             << entry.key << ": the default is not accepted";
     }
-    EXPECT_GT(seen.size(), 45u);
-    EXPECT_LE(seen.size(), 80u)
+    EXPECT_GT(unique_keys.size(), 45u);
+    EXPECT_LE(unique_keys.size(), 80u)
         << "each costs its reader a minute: one that nobody turns is a constant of the code";
 }
 
@@ -269,9 +270,9 @@ TEST(Config, ReleasedDiffersFromThePaperInThreeLosses) {
 
 TEST(Config, EnumFieldsReachTheirStages) {
     Config config;
-    EXPECT_EQ(make_backward_options(config).reduction, Reduction::automatic);
+    EXPECT_EQ(make_backward_options(config).reduction, GradientReduction::automatic);
     set_config_value(config, "train.deterministic", "true");
-    EXPECT_EQ(make_backward_options(config).reduction, Reduction::gather);
+    EXPECT_EQ(make_backward_options(config).reduction, GradientReduction::gather);
     set_config_value(config, "trace.chunk", "8");
     EXPECT_EQ(make_base_trace_options(config).chunk, 8);
 }
@@ -284,12 +285,12 @@ TEST(Config, LossesReachTheTraceOfTraining) {
     set_config_value(config, "loss.likelihood", "0.1");
     config.loss.likelihood_scale_m = 0.2f;
     const TraceOptions likelihood = make_training_trace_options(config);
-    EXPECT_FALSE(likelihood.has_surfaces());
+    EXPECT_FALSE(likelihood.has_surface_outputs());
     ASSERT_TRUE(likelihood.likelihood);
     EXPECT_EQ(likelihood.likelihood->scale_m, 0.2f);
     EXPECT_TRUE(make_rendering_trace_options(config).normals);
     set_config_value(config, "image.primitive", "gaussian");
-    EXPECT_FALSE(make_rendering_trace_options(config).has_surfaces());
+    EXPECT_FALSE(make_rendering_trace_options(config).has_surface_outputs());
     set_config_value(config, "render.range", "mode");
     set_config_value(config, "sensor.return_separation_m", "0.7");
     EXPECT_EQ(make_rendering_trace_options(config).mode_gap_m, 0.7f);

@@ -14,8 +14,8 @@ namespace {
 
 /// Returns a scene with a LiDAR at the origin and a cube of 2 m that passes at 10 m on
 /// the left. The LiDAR has 200 beams from -30 to 30 degrees and 3600 columns.
-DrivingScene make_passing_cube(std::uint32_t n_surfels) {
-    DrivingScene d;
+SceneWithLog make_passing_cube(std::uint32_t n_surfels) {
+    SceneWithLog d;
     d.scene.surfels.resize(n_surfels);
     d.scene.models = {{"background", 0, 0, {}}, {"cube", 0, n_surfels, {1, 1, 1}}};
     d.scene.instances = {{0, ""}, {1, "cube"}};
@@ -35,7 +35,7 @@ DrivingScene make_passing_cube(std::uint32_t n_surfels) {
 }
 
 TEST(ActorDetail, CountsTheRaysThatMeetTheBoxWhereItIsNearest) {
-    const ActorDetail detail = measure_actor_detail(make_passing_cube(500), "cube");
+    const ActorModelResolution detail = measure_actor_resolution(make_passing_cube(500), "cube");
     EXPECT_DOUBLE_EQ(detail.nearest_m, 10.0);
     EXPECT_NEAR(detail.time_s, 0.5, 1e-12);
     EXPECT_EQ(detail.surfels, 500u);
@@ -58,25 +58,29 @@ TEST(ActorDetail, OfGivenRaysThoseAreCountedWhoseLinesMeetTheBox) {
                                                                                         {0.0f, 0.0f, 0.0f},
                                                                                         {10.0f, -3.0f, 0.0f}};
     const Pose box_from_sensor = inverse(Pose{make_rotation(0.5 * kPi, 0.0, 0.0), {10.0, 0.0, 0.0}});
-    const ActorDetail detail = measure_actor_detail(origin, direction, box_from_sensor, {2.0, 2.0, 1.0}, 7);
+    const ActorModelResolution detail =
+        measure_actor_resolution(origin, direction, box_from_sensor, {2.0, 2.0, 1.0}, 7);
     EXPECT_EQ(detail.rays, 3u) << "two ahead and one from the side; one passes by, one goes the other way";
     EXPECT_DOUBLE_EQ(detail.nearest_m, 10.0);
     EXPECT_EQ(detail.surfels, 7u);
-    EXPECT_EQ(measure_actor_detail(origin, direction, {}, {30.0, 30.0, 30.0}, 7).rays, 5u) << "from within";
+    EXPECT_EQ(measure_actor_resolution(origin, direction, {}, {30.0, 30.0, 30.0}, 7).rays, 5u)
+        << "from within";
 }
 
 TEST(ActorDetail, IsSparseWhereFewSurfelsMeetManyRays) {
-    const std::size_t rays = measure_actor_detail(make_passing_cube(1), "cube").rays;
-    EXPECT_TRUE(measure_actor_detail(make_passing_cube(std::uint32_t(rays / 10)), "cube").is_sparse());
-    EXPECT_FALSE(measure_actor_detail(make_passing_cube(std::uint32_t(rays)), "cube").is_sparse());
+    const std::size_t rays = measure_actor_resolution(make_passing_cube(1), "cube").rays;
+    EXPECT_TRUE(
+        measure_actor_resolution(make_passing_cube(std::uint32_t(rays / 10)), "cube").has_too_few_surfels());
+    EXPECT_FALSE(
+        measure_actor_resolution(make_passing_cube(std::uint32_t(rays)), "cube").has_too_few_surfels());
 }
 
 TEST(ActorDetail, OfOneThatIsNeverThereNothingIsClaimed) {
-    DrivingScene d = make_passing_cube(5);
+    SceneWithLog d = make_passing_cube(5);
     for (double& t : d.sequence.boxes[0].world_from_box.time_s) t += 100.0;
-    EXPECT_EQ(measure_actor_detail(d, "cube").rays, 0u);
-    EXPECT_FALSE(measure_actor_detail(d, "cube").is_sparse());
-    EXPECT_THROW(measure_actor_detail(d, "van"), UsageError);
+    EXPECT_EQ(measure_actor_resolution(d, "cube").rays, 0u);
+    EXPECT_FALSE(measure_actor_resolution(d, "cube").has_too_few_surfels());
+    EXPECT_THROW(measure_actor_resolution(d, "van"), UsageError);
 }
 
 }  // namespace

@@ -20,7 +20,7 @@ class TrajectoryFile : public TemporaryFolder {
 protected:
     PoseTrack read(const std::string& text) {
         put(folder / "t.csv", text);
-        return read_trajectory(folder / "t.csv");
+        return read_trajectory_csv(folder / "t.csv");
     }
     std::string error(const std::string& text) {
         return get_data_error_message([&] { read(text); });
@@ -85,8 +85,8 @@ TEST_F(TrajectoryFile, IsReadBackAsItWasWritten) {
             {glm::normalize(glm::dquat(std::cos(i), std::sin(2.0 * i), std::cos(3.0 * i), std::sin(i))),
              {455000.123 + i, 5428000.5 - i, 113.0}});
     }
-    write_trajectory(folder / "t.csv", track);
-    const PoseTrack again = read_trajectory(folder / "t.csv");
+    write_trajectory_csv(folder / "t.csv", track);
+    const PoseTrack again = read_trajectory_csv(folder / "t.csv");
     ASSERT_EQ(again.time_s, track.time_s);
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         EXPECT_EQ(again.pose[i].translation, track.pose[i].translation);
@@ -103,7 +103,7 @@ TEST_F(TrajectoryFile, ComplaintsNameLineAndColumn) {
     EXPECT_NE(error("0,1,2,3,4,5,6,7\n").find("found 8 columns"), std::string::npos);
     EXPECT_THAT(error("time_s,x,y,z,yaw_deg\n0,1,2,3,0\n"), test::Names("1 poses"));
     EXPECT_NE(error("").find("found 0 poses"), std::string::npos);
-    EXPECT_NE(get_data_error_message([&] { read_trajectory(folder / "none.csv"); }).find("none.csv"),
+    EXPECT_NE(get_data_error_message([&] { read_trajectory_csv(folder / "none.csv"); }).find("none.csv"),
               std::string::npos);
 }
 

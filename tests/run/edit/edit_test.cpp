@@ -29,8 +29,8 @@ Pose at(double x, double y, double yaw_rad = 0.0) {
 
 /// Returns a scene with ten frames and a background of 3 surfels. It also has a van of 2
 /// surfels that drives a curve, a car of 4 surfels, and a pedestrian without a model.
-DrivingScene example() {
-    DrivingScene d;
+SceneWithLog example() {
+    SceneWithLog d;
     d.scene.surfels = make_numbered_surfels(3, 0.0f);
     d.scene.surfels.append(make_numbered_surfels(2, 100.0f));
     d.scene.surfels.append(make_numbered_surfels(4, 200.0f));
@@ -53,20 +53,20 @@ DrivingScene example() {
     return d;
 }
 
-const BoxTrack& box(const DrivingScene& driving, std::string_view id) {
+const BoxTrack& box(const SceneWithLog& driving, std::string_view id) {
     return *std::find_if(driving.sequence.boxes.begin(), driving.sequence.boxes.end(),
                          [&](const BoxTrack& b) { return b.id == id; });
 }
 
-std::vector<std::string> tracks(const DrivingScene& driving) {
+std::vector<std::string> tracks(const SceneWithLog& driving) {
     std::vector<std::string> names;
-    for (const Instance& i : driving.scene.instances) names.push_back(i.track);
+    for (const ModelInstance& i : driving.scene.instances) names.push_back(i.track);
     return names;
 }
 
 /// Returns x of the first surfel of an instance, and the number of its surfels.
-std::pair<float, std::uint32_t> model_of(const DrivingScene& driving, std::size_t instance) {
-    const Model& m = driving.scene.models[driving.scene.instances[instance].model];
+std::pair<float, std::uint32_t> model_of(const SceneWithLog& driving, std::size_t instance) {
+    const SurfelModel& m = driving.scene.models[driving.scene.instances[instance].model];
     return {m.count ? driving.scene.surfels.mean[m.first].x : 0.0f, m.count};
 }
 
@@ -78,7 +78,7 @@ void expect_near(const Pose& first, const Pose& second, double tolerance = 1e-12
 }
 
 TEST(Edit, RemovedActorsLeaveWithTheirSurfelsAndBoxes) {
-    const DrivingScene d = remove_track(example(), "van");
+    const SceneWithLog d = remove_track(example(), "van");
     EXPECT_EQ(tracks(d), (std::vector<std::string>{"", "car"}));
     EXPECT_EQ(d.scene.surfels.size(), 7u);
     EXPECT_EQ(model_of(d, 0), std::make_pair(0.0f, 3u));
@@ -91,19 +91,19 @@ TEST(Edit, RemovedActorsLeaveWithTheirSurfelsAndBoxes) {
 /// frames 0 to 3, because a track extends half a step before its first pose. With a
 /// different path from 0.2 to 0.5 s, it is absent from frames 0, 1, 6, 7, 8 and 9.
 TEST(Edit, SaysHowManyFramesLoseAnActor) {
-    const DrivingScene before = example();
+    const SceneWithLog before = example();
     const BoxTrack van = box(before, "van");
-    EXPECT_THAT(describe_lost_frames(van, retime_track(before, "van", 0.4).sequence),
+    EXPECT_THAT(describe_frames_without_actor(van, delay_track(before, "van", 0.4).sequence),
                 test::Names("van ... missing ... 4 frames ... 0 and 3 ... 0.40 to 1.30 s"));
     const PoseTrack path{{0.2, 0.5}, {at(0, 0), at(3, 0)}};
-    EXPECT_THAT(describe_lost_frames(van, replace_trajectory(before, "van", path).sequence),
+    EXPECT_THAT(describe_frames_without_actor(van, replace_trajectory(before, "van", path).sequence),
                 test::Names("van ... missing ... 6 frames ... 0 and 9 ... 0.20 to 0.50 s"));
-    EXPECT_EQ(describe_lost_frames(van, retime_track(before, "van", 0.02).sequence), "");
-    EXPECT_EQ(describe_lost_frames(van, move_track(before, "van", at(0, 1)).sequence), "");
+    EXPECT_EQ(describe_frames_without_actor(van, delay_track(before, "van", 0.02).sequence), "");
+    EXPECT_EQ(describe_frames_without_actor(van, move_track(before, "van", at(0, 1)).sequence), "");
 }
 
 TEST(Edit, MoveIsInTheFrameOfTheBoxAtEachTime) {
-    const DrivingScene before = example(),
+    const SceneWithLog before = example(),
                        after = move_track(example(), "van",
                                           {glm::angleAxis(0.2, glm::dvec3(0, 0, 1)), {1.0, 3.5, 0.25}});
     for (std::size_t i = 0; i < 10; ++i) {
@@ -119,9 +119,10 @@ TEST(Edit, MoveIsInTheFrameOfTheBoxAtEachTime) {
 }
 
 TEST(Edit, RetimedActorsDoTheSameLaterAndAreAbsentOutside) {
-    const DrivingScene before = example(), after = retime_track(example(), "van", 0.4);
+    const SceneWithLog before = example(), after = delay_track(example(), "van", 0.4);
     for (const double t : {0.45, 0.6, 0.93})
-        expect_near(box(after, "van").world_from_box.at(t), box(before, "van").world_from_box.at(t - 0.4));
+        expect_near(box(after, "van").world_from_box.interpolate_pose(t),
+                    box(before, "van").world_from_box.interpolate_pose(t - 0.4));
     EXPECT_FALSE(box(after, "van").is_present(0.3));
     EXPECT_TRUE(box(after, "van").is_present(0.4));
     EXPECT_TRUE(box(after, "van").is_present(1.3));
@@ -132,10 +133,11 @@ TEST(Edit, TrajectoriesAreInterpolatedAndEndWithTheirTimes) {
     PoseTrack track{{0.2, 0.7},
                     {{glm::dquat(1, 0, 0, 0), {1010, -50, 2}},
                      {glm::angleAxis(1.0, glm::dvec3(0, 0, 1)), {1020, -45, 2}}}};
-    const DrivingScene d = replace_trajectory(example(), "car", track);
+    const SceneWithLog d = replace_trajectory(example(), "car", track);
     const BoxTrack& car = box(d, "car");
-    expect_near(car.world_from_box.at(0.2), {glm::dquat(1, 0, 0, 0), {10, 0, 0}});
-    expect_near(car.world_from_box.at(0.3), {glm::angleAxis(0.2, glm::dvec3(0, 0, 1)), {12, 1, 0}}, 1e-9);
+    expect_near(car.world_from_box.interpolate_pose(0.2), {glm::dquat(1, 0, 0, 0), {10, 0, 0}});
+    expect_near(car.world_from_box.interpolate_pose(0.3),
+                {glm::angleAxis(0.2, glm::dvec3(0, 0, 1)), {12, 1, 0}}, 1e-9);
     EXPECT_TRUE(car.is_present(0.2) && car.is_present(0.7));
     EXPECT_FALSE(car.is_present(0.1) || car.is_present(0.8))
         << "half a sweep beside the ends, no more, however sparse the entries";
@@ -147,15 +149,15 @@ TEST(Edit, TrajectoriesAreInterpolatedAndEndWithTheirTimes) {
 }
 
 TEST(Edit, CopiesShareTheModelAndDriveStraightOn) {
-    const Start start{{glm::angleAxis(kPi / 2, glm::dvec3(0, 0, 1)), {1004.0, -48.0, 3.0}}, 8.0};
-    const DrivingScene one = copy_track(example(), "van", start), two = copy_track(one, "van", start);
+    const NewActorMotion start{{glm::angleAxis(kPi / 2, glm::dvec3(0, 0, 1)), {1004.0, -48.0, 3.0}}, 8.0};
+    const SceneWithLog one = copy_track(example(), "van", start), two = copy_track(one, "van", start);
     EXPECT_EQ(tracks(two), (std::vector<std::string>{"", "van", "car", "van-copy-1", "van-copy-2"}));
     EXPECT_EQ(two.scene.surfels.size(), 9u) << "a model is held once";
     EXPECT_EQ(two.scene.instances[3].model, two.scene.instances[1].model);
-    expect_near(box(one, "van-copy-1").world_from_box.at(0.5),
+    expect_near(box(one, "van-copy-1").world_from_box.interpolate_pose(0.5),
                 {start.dataset_from_box.rotation, {4.0, 2.0 + 4.0, 1.0}}, 1e-9);
     EXPECT_EQ(box(one, "van-copy-1").category, "Van");
-    const DrivingScene left = remove_track(two, "van");
+    const SceneWithLog left = remove_track(two, "van");
     EXPECT_EQ(left.scene.surfels.size(), 9u) << "copies still need it";
     EXPECT_EQ(model_of(left, 2), std::make_pair(100.0f, 2u));
     EXPECT_EQ(remove_track(remove_track(left, "van-copy-1"), "van-copy-2").scene.surfels.size(), 7u);
@@ -163,9 +165,9 @@ TEST(Edit, CopiesShareTheModelAndDriveStraightOn) {
 }
 
 TEST(Edit, InsertedActorsBringTheirModelAndAFreeName) {
-    DrivingScene other = example();
+    SceneWithLog other = example();
     other.scene.surfels.mean[3].x = 777.0f;
-    const DrivingScene d =
+    const SceneWithLog d =
         insert_track(insert_track(remove_track(example(), "car"), other, "van", {}), other, "car", {});
     EXPECT_EQ(tracks(d), (std::vector<std::string>{"", "van", "van-insert-1", "car"}));
     EXPECT_EQ(model_of(d, 1), std::make_pair(100.0f, 2u));
@@ -175,25 +177,25 @@ TEST(Edit, InsertedActorsBringTheirModelAndAFreeName) {
 }
 
 TEST(Edit, ModelsKeepTheirBox) {
-    const DrivingScene kept = remove_track(example(), "van"),
+    const SceneWithLog after_removal = remove_track(example(), "van"),
                        inserted = insert_track(remove_track(example(), "car"), example(), "car", {});
-    for (const DrivingScene* d : {&kept, &inserted}) {
-        const Scene own = copy_shared_models(d->scene);
-        for (const Scene* scene : {&d->scene, &own})
+    for (const SceneWithLog* d : {&after_removal, &inserted}) {
+        const Scene unshared_scene = duplicate_shared_models(d->scene);
+        for (const Scene* scene : {&d->scene, &unshared_scene})
             EXPECT_EQ(scene->models[scene->instances.back().model].half_size_m, glm::vec3(2.1f, 1.1f, 0.85f));
     }
     Scene twice = example().scene;
     twice.instances.push_back({2, "car-copy-1"});
-    EXPECT_EQ(copy_shared_models(twice).models[3].half_size_m, glm::vec3(2.1f, 1.1f, 0.85f))
+    EXPECT_EQ(duplicate_shared_models(twice).models[3].half_size_m, glm::vec3(2.1f, 1.1f, 0.85f))
         << "a model of its own for the second placement";
 }
 
 TEST(Edit, KeepsOneSide) {
-    const DrivingScene street = keep_background(example());
+    const SceneWithLog street = remove_all_actors(example());
     EXPECT_EQ(tracks(street), std::vector<std::string>{""});
     EXPECT_EQ(street.scene.surfels.size(), 3u);
     EXPECT_EQ(street.sequence.boxes.size(), 1u) << "boxes without a model are not edited";
-    const DrivingScene cars = keep_actors(example());
+    const SceneWithLog cars = remove_background(example());
     EXPECT_EQ(tracks(cars), (std::vector<std::string>{"", "van", "car"}));
     EXPECT_EQ(model_of(cars, 0).second, 0u);
     EXPECT_EQ(model_of(cars, 1), std::make_pair(100.0f, 2u));
@@ -209,12 +211,12 @@ TEST(Edit, UnknownTracksNameTheNearest) {
     EXPECT_THAT(message("walker"), test::Names("box ... background"));
     EXPECT_THAT(message("walker"), test::Names("init.actor_tracks = van,car,walker"));
     EXPECT_THAT(message(""), test::Names("track")) << "the background is no track";
-    EXPECT_THAT(error_message<UsageError>([] { remove_track(keep_background(example()), "van"); }),
+    EXPECT_THAT(error_message<UsageError>([] { remove_track(remove_all_actors(example()), "van"); }),
                 test::Names("actors"));
     const std::string stranger =
         error_message<UsageError>([] { insert_track(example(), example(), "bus", {}); });
     EXPECT_THAT(stranger, test::Names("track (actors")) << "nothing resembles it: " << stranger;
-    DrivingScene boxless = example();
+    SceneWithLog boxless = example();
     boxless.sequence.boxes.clear();
     EXPECT_THAT(error_message<DataError>([&] { move_track(boxless, "van", {}); }),
                 test::Names("log ... box"));
@@ -223,18 +225,18 @@ TEST(Edit, UnknownTracksNameTheNearest) {
 using EditedRun = TemporaryFolder;
 
 TEST_F(EditedRun, IsSavedAndLoadedLikeAnyOther) {
-    for (const DrivingScene& d :
-         {copy_track(example(), "van", {}), keep_actors(example()), keep_background(example())}) {
-        relidar::Run run{folder / "run", make_preset("quick"), d.sequence, {{0}, {1}},
-                         d.scene,        {{"/a", "--copy"}}};
+    for (const SceneWithLog& d :
+         {copy_track(example(), "van", {}), remove_background(example()), remove_all_actors(example())}) {
+        relidar::TrainedRun run{folder / "run", make_preset("quick"), d.sequence, {{0}, {1}},
+                                d.scene,        {{"/a", "--copy"}}};
         for (glm::vec4& q : run.scene.surfels.rotation) q = {1, 0, 0, 0};
         run.sequence.lidars[0].sensor.beams = {{0.0}};
         run.sequence.lidars[0].sensor.columns = 4;
-        for (const Frame& f : run.sequence.frames)
+        for (const LidarFrame& f : run.sequence.frames)
             run.sequence.world_from_vehicle.time_s.push_back(f.time_s),
                 run.sequence.world_from_vehicle.pose.push_back({});
         save_run(run);
-        const relidar::Run read = load_run(run.folder);
+        const relidar::TrainedRun read = load_run(run.folder);
         EXPECT_EQ(tracks({read.scene, read.sequence}), tracks(d));
         EXPECT_EQ(read.scene.surfels.mean, d.scene.surfels.mean);
     }

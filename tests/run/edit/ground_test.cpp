@@ -39,8 +39,8 @@ double compute_slope_height(double x, double y) { return kAlong * x + kAcross * 
 /// Returns a scene with a slope of 40 x 20 m around the origin and a van. The surfels of
 /// the slope are 0.25 m apart, with noise of 2 cm. The van drives uphill with its box 0.2
 /// m above the slope.
-DrivingScene make_slope() {
-    DrivingScene d;
+SceneWithLog make_slope() {
+    SceneWithLog d;
     int n = 0;
     for (double x = -20.0; x <= 20.0; x += 0.25)
         for (double y = -10.0; y <= 10.0; y += 0.25)
@@ -66,14 +66,15 @@ DrivingScene make_slope() {
     return d;
 }
 
-Start place_on_ground(const DrivingScene& driving, const GroundPlace& place, const std::string& track) {
-    return compute_start_on_ground({driving.scene, driving.sequence}, place,
-                                   {driving.scene, driving.sequence}, track);
+NewActorMotion place_on_ground(const SceneWithLog& driving, const GroundPlacement& place,
+                               const std::string& track) {
+    return compute_actor_start_on_ground({driving.scene, driving.sequence}, place,
+                                         {driving.scene, driving.sequence}, track);
 }
 
 /// Returns the pose of the van in relidar's world after it is placed at a position.
-Pose placed(const DrivingScene& driving, double x, double y, std::optional<double> yaw_rad = {}) {
-    Start start =
+Pose placed(const SceneWithLog& driving, double x, double y, std::optional<double> yaw_rad = {}) {
+    NewActorMotion start =
         place_on_ground(driving, {{x + kWorldOffset_m.x, y + kWorldOffset_m.y}, yaw_rad, 3.0}, "van");
     EXPECT_EQ(start.speed_mps, 3.0);
     start.dataset_from_box.translation -= kWorldOffset_m;
@@ -94,7 +95,7 @@ void expect_on_slope(const Pose& pose, double x, double y, double yaw_rad) {
 }
 
 TEST(Ground, GivesHeightAndTiltOfASlope) {
-    const DrivingScene d = make_slope();
+    const SceneWithLog d = make_slope();
     expect_on_slope(placed(d, 6.0, 3.0, 2.0), 6.0, 3.0, 2.0);
     expect_on_slope(placed(d, -4.0, -5.0, -1.0), -4.0, -5.0, -1.0);
     expect_on_slope(placed(d, 6.0, 3.0), 6.0, 3.0, 0.3);  // same heading as the recording vehicle
@@ -102,22 +103,22 @@ TEST(Ground, GivesHeightAndTiltOfASlope) {
 
 TEST(Ground, PathFollowsAHill) {
     const auto hill = [](double value) { return 0.004 * value * value; };  // slope 0.16 after 20 m
-    DrivingScene d = make_slope();
+    SceneWithLog d = make_slope();
     for (std::uint32_t i = 0; i < d.scene.models[0].count; ++i) {
         glm::vec3& mean = d.scene.surfels.mean[i];
         mean.z += float(hill(mean.x) - compute_slope_height(mean.x, mean.y));
         d.scene.surfels.rotation[i] = {1, 0, 0, 0};
     }
     for (int i = 0; i < 5; ++i) d.sequence.frames[std::size_t(i)].time_s = i;
-    GroundPlace place{{kWorldOffset_m.x - 16.0, kWorldOffset_m.y}, 0.0, 10.0};
-    place.clearance_m = 0.0;
-    const Start start = place_on_ground(d, place, "van");
+    GroundPlacement placement{{kWorldOffset_m.x - 16.0, kWorldOffset_m.y}, 0.0, 10.0};
+    placement.clearance_m = 0.0;
+    const NewActorMotion start = place_on_ground(d, placement, "van");
     ASSERT_EQ(start.dataset_path.pose.size(), 5u);
-    const DrivingScene edited = copy_track(d, "van", start);
+    const SceneWithLog edited = copy_track(d, "van", start);
     const BoxTrack* copy = find_box(edited.sequence, "van-copy-1");
     ASSERT_NE(copy, nullptr);
     for (int i = 0; i < 4; ++i) {
-        const Pose pose = copy->world_from_box.at(i);
+        const Pose pose = copy->world_from_box.interpolate_pose(i);
         const double x = -16.0 + 10.0 * i, climb = 0.008 * x;
         EXPECT_NEAR(pose.translation.x, x, 1e-9);
         // A plane that is fitted to 4.5 m of a parabola is 0.7 cm above the middle of the
@@ -131,16 +132,16 @@ TEST(Ground, PathFollowsAHill) {
 }
 
 TEST(Ground, IsAsFarBelowAnActorAsItIsKnownToBe) {
-    const DrivingScene d = make_slope();
-    const DrivingScene alone = keep_actors(d);  // an asset does not contain any ground
+    const SceneWithLog d = make_slope();
+    const SceneWithLog alone = remove_background(d);  // an asset does not contain any ground
     EXPECT_NEAR(measure_ground_clearance({d.scene, d.sequence}, "van").value_or(-1.0), 0.2, 0.02);
     EXPECT_FALSE(measure_ground_clearance({alone.scene, alone.sequence}, "van"));
     EXPECT_THROW(measure_ground_clearance({d.scene, d.sequence}, "nobody"), UsageError);
     for (const double clearance_m : {0.0, 0.5}) {
-        GroundPlace place{{6.0 + kWorldOffset_m.x, 3.0 + kWorldOffset_m.y}, 0.0};
-        place.clearance_m = clearance_m;
-        const Start start =
-            compute_start_on_ground({d.scene, d.sequence}, place, {alone.scene, alone.sequence}, "van");
+        GroundPlacement placement{{6.0 + kWorldOffset_m.x, 3.0 + kWorldOffset_m.y}, 0.0};
+        placement.clearance_m = clearance_m;
+        const NewActorMotion start = compute_actor_start_on_ground({d.scene, d.sequence}, placement,
+                                                                   {alone.scene, alone.sequence}, "van");
         const glm::dvec3 above = start.dataset_from_box.translation - kWorldOffset_m -
                                  glm::dvec3(6.0, 3.0, compute_slope_height(6.0, 3.0));
         EXPECT_NEAR(glm::dot(kSlopeNormal, above), 0.8 + clearance_m, 0.02);
@@ -148,7 +149,7 @@ TEST(Ground, IsAsFarBelowAnActorAsItIsKnownToBe) {
 }
 
 TEST(Ground, IsNeitherARoofNorAWallNorWhatIsFaint) {
-    DrivingScene d = make_slope();
+    SceneWithLog d = make_slope();
     Surfels others;
     for (double x = 2.0; x <= 10.0; x += 0.1)
         for (double y = -1.0; y <= 7.0; y += 0.1) {
@@ -169,7 +170,7 @@ TEST(Ground, IsNeitherARoofNorAWallNorWhatIsFaint) {
 }
 
 TEST(Ground, IsNotTiltedByAFewSurfelsOfWhatStoodThere) {
-    DrivingScene d = make_slope();
+    SceneWithLog d = make_slope();
     // surfels of rings of a distant sweep at intervals of 1 m or more, and of the side of
     // a passing car
     Surfels rings;
@@ -191,43 +192,43 @@ TEST(Ground, IsNotTiltedByAFewSurfelsOfWhatStoodThere) {
 class GroundOfBlocks : public TemporaryFolder {};
 
 TEST_F(GroundOfBlocks, IsFoundInTheirFiles) {
-    const DrivingScene whole = make_slope();
-    const std::uint32_t n = whole.scene.models[0].count;
+    const SceneWithLog full_slope = make_slope();
+    const std::uint32_t n = full_slope.scene.models[0].count;
     const auto block_file = folder / "model.safetensors";
-    save_model(block_file, make_background_scene(whole.scene.surfels.slice(0, n)));
-    DrivingScene d = whole;
-    d.scene.surfels = whole.scene.surfels.slice(n, 1);
+    save_model(block_file, make_background_scene(full_slope.scene.surfels.slice(0, n)));
+    SceneWithLog d = full_slope;
+    d.scene.surfels = full_slope.scene.surfels.slice(n, 1);
     d.scene.models[0].count = 0;
     d.scene.models[1].first = 0;
     d.scene.blocks.push_back({block_file, n, glm::vec3(-20, -10, -3), glm::vec3(20, 10, 3)});
     expect_on_slope(placed(d, 6.0, 3.0, 2.0), 6.0, 3.0, 2.0);
 }
 
-std::string refusal(const DrivingScene& driving, const glm::dvec2& dataset_m,
+std::string refusal(const SceneWithLog& driving, const glm::dvec2& dataset_m,
                     const std::string& track = "van") {
     return error_message<UsageError>([&] { (void)place_on_ground(driving, {dataset_m}, track); });
 }
 
 TEST(Ground, SaysWhereThereIsNone) {
-    const DrivingScene d = make_slope();
+    const SceneWithLog d = make_slope();
     EXPECT_THAT(refusal(d, {1040.0, -50.0}), Names("van ... 1040,-50"));
     EXPECT_THAT(refusal(d, {1040.0, -50.0}), Names("20.0 m away"));
     EXPECT_NE(refusal(d, {1022.0, -50.0}), "") << "half of the van would hang over the edge";
-    EXPECT_THAT(refusal(keep_actors(d), {1000.0, -50.0}), Names("horizontal"));
+    EXPECT_THAT(refusal(remove_background(d), {1000.0, -50.0}), Names("horizontal"));
     EXPECT_THAT(refusal(d, {1000.0, -50.0}, "vam"), Names("\"van\""));
 }
 
 TEST(Ground, BelowACarThatHidItIsWhereTheCarStands) {
-    DrivingScene d = make_slope();
+    SceneWithLog d = make_slope();
     const auto n = static_cast<std::size_t>(d.scene.models[0].count);
-    Surfels seen;  // no surfels within 4.5 m of the van's start
+    Surfels remaining_surfels;  // no surfels within 4.5 m of the van's start
     for (std::size_t i = 0; i < n; ++i)
         if (std::hypot(d.scene.surfels.mean[i].x + 8.0f, d.scene.surfels.mean[i].y) > 4.5f)
-            seen.append(d.scene.surfels.slice(i, 1));
-    const auto n_seen = static_cast<std::uint32_t>(seen.size());
-    seen.append(d.scene.surfels.slice(n, 1));
-    d.scene.surfels = seen;
-    d.scene.models[0].count = d.scene.models[1].first = n_seen;
+            remaining_surfels.append(d.scene.surfels.slice(i, 1));
+    const auto n_remaining = static_cast<std::uint32_t>(remaining_surfels.size());
+    remaining_surfels.append(d.scene.surfels.slice(n, 1));
+    d.scene.surfels = remaining_surfels;
+    d.scene.models[0].count = d.scene.models[1].first = n_remaining;
     const Pose there = d.sequence.boxes[0].world_from_box.pose.front();
     const Pose pose = placed(d, there.translation.x, there.translation.y, 0.0);
     EXPECT_LT(glm::distance(pose.translation, there.translation), 0.1);
@@ -240,9 +241,9 @@ TEST(Ground, OfTheStreetIsWhereItsCarsDrive) {
     street.n_frames = 6;
     street.rows = 32;
     street.columns = 512;
-    DrivingScene d;
+    SceneWithLog d;
     d.sequence = make_synthetic_street(street);
-    InitialiseOptions options;
+    SceneInitialisationOptions options;
     options.actor_min_points = 10;
     std::vector<int> all;
     for (int i = 0; i < 6; ++i) all.push_back(i);

@@ -77,7 +77,7 @@ class Scenario : public TemporaryFolder {
 protected:
     std::vector<ScenarioEntity> read(const std::string& text) {
         put(folder / "s.xosc", text);
-        return read_scenario(folder / "s.xosc");
+        return read_openscenario_entities(folder / "s.xosc");
     }
     std::string error(const std::string& description, const std::string& replacement) {
         return get_data_error_message([&] { read(replace_text(kScenario, description, replacement)); });
@@ -108,14 +108,15 @@ TEST_F(Scenario, EntitiesFollowTheirPolylinesAtTheirTimes) {
 /// a metre lower.
 TEST_F(Scenario, ActorsStandWhereTheBoxOfTheEntityDoes) {
     const ScenarioEntity van = read(kScenario)[0];
-    const PoseTrack track = make_box_track(van, 100.0, {4.0, 1.8, 1.5});
+    const PoseTrack track = convert_to_box_track(van, 100.0, {4.0, 1.8, 1.5});
     EXPECT_DOUBLE_EQ(track.time_s.front(), 100.25);
     EXPECT_DOUBLE_EQ(track.time_s.back(), 102.25);
     EXPECT_LT(glm::distance(track.pose.front().translation, glm::dvec3(11.5, -3.5, 0.5 + 0.75)), 1e-12);
     // time at 45 degrees of the turn, for a point 1.5 m ahead of the rear axle
-    const double half_way_s = 101.25;
-    const Pose axle = van.world_from_reference.at(half_way_s - 100.0);
-    EXPECT_LT(glm::distance(track.at(half_way_s).translation, axle * glm::dvec3(1.5, 0.0, 0.75)), 5e-3);
+    const double halfway_s = 101.25;
+    const Pose axle = van.world_from_reference.interpolate_pose(halfway_s - 100.0);
+    EXPECT_LT(glm::distance(track.interpolate_pose(halfway_s).translation, axle * glm::dvec3(1.5, 0.0, 0.75)),
+              5e-3);
 }
 
 TEST_F(Scenario, WhatATrajectoryMayNotBeIsNamed) {

@@ -29,14 +29,14 @@ inline Surfels make_example_surfels(std::size_t count) {
     return surfels;
 }
 
-inline Run make_example_run(const std::filesystem::path& folder) {
-    Run run;
+inline TrainedRun make_example_run(const std::filesystem::path& folder) {
+    TrainedRun run;
     run.folder = folder;
     run.config = make_preset("quick");
     // must not be 0, because loading replaces 0 by the limit of the log
     run.config.dataset.max_range_m = 80.0;
     run.config.dataset.path = "/data/log \"one\"";
-    Sequence& s = run.sequence;
+    LidarSequence& s = run.sequence;
     s.name = "example \xC3\xA9";
     s.source = "somewhere";
     s.conventions = "none";

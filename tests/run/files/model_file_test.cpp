@@ -66,8 +66,8 @@ TEST_F(ModelFile, RoundTripsExactly) {
 }
 
 TEST_F(ModelFile, KeepsWhichPatchesWereSeen) {
-    BoxSurface surface({4.5, 1.75, 1.5});
-    surface.add({2.25, 0.3, 0.2}, {-1.0, 0.0, 0.0});
+    ObservedBoxSurface surface({4.5, 1.75, 1.5});
+    surface.mark_patch_observed({2.25, 0.3, 0.2}, {-1.0, 0.0, 0.0});
     surface.is_completed = true;
     scene.models[1].surface = surface;
     save_model(path, scene);
@@ -75,9 +75,9 @@ TEST_F(ModelFile, KeepsWhichPatchesWereSeen) {
     EXPECT_FALSE(read.models[0].surface);
     ASSERT_TRUE(read.models[1].surface);
     EXPECT_TRUE(read.models[1].surface->is_completed);
-    EXPECT_TRUE(read.models[1].surface->is_seen({2.25, 0.3, 0.2}));
-    EXPECT_TRUE(read.models[1].surface->is_mirrored({2.25, -0.3, 0.2}));
-    EXPECT_EQ(read.models[1].surface->known(), surface.known());
+    EXPECT_TRUE(read.models[1].surface->is_patch_observed({2.25, 0.3, 0.2}));
+    EXPECT_TRUE(read.models[1].surface->is_observed_only_in_mirror({2.25, -0.3, 0.2}));
+    EXPECT_EQ(read.models[1].surface->compute_covered_fractions(), surface.compute_covered_fractions());
     arrays = read_safetensors(path, &metadata);
     std::string layout = metadata.at("layout");
     layout.replace(layout.find("\"front\":\"") + 9, 1, "7");
@@ -98,7 +98,7 @@ TEST_F(ModelFile, HasTheDocumentedArrays) {
 }
 
 TEST_F(ModelFile, GaussiansHaveASixthArray) {
-    make_primitive(scene.surfels, Primitive::gaussian, 0.3);
+    convert_to_primitive(scene.surfels, PrimitiveType::gaussian, 0.3);
     save_model(path, scene);
     arrays = read_safetensors(path, &metadata);
     EXPECT_EQ(array("log_scale_w").shape, std::vector<std::size_t>{4});
@@ -122,8 +122,8 @@ TEST_F(ModelFile, GaussiansHaveASixthArray) {
 /// Each primitive in relidar/scene/primitives.h must be saved and loaded without code for
 /// the primitive.
 TEST_F(ModelFile, EveryPrimitiveComesBack) {
-    for (const PrimitiveKind& kind : kPrimitives) {
-        make_primitive(scene.surfels, kind.primitive, 0.3);
+    for (const PrimitiveProperties& kind : kPrimitives) {
+        convert_to_primitive(scene.surfels, kind.primitive, 0.3);
         save_model(path, scene);
         EXPECT_EQ(load_model(path).surfels.primitive, kind.primitive) << kind.name;
         EXPECT_EQ(load_model(path).surfels.log_scale_w.size(), kind.third_scale ? 4u : 0u) << kind.name;
@@ -136,7 +136,7 @@ TEST_F(ModelFile, EveryPrimitiveComesBack) {
 }
 
 TEST_F(ModelFile, AGaitAndItsStrideComeBack) {
-    scene.surfels.add_gait();
+    scene.surfels.add_gait_without_motion();
     scene.surfels.gait[3] = {0.25f, 2.5f, {0.1f, -0.2f, 0.3f}};
     scene.models[1].stride_m = 1.25f;
     save_model(path, scene);
@@ -162,7 +162,7 @@ TEST_F(ModelFile, SensorDropRoundTripsAndIsChecked) {
     EXPECT_TRUE(load_model(path).sensor_drop.empty());
     scene.sensor_drop = {2, 3, {0.0f, 0.25f, 1.0f, 1.0f / 3.0f, 0.5f, 0.75f}};
     save_model(path, scene);
-    const DropTable read = load_model(path).sensor_drop;
+    const RayDropTable read = load_model(path).sensor_drop;
     EXPECT_EQ(read.channels, 2);
     EXPECT_EQ(read.bins, 3);
     EXPECT_EQ(read.probability, scene.sensor_drop.probability);
@@ -182,9 +182,9 @@ TEST_F(ModelFile, AnEmptySceneRoundTrips) {
 }
 
 TEST_F(ModelFile, CutFilesAreRefused) {
-    const std::string whole = read_contents(path);
-    for (std::size_t keep = 0; keep < whole.size(); keep += keep < 600 ? 37 : 211) {
-        put(path, std::string_view(whole).substr(0, keep));
+    const std::string file_bytes = read_contents(path);
+    for (std::size_t keep = 0; keep < file_bytes.size(); keep += keep < 600 ? 37 : 211) {
+        put(path, std::string_view(file_bytes).substr(0, keep));
         EXPECT_NE(load_error().find("model.safetensors"), std::string::npos) << keep;
     }
     std::filesystem::remove(path);
@@ -192,18 +192,18 @@ TEST_F(ModelFile, CutFilesAreRefused) {
 }
 
 TEST_F(ModelFile, ArraysAreChecked) {
-    const std::vector<NamedArray> whole = arrays;
+    const std::vector<NamedArray> original_arrays = arrays;
     for (const char* name : {"mean", "rotation", "log_scale", "opacity_logit", "sh"}) {
-        arrays = whole;
+        arrays = original_arrays;
         std::erase_if(arrays, [&](const NamedArray& a) { return a.name == name; });
         write_safetensors(path, arrays, metadata);
         EXPECT_THAT(load_error(), test::Names(std::string("array ") + name + " ... missing"));
     }
-    arrays = whole;
+    arrays = original_arrays;
     array("sh").shape = {4, 48};
     write_safetensors(path, arrays, metadata);
     EXPECT_NE(load_error().find("array sh: found f4 [4, 48], expected f4 [4, 3, 16]"), std::string::npos);
-    arrays = whole;
+    arrays = original_arrays;
     const float one_row[4] = {1, 0, 0, 0};
     array("rotation") = make_array("rotation", {1, 4}, one_row, 4);
     write_safetensors(path, arrays, metadata);

@@ -37,8 +37,8 @@ void expect_equal(const Pose& first, const Pose& second) {
     for (int k = 0; k < 4; ++k) EXPECT_EQ(first.rotation[k], second.rotation[k]);
 }
 
-DropNetwork make_example_network() {
-    DropNetwork network;
+RayDropNetwork make_example_network() {
+    RayDropNetwork network;
     network.image = "kitti360";
     network.inputs = {"log_range", "intensity", "drop_logit"};
     network.widths = {4, 8};
@@ -52,9 +52,9 @@ DropNetwork make_example_network() {
 
 TEST_F(RunFolder, RayDropNetworkIsPartOfIt) {
     EXPECT_TRUE(load_run(run.folder).drop_network.empty());
-    const DropNetwork network = run.drop_network = make_example_network();
+    const RayDropNetwork network = run.drop_network = make_example_network();
     save_run(run);
-    const DropNetwork read = load_run(run.folder).drop_network;
+    const RayDropNetwork read = load_run(run.folder).drop_network;
     EXPECT_EQ(read.image, network.image);
     EXPECT_EQ(read.inputs, network.inputs);
     EXPECT_EQ(read.widths, network.widths);
@@ -73,9 +73,9 @@ TEST_F(RunFolder, RefusesADamagedRayDropNetwork) {
     run.drop_network = make_example_network();
     save_run(run);
     const auto file = run.folder / "drop_network.safetensors";
-    const std::string whole = read_contents(file);
+    const std::string file_bytes = read_contents(file);
     const auto replaced = [&](const std::string& from, const std::string& to) {
-        std::string text = whole;
+        std::string text = file_bytes;
         text.replace(text.find(from), from.size(), to);
         put(file, text);
         return load_error();
@@ -84,15 +84,15 @@ TEST_F(RunFolder, RefusesADamagedRayDropNetwork) {
                 test::Names("drop_network.safetensors: metadata format: found \"relidar lost network\""));
     EXPECT_THAT(replaced("heads\\\":2", "heads\\\":3"), test::Names("heads ... 3 ... divisor of 8"));
     EXPECT_THAT(replaced("\"running\"", "\"walking\""), test::Names("array running ... missing"));
-    put(file, whole.substr(0, whole.size() - 5));
+    put(file, file_bytes.substr(0, file_bytes.size() - 5));
     EXPECT_THAT(load_error(), test::Names("drop_network.safetensors"));
     run.drop_network.parameters[7] = std::numeric_limits<float>::quiet_NaN();
     save_run(run);
     EXPECT_THAT(load_error(), test::Names("array parameters: entry 7 is nan"));
 }
 
-std::vector<IntensityScatter> make_example_scatter() {
-    IntensityScatter scatter;
+std::vector<IntensityScatterModel> make_example_scatter() {
+    IntensityScatterModel scatter;
     scatter.nodes = {{3, -1.0f / 3.0f, 1, 0, 5}, {-1, 0.0f, 0, 0, 2}, {-1, 0.0f, 0, 2, 3}};
     scatter.values = {0.1f, 0.2f, 0.3f, 0.5f, 0.7f};
     scatter.step = 0.1;
@@ -110,9 +110,9 @@ TEST_F(RunFolder, HowIntensitiesScatterIsPartOfIt) {
     EXPECT_TRUE(load_run(run.folder).intensity_scatter.empty());
     run.intensity_scatter = make_example_scatter();
     save_run(run);
-    const std::vector<IntensityScatter> read = load_run(run.folder).intensity_scatter;
+    const std::vector<IntensityScatterModel> read = load_run(run.folder).intensity_scatter;
     ASSERT_EQ(read.size(), run.sequence.lidars.size());
-    const IntensityScatter &a = read[0], &b = run.intensity_scatter[0];
+    const IntensityScatterModel &a = read[0], &b = run.intensity_scatter[0];
     ASSERT_EQ(a.nodes.size(), b.nodes.size());
     for (std::size_t i = 0; i < a.nodes.size(); ++i) {
         EXPECT_EQ(a.nodes[i].feature, b.nodes[i].feature);
@@ -136,17 +136,18 @@ TEST_F(RunFolder, RefusesWhatIsNoTree) {
         return load_error();
     };
     const auto is_no_tree = test::Names("intensity_scatter.safetensors: LiDAR 0: node");
-    EXPECT_THAT(error_of([](IntensityScatter& s) { s.nodes[0].child = 2; }), is_no_tree)
+    EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.nodes[0].child = 2; }), is_no_tree)
         << "its second child is not there";
-    EXPECT_THAT(error_of([](IntensityScatter& s) { s.nodes[0].child = 0; }), is_no_tree)
+    EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.nodes[0].child = 0; }), is_no_tree)
         << "it would never end";
-    EXPECT_THAT(error_of([](IntensityScatter& s) { s.nodes[0].feature = 10000; }), is_no_tree);
-    EXPECT_THAT(error_of([](IntensityScatter& s) { s.nodes[2].count = 4; }), is_no_tree);
-    EXPECT_THAT(error_of([](IntensityScatter& s) { s.nodes[1].count = 0; }), is_no_tree);
-    EXPECT_THAT(error_of([](IntensityScatter& s) { s.step = -1.0; }),
+    EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.nodes[0].feature = 10000; }), is_no_tree);
+    EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.nodes[2].count = 4; }), is_no_tree);
+    EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.nodes[1].count = 0; }), is_no_tree);
+    EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.step = -1.0; }),
                 test::Names("array 0.step: found -1, expected 0 or more"));
-    EXPECT_THAT(error_of([](IntensityScatter& s) { s.values[1] = std::numeric_limits<float>::infinity(); }),
-                test::Names("array 0.values ... finite"));
+    EXPECT_THAT(
+        error_of([](IntensityScatterModel& s) { s.values[1] = std::numeric_limits<float>::infinity(); }),
+        test::Names("array 0.values ... finite"));
 }
 
 TEST_F(RunFolder, IsTheSameInEveryLocale) {
@@ -171,9 +172,9 @@ TEST_F(RunFolder, KeepsWhatWasGuessedAndFoundOfBoxes) {
 }
 
 TEST_F(RunFolder, RoundTripsExactly) {
-    const relidar::Run read = load_run(run.folder);
+    const relidar::TrainedRun read = load_run(run.folder);
     EXPECT_EQ(to_toml(read.config), to_toml(run.config));
-    const Sequence &a = read.sequence, &b = run.sequence;
+    const LidarSequence &a = read.sequence, &b = run.sequence;
     EXPECT_EQ(a.name, b.name);
     EXPECT_EQ(a.source, b.source);
     EXPECT_EQ(a.conventions, b.conventions);
@@ -226,19 +227,20 @@ TEST_F(RunFolder, SweepsAreThoseOfItsFrames) {
 TEST_F(RunFolder, CoverageRoundTripsExactly) {
     const std::filesystem::path file = run.folder / "coverage.safetensors";
     EXPECT_FALSE(std::filesystem::exists(file)) << "nothing is known";
-    run.coverage.add({0.5, 0.5, 0.5}, {-70.0, 33.0, 9.0});
+    run.coverage.add_segment({0.5, 0.5, 0.5}, {-70.0, 33.0, 9.0});
     save_run(run);
-    const auto expected = run.coverage.blocks(), found = load_run(run.folder).coverage.blocks();
-    ASSERT_EQ(found.size(), expected.size());
-    for (std::size_t i = 0; i < found.size(); ++i) {
-        EXPECT_EQ(found[i].place, expected[i].place);
-        EXPECT_EQ(found[i].cells, expected[i].cells);
+    const auto expected = run.coverage.list_cell_blocks(),
+               loaded_blocks = load_run(run.folder).coverage.list_cell_blocks();
+    ASSERT_EQ(loaded_blocks.size(), expected.size());
+    for (std::size_t i = 0; i < loaded_blocks.size(); ++i) {
+        EXPECT_EQ(loaded_blocks[i].grid_index, expected[i].grid_index);
+        EXPECT_EQ(loaded_blocks[i].cells, expected[i].cells);
     }
-    const std::vector<std::int32_t> places(6);
+    const std::vector<std::int32_t> grid_indices(6);
     const std::vector<std::uint16_t> cells(32);
     const auto error_with_arrays = [&](std::size_t width, const std::string& cell_m) {
         write_safetensors(file,
-                          {make_array("place", {6 / width, width}, places.data(), 6),
+                          {make_array("place", {6 / width, width}, grid_indices.data(), 6),
                            make_array("cells", {1, 32}, cells.data(), 32)},
                           {{"format", "relidar coverage"}, {"version", "1"}, {"cell_m", cell_m}});
         return load_error();
@@ -256,10 +258,11 @@ TEST_F(RunFolder, ClassesRoundTripExactly) {
     run.classes = {{{-700, 3, 12}, SurfaceClass::object}, {{5, -1, 0}, SurfaceClass::unknown}};
     save_run(run);
     EXPECT_EQ(load_run(run.folder).classes, run.classes);
-    const std::vector<std::int32_t> places(6);
+    const std::vector<std::int32_t> grid_indices(6);
     const std::vector<std::uint16_t> classes{1, 16};
     write_safetensors(
-        file, {make_array("place", {2, 3}, places.data(), 6), make_array("class", {2, 1}, classes.data(), 2)},
+        file,
+        {make_array("place", {2, 3}, grid_indices.data(), 6), make_array("class", {2, 1}, classes.data(), 2)},
         {{"format", "relidar classes"}, {"version", "1"}, {"cell_m", "0.1"}});
     EXPECT_NE(load_error().find("classes.safetensors: class of cell 1: found 16, expected a number below 16"),
               std::string::npos);
@@ -291,12 +294,12 @@ TEST_F(RunFolder, SensorRoundTripsExactly) {
 }
 
 TEST_F(RunFolder, TwoLidarsAtOneTimeShareAPose) {
-    Sequence& s = run.sequence;
+    LidarSequence& s = run.sequence;
     s.lidars.push_back({"rear", s.lidars[0].sensor, make_example_pose(0.3)});
     s.lidars[0].name = "front";
     s.frames.insert(s.frames.begin() + 2, {11, s.frames[1].time_s, {}, 1});
     save_run(run);
-    const Sequence read = load_run(run.folder).sequence;
+    const LidarSequence read = load_run(run.folder).sequence;
     ASSERT_EQ(read.lidars.size(), 2u);
     EXPECT_EQ(read.lidars[1].name, "rear");
     expect_equal(read.lidars[1].vehicle_from_sensor, make_example_pose(0.3));
@@ -309,17 +312,17 @@ TEST_F(RunFolder, TwoLidarsAtOneTimeShareAPose) {
 }
 
 TEST_F(RunFolder, KeepsWhatMakesTheRaysOfALidarThatDoesNotSpin) {
-    Sequence& s = run.sequence;
-    const ScanningWindow window{.name = "front",
-                                .rows = 4,
-                                .columns = 6,
-                                .left_rad = 1.0 / 3.0,
-                                .right_rad = -0.3,
-                                .top_rad = 0.1,
-                                .bottom_rad = -0.2,
-                                .period_s = 0.05,
-                                .divergence_rad = 1e-3};
-    const Rosette rosette{
+    LidarSequence& s = run.sequence;
+    const WindowScanSensor window{.name = "front",
+                                  .rows = 4,
+                                  .columns = 6,
+                                  .left_rad = 1.0 / 3.0,
+                                  .right_rad = -0.3,
+                                  .top_rad = 0.1,
+                                  .bottom_rad = -0.2,
+                                  .period_s = 0.05,
+                                  .divergence_rad = 1e-3};
+    const RosetteSensor rosette{
         .name = "flower", .deflection_rad = 0.17, .first_hz = 121.57, .second_hz = -77.73, .n_rays = 30};
     RayTable cones = make_rays(rosette, 0.37);
     for (std::size_t i = 0; i < cones.size(); ++i) cones.ray_divergence_rad.push_back(1e-3f / float(i + 1));
@@ -366,36 +369,36 @@ TEST_F(RunFolder, TruncatedSceneIsRefused) {
 }
 
 TEST_F(RunFolder, EveryFieldIsNeeded) {
-    const Json whole = Json::parse(scene);
+    const Json scene_json = Json::parse(scene);
     // Keys that the reader may ignore. Some keys are only for human readers. Members of a
     // sensor have default values. A run without edits has no key for edits.
-    const std::vector<std::string> told = {"/relidar", "/units", "/conventions", "/lidars/0/sensor/spinning/",
-                                           "/edits"};
-    int n_tried = 0;
-    const Json flat = whole.flatten();
+    const std::vector<std::string> optional_prefixes = {"/relidar", "/units", "/conventions",
+                                                        "/lidars/0/sensor/spinning/", "/edits"};
+    int n_removed_fields = 0;
+    const Json flat = scene_json.flatten();
     for (const auto& [pointer, value] : flat.items()) {
         std::string field = pointer;
         // removes arrays as a unit
         while (std::isdigit(static_cast<unsigned char>(field.back())))
             field = field.substr(0, field.find_last_of('/'));
-        if (std::any_of(told.begin(), told.end(),
+        if (std::any_of(optional_prefixes.begin(), optional_prefixes.end(),
                         [&](const std::string& t) { return field.rfind(t, 0) == 0; }))
             continue;
-        Json changed = whole;
+        Json changed = scene_json;
         const Json::json_pointer at(field);
         changed.at(at.parent_pointer()).erase(at.back());
         const std::string message = get_error_with(changed);
         EXPECT_NE(message.find("scene.json: "), std::string::npos) << message;
         EXPECT_NE(message.find(at.back()), std::string::npos) << field << ": " << message;
-        ++n_tried;
+        ++n_removed_fields;
     }
-    EXPECT_GT(n_tried, 60);
+    EXPECT_GT(n_removed_fields, 60);
 }
 
 TEST_F(RunFolder, RefusesWrongFramesAndPoses) {
-    const Json whole = Json::parse(scene);
+    const Json scene_json = Json::parse(scene);
     const auto replaced = [&](const char* pointer, const Json& value) {
-        Json changed = whole;
+        Json changed = scene_json;
         changed[Json::json_pointer(pointer)] = value;
         return get_error_with(changed);
     };
@@ -415,9 +418,9 @@ TEST_F(RunFolder, RefusesWrongFramesAndPoses) {
 }
 
 TEST_F(RunFolder, RefusesWrongSensorsBoxesAndCounts) {
-    const Json whole = Json::parse(scene);
+    const Json scene_json = Json::parse(scene);
     const auto replaced = [&](const char* pointer, const Json& value) {
-        Json changed = whole;
+        Json changed = scene_json;
         changed[Json::json_pointer(pointer)] = value;
         return get_error_with(changed);
     };
@@ -427,7 +430,7 @@ TEST_F(RunFolder, RefusesWrongSensorsBoxesAndCounts) {
     EXPECT_NE(replaced("/lidars/0/sensor/spinning/beams/1/origin_up_m", 1e308)
                   .find("lidars[0].sensor.spinning.beams[1].origin_up_m: found 1e+308"),
               std::string::npos);
-    Json many = whole;
+    Json many = scene_json;
     Json& spinning = many["lidars"][0]["sensor"]["spinning"];
     spinning["columns"] = 1000000;
     for (int i = 0; i < 200; ++i) spinning["beams"].insert(spinning["beams"].begin(), spinning["beams"][0]);
@@ -470,9 +473,9 @@ TEST_F(RunFolder, MissingFilesAreNamed) {
     }
     EXPECT_NE(get_data_error_message([&] { load_run(folder / "nowhere"); }).find("nowhere: no such folder"),
               std::string::npos);
-    EXPECT_TRUE(is_run(run.folder));
-    EXPECT_FALSE(is_run(folder));
-    EXPECT_FALSE(is_run(folder / "nowhere"));
+    EXPECT_TRUE(is_run_folder(run.folder));
+    EXPECT_FALSE(is_run_folder(folder));
+    EXPECT_FALSE(is_run_folder(folder / "nowhere"));
 }
 
 TEST_F(RunFolder, WrongSettingIsDamage) {
@@ -486,7 +489,7 @@ TEST_F(RunFolder, WhatCannotBeReadBackIsNotWritten) {
     run.sequence.world_from_vehicle.pose[1].translation.x = std::numeric_limits<double>::quiet_NaN();
     EXPECT_NE(get_data_error_message([&] { save_run(run); }).find("frames[1].world_from_vehicle[0]"),
               std::string::npos);
-    EXPECT_FALSE(is_run(run.folder));
+    EXPECT_FALSE(is_run_folder(run.folder));
     run = make_example_run(folder / "second");
     run.sequence.world_from_vehicle.pose.pop_back();
     EXPECT_THAT(get_data_error_message([&] { save_run(run); }), test::Names("3 poses ... 4 times"));
@@ -494,7 +497,7 @@ TEST_F(RunFolder, WhatCannotBeReadBackIsNotWritten) {
     // Changes a constant of the preset. The file config.toml cannot contain this change.
     run.config.train.mean_rate *= 2.0;
     EXPECT_THAT(get_data_error_message([&] { save_run(run); }), test::Names("option ... setting"));
-    EXPECT_FALSE(is_run(run.folder));
+    EXPECT_FALSE(is_run_folder(run.folder));
 }
 
 TEST_F(RunFolder, UnwritableFoldersFailEarly) {

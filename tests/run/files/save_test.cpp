@@ -36,8 +36,8 @@ private:
 
 TEST_F(SavedRun, IsSavedCompleteOrNotAtAll) {
     const std::string model = read_contents(run.folder / kModelFile);
-    relidar::Run grown = run;
-    DropNetwork& network = grown.drop_network;
+    relidar::TrainedRun grown = run;
+    RayDropNetwork& network = grown.drop_network;
     network.image = "kitti360";
     network.inputs = {"log_range", "intensity", "drop_logit"};
     network.widths = {4, 8};
@@ -69,7 +69,7 @@ TEST_F(SavedRun, IsSavedCompleteOrNotAtAll) {
 
 TEST_F(SavedRun, GivesItsFilesTheirNamesWhenAllAreWritten) {
     bool was_called = false;
-    replace_run(run, [&] {
+    overwrite_run(run, [&] {
         was_called = true;
         EXPECT_FALSE(std::filesystem::exists(run.folder / "config.toml"))
             << "a process that is killed here leaves what looks like a run";

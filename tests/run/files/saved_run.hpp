@@ -18,7 +18,7 @@ protected:
         scene = read_contents(run.folder / "scene.json");
     }
 
-    relidar::Run run;
+    relidar::TrainedRun run;
     std::string scene;  ///< text of scene.json
 };
 

@@ -35,35 +35,35 @@ protected:
     }
     static void TearDownTestSuite() { street = {}; }
 
-    inline static Sequence street;
-    const Frame& frame = street.frames[3];
-    const RangeImage real = make_real_image(native(), frame.scan);
+    inline static LidarSequence street;
+    const LidarFrame& frame = street.frames[3];
+    const RangeImage real = make_measured_image(native(), frame.scan);
 
-    ActorScores compute_all_scores(const RangeImage& rendered) const {
+    FrameActorScores compute_all_scores(const RangeImage& rendered) const {
         return compute_actor_scores(rendered, rendered.range_m, real, street, get_sweep_moment(frame));
     }
-    MetricRow scores(const RangeImage& rendered) const { return compute_all_scores(rendered).metrics; }
+    MetricValues scores(const RangeImage& rendered) const { return compute_all_scores(rendered).metrics; }
 };
 
 TEST_F(ActorScoresOf, OfTheScanItselfAreTheBest) {
-    const MetricRow own = scores(real);
-    EXPECT_EQ(own.at("actors/people_f1"), 1.0);
-    EXPECT_EQ(own.at("actors/people_cd_m"), 0.0);
-    EXPECT_EQ(own.at("actors/people_3cm"), 1.0);
+    const MetricValues scores_of_real = scores(real);
+    EXPECT_EQ(scores_of_real.at("actors/people_f1"), 1.0);
+    EXPECT_EQ(scores_of_real.at("actors/people_cd_m"), 0.0);
+    EXPECT_EQ(scores_of_real.at("actors/people_3cm"), 1.0);
 }
 
 TEST_F(ActorScoresOf, KnowWhatIsFiveCentimetresOffAndWhatIsLost) {
     RangeImage off = real;
     for (float& range_m : off.range_m)
         if (range_m > 0.0f) range_m += 0.05f;
-    const MetricRow farther = scores(off);
+    const MetricValues farther = scores(off);
     EXPECT_GT(farther.at("actors/people_cd_m"), 0.04);
     EXPECT_LT(farther.at("actors/people_cd_m"), 0.1) << "no point is farther from its own one, both ways";
     EXPECT_LT(farther.at("actors/people_3cm"), 0.7);
     EXPECT_GT(farther.at("actors/people_f1"), 0.9);
     RangeImage lost = real;
     std::fill(lost.drop_prob.begin(), lost.drop_prob.end(), 1.0f);
-    const MetricRow none = scores(lost);
+    const MetricValues none = scores(lost);
     EXPECT_EQ(none.at("actors/people_f1"), 0.0);
     EXPECT_FALSE(none.contains("actors/people_cd_m"));
 }
@@ -72,37 +72,37 @@ TEST_F(ActorScoresOf, RangesThatAreTooLongHaveThisBias) {
     RangeImage longer = real;
     for (std::size_t i = 0; i < longer.range_m.size(); ++i)
         if (real.range_m[i] > 0.0f) longer.range_m[i] += i % 3 == 0 ? 0.5f : 0.05f;
-    const ActorScores found = compute_all_scores(longer);
-    EXPECT_NEAR(found.metrics.at("actors/vehicles_bias_m"), 0.05, 1e-5);
-    EXPECT_NEAR(found.metrics.at("actors/people_above_30cm"), 1.0 / 3.0, 0.02);
-    std::size_t n_seen = 0;
-    for (const ActorScore& actor : found.actors) {
+    const FrameActorScores actor_scores = compute_all_scores(longer);
+    EXPECT_NEAR(actor_scores.metrics.at("actors/vehicles_bias_m"), 0.05, 1e-5);
+    EXPECT_NEAR(actor_scores.metrics.at("actors/people_above_30cm"), 1.0 / 3.0, 0.02);
+    std::size_t n_well_sampled = 0;
+    for (const ActorScore& actor : actor_scores.actors) {
         if (actor.metrics.at("points_real") < 100.0) continue;
-        ++n_seen;
+        ++n_well_sampled;
         EXPECT_NEAR(actor.metrics.at("range_medae_m"), 0.05, 1e-5) << actor.track;
         EXPECT_NEAR(actor.metrics.at("range_bias_m"), 0.05, 1e-5) << actor.track;
         EXPECT_NEAR(actor.metrics.at("range_above_30cm"), 1.0 / 3.0, 0.06) << actor.track;
     }
-    EXPECT_GE(n_seen, 3u);
+    EXPECT_GE(n_well_sampled, 3u);
 }
 
 /// Moves a point of the last frame to the position that the centre of a car had in the
 /// first frame.
 TEST_F(ActorScoresOf, APointWhereACarWasIsInItsTail) {
-    const Frame& last = street.frames.back();
+    const LidarFrame& last = street.frames.back();
     const BoxTrack* fastest = nullptr;
     const auto path_m = [&](const BoxTrack& box) {
-        return glm::distance(box.world_from_box.at(last.time_s).translation,
+        return glm::distance(box.world_from_box.interpolate_pose(last.time_s).translation,
                              box.world_from_box.pose.front().translation);
     };
     for (const BoxTrack& box : street.boxes)
         if (box.is_present(last.time_s) && (!fastest || path_m(box) > path_m(*fastest))) fastest = &box;
     ASSERT_TRUE(fastest);
     ASSERT_GT(path_m(*fastest), 0.5 * fastest->size_m.x + 0.5) << "it must have left the place";
-    const Pose sensor_from_world =
-        inverse(street.world_from_vehicle.at(last.time_s, street.lidars[0].vehicle_from_sensor));
+    const Pose sensor_from_world = inverse(street.world_from_vehicle.interpolate_mounted_pose(
+        last.time_s, street.lidars[0].vehicle_from_sensor));
     const glm::dvec3 earlier = sensor_from_world * fastest->world_from_box.pose.front().translation;
-    RangeImage ghost = make_real_image(native(), last.scan);
+    RangeImage ghost = make_measured_image(native(), last.scan);
     const RangeImage measured = ghost;
     const auto angle_to = [&](const glm::vec3& direction) {
         return -glm::dot(glm::dvec3(direction), glm::normalize(earlier));
@@ -111,10 +111,10 @@ TEST_F(ActorScoresOf, APointWhereACarWasIsInItsTail) {
         std::size_t(std::ranges::min_element(ghost.direction, {}, angle_to) - ghost.direction.begin());
     ghost.range_m[ray] = float(glm::length(earlier));
     ghost.drop_prob[ray] = 0.0f;
-    const ActorScores found =
+    const FrameActorScores actor_scores =
         compute_actor_scores(ghost, ghost.range_m, measured, street, get_sweep_moment(last));
-    const auto actor = std::ranges::find(found.actors, fastest->id, &ActorScore::track);
-    ASSERT_NE(actor, found.actors.end());
+    const auto actor = std::ranges::find(actor_scores.actors, fastest->id, &ActorScore::track);
+    ASSERT_NE(actor, actor_scores.actors.end());
     EXPECT_EQ(actor->metrics.at("tail"), actor->metrics.at("tail_real") + 1.0);
 }
 
@@ -124,7 +124,7 @@ TEST_F(ActorScoresOf, SeveralFramesAreWeightedByTheirPoints) {
          {"b", "Van", {{"points", 5}, {"points_real", 5}, {"range_above_30cm", 0.25}, {"tail", 0}}}},
         {{"a", "Car", {{"points", 30}, {"points_real", 30}, {"range_above_30cm", 0.1}, {"tail", 1}}},
          {"c", "Van", {{"points", 0}, {"points_real", 0}, {"tail", 4}}}}};
-    const std::vector<ActorScore> all = average_over_frames(frames);
+    const std::vector<ActorScore> all = average_actor_scores(frames);
     ASSERT_EQ(all.size(), 3u);
     EXPECT_EQ(all[0].track, "b") << "the highest share of large errors is first";
     EXPECT_EQ(all[1].category, "Car");
@@ -148,11 +148,11 @@ TEST_F(ActorScoresOf, TakePointsAtTheMomentOfTheirFiring) {
             if (!(frame.scan.range_m[i] > 0.0f)) continue;
             const WorldRay ray = make_world_ray(world_from_sensor, frame.time_s, frame.scan.rays, i, true);
             const double t_s = frame.time_s + double(frame.scan.rays.time_offset_s[i]);
-            const glm::dvec3 p = inverse(box.world_from_box.at(t_s)) *
+            const glm::dvec3 p = inverse(box.world_from_box.interpolate_pose(t_s)) *
                                  (ray.origin_m + double(frame.scan.range_m[i]) * ray.direction);
             expected += glm::all(glm::lessThanEqual(glm::abs(p), half)) && p.z >= 0.15 - 0.5 * box.size_m.z;
         }
-        const BoxPoints points =
+        const MovingBoxPoints points =
             collect_points_in_box(real, real.range_m, real, street, get_sweep_moment(frame), box);
         EXPECT_NEAR(double(points.real_m.size()), double(expected), 2.0)
             << box.id << ": a point at the edge may fall to either side";

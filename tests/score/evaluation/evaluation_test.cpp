@@ -34,40 +34,41 @@ protected:
 
     /// Checks that every frame was reported with its images. After the evaluation, only
     /// the images of the middle frame must still be stored.
-    void expect_forgotten(const Evaluation& evaluation, const std::vector<ScoredFrame>& frames) {
+    void expect_forgotten(const EvaluationResult& evaluation, const std::vector<ScoredFrame>& frames) {
         ASSERT_EQ(evaluation.frames.size(), std::size_t(kFrames));
         ASSERT_EQ(frames.size(), std::size_t(kFrames));
         for (std::size_t i = 0; i < frames.size(); ++i) {
             EXPECT_EQ(frames[i].frame, int(i));
             EXPECT_EQ(frames[i].real.range_m.size(), 512u);
             EXPECT_EQ(frames[i].rendered.image.range_m.size(), 512u);
-            const std::size_t n_kept = i == std::size_t(kFrames) / 2 ? 512 : 0;
-            EXPECT_EQ(evaluation.frames[i].real.range_m.size(), n_kept) << i;
-            EXPECT_EQ(evaluation.frames[i].rendered.image.range_m.size(), n_kept) << i;
+            const std::size_t n_stored_pixels = i == std::size_t(kFrames) / 2 ? 512 : 0;
+            EXPECT_EQ(evaluation.frames[i].real.range_m.size(), n_stored_pixels) << i;
+            EXPECT_EQ(evaluation.frames[i].rendered.image.range_m.size(), n_stored_pixels) << i;
             EXPECT_EQ(evaluation.frames[i].rendered.median_range_m.capacity() > 0,
-                      n_kept > 0 && !frames[i].rendered.median_range_m.empty());
+                      n_stored_pixels > 0 && !frames[i].rendered.median_range_m.empty());
             EXPECT_EQ(evaluation.frames[i].rendered.trace_ms, frames[i].rendered.trace_ms);
         }
     }
 
-    relidar::Run run;
+    relidar::TrainedRun run;
     std::vector<int> positions;
 };
 
 TEST_F(EvaluationOf, ManyFramesIsThatOfEach) {
     ScanRenderer renderer(device(), run);
-    std::vector<ScoredFrame> seen;
+    std::vector<ScoredFrame> reported_frames;
     const auto see = [&](ScoredFrame& frame) {
-        seen.push_back(frame);
+        reported_frames.push_back(frame);
         frame.metrics["own"] = frame.frame;
     };
-    std::vector<double> told;
-    const Evaluation evaluation = evaluate_frames(
+    std::vector<double> progress_values;
+    const EvaluationResult evaluation = evaluate_frames(
         renderer, run.config, run.sequence, positions,
-        [&](std::string_view, double done) { told.push_back(done); }, see);
-    expect_forgotten(evaluation, seen);
-    EXPECT_EQ(told.size(), std::size_t(kFrames) + 1);
-    EXPECT_TRUE(std::is_sorted(told.begin(), told.end()) && told.back() == 1.0);
+        [&](std::string_view, double done) { progress_values.push_back(done); }, see);
+    expect_forgotten(evaluation, reported_frames);
+    EXPECT_EQ(progress_values.size(), std::size_t(kFrames) + 1);
+    EXPECT_TRUE(std::is_sorted(progress_values.begin(), progress_values.end()) &&
+                progress_values.back() == 1.0);
     EXPECT_DOUBLE_EQ(evaluation.mean.at("own"), 0.5 * (kFrames - 1))
         << "metrics that are added where a frame is seen count";
     double sum = 0.0;
@@ -76,8 +77,8 @@ TEST_F(EvaluationOf, ManyFramesIsThatOfEach) {
             score_frame(renderer, run.config, run.sequence, run.sequence.frames[std::size_t(i)]);
         EXPECT_GT(alone.metrics.size(), 20u);
         for (const auto& [name, value] : alone.metrics) {
-            const double found = evaluation.frames[std::size_t(i)].metrics.at(name);
-            EXPECT_TRUE(found == value || (std::isnan(found) && std::isnan(value)))
+            const double actual = evaluation.frames[std::size_t(i)].metrics.at(name);
+            EXPECT_TRUE(actual == value || (std::isnan(actual) && std::isnan(value)))
                 << "frame " << i << ", " << name;
         }
         sum += alone.metrics.at("strict/depth_rmse_m");
@@ -88,7 +89,7 @@ TEST_F(EvaluationOf, ManyFramesIsThatOfEach) {
 TEST_F(EvaluationOf, ALogWithoutIntensitiesHasNoScoresOfThem) {
     const auto count = [&] {
         ScanRenderer renderer(device(), run);
-        const Evaluation evaluation = evaluate_frames(renderer, run.config, run.sequence, {3});
+        const EvaluationResult evaluation = evaluate_frames(renderer, run.config, run.sequence, {3});
         return std::ranges::count_if(
             evaluation.mean, [](const auto& m) { return m.first.find("intensity") != std::string::npos; });
     };
@@ -104,10 +105,11 @@ TEST_F(EvaluationOf, ABaselineForgetsImagesToo) {
         run.split.train.push_back(i);
         run.split.test.push_back(i);
     }
-    std::vector<ScoredFrame> seen;
-    const Evaluation evaluation = evaluate_baseline("nearest", run.config, run.sequence, run.split, {},
-                                                    [&](const ScoredFrame& frame) { seen.push_back(frame); });
-    expect_forgotten(evaluation, seen);
+    std::vector<ScoredFrame> reported_frames;
+    const EvaluationResult evaluation =
+        evaluate_baseline("nearest", run.config, run.sequence, run.split, {},
+                          [&](const ScoredFrame& frame) { reported_frames.push_back(frame); });
+    expect_forgotten(evaluation, reported_frames);
     EXPECT_EQ(evaluation.title, "baseline nearest");
 }
 
@@ -115,11 +117,11 @@ TEST_F(EvaluationOf, ABaselineForgetsImagesToo) {
 /// evaluation.
 TEST_F(EvaluationOf, CountsErrorsByRange) {
     ScanRenderer renderer(device(), run);
-    std::vector<ScoredFrame> seen;
+    std::vector<ScoredFrame> reported_frames;
     evaluate_frames(renderer, run.config, run.sequence, {3, 20}, {},
-                    [&](const ScoredFrame& frame) { seen.push_back(frame); });
+                    [&](const ScoredFrame& frame) { reported_frames.push_back(frame); });
     double all = 0.0;
-    for (const ScoredFrame& frame : seen) {
+    for (const ScoredFrame& frame : reported_frames) {
         constexpr double kEdges_m[] = {0, 10, 20, 30, 40, 60, 80};
         for (std::size_t r = 0; r < 6; ++r) {
             std::array<double, 5> expected{};

@@ -39,7 +39,7 @@ const RangeImage kRendered = image_of(1, 3, {10.02f, 30, 5}, {0.75f, 0.5f, 1}, {
 constexpr double kClamp = 1e-6;
 
 TEST(Evaluate, PeerImageErrorsByHand) {
-    const MetricRow row = evaluate(kRendered, kReal);
+    const MetricValues row = evaluate(kRendered, kReal);
     // pixel 1 counts as dropped: p >= 0.4
     const double e0 = double(10.02f) - 10.0, e1 = 20.0 - kClamp, e2 = 5.0 - kClamp;
     const double mse = (e0 * e0 + e1 * e1 + e2 * e2) / 3.0;
@@ -59,10 +59,10 @@ TEST(Evaluate, PeerImageErrorsByHand) {
 
 TEST(Evaluate, PeerCloudByHand) {
     // Rendered points (10.02, 0, 1), (0, 0, 6); real points (10, 0, 1), (0, 20, 1).
-    const MetricRow row = evaluate(kRendered, kReal);
-    const double near = double(10.02f) - 10.0;
-    const double to_real = (near * near + (100.0 + 25.0)) / 2.0;
-    const double to_rendered = (near * near + (400.0 + 25.0)) / 2.0;
+    const MetricValues row = evaluate(kRendered, kReal);
+    const double pair_distance_m = double(10.02f) - 10.0;
+    const double to_real = (pair_distance_m * pair_distance_m + (100.0 + 25.0)) / 2.0;
+    const double to_rendered = (pair_distance_m * pair_distance_m + (400.0 + 25.0)) / 2.0;
     EXPECT_NEAR(row.at("peer/cd_sq_m2"), to_real + to_rendered, 1e-9);
     EXPECT_NEAR(row.at("peer/f_score"), 0.5, 1e-12);  // precision and recall are 1/2
 }
@@ -70,7 +70,7 @@ TEST(Evaluate, PeerCloudByHand) {
 TEST(Evaluate, StrictByHand) {
     // Returned in both images: pixels 0 and 1. Rendered drops: no pixel. Real drops:
     // pixel 2.
-    const MetricRow row = evaluate(kRendered, kReal);
+    const MetricValues row = evaluate(kRendered, kReal);
     const double e0 = double(10.02f) - 10.0, e1 = 10.0;
     EXPECT_NEAR(row.at("strict/depth_rmse_m"), std::sqrt((e0 * e0 + e1 * e1) / 2.0), 1e-12);
     EXPECT_NEAR(row.at("strict/depth_mae_m"), (e0 + e1) / 2.0, 1e-12);
@@ -94,7 +94,7 @@ TEST(Evaluate, StrictByHand) {
 TEST(Evaluate, PointsMayHaveOtherRangesThanTheImage) {
     RangeImage points = kRendered;
     points.range_m = kReal.range_m;
-    std::vector<MetricRow> rows =
+    std::vector<MetricValues> rows =
         evaluate_all({{&kRendered, &kReal, {}, points.range_m}, {&kRendered, &kReal, {}}});
     EXPECT_EQ(rows[0].at("points/depth_rmse_m"), 0.0);
     EXPECT_EQ(rows[0].at("points/cd_mean_m"), evaluate_points(points, kReal).at("points/cd_mean_m"));
@@ -107,7 +107,7 @@ TEST(Evaluate, ThresholdsOfTheFScore) {
     const RangeImage real = image_of(1, 2, {10, 10}, {0, 0}, {0, 0});
     // errors of 4 cm and 20 cm
     const RangeImage rendered = image_of(1, 2, {10.04f, 10.2f}, {0, 0}, {0, 0});
-    const MetricRow row = evaluate(rendered, real);
+    const MetricValues row = evaluate(rendered, real);
     EXPECT_NEAR(row.at("strict/f_5cm"), 0.5, 1e-12);
     EXPECT_NEAR(row.at("strict/f_22cm"), 1.0, 1e-12);
     EXPECT_NEAR(row.at("peer/f_score"), 1.0, 1e-12);
@@ -118,7 +118,7 @@ TEST(Evaluate, DropsByHand) {
     const RangeImage rendered =
         image_of(1, 5, {1, 1, 1, 1, 0}, {0, 0, 0, 0, 0}, {0.2f, 0.9f, 0.3f, 0.5f, 0.1f});
     // rendered drops: 1, 3 (p = 0.5 is a drop), 4 (no range)
-    const MetricRow row = evaluate(rendered, real);
+    const MetricValues row = evaluate(rendered, real);
     EXPECT_NEAR(row.at("strict/drop_accuracy"), 3.0 / 5.0, 1e-12);
     EXPECT_NEAR(row.at("strict/drop_precision"), 2.0 / 3.0, 1e-12);
     EXPECT_NEAR(row.at("strict/drop_recall"), 2.0 / 3.0, 1e-12);
@@ -130,7 +130,7 @@ TEST(Evaluate, DropsByHand) {
 
 TEST(Evaluate, ClampsRanges) {
     const RangeImage real = image_of(1, 1, {100}, {3}, {0}), rendered = image_of(1, 1, {79}, {0.5f}, {0});
-    const MetricRow row = evaluate(rendered, real);
+    const MetricValues row = evaluate(rendered, real);
     EXPECT_NEAR(row.at("peer/depth_rmse_m"), 1.0, 1e-12);
     EXPECT_NEAR(row.at("strict/depth_rmse_m"), 1.0, 1e-12);
     EXPECT_NEAR(row.at("peer/intensity_rmse"), 0.5, 1e-12);
@@ -157,7 +157,7 @@ RangeImage make_random_image(int rows, int columns, unsigned seed) {
 
 TEST(Evaluate, IdenticalImagesArePerfect) {
     const RangeImage image = make_random_image(16, 40, 7);
-    const MetricRow row = evaluate(image, image);
+    const MetricValues row = evaluate(image, image);
     for (const char* name :
          {"peer/depth_rmse_m", "peer/depth_mae_m", "peer/depth_medae_m", "peer/intensity_rmse",
           "peer/cd_sq_m2", "strict/depth_rmse_m", "strict/intensity_rmse", "strict/cd_mean_m",
@@ -178,12 +178,12 @@ TEST(Evaluate, IdenticalImagesArePerfect) {
 TEST(Evaluate, LeavesOutWhatIsNotDefined) {
     const std::vector<float> zero(1, 0.0f), one(1, 1.0f);
     const RangeImage dropped = image_of(1, 1, zero, zero, one), returned = image_of(1, 1, one, one, zero);
-    const MetricRow nothing = evaluate(dropped, dropped);
+    const MetricValues nothing = evaluate(dropped, dropped);
     for (const char* name :
          {"strict/depth_rmse_m", "strict/cd_mean_m", "strict/f_5cm", "peer/cd_sq_m2", "peer/f_score"})
         EXPECT_FALSE(nothing.contains(name)) << name;
     EXPECT_EQ(nothing.at("strict/drop_f1"), 1.0);
-    const MetricRow missed = evaluate(dropped, returned);
+    const MetricValues missed = evaluate(dropped, returned);
     EXPECT_FALSE(missed.contains("strict/cd_mean_m"));
     // if all points are missed, the score is 0 and not undefined
     EXPECT_EQ(missed.at("strict/f_22cm"), 0.0);
@@ -211,15 +211,15 @@ TEST(Evaluate, RefusesWrongShapesAndValues) {
 }
 
 TEST(Mean, IsOverTheFramesThatHaveTheMetric) {
-    const MetricRow result = mean({{{"a", 1.0}, {"b", 5.0}}, {{"a", 3.0}}});
-    EXPECT_EQ(result, (MetricRow{{"a", 2.0}, {"b", 5.0}}));
-    EXPECT_TRUE(mean({}).empty());
+    const MetricValues result = compute_mean_metrics({{{"a", 1.0}, {"b", 5.0}}, {{"a", 3.0}}});
+    EXPECT_EQ(result, (MetricValues{{"a", 2.0}, {"b", 5.0}}));
+    EXPECT_TRUE(compute_mean_metrics({}).empty());
 }
 
 TEST(ClassScores, AreTheShareOfEqualClassesAndTheMeanIou) {
     using enum SurfaceClass;
     const std::vector<SurfaceClass> real = {road, road, road, pole, unknown, building};
-    const MetricRow scores = evaluate_classes({5, 5, 12, 12, 5, -1}, real);
+    const MetricValues scores = evaluate_classes({5, 5, 12, 12, 5, -1}, real);
     EXPECT_DOUBLE_EQ(scores.at("classes/accuracy"), 3.0 / 5.0);
     EXPECT_DOUBLE_EQ(scores.at("classes/mean_iou"), (2.0 / 3.0 + 1.0 / 2.0 + 0.0) / 3.0);
     EXPECT_TRUE(evaluate_classes({5, -1}, std::vector{unknown, unknown}).empty());

@@ -87,7 +87,7 @@ std::map<std::string, double> compute_independent_scores(const fs::path& bench, 
                image("real_intensity", pair.real.intensity), image("real_drop", pair.real.drop_prob),
                image("moving", pair.moving),
                make_array("direction", {kRows, kColumns, 3}, &pair.real.direction[0].x, 3 * kPixels)});
-    write_text(folder / "score.py", kScript);
+    write_text_file(folder / "score.py", kScript);
     std::map<std::string, double> scores;
     for (const char* python : {"python3", "/usr/bin/python3"}) {
         const std::string command =
@@ -113,7 +113,7 @@ TEST(Metrics, AgreeWithAnIndependentScript) {
     const std::map<std::string, double> expected = compute_independent_scores(bench, pair);
     if (expected.empty()) GTEST_SKIP() << "no python3 with numpy and scipy";
     const std::vector<bool> moving(pair.moving.begin(), pair.moving.end());
-    const MetricRow found =
+    const MetricValues actual_metrics =
         evaluate_all({{&pair.rendered, &pair.real, make_standard_regions(pair.real, moving)}}).front();
     std::vector<std::pair<std::string, std::string>> names = {
         {"0.4:cd_sq", "peer/cd_sq_m2"},
@@ -145,8 +145,9 @@ TEST(Metrics, AgreeWithAnIndependentScript) {
     }
     for (const auto& [theirs, ours] : names) {
         ASSERT_TRUE(expected.contains(theirs)) << theirs;
-        ASSERT_TRUE(found.contains(ours)) << ours;
-        EXPECT_NEAR(found.at(ours), expected.at(theirs), 1e-6 * (1.0 + std::abs(expected.at(theirs))))
+        ASSERT_TRUE(actual_metrics.contains(ours)) << ours;
+        EXPECT_NEAR(actual_metrics.at(ours), expected.at(theirs),
+                    1e-6 * (1.0 + std::abs(expected.at(theirs))))
             << theirs << " " << ours;
     }
 }

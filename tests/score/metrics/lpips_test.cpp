@@ -133,11 +133,11 @@ TEST(LpipsNetwork, AgreesWithDirectLoops) {
                                  b = make_random_values(n, -3.0f, 5.0f, 2);
         const std::vector<Planes> fa = compute_reference_features(a, rows, columns, weights),
                                   fb = compute_reference_features(b, rows, columns, weights);
-        const std::array<double, 5> found = lpips.compute_layer_distances(a, b, rows, columns);
+        const std::array<double, 5> layer_distances = lpips.compute_layer_distances(a, b, rows, columns);
         for (std::size_t l = 0; l < 5; ++l) {
             const double expected = compute_reference_distance(fa[l], fb[l], weights.linear[l]);
             EXPECT_GT(expected, 0.0);
-            EXPECT_NEAR(found[l], expected, 2e-5 * expected)
+            EXPECT_NEAR(layer_distances[l], expected, 2e-5 * expected)
                 << "layer " << l << " of " << rows << " x " << columns;
         }
     }
@@ -157,8 +157,8 @@ TEST(LpipsNetwork, OneChannelIsRepeatedAndNotClamped) {
     for (const double d : lpips.compute_layer_distances(colours(metres), colours(other), 31, 40))
         expected += d;
     const std::vector<double> a(metres.begin(), metres.end()), b(other.begin(), other.end());
-    EXPECT_NEAR(lpips.distance(a, b, 31, 40), expected, 1e-12);
-    EXPECT_EQ(lpips.distance(a, a, 31, 40), 0.0);
+    EXPECT_NEAR(lpips.compute_perceptual_distance(a, b, 31, 40), expected, 1e-12);
+    EXPECT_EQ(lpips.compute_perceptual_distance(a, a, 31, 40), 0.0);
 }
 
 TEST(LpipsNetwork, RefusesWrongSizes) {
@@ -204,15 +204,15 @@ TEST(LpipsNetwork, AgreesWithPublishedWeightsAndValues) {
                                                          : std::sin(k2 * (x + y))));
         return values;
     };
-    const std::array<double, 5> found =
+    const std::array<double, 5> layer_distances =
         Lpips(read_lpips_weights(file))
             .compute_layer_distances(image(0.05, 0.03, 0.11), image(0.08, 0.05, 0.13), n_rows, n_columns);
     const double expected[5] = {0.05731607973575592, 0.03482897952198982, 0.030503420159220695,
                                 0.02966426871716976, 0.01576225645840168};
     double sum = 0.0;
     for (std::size_t l = 0; l < 5; ++l) {
-        EXPECT_NEAR(found[l], expected[l], 0x1p-11 * expected[l]) << "layer " << l;
-        sum += found[l];
+        EXPECT_NEAR(layer_distances[l], expected[l], 0x1p-11 * expected[l]) << "layer " << l;
+        sum += layer_distances[l];
     }
     EXPECT_NEAR(sum, 0.16807499527931213, 0x1p-11 * 0.168);
 }

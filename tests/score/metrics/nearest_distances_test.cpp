@@ -34,11 +34,11 @@ Points make_random_points(int count, glm::dvec3 centre, glm::dvec3 extent, unsig
 }
 
 void expect_exact(const Points& query, const Points& target) {
-    const std::vector<double> found = compute_nearest_distances(query, target),
+    const std::vector<double> actual = compute_nearest_distances(query, target),
                               expected = brute_force(query, target);
-    ASSERT_EQ(found.size(), expected.size());
-    for (std::size_t i = 0; i < found.size(); ++i)
-        ASSERT_NEAR(found[i], expected[i], 1e-12 * (1.0 + expected[i])) << i;
+    ASSERT_EQ(actual.size(), expected.size());
+    for (std::size_t i = 0; i < actual.size(); ++i)
+        ASSERT_NEAR(actual[i], expected[i], 1e-12 * (1.0 + expected[i])) << i;
 }
 
 TEST(NearestDistances, AgreeWithBruteForce) {

@@ -39,7 +39,7 @@ double difference(const glm::dmat3& first, const glm::dmat3& second) {
 
 TEST(Mirror, CovarianceIsMirrored) {
     Surfels discs = make_surfels_anywhere(50), ellipsoids = discs;
-    make_primitive(ellipsoids, Primitive::gaussian, 0.3);
+    convert_to_primitive(ellipsoids, PrimitiveType::gaussian, 0.3);
     for (const Surfels* surfels : {&discs, &ellipsoids}) {
         const Surfels other = mirror_left_right(*surfels);
         for (std::size_t i = 0; i < surfels->size(); ++i) {
@@ -62,8 +62,8 @@ TEST(Mirror, HarmonicsAreThoseOfTheMirroredDirection) {
             const glm::dvec3 direction =
                 glm::normalize(glm::dvec3(normal(random), normal(random), normal(random)));
             const glm::dvec3 expected = reference::evaluate_sh(here[i], direction, 3);
-            const glm::dvec3 found = reference::evaluate_sh(there[i], kMirror * direction, 3);
-            EXPECT_LT(glm::length(found - expected), 1e-12);
+            const glm::dvec3 mirrored_value = reference::evaluate_sh(there[i], kMirror * direction, 3);
+            EXPECT_LT(glm::length(mirrored_value - expected), 1e-12);
             EXPECT_GT(glm::length(reference::evaluate_sh(here[i], kMirror * direction, 3) - expected), 1e-6)
                 << "they depend on it";
         }
@@ -102,11 +102,11 @@ RayTable make_rays_from_the_right(double y) {
 
 class MirroredCar : public test::DeviceTest {
 protected:
-    RenderedScan seen(const relidar::Run& run, const RayTable& rays) {
+    RenderedScan seen(const relidar::TrainedRun& run, const RayTable& rays) {
         const PoseTrack stands{{0.5}, {Pose{{1, 0, 0, 0}, run.sequence.world_offset_m}}};
         const std::string track = run.scene.instances[1].track;
         return ScanRenderer(device(), run.scene, run.config, run.sequence)
-            .render({.rays = rays, .name = "rays"}, {0.5, stands, ActorPoses{{track, stands}}});
+            .render({.rays = rays, .name = "rays"}, {0.5, stands, ActorTracksByName{{track, stands}}});
     }
 };
 
@@ -114,19 +114,19 @@ TEST_F(MirroredCar, LooksFromTheUnseenSideAsItDoesFromTheSeenOne) {
     const Surfels left = make_random_surfels(600, {-1.2f, 0.85f, -0.4f}, {1.2f, 0.95f, 0.4f}, 1);
     Surfels guessed = left;  // adds surfels that training left on the unobserved side
     guessed.append(make_random_surfels(100, {-1.2f, -0.95f, -0.4f}, {1.2f, -0.85f, 0.4f}, 2));
-    const Asset asset = make_asset(run_of(guessed, {}), "7", from_outside(left.mean, 8.0));
+    const ActorAsset asset = extract_actor_asset(run_of(guessed, {}), "7", from_outside(left.mean, 8.0));
     EXPECT_EQ(asset.facts.mirrored, left.size());
     EXPECT_EQ(asset.facts.surfels, 2 * left.size()) << "guesses have made room";
     const RenderedScan expected = seen(asset.run, make_rays_from_the_right(-1.0)),
-                       found = seen(asset.run, make_rays_from_the_right(1.0));
-    ASSERT_EQ(found.weight.size(), expected.weight.size());
+                       actual = seen(asset.run, make_rays_from_the_right(1.0));
+    ASSERT_EQ(actual.weight.size(), expected.weight.size());
     std::size_t met = 0;
-    for (std::size_t i = 0; i < found.weight.size(); ++i) {
-        EXPECT_NEAR(found.weight[i], expected.weight[i], 1e-3) << i;
-        EXPECT_NEAR(found.image.intensity[i], expected.image.intensity[i], 1e-3) << i;
-        EXPECT_NEAR(found.image.drop_prob[i], expected.image.drop_prob[i], 1e-3) << i;
+    for (std::size_t i = 0; i < actual.weight.size(); ++i) {
+        EXPECT_NEAR(actual.weight[i], expected.weight[i], 1e-3) << i;
+        EXPECT_NEAR(actual.image.intensity[i], expected.image.intensity[i], 1e-3) << i;
+        EXPECT_NEAR(actual.image.drop_prob[i], expected.image.drop_prob[i], 1e-3) << i;
         if (expected.weight[i] < 0.1f) continue;
-        EXPECT_NEAR(found.mean_range_m[i], expected.mean_range_m[i], 0.01f) << i;
+        EXPECT_NEAR(actual.mean_range_m[i], expected.mean_range_m[i], 0.01f) << i;
         ++met;
     }
     EXPECT_GT(met, 500u);
@@ -134,15 +134,16 @@ TEST_F(MirroredCar, LooksFromTheUnseenSideAsItDoesFromTheSeenOne) {
 
 TEST_F(MirroredCar, KeepsWhatWasSeen) {
     const Surfels left = make_random_surfels(600, {-1.2f, 0.85f, -0.4f}, {1.2f, 0.95f, 0.4f}, 1);
-    const Surfels found = make_asset(run_of(left, {}), "7", from_outside(left.mean)).run.scene.surfels;
+    const Surfels asset_surfels =
+        extract_actor_asset(run_of(left, {}), "7", from_outside(left.mean)).run.scene.surfels;
     for (std::size_t i = 0; i < left.size(); ++i) {
-        const auto it = std::ranges::find(found.mean, left.mean[i]);
-        ASSERT_NE(it, found.mean.end()) << i;
-        const auto k = std::size_t(it - found.mean.begin());
-        EXPECT_EQ(found.rotation[k], left.rotation[i]);
+        const auto it = std::ranges::find(asset_surfels.mean, left.mean[i]);
+        ASSERT_NE(it, asset_surfels.mean.end()) << i;
+        const auto k = std::size_t(it - asset_surfels.mean.begin());
+        EXPECT_EQ(asset_surfels.rotation[k], left.rotation[i]);
         EXPECT_TRUE(std::equal(left.sh.begin() + std::ptrdiff_t(i * kShFloats),
                                left.sh.begin() + std::ptrdiff_t((i + 1) * kShFloats),
-                               found.sh.begin() + std::ptrdiff_t(k * kShFloats)));
+                               asset_surfels.sh.begin() + std::ptrdiff_t(k * kShFloats)));
     }
 }
 
@@ -156,19 +157,20 @@ Surfels left_plate() {
 }
 
 /// Returns a trained run of which the log has seen the given surfels from outside.
-relidar::Run train_small_run(const Surfels& car, const std::string& category) {
-    relidar::Run run = run_of(car, {});
+relidar::TrainedRun train_small_run(const Surfels& car, const std::string& category) {
+    relidar::TrainedRun run = run_of(car, {});
     run.sequence.boxes[0].category = category;
-    BoxSurface surface(kCarSize_m);
-    for (const glm::vec3& p : car.mean) surface.add(glm::dvec3(p), {0.0, p.y > 0.0f ? -1.0 : 1.0, 0.0});
+    ObservedBoxSurface surface(kCarSize_m);
+    for (const glm::vec3& p : car.mean)
+        surface.mark_patch_observed(glm::dvec3(p), {0.0, p.y > 0.0f ? -1.0 : 1.0, 0.0});
     run.scene.models[1].surface = surface;
     return run;
 }
 
 TEST_F(MirroredCar, AMovedCarReturnsRaysOfTheUnseenSideAtTheMirroredPlane) {
-    const relidar::Run run = train_small_run(left_plate(), "Car");
-    relidar::Run edited = run;
-    edited.replace(move_track(edited.driving(), "7", {}));
+    const relidar::TrainedRun run = train_small_run(left_plate(), "Car");
+    relidar::TrainedRun edited = run;
+    edited.replace_driving_scene(move_track(edited.copy_driving_scene(), "7", {}));
     const RayTable rays = make_rays_from_the_right(1.0);
     const RenderedScan before = seen(run, rays), after = seen(edited, rays);
     for (std::size_t i = 0; i < rays.direction.size(); ++i) {
@@ -181,26 +183,29 @@ TEST_F(MirroredCar, AMovedCarReturnsRaysOfTheUnseenSideAtTheMirroredPlane) {
     EXPECT_EQ(seen(edited, make_rays_from_the_right(-1.0)).median_range_m,
               seen(run, make_rays_from_the_right(-1.0)).median_range_m)
         << "the seen side";
-    const BoxSurface& surface = *edited.scene.models[1].surface;
-    EXPECT_EQ(list_unseen_sides(surface.known()), "front, rear, top");
-    EXPECT_EQ(move_track(edited.driving(), "7", {}).scene.surfels.size(), edited.scene.surfels.size())
+    const ObservedBoxSurface& surface = *edited.scene.models[1].surface;
+    EXPECT_EQ(format_unobserved_sides(surface.compute_covered_fractions()), "front, rear, top");
+    EXPECT_EQ(move_track(edited.copy_driving_scene(), "7", {}).scene.surfels.size(),
+              edited.scene.surfels.size())
         << "completed once";
 }
 
 TEST_F(MirroredCar, ASideStaysUnseenIfNoSurfelIsMirrored) {
     Surfels inside = left_plate();
-    BoxSurface surface(kCarSize_m);
-    for (const glm::vec3& p : inside.mean) surface.add(glm::dvec3(p), {0.0, -1.0, 0.0});
+    ObservedBoxSurface surface(kCarSize_m);
+    for (const glm::vec3& p : inside.mean) surface.mark_patch_observed(glm::dvec3(p), {0.0, -1.0, 0.0});
     for (glm::vec3& mean : inside.mean) mean = glm::vec3(0.0f);
-    EXPECT_EQ(complete_by_symmetry(inside, surface), 0u);
+    EXPECT_EQ(add_mirrored_surfels(inside, surface), 0u);
     EXPECT_FALSE(surface.is_completed);
     EXPECT_EQ(inside.size(), left_plate().size());
 }
 
 TEST_F(MirroredCar, OnlyASymmetricVehicleIsCompleted) {
-    EXPECT_GT(copy_track(train_small_run(left_plate(), "Car").driving(), "7", {}).scene.surfels.size(),
-              left_plate().size());
-    EXPECT_EQ(copy_track(train_small_run(left_plate(), "Pedestrian").driving(), "7", {}).scene.surfels.size(),
+    EXPECT_GT(
+        copy_track(train_small_run(left_plate(), "Car").copy_driving_scene(), "7", {}).scene.surfels.size(),
+        left_plate().size());
+    EXPECT_EQ(copy_track(train_small_run(left_plate(), "Pedestrian").copy_driving_scene(), "7", {})
+                  .scene.surfels.size(),
               left_plate().size());
     // The rear half of the right side was seen too, 0.4 m nearer to the centre.
     Surfels lopsided = left_plate(), right = mirror_left_right(left_plate());
@@ -210,7 +215,7 @@ TEST_F(MirroredCar, OnlyASymmetricVehicleIsCompleted) {
         right.mean[i] *= 0.55f / 0.95f;
     }
     lopsided.append(right.reorder(rear));
-    EXPECT_EQ(copy_track(train_small_run(lopsided, "Car").driving(), "7", {}).scene.surfels.size(),
+    EXPECT_EQ(copy_track(train_small_run(lopsided, "Car").copy_driving_scene(), "7", {}).scene.surfels.size(),
               lopsided.size());
 }
 

@@ -18,16 +18,16 @@ namespace {
 
 // difference between the codes of consecutive rays, which exceeds the number of channels
 constexpr int kStep = 14;
-constexpr const char *kLabel = "my_label", *kShare = "my_share", *kWay = "my_way";
+constexpr const char *kLabel = "my_label", *kShare = "my_share", *kVector = "my_way";
 
 const std::vector<std::int32_t>& get_labels(const RenderedScan& scan) {
-    return *find_values<std::int32_t>(scan.channels, kLabel);
+    return *find_channel_values<std::int32_t>(scan.channels, kLabel);
 }
 const std::vector<float>& get_shares(const RenderedScan& scan) {
-    return *find_values<float>(scan.channels, kShare);
+    return *find_channel_values<float>(scan.channels, kShare);
 }
 const std::vector<glm::vec3>& list_ways(const RenderedScan& scan) {
-    return *find_values<glm::vec3>(scan.channels, kWay);
+    return *find_channel_values<glm::vec3>(scan.channels, kVector);
 }
 
 /// Returns a scan whose values encode the channel and the ray: 14 ray + channel. All rays
@@ -37,7 +37,7 @@ RenderedScan make_marked_scan(int count, int first = 0) {
     scan.image.rows = 1, scan.image.columns = count;
     std::vector<std::int32_t> label;
     std::vector<float> share;
-    std::vector<glm::vec3> way;
+    std::vector<glm::vec3> vectors;
     for (int i = 0; i < count; ++i) {
         const auto code = float(kStep * (first + i));
         scan.image.origin.emplace_back(0.0f);
@@ -49,10 +49,10 @@ RenderedScan make_marked_scan(int count, int first = 0) {
         scan.instance.push_back(int(code) + 7), scan.ring.push_back(0),
             scan.time_offset_s.push_back(code + 8.0f);
         label.push_back(int(code) + 9), share.push_back(code + 10.0f),
-            way.emplace_back(code + 11.0f, code + 12.0f, code + 13.0f);
+            vectors.emplace_back(code + 11.0f, code + 12.0f, code + 13.0f);
     }
     scan.channels = {
-        {{.name = kLabel, .none = -5.0}, label}, {{.name = kShare}, share}, {{.name = kWay}, way}};
+        {{.name = kLabel, .none = -5.0}, label}, {{.name = kShare}, share}, {{.name = kVector}, vectors}};
     return scan;
 }
 
@@ -83,10 +83,11 @@ TEST(Channels, WhatOneScanOfARigHasAloneIsNothingInTheOthers) {
     for (const bool first : {true, false}) {
         const RenderedScan merged = first ? merge_scans({bare, make_marked_scan(1)}, {Pose{}, Pose{}})
                                           : merge_scans({make_marked_scan(1), bare}, {Pose{}, Pose{}});
-        const std::size_t known = first ? 2 : 0;
+        const std::size_t ray_with_channels = first ? 2 : 0;
         for (std::size_t i = 0; i < 3; ++i) {
-            EXPECT_EQ(get_labels(merged)[i], i == known ? 9 : -5) << i;
-            EXPECT_EQ(list_ways(merged)[i], i == known ? glm::vec3(11.0f, 12.0f, 13.0f) : glm::vec3(0.0f))
+            EXPECT_EQ(get_labels(merged)[i], i == ray_with_channels ? 9 : -5) << i;
+            EXPECT_EQ(list_ways(merged)[i],
+                      i == ray_with_channels ? glm::vec3(11.0f, 12.0f, 13.0f) : glm::vec3(0.0f))
                 << i;
         }
     }
@@ -102,18 +103,18 @@ TEST(Channels, WhatOneScanOfARigHasAloneIsNothingInTheOthers) {
 }
 
 TEST(Channels, ACellHasThemOfItsRay) {
-    const RangeGrid grid = make_kitti360_grid();
-    const RenderedScan scan = make_marked_scan(5), binned = project_scan(scan, grid);
-    std::set<std::size_t> taken;
+    const RangeImageGrid grid = make_kitti360_grid();
+    const RenderedScan scan = make_marked_scan(5), binned = bin_scan_into_grid(scan, grid);
+    std::set<std::size_t> filled_cells;
     for (std::size_t ray = 0; ray < 5; ++ray) {
         const std::optional<int> cell =
-            project(grid, glm::dvec3(scan.median_range_m[ray] * scan.image.direction[ray]));
-        ASSERT_TRUE(cell && taken.insert(std::size_t(*cell)).second);
+            project_to_pixel_index(grid, glm::dvec3(scan.median_range_m[ray] * scan.image.direction[ray]));
+        ASSERT_TRUE(cell && filled_cells.insert(std::size_t(*cell)).second);
         expect_marks(binned, std::size_t(*cell), int(ray));
         EXPECT_EQ(binned.time_offset_s[std::size_t(*cell)], float(kStep * int(ray)) + 8.0f);
     }
     for (std::size_t cell = 0; cell < binned.weight.size(); ++cell) {
-        if (taken.contains(cell)) continue;
+        if (filled_cells.contains(cell)) continue;
         ASSERT_EQ(get_labels(binned)[cell], -5);
         ASSERT_EQ(get_shares(binned)[cell], 0.0f);
     }
@@ -123,22 +124,22 @@ TEST(Channels, ACellHasThemOfItsRay) {
 TEST(Channels, ABeamHasThemOfTheSubRayNearestToItsMiddle) {
     RenderedScan parts = make_marked_scan(5);
     parts.median_range_m.assign(5, 10.0f), parts.image.intensity.assign(5, 0.5f);
-    parts.channels.push_back(
-        {{.name = "my_drop", .join = ChannelJoin::drop}, std::vector<float>{0.0f, 0.1f, 0.2f, 0.3f, 0.9f}});
-    parts.channels.push_back({{.name = "my_light", .join = ChannelJoin::intensity},
+    parts.channels.push_back({{.name = "my_drop", .join = ChannelMergeRule::drop},
+                              std::vector<float>{0.0f, 0.1f, 0.2f, 0.3f, 0.9f}});
+    parts.channels.push_back({{.name = "my_light", .join = ChannelMergeRule::intensity},
                               std::vector<float>{5.0f, 1.0f, 2.0f, 3.0f, 4.0f}});
-    parts.channels.push_back(
-        {{.name = "my_range", .join = ChannelJoin::range}, std::vector<float>{5.0f, 1.0f, 2.0f, 3.0f, 9.0f}});
+    parts.channels.push_back({{.name = "my_range", .join = ChannelMergeRule::range},
+                              std::vector<float>{5.0f, 1.0f, 2.0f, 3.0f, 9.0f}});
     SensorConfig config;
     config.sub_rays = 5;
     RayTable ray{1, 1, {{0, 0, 0}}, {{1, 0, 0}}, {0.0f}, {0}};
     const auto first_of = [](const RenderedScan& scan, const char* name) {
-        return find_values<float>(scan.channels, name)->at(0);
+        return find_channel_values<float>(scan.channels, name)->at(0);
     };
     for (const bool replaced : {false, true}) {
-        RenderedScan joined = join_footprints(parts, ray, config);
+        RenderedScan joined = join_sub_rays_to_beam_returns(parts, ray, config);
         if (replaced) {
-            RenderedScan old = join_footprints(parts, ray, config);
+            RenderedScan old = join_sub_rays_to_beam_returns(parts, ray, config);
             for (auto& [info, values, second] : old.channels)
                 std::visit([](auto& v) { v.assign(1, {}); }, values);
             old.weight = {0.0f}, old.instance = {-1};
@@ -167,16 +168,16 @@ protected:
         options.n_frames = 4;
         log = make_synthetic_street(options);
         scene = initialise_scene(log, {0, 1, 2, 3}, {});
-        for (const std::string& name : list_optional_channels())
+        for (const std::string& name : list_optional_channel_names())
             config.render.channels += (config.render.channels.empty() ? "" : ",") + name;
     }
     RenderedScan scan(const std::string& sensor = "native") {
         ScanRenderer renderer(device(), scene, config, log);
         renderer.set_observed_space(
-            find_coverage(log, log.world_from_vehicle, {0, 1, 2, 3}, config.dataset.max_range_m));
+            compute_observed_coverage(log, log.world_from_vehicle, {0, 1, 2, 3}, config.dataset.max_range_m));
         return renderer.render(choose_sensor(sensor, config, log), log.frames[1].time_s);
     }
-    Sequence log;
+    LidarSequence log;
     Scene scene;
     Config config;
 };
@@ -185,11 +186,12 @@ TEST_F(RenderedChannels, AllThatCanBeAskedForAreThere) {
     for (const int sub_rays : {1, 5}) {
         config.sensor.sub_rays = sub_rays, config.sensor.divergence_mrad = 3.0;
         for (const char* sensor : {"native", "kitti360", "VLP-16"}) {
-            const RenderedScan found = scan(sensor);
-            std::vector<std::string> names, expected = list_optional_channels();
-            for (const ScanChannel& channel : found.channels) {
+            const RenderedScan rendered_scan = scan(sensor);
+            std::vector<std::string> names, expected = list_optional_channel_names();
+            for (const ScanChannel& channel : rendered_scan.channels) {
                 names.push_back(channel.info.name);
-                EXPECT_EQ(size(channel.values), found.image.range_m.size()) << channel.info.name;
+                EXPECT_EQ(count_channel_values(channel.values), rendered_scan.image.range_m.size())
+                    << channel.info.name;
                 EXPECT_FALSE(channel.info.meaning.empty());
             }
             std::ranges::sort(names), std::ranges::sort(expected);
@@ -201,16 +203,17 @@ TEST_F(RenderedChannels, AllThatCanBeAskedForAreThere) {
 /// The sensor drives along the street, and its head does not tilt. A static surface must
 /// have the velocity of the sensor in the direction of the ray.
 TEST_F(RenderedChannels, TheStreetHasTheVelocityOfTheSensor) {
-    const RenderedScan found = scan();
-    const std::vector<float>& velocity = *find_values<float>(found.channels, "velocity");
+    const RenderedScan rendered_scan = scan();
+    const std::vector<float>& velocity = *find_channel_values<float>(rendered_scan.channels, "velocity");
     const glm::dvec3 driven_length_m =
         log.world_from_vehicle.pose[2].translation - log.world_from_vehicle.pose[0].translation;
     ASSERT_NEAR(glm::length(driven_length_m) / (log.frames[2].time_s - log.frames[0].time_s),
                 SyntheticOptions{}.speed_mps, 0.01);
     std::size_t n_standing = 0;
     for (std::size_t i = 0; i < velocity.size(); ++i) {
-        if (found.instance[i] != 0) continue;
-        const glm::dvec3 direction = found.get_firing_pose(i).rotation * glm::dvec3(found.image.direction[i]);
+        if (rendered_scan.instance[i] != 0) continue;
+        const glm::dvec3 direction =
+            rendered_scan.get_firing_pose(i).rotation * glm::dvec3(rendered_scan.image.direction[i]);
         ASSERT_NEAR(velocity[i],
                     -SyntheticOptions{}.speed_mps * glm::dot(direction, glm::normalize(driven_length_m)),
                     0.01);
@@ -224,12 +227,12 @@ TEST_F(RenderedChannels, AreWantedByName) {
     EXPECT_THROW(ScanRenderer(device(), scene, config, log), UsageError);
     config.render.channels.clear();
     ScanRenderer renderer(device(), scene, config, log);
-    renderer.enable_channels("spread");
-    renderer.enable_channels("spread");
+    renderer.enable_optional_channels("spread");
+    renderer.enable_optional_channels("spread");
     EXPECT_EQ(renderer.render(make_configured_sensor(config, log), 0.1).channels.size(), 1u);
-    config.image.primitive = Primitive::gaussian;
-    scene.surfels.resize(scene.surfels.size(), Primitive::gaussian);
-    EXPECT_THROW(ScanRenderer(device(), scene, config, log).enable_channels("normal"), UsageError)
+    config.image.primitive = PrimitiveType::gaussian;
+    scene.surfels.resize(scene.surfels.size(), PrimitiveType::gaussian);
+    EXPECT_THROW(ScanRenderer(device(), scene, config, log).enable_optional_channels("normal"), UsageError)
         << "3D Gaussians have none";
 }
 

@@ -30,8 +30,8 @@ constexpr int kScans = 3;
 
 /// Returns a run with a wall across x in the dataset's world and a compensated log. The
 /// sensor of the log drives along x and passes the origin at kFirst_s.
-Run make_run_towards_wall() {
-    Run run;
+TrainedRun make_run_towards_wall() {
+    TrainedRun run;
     Surfels& wall = run.scene.surfels;
     wall.resize(1);
     wall.mean[0] = {kWall_m, 0.0f, 0.0f};
@@ -42,7 +42,7 @@ Run make_run_towards_wall() {
     wall.sh[kShCoefficients] = 20.0f;  // hit logit
     run.scene.models = {{"background", 0, 1}};
     run.scene.instances = {{0, ""}};
-    Sequence& log = run.sequence;
+    LidarSequence& log = run.sequence;
     log.lidars[0].sensor = {"own", {{0.2}, {0.0}, {-0.2}}, 96};
     log.lidars[0].sensor.first_azimuth_rad = kPi;
     log.rolling_shutter = false;
@@ -66,7 +66,7 @@ struct TimedPoint {
 
 class CompensatedLog : public test::DeviceTest {
 protected:
-    relidar::Run run = make_run_towards_wall();
+    relidar::TrainedRun run = make_run_towards_wall();
     std::filesystem::path folder = std::filesystem::temp_directory_path() / "relidar-compensated-log";
 
     void TearDown() override {
@@ -75,16 +75,16 @@ protected:
     }
 
     /// Writes all scans in all formats.
-    void write(const SensorChoice& sensor, bool deskew) {
+    void write(const SimulatedSensor& sensor, bool deskew) {
         std::filesystem::remove_all(folder);
         std::filesystem::create_directories(folder);
-        ScanFormat format = make_scan_format(run, sensor);
+        ScanOutputOptions format = make_scan_format(run, sensor);
         format.formats = {"npz", "exr", "ply", "pcd", "mcap", "rosbag"};
         format.deskew = deskew;
         ScanRenderer renderer(device(), run);
-        ScanFolder scans(folder, format);
-        for (const Frame& frame : run.sequence.frames)
-            scans.write(frame.index, renderer.render(sensor, frame.time_s));
+        ScanFolderWriter scans(folder, format);
+        for (const LidarFrame& frame : run.sequence.frames)
+            scans.write_scan(frame.index, renderer.render(sensor, frame.time_s));
         scans.finish();
     }
     std::string text(const char* name) const { return read_contents(folder / name); }
@@ -92,7 +92,7 @@ protected:
     /// Returns the points in the npz file of the first scan.
     std::vector<TimedPoint> points() const {
         const auto arrays = read_npz(folder / "frame_000000.npz");
-        const auto values = [&](const char* name) { return find_array(arrays, name)->as_float(); };
+        const auto values = [&](const char* name) { return find_array(arrays, name)->convert_to_floats(); };
         const std::vector<float> range_m = values("median_range"), drop = values("drop_prob"),
                                  time_s = values("time"), origin_m = values("origin"),
                                  direction = values("directions");
@@ -129,7 +129,7 @@ protected:
         EXPECT_THAT(text("frame_000000.ply"), HasSubstr(frame));
         EXPECT_THAT(text("frame_000000.pcd"), HasSubstr(frame));
         EXPECT_THAT(read_exr(folder / "frame_000000.exr").notes.at("points_in"), HasSubstr(frame));
-        EXPECT_EQ(find_array(read_npz(folder / "frame_000000.npz"), "deskewed")->as_float()[0],
+        EXPECT_EQ(find_array(read_npz(folder / "frame_000000.npz"), "deskewed")->convert_to_floats()[0],
                   deskewed ? 1.0f : 0.0f);
         EXPECT_THAT(text("scans.json"), HasSubstr(deskewed ? "\"deskewed\": true" : "\"deskewed\": false"));
         for (const char* recording : {"scans.mcap", "rosbag.mcap"})
@@ -141,17 +141,18 @@ protected:
     /// point on the wall.
     void expect_recordings(bool rolls) const {
         for (const char* recording : {"scans.mcap", "rosbag.mcap"}) {
-            const Sequence log = load_sequence((folder / recording).string(), {});
+            const LidarSequence log = load_sequence((folder / recording).string(), {});
             EXPECT_EQ(log.rolling_shutter, rolls) << recording;
-            const PoseTrack track = shift_track(log.world_from_sensor(0), log.world_offset_m);
+            const PoseTrack track = shift_track(log.get_world_from_sensor(0), log.world_offset_m);
             std::size_t n = 0;
-            for (const Frame& frame : log.frames)
+            for (const LidarFrame& frame : log.frames)
                 for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
                     if (frame.scan.range_m[i] == 0.0f) continue;
                     const double fired_s =
                         frame.time_s + (rolls ? double(frame.scan.rays.time_offset_s[i]) : 0.0);
-                    ASSERT_NEAR((track.at(fired_s) * glm::dvec3(frame.scan.point(i))).x, kWall_m,
-                                2.0 * kTolerance_m)
+                    ASSERT_NEAR(
+                        (track.interpolate_pose(fired_s) * glm::dvec3(frame.scan.compute_end_point(i))).x,
+                        kWall_m, 2.0 * kTolerance_m)
                         << recording;
                     ++n;
                 }
@@ -161,7 +162,7 @@ protected:
 };
 
 TEST_F(CompensatedLog, AnotherSensorHasItsOwnRollingShutter) {
-    const SensorChoice sensor = choose_sensor("VLP-16:96x10", run.config, run.sequence);
+    const SimulatedSensor sensor = choose_sensor("VLP-16:96x10", run.config, run.sequence);
     write(sensor, false);
     expect_statements(false);
     expect_recordings(true);
@@ -205,9 +206,9 @@ TEST_F(CompensatedLog, ItsOwnSensorIsCompensatedAndSaysSo) {
     write(choose_sensor("native", run.config, run.sequence), false);
     expect_statements(true);
     expect_recordings(false);
-    const std::vector<TimedPoint> own = points();
-    ASSERT_GT(own.size(), 20u);
-    for (const auto& [position_m, time_s] : own) {
+    const std::vector<TimedPoint> native_points = points();
+    ASSERT_GT(native_points.size(), 20u);
+    for (const auto& [position_m, time_s] : native_points) {
         EXPECT_EQ(time_s, kFirst_s) << "all rays are fired at the scan's time";
         EXPECT_NEAR(position_m.x + compute_sensor_x(time_s), kWall_m, kTolerance_m);
     }
@@ -234,16 +235,16 @@ TEST_F(CompensatedLog, PointsOfTheServiceToo) {
         const bool rolls = name != std::string("native");
         renderer.submit_points(choose_sensor(name, run.config, run.sequence),
                                {kFirst_s, run.sequence.world_from_vehicle}, kFirst_s + 0.05);
-        const Points points = renderer.wait_for_points().points;
+        const LidarPoints points = renderer.wait_for_points().points;
         ASSERT_GT(points.size(), 20u);
         double later = 0.0;
         for (std::size_t i = 0; i < points.size(); ++i) {
             const glm::dvec3 at_m = points.world_from_points * glm::dvec3(points.position_m[i]);
             EXPECT_NEAR(at_m.x, kWall_m, kTolerance_m);
             const double offset_s = points.time_offset_s[i], time_s = kFirst_s + offset_s;
-            const glm::dvec3 way = at_m - glm::dvec3(compute_sensor_x(time_s), 0.0, 0.0);
+            const glm::dvec3 ray_vector_m = at_m - glm::dvec3(compute_sensor_x(time_s), 0.0, 0.0);
             // direction in which the sensor fired at that time
-            const double elevation = std::atan2(way.z, std::hypot(way.x, way.y));
+            const double elevation = std::atan2(ray_vector_m.z, std::hypot(ray_vector_m.x, ray_vector_m.y));
             const double beam =
                 rolls ? (15.0 - 2.0 * points.ring[i]) * kPi / 180.0 : 0.2 - 0.2 * points.ring[i];
             EXPECT_NEAR(elevation, beam, 2e-4) << name << ", " << offset_s;

@@ -54,17 +54,18 @@ double spread(const RayTable& rays, const RayTable& parts, std::size_t index, st
 TEST(Footprint, EachRayHasItsOwnCone) {
     const RayTable rays = make_fan(8);
     for (const std::size_t n : {std::size_t(5), std::size_t(9), std::size_t(40)}) {
-        const RayTable own = split_rays(rays, int(n), 0.0), same = split_rays(rays, int(n), 4e-3);
-        ASSERT_EQ(own.size(), 8 * n);
+        const RayTable per_ray_cones = split_rays_into_sub_rays(rays, int(n), 0.0),
+                       same = split_rays_into_sub_rays(rays, int(n), 4e-3);
+        ASSERT_EQ(per_ray_cones.size(), 8 * n);
         for (std::size_t i = 0; i < 8; ++i) {
-            EXPECT_NEAR(std::sqrt(spread(rays, own, i, n)), 1e-3 * double(i), 2e-6)
+            EXPECT_NEAR(std::sqrt(spread(rays, per_ray_cones, i, n)), 1e-3 * double(i), 2e-6)
                 << n << " parts of ray " << i;
             EXPECT_NEAR(std::sqrt(spread(rays, same, i, n)), 4e-3, 2e-6)
                 << "what is asked for stands for all";
         }
     }
-    EXPECT_FLOAT_EQ(float(rays.find_largest_divergence()), 7e-3f);
-    EXPECT_EQ(make_one_ray({1, 0, 0}).find_largest_divergence(), 0.0);
+    EXPECT_FLOAT_EQ(float(rays.find_max_divergence_rad()), 7e-3f);
+    EXPECT_EQ(make_one_ray({1, 0, 0}).find_max_divergence_rad(), 0.0);
 }
 
 TEST(Footprint, SomeRaysKeepTheirOwnCones) {
@@ -86,7 +87,8 @@ TEST(Footprint, PartsAreSpreadAsAnEvenlyLitDisc) {
     for (const int n : {5, 9}) {
         for (const glm::vec3& direction :
              {glm::vec3(1, 0, 0), glm::vec3(0, 0, 1), glm::vec3(-0.3f, 0.5f, -0.7f)}) {
-            const RayTable rays = make_one_ray(direction), parts = split_rays(rays, n, divergence);
+            const RayTable rays = make_one_ray(direction),
+                           parts = split_rays_into_sub_rays(rays, n, divergence);
             ASSERT_EQ(parts.size(), std::size_t(n));
             EXPECT_EQ(parts.direction[0], rays.direction[0]);
             double squares = 0.0;
@@ -131,10 +133,10 @@ RenderedScan scan_of(const std::vector<Part>& parts) {
 RenderedScan joined(const std::vector<Part>& parts, SensorConfig config = {}) {
     config.sub_rays = static_cast<int>(parts.size());
     config.returns = 2;
-    return join_footprints(scan_of(parts), make_one_ray({1, 0, 0}), config);
+    return join_sub_rays_to_beam_returns(scan_of(parts), make_one_ray({1, 0, 0}), config);
 }
 
-constexpr float kNear = 1e-6f;
+constexpr float kTolerance = 1e-6f;
 
 TEST(Footprint, PartsOnOneSurfaceAreOneReturnOfTheirMeanWeighedByLight) {
     const RenderedScan scan = joined({{10.0f, 0.2f, 0.1f},
@@ -144,8 +146,8 @@ TEST(Footprint, PartsOnOneSurfaceAreOneReturnOfTheirMeanWeighedByLight) {
                                       {10.4f, 0.1f, 0.1f}});
     EXPECT_NEAR(scan.image.range_m[0],
                 (10.0f * 0.2f + 10.1f * 0.2f + 10.2f * 0.4f + 10.3f * 0.1f + 10.4f * 0.1f), 1e-5f);
-    EXPECT_NEAR(scan.image.intensity[0], 0.2f, kNear);
-    EXPECT_NEAR(scan.image.drop_prob[0], 0.1f, kNear);
+    EXPECT_NEAR(scan.image.intensity[0], 0.2f, kTolerance);
+    EXPECT_NEAR(scan.image.drop_prob[0], 0.1f, kTolerance);
     EXPECT_EQ(scan.second_returns[0].range_m[0], 0.0f)
         << "steps below the separation are one surface, however far it reaches";
     EXPECT_EQ(scan.ring[0], 7);
@@ -159,18 +161,18 @@ TEST(Footprint, AnEdgeGivesTwoReturnsTheStrongestFirst) {
                                       {30.0f, 0.3f, 0.0f, 0.0f}});
     EXPECT_NEAR(compute_range_spread(scan)[0], 0.25f, 1e-5f) << "of the return's own parts";
     EXPECT_NEAR(scan.median_range_m[0], 30.0f, 1e-5f);
-    EXPECT_NEAR(scan.image.intensity[0], 3 * 0.3f / 5, kNear);
+    EXPECT_NEAR(scan.image.intensity[0], 3 * 0.3f / 5, kTolerance);
     EXPECT_EQ(scan.instance[0], 0) << "of the part nearest to the middle";
     EXPECT_NEAR(scan.second_returns[0].range_m[0], 10.0f, 1e-5f)
         << "the strongest is the last: the next strongest is the second";
-    EXPECT_NEAR(scan.second_returns[0].intensity[0], 2 * 0.2f / 5, kNear);
+    EXPECT_NEAR(scan.second_returns[0].intensity[0], 2 * 0.2f / 5, kTolerance);
 }
 
 /// A road at a grazing angle has ranges that differ by metres within a single footprint.
 /// Also tests a road with a wall in front of its upper part.
 TEST(Footprint, ASlopeIsOneReturnHoweverSteep) {
     const RayTable ray = make_one_ray({std::cos(0.04f), 0.0f, -std::sin(0.04f)}),
-                   parts = split_rays(ray, 9, 4e-3);
+                   parts = split_rays_into_sub_rays(ray, 9, 4e-3);
     const auto cast = [&](float wall_m) {
         std::vector<Part> cone;
         for (const glm::vec3& d : parts.direction)
@@ -211,23 +213,23 @@ TEST(Footprint, PartsThatDropGiveNoLight) {
                                         {10.0f, 0.5f, 0.0f},
                                         {0.0f, 0.0f, 1.0f},
                                         {10.0f, 0.5f, 0.0f}});
-    EXPECT_NEAR(mostly.image.drop_prob[0], 0.4f, kNear);
+    EXPECT_NEAR(mostly.image.drop_prob[0], 0.4f, kTolerance);
     EXPECT_NEAR(mostly.median_range_m[0], 10.0f, 1e-5f);
-    EXPECT_NEAR(mostly.image.intensity[0], 0.3f, kNear);
+    EXPECT_NEAR(mostly.image.intensity[0], 0.3f, kTolerance);
     EXPECT_EQ(mostly.instance[0], 1);
     const RenderedScan hardly = joined({{0.0f, 0.0f, 1.0f},
                                         {10.0f, 0.5f, 0.0f},
                                         {30.0f, 0.5f, 0.0f},
                                         {0.0f, 0.0f, 1.0f},
                                         {0.0f, 0.0f, 1.0f}});
-    EXPECT_NEAR(hardly.image.drop_prob[0], 0.6f, kNear);
+    EXPECT_NEAR(hardly.image.drop_prob[0], 0.6f, kTolerance);
     EXPECT_EQ(hardly.second_returns[0].range_m[0], 0.0f) << "a dropped ray has no second return";
     const RenderedScan nothing = joined({{12.0f, 0.3f, 0.9f},
                                          {0.0f, 0.0f, 1.0f},
                                          {0.0f, 0.0f, 1.0f},
                                          {0.0f, 0.0f, 1.0f},
                                          {0.0f, 0.0f, 1.0f}});
-    EXPECT_NEAR(nothing.image.drop_prob[0], 0.98f, kNear);
+    EXPECT_NEAR(nothing.image.drop_prob[0], 0.98f, kTolerance);
     EXPECT_EQ(nothing.image.range_m[0], 12.0f) << "what the middle would have measured";
 }
 

@@ -52,15 +52,15 @@ std::size_t ray_at(int row, int column) { return std::size_t(row) * kSteps + std
 
 /// Returns the echo of stray light on each ray of a scan. The sensor detects any power.
 /// Returns an empty list if no ray has stray light.
-std::vector<Echo> compute_stray_light(const RenderedScan& scan, double bloom, std::uint64_t seed) {
-    const WeatherSensor sensor{.darkest = 0.0};
+std::vector<LidarEcho> compute_stray_light(const RenderedScan& scan, double bloom, std::uint64_t seed) {
+    const WeatherSensorProperties sensor{.darkest = 0.0};
     const auto effect = kBlooming.prepare(
         {.weather = {.bloom = bloom}, .sensor = sensor, .scan = scan, .response = {}, .seed = seed});
-    std::vector<Echo> stray(effect ? scan.ring.size() : 0);
+    std::vector<LidarEcho> stray(effect ? scan.ring.size() : 0);
     Random random(0);
     for (std::size_t i = 0; i < stray.size(); ++i) {
-        Candidates candidates;
-        effect->add_returns(candidates, {.index = i, .free_m = 1.0}, random);
+        EchoCandidates candidates;
+        effect->append_effect_returns(candidates, {.index = i, .free_m = 1.0}, random);
         if (!candidates.empty()) stray[i] = candidates[0].echo;
     }
     return stray;
@@ -88,23 +88,24 @@ TEST(StrayLightOnScans, IsItsIntegralOverTheReflector) {
                                                         kStep_deg * (kBeams / 2 - row - 0.5)));
         return of_row;
     };
-    const std::vector<double> of_near = expected_in(kSteps / 2 + 24), of_far = expected_in(kSteps / 2 - 60);
+    const std::vector<double> expected_near = expected_in(kSteps / 2 + 24),
+                              expected_far = expected_in(kSteps / 2 - 60);
     for (std::uint64_t seed = 0; seed < 40; ++seed) {
-        const std::vector<Echo> stray = compute_stray_light(scan, 1e-4, seed);
+        const std::vector<LidarEcho> stray = compute_stray_light(scan, 1e-4, seed);
         ASSERT_EQ(stray.size(), scan.ring.size());
-        EXPECT_EQ(stray[ray_at(kBeams / 2, kSteps / 2)].source, PointSource::nothing)
+        EXPECT_EQ(stray[ray_at(kBeams / 2, kSteps / 2)].source, ReturnCause::nothing)
             << "the reflector itself";
         for (int row = 0; row < kBeams; ++row) {
-            const Echo &here = stray[ray_at(row, kSteps / 2 + 24)],
-                       &beside = stray[ray_at(row, kSteps / 2 - 60)];
-            ASSERT_EQ(here.source, PointSource::blooming);
+            const LidarEcho &here = stray[ray_at(row, kSteps / 2 + 24)],
+                            &beside = stray[ray_at(row, kSteps / 2 - 60)];
+            ASSERT_EQ(here.source, ReturnCause::blooming);
             ASSERT_NEAR(here.range_m, 4.0, 1e-6);
-            const double deviate = here.reflectivity / of_near[std::size_t(row)];
-            EXPECT_NEAR(beside.reflectivity / of_far[std::size_t(row)] / deviate, 1.0, 0.15)
+            const double deviate = here.reflectivity / expected_near[std::size_t(row)];
+            EXPECT_NEAR(beside.reflectivity / expected_far[std::size_t(row)] / deviate, 1.0, 0.15)
                 << "squares of a degree, and a beam's deviate";
             sum += std::log(deviate), squares += std::log(deviate) * std::log(deviate), ++n;
         }
-        const std::vector<Echo> again = compute_stray_light(scan, 1e-4, seed);
+        const std::vector<LidarEcho> again = compute_stray_light(scan, 1e-4, seed);
         for (std::size_t i = 0; i < stray.size(); i += 97)
             ASSERT_EQ(stray[i].reflectivity, again[i].reflectivity);
     }
@@ -117,7 +118,7 @@ TEST(StrayLightOnScans, IsItsIntegralOverTheReflector) {
 /// power.
 TEST(StrayLightOnScans, IsOfTheReflectorWithTheMostPower) {
     const RenderedScan scan = make_wall_with({{-8.0, 0.0, 4.0}, {8.0, 0.0, 8.0}});
-    const std::vector<Echo> stray = compute_stray_light(scan, 1e-4, 1);
+    const std::vector<LidarEcho> stray = compute_stray_light(scan, 1e-4, 1);
     const int row = kBeams / 2 + 20;
     EXPECT_NEAR(stray[ray_at(row, kSteps / 2)].range_m, 4.0, 1e-6);
     EXPECT_NEAR(stray[ray_at(row, kSteps / 2 + 32)].range_m, 8.0, 1e-6);
@@ -126,19 +127,21 @@ TEST(StrayLightOnScans, IsOfTheReflectorWithTheMostPower) {
 TEST(StrayLightOnScans, TakesThePlaceOfWeakReturns) {
     RenderedScan scan = make_wall_with({{0.0, 0.0, 4.0}});
     const RenderedScan before = scan;
-    const std::vector<Echo> stray = compute_stray_light(scan, 1e-3, 1);
-    add_weather(scan, {.weather = {.bloom = 1e-3}, .sensor = {}, .scan = scan, .response = {}, .seed = 1});
-    const std::vector<std::int32_t>& source = *find_values<std::int32_t>(scan.channels, "source");
+    const std::vector<LidarEcho> stray = compute_stray_light(scan, 1e-3, 1);
+    add_weather_to_scan(scan,
+                        {.weather = {.bloom = 1e-3}, .sensor = {}, .scan = scan, .response = {}, .seed = 1});
+    const std::vector<std::int32_t>& source = *find_channel_values<std::int32_t>(scan.channels, "source");
     int bloomed = 0;
     for (std::size_t i = 0; i < source.size(); ++i) {
-        const double own = double(before.image.intensity[i]) / std::pow(double(before.image.range_m[i]), 2);
-        if (stray[i].reflectivity / 16.0 > own) {
+        const double surface_power =
+            double(before.image.intensity[i]) / std::pow(double(before.image.range_m[i]), 2);
+        if (stray[i].reflectivity / 16.0 > surface_power) {
             ++bloomed;
-            ASSERT_EQ(source[i], std::int32_t(PointSource::blooming));
+            ASSERT_EQ(source[i], std::int32_t(ReturnCause::blooming));
             ASSERT_NEAR(scan.median_range_m[i], 4.0, 1e-5);
             ASSERT_EQ(scan.instance[i], -1);
         } else {
-            ASSERT_EQ(source[i], std::int32_t(PointSource::surface));
+            ASSERT_EQ(source[i], std::int32_t(ReturnCause::surface));
             ASSERT_EQ(scan.median_range_m[i], before.median_range_m[i]);
         }
     }
@@ -160,8 +163,8 @@ Surfels make_disc_ahead() {
     disc.sh[kShCoefficients] = 20.0f;  // hit logit
     return disc;
 }
-Sequence make_level_beams() {
-    Sequence sequence;
+LidarSequence make_level_beams() {
+    LidarSequence sequence;
     sequence.lidars[0].sensor.columns = 720;
     sequence.lidars[0].sensor.first_azimuth_rad = kPi;
     sequence.rolling_shutter = false;
@@ -173,21 +176,21 @@ Sequence make_level_beams() {
 
 TEST_F(GlareInScenes, TheSunIsNoiseAroundItUnlessAWallHidesIt) {
     const Config config;
-    const Sequence sequence = make_level_beams();
+    const LidarSequence sequence = make_level_beams();
     ScanRenderer renderer(device(), make_background_scene(make_disc_ahead()), config, sequence);
-    const SensorChoice sensor = make_configured_sensor(config, sequence);
+    const SimulatedSensor sensor = make_configured_sensor(config, sequence);
     const RenderedScan dark = renderer.render(sensor, 0.0, {}, 1);
     const auto noise_in = [&](const Sun& sun) {
         renderer.set_weather({.sun = sun});
         const RenderedScan scan = renderer.render(sensor, 0.0, {}, 1);
-        return std::ranges::count(*find_values<std::int32_t>(scan.channels, "source"),
-                                  std::int32_t(PointSource::noise));
+        return std::ranges::count(*find_channel_values<std::int32_t>(scan.channels, "source"),
+                                  std::int32_t(ReturnCause::noise));
     };
     EXPECT_EQ(noise_in({0.0, 0.5, 100.0}), 0) << "behind the wall";
     EXPECT_EQ(noise_in({0.0, 60.0, 100.0}), 0) << "far above the beams";
     renderer.set_weather({.sun = {180.0, 0.5, 100.0}});
     const RenderedScan scan = renderer.render(sensor, 0.0, {}, 1);
-    const std::vector<std::int32_t>& source = *find_values<std::int32_t>(scan.channels, "source");
+    const std::vector<std::int32_t>& source = *find_channel_values<std::int32_t>(scan.channels, "source");
     int n = 0;
     for (std::size_t i = 0; i < source.size(); ++i) {
         const double off_deg =
@@ -195,7 +198,7 @@ TEST_F(GlareInScenes, TheSunIsNoiseAroundItUnlessAWallHidesIt) {
                                    double(scan.image.direction[i].z) * std::sin(0.5 * kDegree),
                                1.0)) /
             kDegree;
-        if (source[i] == std::int32_t(PointSource::noise)) {
+        if (source[i] == std::int32_t(ReturnCause::noise)) {
             ++n;
             ASSERT_LT(off_deg, 6.0);
         } else {

@@ -16,7 +16,7 @@
 namespace relidar {
 namespace {
 
-constexpr double kTurn_s = 0.1;
+constexpr double kRevolution_s = 0.1;
 
 /// Adds a wall that consists of a single surfel.
 /// @param half_m visible extent of the wall from its middle in each direction
@@ -49,12 +49,12 @@ Scene make_one_actor(const Surfels& surfels, const glm::dvec3& size_m) {
 /// Returns a log of 1 s with poses of sensor and actor at 40 Hz, and a sensor with a
 /// single horizontal beam.
 template <class PoseAt>
-Sequence drive(int columns, const PoseAt& sensor_at, const PoseAt& actor_at, const glm::dvec3& size_m) {
-    Sequence log;
+LidarSequence drive(int columns, const PoseAt& sensor_at, const PoseAt& actor_at, const glm::dvec3& size_m) {
+    LidarSequence log;
     log.lidars[0].sensor.beams = {{0.0}};
     log.lidars[0].sensor.columns = columns;
     log.lidars[0].sensor.first_azimuth_rad = kPi - kPi / columns;
-    log.lidars[0].sensor.period_s = kTurn_s;
+    log.lidars[0].sensor.period_s = kRevolution_s;
     BoxTrack box{.id = "actor", .category = "Van", .size_m = size_m, .world_from_box = {}};
     for (int k = 0; k <= 40; ++k) {
         const double t_s = 0.025 * k;
@@ -85,7 +85,7 @@ std::array<double, 2> measure_halves_behind(const RenderedScan& scan) {
 
 class MovingActors : public test::DeviceTest {
 protected:
-    RenderedScan render(const Scene& scene, const Sequence& log, double time_s) {
+    RenderedScan render(const Scene& scene, const LidarSequence& log, double time_s) {
         Config config;
         ScanRenderer renderer(device(), scene, config, log);
         return renderer.render(make_configured_sensor(config, log), time_s);
@@ -101,7 +101,7 @@ TEST_F(MovingActors, AVanThatFollowsIsNotTornBehindTheSensor) {
     for (const double speed_mps : {0.0, 20.0, 30.0}) {
         const PoseAt sensor = [&](double t_s) { return Pose{{1, 0, 0, 0}, {speed_mps * t_s, 0.0, 0.0}}; };
         const PoseAt van = [&](double t_s) { return Pose{{1, 0, 0, 0}, {speed_mps * t_s - 10.0, 0.0, 0.0}}; };
-        const Sequence log = drive(720, sensor, van, size_m);
+        const LidarSequence log = drive(720, sensor, van, size_m);
         for (const double time_s : {0.5, 0.51}) {  // at a label, and between two labels
             const auto [first_m, last_m] =
                 measure_halves_behind(render(make_one_actor(front, size_m), log, time_s));
@@ -118,8 +118,8 @@ TEST_F(MovingActors, AVanThatFollowsRoundABendIsNotTorn) {
     Surfels front;
     add_wall(front, {2.0f, 0.0f, 0.0f}, glm::quat(1, 0, 0, 0), glm::vec2(1.0f));
     const auto at = [](double t_s, double behind_m) {
-        const glm::dquat turn = glm::angleAxis(0.6 * t_s, glm::dvec3(0, 0, 1));
-        return Pose{turn, turn * glm::dvec3(-behind_m, -20.0, 0.0)};
+        const glm::dquat rotation = glm::angleAxis(0.6 * t_s, glm::dvec3(0, 0, 1));
+        return Pose{rotation, rotation * glm::dvec3(-behind_m, -20.0, 0.0)};
     };
     const PoseAt sensor = [&](double t_s) { return at(t_s, 0.0); },
                  van = [&](double t_s) { return at(t_s, 10.0); };
@@ -154,7 +154,7 @@ TEST_F(MovingActors, ACarThatPassesIsStretchedByItsWay) {
     }
     ASSERT_GT(std::min(n[0], n[1]), 3.0);
     const double between_s = t_s[1] / n[1] - t_s[0] / n[0];
-    EXPECT_NEAR(between_s, 2.0 * std::atan(2.1 / 6.0) / (2.0 * kPi) * kTurn_s, 5e-4)
+    EXPECT_NEAR(between_s, 2.0 * std::atan(2.1 / 6.0) / (2.0 * kPi) * kRevolution_s, 5e-4)
         << "how long the head takes from post to post";
     EXPECT_NEAR(x_m[1] / n[1] - x_m[0] / n[0], kLength_m + kCarSpeed_mps * between_s, 0.01);
     EXPECT_NEAR(x_m[0] / n[0], -2.0 + kCarSpeed_mps * (t_s[0] / n[0] + 0.025), 0.01)
@@ -169,7 +169,7 @@ TEST_F(MovingActors, WithoutRollingShutterActorsStand) {
     add_wall(front, {2.0f, 0.0f, 0.0f}, glm::quat(1, 0, 0, 0), glm::vec2(1.0f));
     const PoseAt sensor = [](double) { return Pose{}; };
     const PoseAt van = [](double t_s) { return Pose{{1, 0, 0, 0}, {20.0 * (t_s - 0.5) - 10.0, 0.0, 0.0}}; };
-    Sequence log = drive(720, sensor, van, size_m);
+    LidarSequence log = drive(720, sensor, van, size_m);
     log.rolling_shutter = false;
     const auto [first_m, last_m] = measure_halves_behind(render(make_one_actor(front, size_m), log, 0.5));
     EXPECT_NEAR(first_m, 8.0, 1e-3);
@@ -185,7 +185,7 @@ TEST_F(MovingActors, AWallHidesHalfOfTheVan) {
     add_wall(rear, {-2.0f, 0.0f, 0.0f}, glm::quat(0, 0, 0, 1), glm::vec2(1.0f));
     const PoseAt sensor = [](double) { return Pose{}; };
     const PoseAt van = [](double) { return Pose{{1, 0, 0, 0}, {12.0, 0.0, 0.0}}; };
-    Sequence log = drive(7200, sensor, van, {4.0, 2.0, 2.0});
+    LidarSequence log = drive(7200, sensor, van, {4.0, 2.0, 2.0});
     log.boxes[0].category = "Pedestrian";
     const auto expect_share = [&](double wall_x_m, double share) {
         Scene scene = make_one_actor(rear, {4.0, 2.0, 2.0});
@@ -200,16 +200,16 @@ TEST_F(MovingActors, AWallHidesHalfOfTheVan) {
         config.render.channels = "class";
         ScanRenderer renderer(device(), scene, config, log);
         EXPECT_TRUE(renderer.render(make_configured_sensor(config, log), 0.5).actor_views.empty());
-        renderer.enable_actor_views();
+        renderer.enable_actor_visibility();
         const RenderedScan scan = renderer.render(make_configured_sensor(config, log), 0.5);
         ASSERT_EQ(scan.actor_views.size(), 1u);
-        const ActorView& view = scan.actor_views[0];
+        const ActorVisibility& view = scan.actor_views[0];
         EXPECT_EQ(view.track, "actor");
         // The van's rear is 10 m ahead. A column is 2 pi / 7200 wide.
         EXPECT_NEAR(double(view.n_rays_alone), 2.0 * std::atan(edge / 10.0) / (2.0 * kPi) * 7200.0, 3.0);
         EXPECT_NEAR(double(view.n_rays) / double(view.n_rays_alone), share, 0.015);
         // 0 is the background, 3 is a person, and -1 means that the ray hits nothing.
-        const auto& classes = *find_values<std::int32_t>(scan.channels, "class");
+        const auto& classes = *find_channel_values<std::int32_t>(scan.channels, "class");
         for (std::size_t i = 0; i < classes.size(); ++i)
             EXPECT_EQ(classes[i], scan.instance[i] == 1 ? 3 : scan.instance[i]);
         EXPECT_GE(std::ranges::count(classes, 3), std::ptrdiff_t(view.n_rays));
@@ -239,13 +239,13 @@ TEST_F(MovingActors, TheVelocityIsTheRateOfTheRange) {
                     {10.0 + 9.0 * (t_s - 0.5), 2.0 * (t_s - 0.5), 0.0}};
     };
     for (const bool rolls : {true, false}) {
-        Sequence log = drive(720, sensor, van, size_m);
+        LidarSequence log = drive(720, sensor, van, size_m);
         log.rolling_shutter = rolls;
         Config config;
         config.render.channels = "velocity";
         ScanRenderer renderer(device(), scene, config, log);
         const RenderedScan scan = renderer.render(make_configured_sensor(config, log), 0.5);
-        const std::vector<float>& velocity = *find_values<float>(scan.channels, "velocity");
+        const std::vector<float>& velocity = *find_channel_values<float>(scan.channels, "velocity");
         int n[2] = {};
         for (std::size_t i = 0; i < velocity.size(); ++i) {
             if (scan.instance[i] < 0) {

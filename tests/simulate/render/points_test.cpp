@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests points that are computed on the device and requested ahead
 // (simulate/render/mark_returns, simulate/render/gather_points). They must equal, bit by
-// bit, the result of place_points() for scans that are rendered in sequence. Also
-// compares place_points() with double precision.
+// bit, the result of convert_scan_to_points() for scans that are rendered in sequence.
+// Also compares convert_scan_to_points() with double precision.
 #include <cmath>
 #include <cstring>
 
@@ -21,7 +21,7 @@ namespace relidar {
 namespace {
 
 struct PointRequest {
-    SensorChoice sensor;
+    SimulatedSensor sensor;
     ScanRequest request;
     double points_at_s;
     std::optional<std::uint64_t> sample = {};
@@ -39,18 +39,18 @@ protected:
     /// Returns the path of a drive through a bend of the street, in the dataset's world
     /// frame.
     PoseTrack bend() const {
-        PoseTrack track = shift_track(log.world_from_sensor(0), log.world_offset_m);
+        PoseTrack track = shift_track(log.get_world_from_sensor(0), log.world_offset_m);
         for (std::size_t k = 0; k < track.pose.size(); ++k)
             track.pose[k].rotation =
                 make_rotation(0.4 * double(k), 0.01 * double(k), -0.02 * std::sin(double(k)));
         return track;
     }
     double middle_s() const { return log.frames[log.frames.size() / 2].time_s; }
-    SensorChoice sensor(const std::string& name) const { return choose_sensor(name, config, log); }
+    SimulatedSensor sensor(const std::string& name) const { return choose_sensor(name, config, log); }
     void make_renderer() {
         renderer.emplace(device(), scene, config, log);
         renderer->set_observed_space(
-            find_coverage(log, log.world_from_vehicle, {0, 2, 4}, config.dataset.max_range_m));
+            compute_observed_coverage(log, log.world_from_vehicle, {0, 2, 4}, config.dataset.max_range_m));
     }
     void TearDown() override {
         renderer.reset();
@@ -58,10 +58,12 @@ protected:
     }
     RenderedPoints on_host(const PointRequest& request) {
         const RenderedScan scan = renderer->render(request.sensor, request.request, request.sample);
-        return {place_points(scan, config, request.request.dataset_from_sensor.at(request.points_at_s)),
+        return {convert_scan_to_points(
+                    scan, config, request.request.dataset_from_sensor.interpolate_pose(request.points_at_s)),
                 scan.image.range_m.size(), scan.unseen_share};
     }
-    void ask(const PointRequest& request, ScanRenderer::Send mode = ScanRenderer::Send::now) {
+    void ask(const PointRequest& request,
+             ScanRenderer::SubmissionTiming mode = ScanRenderer::SubmissionTiming::now) {
         renderer->submit_points(request.sensor, request.request, request.points_at_s, request.sample, mode);
     }
     RenderedPoints alone(const PointRequest& request) {
@@ -70,7 +72,8 @@ protected:
     }
     void ask_together(const std::vector<PointRequest>& requests) {
         for (const PointRequest& wish : requests)
-            ask(wish, &wish == &requests.back() ? ScanRenderer::Send::now : ScanRenderer::Send::with_next);
+            ask(wish, &wish == &requests.back() ? ScanRenderer::SubmissionTiming::now
+                                                : ScanRenderer::SubmissionTiming::with_next);
     }
     /// Returns requests for the scans of a rig with several sensors, some of them equal,
     /// at two times and with two sets of actors.
@@ -83,12 +86,12 @@ protected:
             for (Pose& pose : track.pose)
                 pose = pose * Pose{make_rotation(0.9 * k, 0.0, 0.0), {0.3 * k, -0.2 * k, 0.1}};
             wishes.push_back({sensor(name), {middle_s() + 0.1 * std::floor(k / 3.0), track}, middle_s()});
-            if (k == 2.0) wishes.back().request.dataset_from_actor = ActorPoses{};
+            if (k == 2.0) wishes.back().request.dataset_from_actor = ActorTracksByName{};
         }
         return wishes;
     }
 
-    Sequence log;
+    LidarSequence log;
     Scene scene;
     Config config;
     std::optional<ScanRenderer> renderer;
@@ -97,7 +100,7 @@ protected:
 /// Checks that two results are equal bit by bit.
 void expect_equal(const RenderedPoints& actual, const RenderedPoints& expected,
                   const std::string& description) {
-    const Points &p = actual.points, &e = expected.points;
+    const LidarPoints &p = actual.points, &e = expected.points;
     ASSERT_EQ(p.size(), e.size()) << description;
     ASSERT_GT(p.size(), 100u) << description;
     EXPECT_EQ(actual.n_rays, expected.n_rays) << description;
@@ -132,12 +135,13 @@ TEST(FiringPoses, AreThoseOfEachRay) {
             scan.time_offset_s.clear();
             for (int i = 0; i < 64; ++i)
                 scan.time_offset_s.push_back(0.005f * float(i % 16) + late_s * float(i / 16));
-            FiringPoses poses(scan, target);
+            FiringPoseInterpolator poses(scan, target);
             for (std::size_t k = 0; k < 128; ++k) {
                 const std::size_t ray = k < 64 ? k : k * 37 % 64;
-                const Pose expected = target * scan.get_firing_pose(ray), found = poses.at(ray);
-                EXPECT_EQ(found.translation, expected.translation) << ray;
-                EXPECT_EQ(found.rotation, expected.rotation) << ray;
+                const Pose expected = target * scan.get_firing_pose(ray),
+                           actual = poses.compute_firing_pose(ray);
+                EXPECT_EQ(actual.translation, expected.translation) << ray;
+                EXPECT_EQ(actual.rotation, expected.rotation) << ray;
             }
         }
 }
@@ -153,22 +157,23 @@ TEST(PlacePoints, LieWhereDoublePrecisionPutsThem) {
         scan.track.pose.push_back(
             {make_rotation(0.3 * k, 0.05, 0.1 * k), {455000.0 + k, 5428000.0 - k, 113.0}});
     }
-    scan.world_from_sensor = scan.track.at(scan.time_s);
+    scan.world_from_sensor = scan.track.interpolate_pose(scan.time_s);
     Random random(7);
     const std::size_t n = 4000;
     for (std::size_t i = 0; i < n; ++i) {
-        const glm::vec3 way(random.uniform() - 0.5, random.uniform() - 0.5, random.uniform() - 0.5);
-        scan.image.direction.push_back(glm::normalize(way));
+        const glm::vec3 random_vector(random.draw_uniform() - 0.5, random.draw_uniform() - 0.5,
+                                      random.draw_uniform() - 0.5);
+        scan.image.direction.push_back(glm::normalize(random_vector));
         scan.image.origin.emplace_back(0.1f, 0.0f, -0.2f);
-        scan.image.range_m.push_back(float(1.0 + 79.0 * random.uniform()));
-        scan.time_offset_s.push_back(float(0.14 * random.uniform() - 0.07));
+        scan.image.range_m.push_back(float(1.0 + 79.0 * random.draw_uniform()));
+        scan.time_offset_s.push_back(float(0.14 * random.draw_uniform() - 0.07));
     }
     scan.image.intensity.resize(n), scan.image.drop_prob.resize(n);
     scan.image.rows = 1, scan.image.columns = int(n);
     scan.median_range_m = scan.image.range_m;
     scan.ring.resize(n), scan.instance.resize(n);
     for (const auto& [frame, tolerance_m] : {std::pair(scan.world_from_sensor, 3e-5), {Pose{}, 0.26}}) {
-        const Points points = place_points(scan, Config{}, frame);
+        const LidarPoints points = convert_scan_to_points(scan, Config{}, frame);
         ASSERT_EQ(points.size(), n);
         double farthest_m = 0.0;
         for (std::size_t i = 0; i < n; ++i) {
@@ -181,7 +186,7 @@ TEST(PlacePoints, LieWhereDoublePrecisionPutsThem) {
         }
         EXPECT_LT(farthest_m, tolerance_m);
     }
-    const Points unmoved = place_points(scan, Config{}, std::nullopt);
+    const LidarPoints unmoved = convert_scan_to_points(scan, Config{}, std::nullopt);
     for (std::size_t i = 0; i < n; ++i)
         EXPECT_EQ(unmoved.position_m[i],
                   scan.image.origin[i] + scan.image.range_m[i] * scan.image.direction[i]);
@@ -203,8 +208,9 @@ TEST_F(PointsOfScans, AreThoseOfTheScan) {
 
 TEST_F(PointsOfScans, OfASensorThatStandsAndAmongActorsOfTheCaller) {
     make_renderer();
-    const PointRequest stands{sensor("native"), {middle_s(), {{0.0}, {bend().at(middle_s())}}}, 0.0};
-    const PointRequest alone{sensor("native"), {middle_s(), bend(), ActorPoses{}}, middle_s()};
+    const PointRequest stands{
+        sensor("native"), {middle_s(), {{0.0}, {bend().interpolate_pose(middle_s())}}}, 0.0};
+    const PointRequest alone{sensor("native"), {middle_s(), bend(), ActorTracksByName{}}, middle_s()};
     const RenderedPoints standing = on_host(stands), empty = on_host(alone);
     ask(stands), ask(alone);
     expect_equal(renderer->wait_for_points(), standing, "stands");
@@ -215,8 +221,8 @@ TEST_F(PointsOfScans, OfASensorThatStandsAndAmongActorsOfTheCaller) {
 /// scans between them.
 TEST_F(PointsOfScans, ManyInFlightDoNotMix) {
     make_renderer();
-    const std::vector<SensorChoice> sensors = {sensor("native"), sensor("VLP-16:300x10"),
-                                               sensor("HDL-32E:256x10")};
+    const std::vector<SimulatedSensor> sensors = {sensor("native"), sensor("VLP-16:300x10"),
+                                                  sensor("HDL-32E:256x10")};
     std::vector<PointRequest> wishes;
     for (int k = 0; k < 9; ++k)
         wishes.push_back({sensors[std::size_t(k % 3)], {middle_s() - 0.4 + 0.1 * k, bend()}, middle_s()});
@@ -225,7 +231,7 @@ TEST_F(PointsOfScans, ManyInFlightDoNotMix) {
     ask(wishes[0]);
     for (std::size_t k = 0; k < wishes.size(); ++k) {
         if (k + 1 < wishes.size()) ask(wishes[k + 1]);
-        if (k % 4 == 1) renderer->render(sensors[0], {middle_s(), bend(), ActorPoses{}});
+        if (k % 4 == 1) renderer->render(sensors[0], {middle_s(), bend(), ActorTracksByName{}});
         expect_equal(renderer->wait_for_points(), expected[k], "scan " + std::to_string(k));
     }
 }
@@ -243,10 +249,11 @@ TEST_F(PointsOfScans, OfScansSideBySideAreThoseOfEachAlone) {
         expect_equal(expected[2], on_host(wishes[2]), "without actors");
         for (const int n : {2, 3, 5, 1}) {
             const std::string what = std::to_string(n) + " side by side, scan ";
-            renderer->side_by_side(n);
-            EXPECT_EQ(renderer->side_by_side(), n);
+            renderer->set_max_parallel_scans(n);
+            EXPECT_EQ(renderer->get_max_parallel_scans(), n);
             ask_together(wishes), ask_together(wishes);
-            ask(wishes[0], ScanRenderer::Send::with_next), ask(wishes[1], ScanRenderer::Send::with_next);
+            ask(wishes[0], ScanRenderer::SubmissionTiming::with_next),
+                ask(wishes[1], ScanRenderer::SubmissionTiming::with_next);
             for (std::size_t k = 0; k < 2 * wishes.size() + 2; ++k)
                 expect_equal(renderer->wait_for_points(), expected[k % wishes.size()],
                              what + std::to_string(k));
@@ -258,7 +265,7 @@ TEST_F(PointsOfScans, OfScansSideBySideAreThoseOfEachAlone) {
 /// scan must not affect other scans.
 TEST_F(PointsOfScans, OfScansSideBySideBesideOthers) {
     make_renderer();
-    renderer->side_by_side(3);
+    renderer->set_max_parallel_scans(3);
     const std::vector<PointRequest> wishes = rig();
     PointRequest wrong = wishes[0], sampled = wishes[1];
     wrong.request.dataset_from_sensor.time_s.clear();
@@ -266,18 +273,19 @@ TEST_F(PointsOfScans, OfScansSideBySideBesideOthers) {
     const std::vector<RenderedPoints> expected = {alone(wishes[0]), alone(sampled), alone(wishes[2]),
                                                   alone(wishes[3])};
     const RenderedScan scan = renderer->render(wishes[4].sensor, wishes[4].request);
-    ask(wishes[0], ScanRenderer::Send::with_next);
-    ask(sampled, ScanRenderer::Send::with_next);
-    ask(wishes[2], ScanRenderer::Send::with_next);
-    EXPECT_THROW(ask(wrong, ScanRenderer::Send::with_next), DataError);
+    ask(wishes[0], ScanRenderer::SubmissionTiming::with_next);
+    ask(sampled, ScanRenderer::SubmissionTiming::with_next);
+    ask(wishes[2], ScanRenderer::SubmissionTiming::with_next);
+    EXPECT_THROW(ask(wrong, ScanRenderer::SubmissionTiming::with_next), DataError);
     EXPECT_EQ(renderer->render(wishes[4].sensor, wishes[4].request).image.range_m, scan.image.range_m);
-    ask(wishes[3], ScanRenderer::Send::with_next);
+    ask(wishes[3], ScanRenderer::SubmissionTiming::with_next);
     EXPECT_THROW(ask(wrong), DataError);
     for (const RenderedPoints& of_one : expected)
         expect_equal(renderer->wait_for_points(), of_one, "one of four");
-    EXPECT_THAT([&] { renderer->side_by_side(0); },
+    EXPECT_THAT([&] { renderer->set_max_parallel_scans(0); },
                 testing::ThrowsMessage<UsageError>(test::Names("found 0 scans")));
-    ask(wishes[0], ScanRenderer::Send::with_next), ask(wishes[1], ScanRenderer::Send::with_next);
+    ask(wishes[0], ScanRenderer::SubmissionTiming::with_next),
+        ask(wishes[1], ScanRenderer::SubmissionTiming::with_next);
     make_renderer();  // the two scans are never submitted
     expect_equal(alone(wishes[0]), expected[0], "of the next renderer");
 }
@@ -289,14 +297,15 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
         {sensor("native"), {middle_s(), bend()}, middle_s()},
         {sensor("VLP-16:300x10"), {middle_s() + 0.1, bend()}, middle_s()}};
     const RenderedScan scan = renderer->render(wishes[0].sensor, wishes[0].request);
-    const RefineOptions options{.network = "pixel", .epochs = 60, .rate = 1e-2};
-    DropImage image = make_drop_image(scan, list_drop_channels(options), get_first_origin(log));
+    const RayDropNetworkOptions options{.network = "pixel", .epochs = 60, .rate = 1e-2};
+    RayDropImage image =
+        make_network_input_image(scan, list_network_input_channels(options), get_first_vehicle_position(log));
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i)
         image.dropped.push_back(scan.median_range_m[i] > 12.0f ? 1.0f : 0.0f);
     const std::size_t before = on_host(wishes[0]).points.size();
-    renderer->refine_drops(
-        train_drop_network(device(), {image}, options, 3,
-                           [](const RefineProgress&, const std::function<RefineState()>&) { return true; }));
+    renderer->set_drop_network(train_ray_drop_network(
+        device(), {image}, options, 3,
+        [](const RayDropTrainProgress&, const std::function<RayDropTrainState()>&) { return true; }));
     const std::vector<RenderedPoints> expected = {on_host(wishes[0]), on_host(wishes[1])};
     EXPECT_NE(expected[0].points.size(), before) << "a network that says something";
     ask(wishes[0]), ask(wishes[1]);
@@ -307,7 +316,7 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
     for (std::size_t k = 0; k < 3; ++k) beside[k].request.time_s += 0.1 * double(k);
     std::vector<RenderedPoints> expected_points;
     for (const PointRequest& wish : beside) expected_points.push_back(alone(wish));
-    renderer->side_by_side(3);
+    renderer->set_max_parallel_scans(3);
     // In the first round each scan allocates its memory and waits for the remaining
     // scans.
     for (int round = 0; round < 2; ++round) {
@@ -315,7 +324,7 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
         for (const RenderedPoints& scan_expected : expected_points)
             expect_equal(renderer->wait_for_points(), scan_expected, "refined side by side");
     }
-    renderer->side_by_side(1);
+    renderer->set_max_parallel_scans(1);
     std::vector<std::uint64_t> buffers;
     // the same network processes images of two shapes alternately
     for (int round = 0; round < 3; ++round) {
@@ -332,14 +341,15 @@ TEST_F(PointsOfScans, NetworksBringNothingBackFromBeyondTheLimits) {
     config.sensor.divergence_mrad = 3.0;
     make_renderer();
     PointRequest wish{sensor("native"), {middle_s(), bend()}, middle_s()};
-    const RefineOptions options{.network = "pixel", .epochs = 60, .rate = 2e-2};
-    DropImage image = make_drop_image(renderer->render(wish.sensor, wish.request),
-                                      list_drop_channels(options), get_first_origin(log));
+    const RayDropNetworkOptions options{.network = "pixel", .epochs = 60, .rate = 2e-2};
+    RayDropImage image =
+        make_network_input_image(renderer->render(wish.sensor, wish.request),
+                                 list_network_input_channels(options), get_first_vehicle_position(log));
     image.dropped.assign(std::size_t(image.rows) * std::size_t(image.columns), 0.0f);
     image.dropped[0] = 1.0f;  // without a dropped ray, the loss of the network would have no gradient
-    renderer->refine_drops(
-        train_drop_network(device(), {image}, options, 3,
-                           [](const RefineProgress&, const std::function<RefineState()>&) { return true; }));
+    renderer->set_drop_network(train_ray_drop_network(
+        device(), {image}, options, 3,
+        [](const RayDropTrainProgress&, const std::function<RayDropTrainState()>&) { return true; }));
     wish.sensor.limits = {2.0, 12.0};
     const auto farthest = [](const RenderedScan& scan) {
         float most_m = 0.0f;
@@ -351,7 +361,7 @@ TEST_F(PointsOfScans, NetworksBringNothingBackFromBeyondTheLimits) {
     EXPECT_LE(farthest(of_beams), 12.0f);
     EXPECT_GT(farthest(of_beams), 11.0f);
     expect_equal(alone(wish), on_host(wish), "limits");
-    SensorChoice parted = wish.sensor;
+    SimulatedSensor parted = wish.sensor;
     parted.returns = 2;
     const RenderedScan of_parts = renderer->render(parted, wish.request);
     EXPECT_LE(farthest(of_parts), 12.0f);
@@ -362,14 +372,14 @@ TEST_F(PointsOfScans, HaveTheStepsOfTheLog) {
     make_renderer();
     const PointRequest wish{sensor("native"), {middle_s(), bend()}, middle_s()};
     const double step = 1.0 / 64.0;
-    IntensityScatter scatter;
+    IntensityScatterModel scatter;
     scatter.step = step;
     renderer->set_intensity_scatter({scatter});
     const RenderedPoints expected = on_host(wish);
     ask(wish);
-    const RenderedPoints found = renderer->wait_for_points();
-    expect_equal(found, expected, "steps");
-    for (const float intensity : found.points.intensity)
+    const RenderedPoints actual = renderer->wait_for_points();
+    expect_equal(actual, expected, "steps");
+    for (const float intensity : actual.points.intensity)
         EXPECT_NEAR(double(intensity) / step, std::round(double(intensity) / step), 1e-5);
 }
 
@@ -378,7 +388,7 @@ TEST_F(PointsOfScans, HaveTheStepsOfTheLog) {
 TEST_F(PointsOfScans, OfGridsSubRaysSamplesAndWeatherAreTheSame) {
     config.sensor.divergence_mrad = 3.0;
     make_renderer();
-    SensorChoice parted = sensor("VLP-16:300x10");
+    SimulatedSensor parted = sensor("VLP-16:300x10");
     parted.returns = 2;
     std::vector<PointRequest> wishes = {{sensor("kitti360"), {middle_s(), bend()}, middle_s()},
                                         {parted, {middle_s(), bend()}, middle_s()},

@@ -33,35 +33,36 @@ RenderedScan scan_of(const std::vector<glm::vec3>& points, const std::vector<flo
 }
 
 TEST(ProjectScan, NearestReturnedPointWinsAndOneReturnIsEnough) {
-    const RangeGrid grid = make_kitti360_grid();
+    const RangeImageGrid grid = make_kitti360_grid();
     const glm::vec3 a(10.0f, 0.0f, -0.5f);
     // The cell contains a far point with a return, a nearer point with a return, and the
     // nearest point, which is dropped.
-    const RenderedScan near = project_scan(scan_of({a, 0.9f * a, 0.5f * a}, {0.1f, 0.2f, 0.9f}), grid);
-    const std::size_t cell = std::size_t(*project(grid, glm::dvec3(a)));
-    EXPECT_NEAR(near.image.range_m[cell], 0.9f * glm::length(a), 1e-4f);
-    EXPECT_NEAR(near.image.intensity[cell], 0.2f, 1e-6f);
-    EXPECT_NEAR(near.image.drop_prob[cell], 0.1f, 1e-6f);
-    EXPECT_EQ(near.instance[cell], 1) << "the winning point brings its label";
+    const RenderedScan projected =
+        bin_scan_into_grid(scan_of({a, 0.9f * a, 0.5f * a}, {0.1f, 0.2f, 0.9f}), grid);
+    const std::size_t cell = std::size_t(*project_to_pixel_index(grid, glm::dvec3(a)));
+    EXPECT_NEAR(projected.image.range_m[cell], 0.9f * glm::length(a), 1e-4f);
+    EXPECT_NEAR(projected.image.intensity[cell], 0.2f, 1e-6f);
+    EXPECT_NEAR(projected.image.drop_prob[cell], 0.1f, 1e-6f);
+    EXPECT_EQ(projected.instance[cell], 1) << "the winning point brings its label";
     std::size_t filled = 0;
-    for (std::size_t i = 0; i < near.image.range_m.size(); ++i) {
-        filled += near.image.range_m[i] > 0.0f;
+    for (std::size_t i = 0; i < projected.image.range_m.size(); ++i) {
+        filled += projected.image.range_m[i] > 0.0f;
         if (i == cell) continue;
-        EXPECT_EQ(near.image.drop_prob[i], 1.0f);
-        EXPECT_EQ(near.instance[i], -1);
+        EXPECT_EQ(projected.image.drop_prob[i], 1.0f);
+        EXPECT_EQ(projected.instance[i], -1);
     }
     EXPECT_EQ(filled, 1u);
 }
 
 TEST(ProjectScan, WhatHedgesBetweenTwoSurfacesIsBinnedByTheDominantOne) {
-    const RangeGrid grid = make_kitti360_grid();
+    const RangeImageGrid grid = make_kitti360_grid();
     const glm::vec3 a(10.0f, 0.0f, -0.5f);
     RenderedScan scan = scan_of({a, 0.8f * a}, {0.1f, 0.2f});
     scan.image.range_m[0] *= 0.6f;  // the mean range lies between the surface at `a` and a nearer surface
     scan.mean_range_m[0] = scan.image.range_m[0];
     scan.mean_range_m[1] -= 2.5f;
-    const RenderedScan binned = project_scan(scan, grid);
-    const std::size_t cell = std::size_t(*project(grid, glm::dvec3(a)));
+    const RenderedScan binned = bin_scan_into_grid(scan, grid);
+    const std::size_t cell = std::size_t(*project_to_pixel_index(grid, glm::dvec3(a)));
     EXPECT_EQ(binned.instance[cell], 1) << "0.8 a returns, 0.6 a is thin air";
     EXPECT_NEAR(binned.median_range_m[cell], 0.8f * glm::length(a), 1e-4f);
     EXPECT_NEAR(compute_range_spread(binned)[cell], 2.5f, 1e-2f)
@@ -84,12 +85,12 @@ RenderedScan make_half_dropped_wall() {
 
 TEST(SampleReturns, DropsAndNoiseAreAsLikelyAsTold) {
     const RenderedScan likely = make_half_dropped_wall();
-    const RangeNoise noise{{80.0}, {0.8, 1.0}, {0.2, 0.05}};
+    const RangeNoiseTable noise{{80.0}, {0.8, 1.0}, {0.2, 0.05}};
     RenderedScan scan = likely, again = likely, other = likely;
     for (float& mean_m : scan.mean_range_m) mean_m += 0.5f;
-    sample_returns(scan, noise, {}, 7);
-    sample_returns(again, noise, {}, 7);
-    sample_returns(other, noise, {}, 8);
+    sample_random_returns(scan, noise, {}, 7);
+    sample_random_returns(again, noise, {}, 7);
+    sample_random_returns(other, noise, {}, 8);
     EXPECT_EQ(scan.image.range_m, again.image.range_m);
     EXPECT_NE(scan.image.drop_prob, other.image.drop_prob);
     const std::vector<float> spread_m = compute_range_spread(scan);
@@ -121,7 +122,7 @@ TEST(SampleReturns, WhatCannotReturnDoesNotAndWhatMustDoes) {
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
         scan.image.drop_prob[i] = i % 2 ? 1.0f : 0.0f;
     const std::vector<float> before = scan.image.drop_prob, ranges_m = scan.image.range_m;
-    sample_returns(scan, {}, {}, 3);
+    sample_random_returns(scan, {}, {}, 3);
     EXPECT_EQ(scan.image.drop_prob, before);
     EXPECT_EQ(scan.image.range_m, ranges_m) << "no noise is known";
 }
@@ -140,8 +141,8 @@ TEST(ProjectScan, RealAndSimulatedPointsAreBinnedAlike) {
     real.intensity = to_scan_array(simulated.image.intensity);
     Config config;
     config.sensor.grid = "kitti360";
-    const RangeImage image = make_real_image(config, real);
-    const RenderedScan projected = project_scan(simulated, make_kitti360_grid());
+    const RangeImage image = make_measured_image(config, real);
+    const RenderedScan projected = bin_scan_into_grid(simulated, make_kitti360_grid());
     for (std::size_t i = 0; i < image.range_m.size(); ++i) {
         EXPECT_NEAR(image.range_m[i], projected.image.range_m[i], 1e-5f);
         EXPECT_EQ(image.drop_prob[i], projected.image.drop_prob[i]);

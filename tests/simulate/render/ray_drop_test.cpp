@@ -24,26 +24,26 @@ protected:
         test::DeviceTest::SetUp();
         if (IsSkipped() || HasFatalFailure()) return;
         log = make_synthetic_street({.n_frames = 6, .speed_mps = 5.0});
-        InitialiseOptions options;
+        SceneInitialisationOptions options;
         options.max_scale_m = 0.5;  // limits the size of surfels, so that some rays miss all surfels
         scene = initialise_scene(log, {0, 1, 2, 3, 4, 5}, options);
     }
     /// Returns a scan of the street without its cars, from a sensor on the path of the
     /// log.
-    RenderedScan scan_of(const RayTable& rays, const DropNetwork& network) {
-        return scan_of(rays, network, shift_track(log.world_from_sensor(0), log.world_offset_m));
+    RenderedScan scan_of(const RayTable& rays, const RayDropNetwork& network) {
+        return scan_of(rays, network, shift_track(log.get_world_from_sensor(0), log.world_offset_m));
     }
-    RenderedScan scan_of(const RayTable& rays, const DropNetwork& network,
+    RenderedScan scan_of(const RayTable& rays, const RayDropNetwork& network,
                          const PoseTrack& dataset_from_sensor) {
-        SensorChoice sensor = choose_sensor("VLP-16:300x10", config, log);
+        SimulatedSensor sensor = choose_sensor("VLP-16:300x10", config, log);
         sensor.rays = rays;
         ScanRenderer renderer(device(), scene, config, log);
-        renderer.refine_drops(network);
-        return renderer.render(sensor, {log.frames[3].time_s, dataset_from_sensor, ActorPoses{}});
+        renderer.set_drop_network(network);
+        return renderer.render(sensor, {log.frames[3].time_s, dataset_from_sensor, ActorTracksByName{}});
     }
     RayTable rays() const { return choose_sensor("VLP-16:300x10", config, log).rays; }
 
-    Sequence log;
+    LidarSequence log;
     Scene scene;
     Config config;
 };
@@ -94,8 +94,8 @@ TEST_F(RayDrop, OfOneRayAloneIsThatOfTheRayInAnImage) {
 TEST_F(RayDrop, DoesNotDependOnTheSensorsYaw) {
     RayTable all = rays();
     std::fill(all.time_offset_s.begin(), all.time_offset_s.end(), 0.0f);
-    const glm::dvec3 place_m =
-        log.world_from_sensor(0).at(log.frames[3].time_s).translation + log.world_offset_m;
+    const glm::dvec3 position_m =
+        log.get_world_from_sensor(0).interpolate_pose(log.frames[3].time_s).translation + log.world_offset_m;
     std::vector<std::size_t> order;
     for (std::size_t row = 0; row < std::size_t(all.rows); ++row)
         for (std::size_t c = 0; c < std::size_t(all.columns); ++c)
@@ -106,7 +106,7 @@ TEST_F(RayDrop, DoesNotDependOnTheSensorsYaw) {
     for (glm::vec3& d : turned.direction) d = {-d.x, -d.y, d.z};
     for (glm::vec3& o : turned.origin) o = {-o.x, -o.y, o.z};
     const auto standing = [&](const glm::dquat& rotation) {
-        return PoseTrack{{log.frames[3].time_s}, {{rotation, place_m}}};
+        return PoseTrack{{log.frames[3].time_s}, {{rotation, position_m}}};
     };
     const RenderedScan scan = scan_of(all, test::make_network_of_rays(), standing({1.0, 0.0, 0.0, 0.0}));
     EXPECT_GT(count_returns(scan.image.drop_prob), 100u);
@@ -124,10 +124,10 @@ TEST_F(RayDrop, OfRaysThatMeetNothingIsCertain) {
                 of_scan.sensor.sub_rays = sub_rays, of_scan.sensor.divergence_mrad = 3.0,
                 of_scan.render.range = range;
                 ScanRenderer renderer(device(), scene, of_scan, log);
-                renderer.refine_drops(test::make_network_that_never_drops());
+                renderer.set_drop_network(test::make_network_that_never_drops());
                 const ScanRequest request{log.frames[3].time_s,
-                                          shift_track(log.world_from_sensor(0), log.world_offset_m)};
-                SensorChoice sensor = choose_sensor(name, of_scan, log);
+                                          shift_track(log.get_world_from_sensor(0), log.world_offset_m)};
+                SimulatedSensor sensor = choose_sensor(name, of_scan, log);
                 sensor.limits.min_m = 0.0;
                 const RenderedScan scan = renderer.render(sensor, request);
                 std::size_t n_returns = 0, n_empty = 0;
@@ -142,7 +142,7 @@ TEST_F(RayDrop, OfRaysThatMeetNothingIsCertain) {
                 }
                 EXPECT_GT(n_returns, 100u) << name;
                 EXPECT_GT(n_empty, 100u) << name;
-                EXPECT_EQ(place_points(scan, of_scan, {}).size(), n_returns)
+                EXPECT_EQ(convert_scan_to_points(scan, of_scan, {}).size(), n_returns)
                     << name << ", README's recipe and points";
                 renderer.submit_points(sensor, request, request.time_s);
                 EXPECT_EQ(renderer.wait_for_points().points.size(), n_returns)
@@ -153,25 +153,25 @@ TEST_F(RayDrop, OfRaysThatMeetNothingIsCertain) {
 /// Fog must produce returns at its range even if no surface is behind it.
 TEST_F(RayDrop, WeatherReturnsWhereSurfacesDoNot) {
     ScanRenderer renderer(device(), scene, config, log);
-    renderer.refine_drops(test::make_network_that_never_drops());
+    renderer.set_drop_network(test::make_network_that_never_drops());
     renderer.set_weather({.fog_visibility_m = 20.0});
     const RenderedScan scan =
         renderer.render(choose_sensor("VLP-16:300x10", config, log), log.frames[3].time_s);
-    const std::vector<std::int32_t>& source = *find_values<std::int32_t>(scan.channels, "source");
+    const std::vector<std::int32_t>& source = *find_channel_values<std::int32_t>(scan.channels, "source");
     std::size_t n_fog = 0;
     for (std::size_t i = 0; i < source.size(); ++i) {
         EXPECT_EQ(scan.image.drop_prob[i] < 0.5f, source[i] >= 0) << i;
         EXPECT_TRUE(source[i] < 0 || scan.median_range_m[i] > 0.0f) << i;
-        n_fog += source[i] == int(PointSource::fog);
+        n_fog += source[i] == int(ReturnCause::fog);
     }
     EXPECT_GT(n_fog, 10u);
 }
 
 TEST_F(RayDrop, ANetworkOfOtherInputsIsRefused) {
-    DropNetwork network = test::make_network_of_rays();
+    RayDropNetwork network = test::make_network_of_rays();
     network.inputs.back() = "direction_x";
     ScanRenderer renderer(device(), scene, config, log);
-    EXPECT_THAT([&] { renderer.refine_drops(network); },
+    EXPECT_THAT([&] { renderer.set_drop_network(network); },
                 testing::ThrowsMessage<DataError>(test::Names("\"direction_x\" ... relidar refine")));
 }
 

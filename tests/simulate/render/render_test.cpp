@@ -28,8 +28,8 @@ Surfels make_wall_ahead() {
 }
 
 /// Returns a log with four horizontal rays from the origin, a quarter turn apart.
-Sequence make_cross_sequence() {
-    Sequence sequence;
+LidarSequence make_cross_sequence() {
+    LidarSequence sequence;
     sequence.lidars[0].sensor.beams = {{0.0}};
     sequence.lidars[0].sensor.columns = 4;
     sequence.lidars[0].sensor.first_azimuth_rad = kPi;
@@ -62,7 +62,7 @@ double compute_strip_share(double value) {
 /// A footprint of 0.2 m diameter hits the post. The edge of the post is at the radius of
 /// its Gaussian where half of the light passes.
 TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
-    Sequence sequence;
+    LidarSequence sequence;
     sequence.lidars[0].sensor.beams = {{0.0}};
     sequence.lidars[0].sensor.columns = 1;
     sequence.lidars[0].sensor.first_azimuth_rad = 0.0;
@@ -110,7 +110,7 @@ TEST_F(Render, EachBeamOfATableHasItsOwnFootprint) {
 }
 
 TEST_F(Render, SubRaysNeedADivergence) {
-    Sequence sequence = make_cross_sequence();
+    LidarSequence sequence = make_cross_sequence();
     Config config;
     config.sensor.sub_rays = 5;
     ScanRenderer renderer(device(), make_background_scene(make_wall_ahead()), config, sequence);
@@ -126,7 +126,7 @@ TEST_F(Render, SubRaysNeedADivergence) {
 
 TEST_F(Render, WallIsWhereItStands) {
     const Surfels wall = make_wall_ahead();
-    Sequence sequence;
+    LidarSequence sequence;
     sequence.lidars[0].sensor.beams = {{0.0}};
     sequence.lidars[0].sensor.columns = 8;
     sequence.lidars[0].sensor.first_azimuth_rad = kPi;
@@ -135,7 +135,7 @@ TEST_F(Render, WallIsWhereItStands) {
     sequence.world_from_vehicle.pose = {Pose{}, Pose{{1, 0, 0, 0}, {2.0, 0.0, 0.0}}};
     Config config;
     ScanRenderer renderer(device(), make_background_scene(wall), config, sequence);
-    const SensorChoice sensor = make_configured_sensor(config, sequence);
+    const SimulatedSensor sensor = make_configured_sensor(config, sequence);
     std::size_t ahead = 0;
     for (std::size_t i = 0; i < sensor.rays.size(); ++i)
         if (sensor.rays.direction[i].x > 0.999f) ahead = i;
@@ -158,7 +158,7 @@ TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
     Surfels post = make_wall_ahead();
     // The post is 0.1 m wide. At its range, columns are 1 m apart.
     post.log_scale[0] = {std::log(5.0f), std::log(0.1f)};
-    Sequence sequence = make_cross_sequence();
+    LidarSequence sequence = make_cross_sequence();
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     sensor.beams = {{0.0}}, sensor.columns = kColumns, sensor.max_range_m = 80.0;
     sequence.frames = {{0, 0.0, {}}, {1, 1.0, {}}};
@@ -171,14 +171,15 @@ TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
         return int(std::min_element(scan.image.drop_prob.begin(), scan.image.drop_prob.end()) -
                    scan.image.drop_prob.begin());
     };
-    const SensorChoice own = make_configured_sensor(config, sequence);
-    EXPECT_TRUE(own.follows_sweeps);
+    const SimulatedSensor configured_sensor = make_configured_sensor(config, sequence);
+    EXPECT_TRUE(configured_sensor.follows_sweeps);
     const int nominal = kColumns / 2;  // the azimuth starts at pi and decreases from column to column
-    EXPECT_EQ(column_of_post(renderer.render(own, 0.0)), nominal) << "a sweep without a shift";
-    EXPECT_EQ(column_of_post(renderer.render(own, 1.0)), nominal + 1)
+    EXPECT_EQ(column_of_post(renderer.render(configured_sensor, 0.0)), nominal) << "a sweep without a shift";
+    EXPECT_EQ(column_of_post(renderer.render(configured_sensor, 1.0)), nominal + 1)
         << "the head points one column to the left of where it should";
-    EXPECT_EQ(column_of_post(renderer.render(own, 0.5)), nominal) << "no sweep of the log";
-    EXPECT_EQ(column_of_post(renderer.render(own, ScanRequest{1.0, {{1.0}, {Pose{}}}})), nominal)
+    EXPECT_EQ(column_of_post(renderer.render(configured_sensor, 0.5)), nominal) << "no sweep of the log";
+    EXPECT_EQ(column_of_post(renderer.render(configured_sensor, ScanRequest{1.0, {{1.0}, {Pose{}}}})),
+              nominal)
         << "driven by somebody else";
     config.render.follow_sweeps = false;
     EXPECT_EQ(column_of_post(renderer.render(make_configured_sensor(config, sequence), 1.0)), nominal);
@@ -199,13 +200,13 @@ TEST_F(Render, ModeIsTheHeaviestSurface) {
         scene.opacity_logit[i] = std::log(opacity[i] / (1.0f - opacity[i]));
         std::copy(wall.sh.begin(), wall.sh.end(), scene.sh.begin() + std::ptrdiff_t(i * kShFloats));
     }
-    const Sequence sequence = make_cross_sequence();
+    const LidarSequence sequence = make_cross_sequence();
     const float w[] = {0.3f, 0.245f, 0.2275f, 0.20475f};
     for (const std::string range : {"median", "mode"}) {
         Config config;
         config.render.range = range;
         ScanRenderer renderer(device(), make_background_scene(scene), config, sequence);
-        const SensorChoice sensor = make_configured_sensor(config, sequence);
+        const SimulatedSensor sensor = make_configured_sensor(config, sequence);
         const RenderedScan scan = renderer.render(sensor, 0.0);
         for (std::size_t i = 0; i < 4; ++i) {
             const bool ahead = sensor.rays.direction[i].x > 0.9f;
@@ -232,7 +233,7 @@ std::size_t find_ray_towards(const RayTable& rays, const glm::vec3& direction) {
 /// be applied to scans of this sensor, and not to scans of a different sensor.
 TEST_F(Render, LasersMeasureInTheirOwnWay) {
     const Surfels wall = make_wall_ahead();
-    Sequence sequence = make_cross_sequence();
+    LidarSequence sequence = make_cross_sequence();
     sequence.lidars[0].sensor.beams = {
         {.elevation_rad = 0.1}, {.elevation_rad = 0.0}, {.elevation_rad = -0.1}};
     sequence.lidars[0].sensor.beams[1] = {
@@ -241,12 +242,12 @@ TEST_F(Render, LasersMeasureInTheirOwnWay) {
     Config config;
     config.render.range = "normalised";
     ScanRenderer renderer(device(), make_background_scene(wall), config, sequence);
-    const SensorChoice own = make_configured_sensor(config, sequence);
+    const SimulatedSensor configured_sensor = make_configured_sensor(config, sequence);
     std::size_t ahead = 0;
     for (std::size_t i = 0; i < 4; ++i)
-        if (own.rays.direction[i].x > 0.9f) ahead = i;
-    const RenderedScan scan = renderer.render(own, 0.0);
-    SensorChoice ideal = own;
+        if (configured_sensor.rays.direction[i].x > 0.9f) ahead = i;
+    const RenderedScan scan = renderer.render(configured_sensor, 0.0);
+    SimulatedSensor ideal = configured_sensor;
     ideal.beams.clear();
     const RenderedScan surface = renderer.render(ideal, 0.0);
     ASSERT_NEAR(surface.image.range_m[4 + ahead], 10.0, 1e-4);
@@ -265,12 +266,12 @@ TEST_F(Render, LasersMeasureInTheirOwnWay) {
 /// A ray must be dropped if its surface lies outside the range limits of the sensor. This
 /// applies to both returns of the ray.
 TEST_F(Render, RangesBeyondTheSensorAreDrops) {
-    Sequence sequence = make_cross_sequence();
+    LidarSequence sequence = make_cross_sequence();
     const Scene scene = make_background_scene(make_wall_ahead());
     Config config;
     ScanRenderer renderer(device(), scene, config, sequence);
     const auto dropped = [&](double min_m, double max_m) {
-        SensorChoice sensor = make_configured_sensor(config, sequence);
+        SimulatedSensor sensor = make_configured_sensor(config, sequence);
         sensor.limits = {min_m, max_m};
         const RenderedScan scan = renderer.render(sensor, 0.0);
         const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0});
@@ -286,7 +287,7 @@ TEST_F(Render, RangesBeyondTheSensorAreDrops) {
 }
 
 TEST_F(Render, LimitsAreTheSensorsAndTheSettings) {
-    Sequence sequence = make_cross_sequence();
+    LidarSequence sequence = make_cross_sequence();
     sequence.lidars[0].sensor.min_range_m = 0.5;
     sequence.lidars[0].sensor.max_range_m = 60.0;
     Config config;
@@ -316,9 +317,9 @@ Surfels make_faint_plate_before_wall() {
 /// wall. The point must lie on the dominant surface, which is the wall.
 TEST_F(Render, PointsLieOnTheDominantSurface) {
     Surfels surfels = make_faint_plate_before_wall();
-    const Sequence sequence = make_cross_sequence();
+    const LidarSequence sequence = make_cross_sequence();
     Config config;
-    const SensorChoice sensor = make_configured_sensor(config, sequence);
+    const SimulatedSensor sensor = make_configured_sensor(config, sequence);
     const RenderedScan scan =
         ScanRenderer(device(), make_background_scene(surfels), config, sequence).render(sensor, 0.0);
     const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0}),
@@ -342,9 +343,9 @@ TEST_F(Render, PointsLieOnTheDominantSurface) {
 /// With a single surface, the spread must be zero.
 TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
     const Surfels surfels = make_faint_plate_before_wall();
-    const Sequence sequence = make_cross_sequence();
+    const LidarSequence sequence = make_cross_sequence();
     Config config;
-    const SensorChoice sensor = make_configured_sensor(config, sequence);
+    const SimulatedSensor sensor = make_configured_sensor(config, sequence);
     const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0}),
                       behind = find_ray_towards(sensor.rays, {-1, 0, 0});
     const RenderedScan plane =
@@ -354,8 +355,8 @@ TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
     // The share of the light is 0.3 for the plate. For the wall, it is the remainder
     // times the maximum opacity of a surfel.
     const double wall = 0.7 * double(config.image.alpha_max), weight = 0.3 + wall;
-    std::vector<std::string> channels = list_drop_channels(config.refine);
-    std::vector<DropImage> seen;
+    std::vector<std::string> channels = list_network_input_channels(config.refine);
+    std::vector<RayDropImage> drop_images;
     for (const char* range : {"normalised", "expected", "median", "mode"}) {
         config.render.range = range;
         const RenderedScan scan =
@@ -363,10 +364,10 @@ TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
         EXPECT_NEAR(compute_range_spread(scan)[ahead], 10.0 - (0.3 * 4.0 + wall * 10.0) / weight, 1e-3)
             << range;
         EXPECT_EQ(compute_range_spread(scan)[behind], 0.0f) << range;
-        seen.push_back(make_drop_image(scan, channels, glm::dvec3(0.0)));
-        EXPECT_EQ(seen.back().channels, seen.front().channels)
+        drop_images.push_back(make_network_input_image(scan, channels, glm::dvec3(0.0)));
+        EXPECT_EQ(drop_images.back().channels, drop_images.front().channels)
             << "a network sees the same with render.range=" << range;
-        if (seen.size() > 1) continue;
+        if (drop_images.size() > 1) continue;
         for (std::size_t i = 0; i < scan.image.range_m.size(); ++i)
             EXPECT_EQ(compute_range_spread(scan)[i], std::abs(scan.median_range_m[i] - scan.image.range_m[i]))
                 << "of the image, as it was trained";
@@ -376,14 +377,14 @@ TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
 /// A sensor moves while its head turns. The pose at the firing time of each ray must put
 /// the point of the ray on the static wall.
 TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
-    Sequence sequence = make_cross_sequence();
+    LidarSequence sequence = make_cross_sequence();
     sequence.lidars[0].sensor.columns = 64;
     sequence.world_from_vehicle = {
         {0.0, 1.0}, {Pose{}, Pose{glm::angleAxis(1.0, glm::dvec3(0, 0, 1)), {4.0, -1.0, 0.0}}}};
     sequence.world_offset_m = {100.0, 0.0, 0.0};
     for (const bool rolling : {true, false}) {
         sequence.rolling_shutter = rolling;
-        const SensorChoice sensor = make_configured_sensor({}, sequence);
+        const SimulatedSensor sensor = make_configured_sensor({}, sequence);
         const RenderedScan scan =
             ScanRenderer(device(), make_background_scene(make_wall_ahead()), {}, sequence)
                 .render(sensor, 0.5, {{1, 0, 0, 0}, {-1.0, 0.0, 0.0}});
@@ -397,8 +398,9 @@ TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
             ++met;
         }
         EXPECT_GT(met, 5u);
-        EXPECT_NEAR(glm::length(scan.track.at(0.5).translation - scan.world_from_sensor.translation), 0.0,
-                    1e-12);
+        EXPECT_NEAR(
+            glm::length(scan.track.interpolate_pose(0.5).translation - scan.world_from_sensor.translation),
+            0.0, 1e-12);
     }
 }
 
@@ -406,14 +408,14 @@ TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
 /// orientation, motion and binning of the sensor, the normal must be in the sensor's
 /// frame and face the sensor.
 TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
-    Sequence sequence = make_cross_sequence();
+    LidarSequence sequence = make_cross_sequence();
     sequence.lidars[0].sensor.columns = 64;
     sequence.rolling_shutter = true;
     sequence.world_from_vehicle = {
         {0.0, 1.0},
         {Pose{}, Pose{glm::angleAxis(1.0, glm::normalize(glm::dvec3(0.1, 0.2, 1))), {4.0, -1.0, 0.0}}}};
     Config config;
-    const SensorChoice sensor = make_configured_sensor(config, sequence);
+    const SimulatedSensor sensor = make_configured_sensor(config, sequence);
     EXPECT_TRUE(ScanRenderer(device(), make_background_scene(make_wall_ahead()), config, sequence)
                     .render(sensor, 0.5)
                     .channels.empty());
@@ -421,7 +423,7 @@ TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
     const RenderedScan scan =
         ScanRenderer(device(), make_background_scene(make_wall_ahead()), config, sequence)
             .render(sensor, 0.5);
-    const std::vector<glm::vec3>& normal = *find_values<glm::vec3>(scan.channels, "normal");
+    const std::vector<glm::vec3>& normal = *find_channel_values<glm::vec3>(scan.channels, "normal");
     ASSERT_EQ(normal.size(), scan.instance.size());
     std::size_t met = 0;
     for (std::size_t i = 0; i < normal.size(); ++i) {
@@ -434,8 +436,8 @@ TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
         met += scan.instance[i] >= 0;
     }
     EXPECT_GT(met, 5u);
-    const RenderedScan binned = project_scan(scan, make_kitti360_grid());
-    const std::vector<glm::vec3>& of_cells = *find_values<glm::vec3>(binned.channels, "normal");
+    const RenderedScan binned = bin_scan_into_grid(scan, make_kitti360_grid());
+    const std::vector<glm::vec3>& of_cells = *find_channel_values<glm::vec3>(binned.channels, "normal");
     ASSERT_EQ(of_cells.size(), binned.instance.size());
     for (std::size_t i = 0; i < of_cells.size(); ++i)
         EXPECT_NEAR(glm::length(of_cells[i]), binned.instance[i] < 0 ? 0.0f : 1.0f, 1e-6f);
@@ -443,12 +445,12 @@ TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
     const RenderedScan again =
         ScanRenderer(device(), make_background_scene(make_wall_ahead()), config, sequence)
             .render(sensor, 0.5);
-    const std::vector<float>& incidence = *find_values<float>(again.channels, "incidence");
+    const std::vector<float>& incidence = *find_channel_values<float>(again.channels, "incidence");
     for (std::size_t i = 0; i < normal.size(); ++i) {
         const glm::dvec3 in_world = again.get_firing_pose(i).rotation * glm::dvec3(again.image.direction[i]);
         EXPECT_NEAR(incidence[i], again.instance[i] < 0 ? 0.0 : in_world.x, 1e-5) << "a wall across x";
     }
-    config.image.primitive = Primitive::gaussian;
+    config.image.primitive = PrimitiveType::gaussian;
     EXPECT_THROW(ScanRenderer(device(), make_background_scene(make_wall_ahead()), config, sequence),
                  UsageError);
 }
@@ -456,7 +458,7 @@ TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
 /// Returns a wall behind the sensor on its right, and a plate that is placed twice. The
 /// first plate is ahead of the sensor. The second plate is behind the sensor and turned
 /// to face it. The brightness of the plate depends on the direction.
-Scene make_two_placements(Sequence& sequence) {
+Scene make_two_placements(LidarSequence& sequence) {
     Surfels surfels;
     surfels.resize(2);
     surfels.mean = {{0.0f, -6.0f, 0.0f}, {0.5f, 0.0f, 0.0f}};
@@ -474,19 +476,19 @@ Scene make_two_placements(Sequence& sequence) {
     scene.surfels = surfels;
     scene.models = {{"background", 0, 1}, {"plate", 1, 1}};
     scene.instances = {{0, ""}, {1, "ahead"}, {1, "behind"}};
-    const glm::dquat half_turn = glm::angleAxis(kPi, glm::dvec3(0, 0, 1));
+    const glm::dquat yaw_180_deg = glm::angleAxis(kPi, glm::dvec3(0, 0, 1));
     sequence.boxes = {{"ahead", "Car", {1, 1, 1}, {{0.0}, {Pose{{1, 0, 0, 0}, {5, 0, 0}}}}},
-                      {"behind", "Car", {1, 1, 1}, {{0.0}, {Pose{half_turn, {-5, 0, 0}}}}}};
+                      {"behind", "Car", {1, 1, 1}, {{0.0}, {Pose{yaw_180_deg, {-5, 0, 0}}}}}};
     return scene;
 }
 
 TEST_F(Render, EachPlacementOfAModelIsLitFromTheSensor) {
-    Sequence sequence = make_cross_sequence();
+    LidarSequence sequence = make_cross_sequence();
     const Scene scene = make_two_placements(sequence);
     for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
         Config config;
         config.image.sh_direction = direction;
-        const SensorChoice sensor = make_configured_sensor(config, sequence);
+        const SimulatedSensor sensor = make_configured_sensor(config, sequence);
         const RenderedScan scan = ScanRenderer(device(), scene, config, sequence).render(sensor, 0.0);
         const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0}),
                           behind = find_ray_towards(sensor.rays, {-1, 0, 0});
@@ -499,9 +501,9 @@ TEST_F(Render, EachPlacementOfAModelIsLitFromTheSensor) {
 }
 
 TEST_F(Render, OnlyVisibleActorsAreHit) {
-    Sequence sequence = make_cross_sequence();
+    LidarSequence sequence = make_cross_sequence();
     const Scene scene = make_two_placements(sequence);
-    const SensorChoice sensor = make_configured_sensor({}, sequence);
+    const SimulatedSensor sensor = make_configured_sensor({}, sequence);
     ScanRenderer renderer(device(), scene, {}, sequence);
     const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0}),
                       behind = find_ray_towards(sensor.rays, {-1, 0, 0}),

@@ -35,8 +35,8 @@ Scene make_wall_and_car() {
 }
 
 /// Returns a log in which sensor and car are static for a second.
-Sequence make_standing_log() {
-    Sequence sequence;
+LidarSequence make_standing_log() {
+    LidarSequence sequence;
     sequence.lidars[0].sensor.beams = {{0.0}};
     sequence.lidars[0].sensor.columns = 8;
     sequence.lidars[0].sensor.first_azimuth_rad = kPi;
@@ -53,8 +53,8 @@ Pose make_pose_at_x(double x_m) { return {{1, 0, 0, 0}, kDatasetOrigin_m + glm::
 
 class ScanRequests : public test::DeviceTest {
 protected:
-    const Sequence log = make_standing_log();
-    const SensorChoice sensor = make_configured_sensor({}, log);
+    const LidarSequence log = make_standing_log();
+    const SimulatedSensor sensor = make_configured_sensor({}, log);
     std::optional<ScanRenderer> renderer;
 
     void SetUp() override {
@@ -86,7 +86,7 @@ protected:
 };
 
 TEST_F(ScanRequests, SensorIsWhereTheCallerHasIt) {
-    EXPECT_NEAR(measure_range_ahead({0.5, {{0.0}, {make_pose_at_x(1.0)}}, ActorPoses{}}), 9.0, 1e-4)
+    EXPECT_NEAR(measure_range_ahead({0.5, {{0.0}, {make_pose_at_x(1.0)}}, ActorTracksByName{}}), 9.0, 1e-4)
         << "one pose: it stands; no actor is given: none is there";
     const RenderedScan scan = renderer->render(sensor, {0.5, {{0.0}, {make_pose_at_x(1.0)}}});
     EXPECT_EQ(scan.world_from_sensor.translation, make_pose_at_x(1.0).translation);
@@ -94,11 +94,12 @@ TEST_F(ScanRequests, SensorIsWhereTheCallerHasIt) {
 }
 
 TEST_F(ScanRequests, EachRayIsFiredFromWhereTheSensorIsThen) {
-    const PoseTrack way{{0.0, 2.0}, {make_pose_at_x(-4.0), make_pose_at_x(0.0)}};  // 2 m/s
+    const PoseTrack sensor_path{{0.0, 2.0}, {make_pose_at_x(-4.0), make_pose_at_x(0.0)}};  // 2 m/s
     const double fired_s = 1.0 + double(sensor.rays.time_offset_s[ahead()]);
     ASSERT_NE(sensor.rays.time_offset_s[ahead()], sensor.rays.time_offset_s[0]) << "the sensor turns";
-    EXPECT_NEAR(measure_range_ahead({1.0, way, ActorPoses{}}), 10.0 + 4.0 - 2.0 * fired_s, 1e-4);
-    const RenderedScan scan = renderer->render(sensor, {1.0, way, ActorPoses{}});
+    EXPECT_NEAR(measure_range_ahead({1.0, sensor_path, ActorTracksByName{}}), 10.0 + 4.0 - 2.0 * fired_s,
+                1e-4);
+    const RenderedScan scan = renderer->render(sensor, {1.0, sensor_path, ActorTracksByName{}});
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         if (!(scan.median_range_m[i] > 0.0f)) continue;
         const glm::dvec3 point =
@@ -110,15 +111,17 @@ TEST_F(ScanRequests, EachRayIsFiredFromWhereTheSensorIsThen) {
 
 TEST_F(ScanRequests, ActorsAreWhereTheCallerHasThem) {
     const PoseTrack stands{{0.0}, {make_pose_at_x(0.0)}};
-    EXPECT_NEAR(measure_range_ahead({0.5, stands, ActorPoses{{"car", {{0.0}, {make_pose_at_x(6.0)}}}}}), 6.0,
-                1e-4);
-    const double faced_s = 0.5;  // time at which a sweep with time stamp 0.5 s faces straight ahead
     EXPECT_NEAR(
-        measure_range_ahead(
-            {0.5, stands, ActorPoses{{"car", {{0.0, 1.0}, {make_pose_at_x(5.0), make_pose_at_x(8.0)}}}}}),
-        5.0 + 3.0 * faced_s, 1e-4);
-    EXPECT_NEAR(measure_range_ahead({70.0, stands, ActorPoses{{"car", {{0.0}, {make_pose_at_x(6.0)}}}}}), 6.0,
-                1e-4)
+        measure_range_ahead({0.5, stands, ActorTracksByName{{"car", {{0.0}, {make_pose_at_x(6.0)}}}}}), 6.0,
+        1e-4);
+    const double faced_s = 0.5;  // time at which a sweep with time stamp 0.5 s faces straight ahead
+    EXPECT_NEAR(measure_range_ahead(
+                    {0.5, stands,
+                     ActorTracksByName{{"car", {{0.0, 1.0}, {make_pose_at_x(5.0), make_pose_at_x(8.0)}}}}}),
+                5.0 + 3.0 * faced_s, 1e-4);
+    EXPECT_NEAR(
+        measure_range_ahead({70.0, stands, ActorTracksByName{{"car", {{0.0}, {make_pose_at_x(6.0)}}}}}), 6.0,
+        1e-4)
         << "the log's time does not bind the caller";
     EXPECT_NEAR(measure_range_ahead({70.0, stands}), 10.0, 1e-4) << "and its own actors have left by then";
     EXPECT_NEAR(measure_range_ahead({0.5, stands}), 4.0, 1e-4)
@@ -136,11 +139,12 @@ TEST_F(ScanRequests, WhatMakesNoSenseIsRefused) {
     EXPECT_NE(refusal({0.0, {{kNan}, {make_pose_at_x(0)}}}).find("entry 0"), std::string::npos);
     EXPECT_THAT(refusal({0.0, {{0.0}, {Pose{{2, 0, 0, 0}, {}}}}}), test::Names("quaternion"));
     EXPECT_NE(refusal({kNan, {{0.0}, {make_pose_at_x(0)}}}).find("time_s: found nan"), std::string::npos);
-    EXPECT_THAT(refusal({0.0, {{0.0}, {make_pose_at_x(0)}}, ActorPoses{{"car", {}}}}),
+    EXPECT_THAT(refusal({0.0, {{0.0}, {make_pose_at_x(0)}}, ActorTracksByName{{"car", {}}}}),
                 test::Names("actor car ... 0 poses"));
-    EXPECT_THROW(measure_range_ahead(
-                     {0.0, {{0.0}, {make_pose_at_x(0)}}, ActorPoses{{"cat", {{0.0}, {make_pose_at_x(0)}}}}}),
-                 UsageError);
+    EXPECT_THROW(
+        measure_range_ahead(
+            {0.0, {{0.0}, {make_pose_at_x(0)}}, ActorTracksByName{{"cat", {{0.0}, {make_pose_at_x(0)}}}}}),
+        UsageError);
 }
 
 }  // namespace

@@ -24,31 +24,31 @@ protected:
     }
     RenderedScan scan(const Pose& offset, const Config& settings, const std::string& sensor = "native") {
         ScanRenderer renderer(device(), scene, settings, log);
-        renderer.set_observed_space(
-            find_coverage(log, log.world_from_vehicle, split.train, settings.dataset.max_range_m));
+        renderer.set_observed_space(compute_observed_coverage(log, log.world_from_vehicle, split.train,
+                                                              settings.dataset.max_range_m));
         return renderer.render(choose_sensor(sensor, settings, log),
                                log.frames[std::size_t(split.test[0])].time_s, offset);
     }
     static const std::vector<float>& seen(const RenderedScan& scan) {
-        return *find_values<float>(scan.channels, "seen");
+        return *find_channel_values<float>(scan.channels, "seen");
     }
     double unseen(const glm::dvec3& offset_m) {
         return scan({{1, 0, 0, 0}, offset_m}, config).unseen_share.value();
     }
 
-    Sequence log;
-    Split split;
+    LidarSequence log;
+    TrainTestSplit split;
     Scene scene;
     Config config;
 };
 
 TEST_F(Seen, AHeldOutScanLooksWhereTheLogDid) {
-    const RenderedScan own = scan({}, config);
-    EXPECT_LT(own.unseen_share.value(), 0.02);
-    ASSERT_EQ(seen(own).size(), own.image.range_m.size());
-    EXPECT_EQ(own.unseen_share.value(),
-              double(std::ranges::count_if(seen(own), [](float s) { return s < 0.5f; })) /
-                  double(seen(own).size()));
+    const RenderedScan native_scan = scan({}, config);
+    EXPECT_LT(native_scan.unseen_share.value(), 0.02);
+    ASSERT_EQ(seen(native_scan).size(), native_scan.image.range_m.size());
+    EXPECT_EQ(native_scan.unseen_share.value(),
+              double(std::ranges::count_if(seen(native_scan), [](float s) { return s < 0.5f; })) /
+                  double(seen(native_scan).size()));
     EXPECT_LT(unseen({0.0, 3.0, 0.0}), kMuchUnseen) << "the next lane";
 }
 
@@ -69,21 +69,22 @@ TEST_F(Seen, AShareIsKnownWithoutTheChannel) {
 }
 
 TEST_F(Seen, BinnedAndMergedScansKeepIt) {
-    const RenderedScan own = scan({}, config), grid = scan({}, config, "kitti360"),
+    const RenderedScan native_scan = scan({}, config), grid = scan({}, config, "kitti360"),
                        below = scan({{1, 0, 0, 0}, {0, 0, -5.0}}, config);
     EXPECT_EQ(seen(grid).size(), grid.image.range_m.size());
-    EXPECT_EQ(grid.unseen_share, own.unseen_share);
-    const RenderedScan both = merge_scans({own, below}, {Pose{}, Pose{{1, 0, 0, 0}, {0, 0, -5.0}}});
-    ASSERT_EQ(seen(both).size(), seen(own).size() + seen(below).size());
+    EXPECT_EQ(grid.unseen_share, native_scan.unseen_share);
+    const RenderedScan both = merge_scans({native_scan, below}, {Pose{}, Pose{{1, 0, 0, 0}, {0, 0, -5.0}}});
+    ASSERT_EQ(seen(both).size(), seen(native_scan).size() + seen(below).size());
     EXPECT_EQ(seen(both).back(), seen(below).back());
-    EXPECT_NEAR(both.unseen_share.value(), (*own.unseen_share + *below.unseen_share) / 2.0, 1e-12);
+    EXPECT_NEAR(both.unseen_share.value(), (*native_scan.unseen_share + *below.unseen_share) / 2.0, 1e-12);
 }
 
 TEST_F(Seen, WithoutACoverageNothingIsClaimed) {
     ScanRenderer renderer(device(), scene, config, log);
-    const RenderedScan own = renderer.render(choose_sensor("native", config, log), log.frames[0].time_s);
-    EXPECT_FALSE(own.unseen_share.has_value());
-    EXPECT_TRUE(own.channels.empty());
+    const RenderedScan native_scan =
+        renderer.render(choose_sensor("native", config, log), log.frames[0].time_s);
+    EXPECT_FALSE(native_scan.unseen_share.has_value());
+    EXPECT_TRUE(native_scan.channels.empty());
 }
 
 }  // namespace

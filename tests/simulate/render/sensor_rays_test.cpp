@@ -2,7 +2,7 @@
 // Tests the rays of a sensor on the device. Compares fired rays
 // (simulate/render/fire_rays) with make_world_ray() in double precision, measured rays
 // (simulate/render/measure_rays) with Beam, limits and M6, and network channels
-// (simulate/render/drop_channels) with make_drop_image().
+// (simulate/render/drop_channels) with make_network_input_image().
 #include "simulate/render/sensor_rays.hpp"
 
 #include <cmath>
@@ -41,12 +41,12 @@ PoseTrack bend(double rad_per_s, int count) {
 }
 
 double measure_largest_error(Device& device, const RayTable& rays, const PoseTrack& track, double time_s) {
-    SensorRays on_device(device);
+    DeviceSensorRays on_device(device);
     Stream stream(device);
-    on_device.take(rays, "test", [](std::size_t) { return 0.0f; });
-    on_device.fire(stream, track, time_s);
-    stream.finish();
-    const std::vector<DeviceRay> fired = on_device.batch().rays->download();
+    on_device.upload_ray_table(rays, "test", [](std::size_t) { return 0.0f; });
+    on_device.record_transform_to_world(stream, track, time_s);
+    stream.submit_and_wait();
+    const std::vector<DeviceRay> fired = on_device.get_world_ray_batch().rays->download();
     double farthest = 0.0;
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const WorldRay expected = make_world_ray(track, time_s, rays, i, true);
@@ -103,7 +103,7 @@ struct Expected {
 };
 
 Expected compute_expected(const shared::RenderedRay& ray, const Beam& beam, double sees, double mode_m,
-                          const RayMeasuring& options) {
+                          const RayMeasurementOptions& options) {
     const double weight = ray.weight, normalised = ray.depth / weight, median = ray.median_depth;
     double chosen = options.range == "median" && median > 0.0 ? median : normalised;
     if (options.range == "mode") chosen = mode_m;
@@ -112,7 +112,8 @@ Expected compute_expected(const shared::RenderedRay& ray, const Beam& beam, doub
     const double surface = median > 0.0 ? median : chosen;
     Expected e{beam.to_measured_range(chosen), beam.to_measured_range(surface),
                beam.to_measured_range(median > 0.0 ? normalised : surface),
-               beam.to_measured_intensity(ray.intensity, options.response.at_range(surface)), 0.0};
+               beam.to_measured_intensity(ray.intensity, options.response.compute_range_factor(surface)),
+               0.0};
     const double hit = std::exp(double(ray.hit_logit)), drop = std::exp(double(ray.drop_logit));
     const bool is_met = weight >= double(options.min_weight) && e.range_m > 0.0 && e.median_m > 0.0;
     e.drop_prob = is_met && options.limits.contains(e.range_m) && options.limits.contains(e.median_m)
@@ -139,18 +140,19 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
         {.intensity_gain = 0.8, .intensity_offset = 0.02, .range_offset_m = -0.7}};
     const IntensityResponse response{{4.0, 10.0, 30.0, 70.0}, {0.6, 1.0, 1.4, 0.9}, 0.3};
     const auto never = [](std::size_t index) { return index % 5 == 0 ? 0.75f : 0.0f; };
-    SensorRays on_device(device());
-    on_device.take(rays, "test", never);
+    DeviceSensorRays on_device(device());
+    on_device.upload_ray_table(rays, "test", never);
     Stream firing(device());
-    on_device.fire(firing, bend(0.0, 1), 0.0);
-    firing.finish();
-    const std::vector<DeviceRay> fired = on_device.batch().rays->download();
+    on_device.record_transform_to_world(firing, bend(0.0, 1), 0.0);
+    firing.submit_and_wait();
+    const std::vector<DeviceRay> fired = on_device.get_world_ray_batch().rays->download();
     for (const std::string range : {"normalised", "expected", "mode", "median"}) {
-        const RayMeasuring how{range, beams, response, {range == "median" ? 0.0 : 0.9, 80.0}, 1e-3f};
+        const RayMeasurementOptions how{range, beams, response, {range == "median" ? 0.0 : 0.9, 80.0}, 1e-3f};
         Stream stream(device());
-        on_device.measure(stream, {.rays = on_device.batch(), .rendered = &rendered, .surfaces = &surfaces},
-                          how);
-        const std::span<const shared::MeasuredRay> measured = on_device.wait(stream);
+        on_device.record_measurement(
+            stream, {.rays = on_device.get_world_ray_batch(), .rendered = &rendered, .surfaces = &surfaces},
+            how);
+        const std::span<const shared::MeasuredRay> measured = on_device.wait_for_measurements(stream);
         ASSERT_EQ(measured.size(), rays.size());
         for (std::size_t i = 0; i < rays.size(); ++i) {
             const shared::MeasuredRay& m = measured[i];
@@ -181,21 +183,21 @@ TEST_F(SensorRaysTest, AreTakenAnewWhereTheyDiffer) {
     const std::vector<shared::RenderedRay> rendering(rays.size(), wall);
     const Array<shared::RenderedRay> rendered(device(), std::span<const shared::RenderedRay>(rendering),
                                               "rendered rays");
-    SensorRays on_device(device());
+    DeviceSensorRays on_device(device());
     const auto drop_of_first = [&] {
         Stream stream(device());
-        on_device.measure(stream, {.rays = on_device.batch(), .rendered = &rendered},
-                          {"median", {}, {}, {0.0, 80.0}, 1e-3f});
-        return on_device.wait(stream)[0].drop_prob;
+        on_device.record_measurement(stream, {.rays = on_device.get_world_ray_batch(), .rendered = &rendered},
+                                     {"median", {}, {}, {0.0, 80.0}, 1e-3f});
+        return on_device.wait_for_measurements(stream)[0].drop_prob;
     };
-    on_device.take(rays, "one", [](std::size_t) { return 0.0f; });
+    on_device.upload_ray_table(rays, "one", [](std::size_t) { return 0.0f; });
     EXPECT_NEAR(drop_of_first(), 0.0f, 1e-6f);
-    on_device.take(rays, "one", [](std::size_t) { return 0.5f; });
+    on_device.upload_ray_table(rays, "one", [](std::size_t) { return 0.5f; });
     EXPECT_NEAR(drop_of_first(), 0.0f, 1e-6f) << "the same rays of the same sensor stay";
-    on_device.take(rays, "another", [](std::size_t) { return 0.5f; });
+    on_device.upload_ray_table(rays, "another", [](std::size_t) { return 0.5f; });
     EXPECT_NEAR(drop_of_first(), 0.5f, 1e-6f);
     rays.direction[5] = -rays.direction[5];
-    on_device.take(rays, "another", [](std::size_t) { return 0.25f; });
+    on_device.upload_ray_table(rays, "another", [](std::size_t) { return 0.25f; });
     EXPECT_NEAR(drop_of_first(), 0.25f, 1e-6f);
 }
 
@@ -234,10 +236,10 @@ TEST_F(SensorRaysTest, ANetworkSeesThemAsItSeesAScan) {
     const std::vector<shared::RenderedRay> rendering = make_rendered_room(rays);
     const Array<shared::RenderedRay> rendered(device(), std::span<const shared::RenderedRay>(rendering),
                                               "rendered rays");
-    SensorRays on_device(device());
-    on_device.take(rays, "test", [](std::size_t) { return 0.0f; });
+    DeviceSensorRays on_device(device());
+    on_device.upload_ray_table(rays, "test", [](std::size_t) { return 0.0f; });
     Stream stream(device());
-    on_device.fire(stream, bend(0.0, 1), 0.0);
+    on_device.record_transform_to_world(stream, bend(0.0, 1), 0.0);
     std::vector<shared::RenderedSurface> of_rays(rays.size());
     for (std::size_t i = 0; i < rays.size(); ++i)
         of_rays[i].normal = {std::sin(0.3f * float(i)), std::cos(0.3f * float(i)), 0.2f};
@@ -245,30 +247,34 @@ TEST_F(SensorRaysTest, ANetworkSeesThemAsItSeesAScan) {
                                                   "surfaces");
     const glm::dvec3 first_origin_m(10.0, 5.0, 0.0);
     const auto measure = [&] {
-        on_device.measure(stream, {.rays = on_device.batch(), .rendered = &rendered, .surfaces = &surfaces},
-                          {"median", {}, {}, {0.0, 80.0}, 1e-3f});
+        on_device.record_measurement(
+            stream, {.rays = on_device.get_world_ray_batch(), .rendered = &rendered, .surfaces = &surfaces},
+            {"median", {}, {}, {0.0, 80.0}, 1e-3f});
     };
     measure();
-    const RenderedScan scan = scan_of(rays, on_device.wait(stream));
+    const RenderedScan scan = scan_of(rays, on_device.wait_for_measurements(stream));
     for (const std::string network : {"pixel", "small"}) {
-        const RefineOptions options{
+        const RayDropNetworkOptions options{
             .network = network, .levels = 0, .rays = "origin,direction", .epochs = 100, .rate = 1e-2};
-        DropImage image = make_drop_image(scan, list_drop_channels(options), first_origin_m);
+        RayDropImage image =
+            make_network_input_image(scan, list_network_input_channels(options), first_origin_m);
         for (std::size_t i = 0; i < rays.size(); ++i)
             image.dropped.push_back(image.channels[5 * rays.size() + i] > 0.8f ? 1.0f : 0.0f);
-        const auto go_on = [](const RefineProgress&, const std::function<RefineState()>&) { return true; };
-        const DropNetwork trained = train_drop_network(device(), {image}, options, 3, go_on);
-        DropRefiner refiner(device(), trained);
-        const std::vector<float> expected = refiner.refine(image);
+        const auto go_on = [](const RayDropTrainProgress&, const std::function<RayDropTrainState()>&) {
+            return true;
+        };
+        const RayDropNetwork trained = train_ray_drop_network(device(), {image}, options, 3, go_on);
+        RayDropRefiner refiner(device(), trained);
+        const std::vector<float> expected = refiner.predict_drop_probabilities(image);
         measure();
-        on_device.refine(stream, refiner.pass(),
-                         glm::vec3(scan.world_from_sensor.translation - first_origin_m));
-        on_device.wait(stream);
-        const std::span<const float> found = on_device.refined(stream);
+        on_device.record_drop_network(stream, refiner.get_drop_pass(),
+                                      glm::vec3(scan.world_from_sensor.translation - first_origin_m));
+        on_device.wait_for_measurements(stream);
+        const std::span<const float> actual = on_device.wait_for_drop_probabilities(stream);
         double changed = 0.0;
         for (std::size_t i = 0; i < rays.size(); ++i) {
-            EXPECT_NEAR(found[i], expected[i], 2e-4) << network << i;
-            changed = std::max(changed, std::abs(double(found[i]) - double(scan.image.drop_prob[i])));
+            EXPECT_NEAR(actual[i], expected[i], 2e-4) << network << i;
+            changed = std::max(changed, std::abs(double(actual[i]) - double(scan.image.drop_prob[i])));
         }
         EXPECT_GT(changed, 0.05) << "a network that says something";
     }

@@ -47,22 +47,22 @@ RenderedScan make_wall_at(float range_m, float intensity, bool two_returns = fal
 /// Parameters of apply_weather() that differ between tests.
 struct Applied {
     Weather weather = {};
-    WeatherSensor sensor = {};
+    WeatherSensorProperties sensor = {};
     IntensityResponse response = {};
     std::vector<std::uint8_t> blind = {};
     std::uint64_t seed = 1;
 };
 void apply_weather(RenderedScan& scan, const Applied& applied) {
-    add_weather(scan, {.weather = applied.weather,
-                       .sensor = applied.sensor,
-                       .scan = scan,
-                       .response = applied.response,
-                       .seed = applied.seed,
-                       .blind = applied.blind});
+    add_weather_to_scan(scan, {.weather = applied.weather,
+                               .sensor = applied.sensor,
+                               .scan = scan,
+                               .response = applied.response,
+                               .seed = applied.seed,
+                               .blind = applied.blind});
 }
 
 const std::vector<std::int32_t>& get_sources(const RenderedScan& scan) {
-    return *find_values<std::int32_t>(scan.channels, "source");
+    return *find_channel_values<std::int32_t>(scan.channels, "source");
 }
 
 void expect_same(const RenderedScan& first, const RenderedScan& second) {
@@ -100,7 +100,7 @@ TEST(WeatherOnScans, AWallIsDarkerByTheFormula) {
             ASSERT_EQ(scan.image.range_m[i], 8.0f);
             ASSERT_EQ(scan.instance[i], 3);
             ASSERT_EQ(scan.image.drop_prob[i], 0.25f);
-            ASSERT_EQ(find_values<float>(scan.channels, "of_surface")->at(i), 7.0f);
+            ASSERT_EQ(find_channel_values<float>(scan.channels, "of_surface")->at(i), 7.0f);
         }
         EXPECT_GT(n, kRays / 2);
     }
@@ -114,7 +114,7 @@ TEST(WeatherOnScans, WhatReturnsFromTheAirSaysSo) {
     int fog = 0;
     for (std::size_t i = 0; i < kRays; ++i) {
         const std::int32_t source = get_sources(scan)[i];
-        EXPECT_EQ(find_values<float>(scan.channels, "of_ray")->at(i), 7.0f);
+        EXPECT_EQ(find_channel_values<float>(scan.channels, "of_ray")->at(i), 7.0f);
         if (blind[i] != 0) {
             ASSERT_EQ(source, i % 10 == 0 ? kNothing : kSurface);
             ASSERT_EQ(scan.image.range_m[i], 25.0f);
@@ -127,7 +127,7 @@ TEST(WeatherOnScans, WhatReturnsFromTheAirSaysSo) {
             ASSERT_EQ(scan.image.range_m[i], scan.mean_range_m[i]);
             ASSERT_EQ(scan.image.drop_prob[i], 0.0f) << "of rays that had no return, too";
             ASSERT_EQ(scan.instance[i], -1);
-            ASSERT_EQ(find_values<float>(scan.channels, "of_surface")->at(i), -2.0f);
+            ASSERT_EQ(find_channel_values<float>(scan.channels, "of_surface")->at(i), -2.0f);
         }
     }
     EXPECT_GT(fog, kRays / 2);
@@ -136,7 +136,7 @@ TEST(WeatherOnScans, WhatReturnsFromTheAirSaysSo) {
 /// After 40 m of fog in both directions, 2e-2 of the light remains. The wall has a power
 /// of 3e-3, which is below the weakest detectable return.
 TEST(WeatherOnScans, WhatIsTooWeakIsDropped) {
-    WeatherSensor sensor;
+    WeatherSensorProperties sensor;
     sensor.min_range_m = 39.9;  // excludes returns of the fog
     RenderedScan scan = make_wall_at(40.0f, 0.3f);
     apply_weather(scan, {.weather = {.fog_visibility_m = 20.0}, .sensor = sensor});
@@ -204,7 +204,7 @@ protected:
         log = make_synthetic_street(options);
         scene = initialise_scene(log, {0, 1, 2}, {});
     }
-    Sequence log;
+    LidarSequence log;
     Scene scene;
     Config config;
 };
@@ -213,7 +213,7 @@ protected:
 /// be brighter than all surfaces, so the request must be rejected.
 TEST_F(RenderedWeather, NeedsALogWithIntensities) {
     ScanRenderer renderer(device(), scene, config, log);
-    IntensityScatter scatter{.nodes = {{.first = 0, .count = 2}}, .values = {0.0f, 0.0f}};
+    IntensityScatterModel scatter{.nodes = {{.first = 0, .count = 2}}, .values = {0.0f, 0.0f}};
     renderer.set_intensity_scatter({scatter});
     EXPECT_THROW(renderer.set_weather({.fog_visibility_m = 30.0}), UsageError);
     EXPECT_NO_THROW(renderer.set_weather({}));
@@ -228,7 +228,7 @@ TEST_F(RenderedWeather, IsThatOfTheNextScan) {
         return renderer.render(choose_sensor(sensor, config, log), log.frames[1].time_s, {}, sample);
     };
     const RenderedScan clear = render("native"), clear_sample = render("native", 3);
-    EXPECT_EQ(find_values<std::int32_t>(clear.channels, "source"), nullptr);
+    EXPECT_EQ(find_channel_values<std::int32_t>(clear.channels, "source"), nullptr);
     renderer.set_weather({.fog_visibility_m = 30.0});
     EXPECT_THROW(renderer.set_weather({.snow_mm_h = -1.0}), UsageError);
     const RenderedScan fog = render("native"), again = render("native"), sample = render("native", 3),
@@ -239,18 +239,18 @@ TEST_F(RenderedWeather, IsThatOfTheNextScan) {
         EXPECT_GT(std::ranges::count(get_sources(*scan), kFog), 100);
     for (std::size_t i = 0; i < fog.image.range_m.size(); ++i) {
         ASSERT_EQ(get_sources(fog)[i] == kNothing,
-                  !is_returned(fog.image.drop_prob[i], fog.image.range_m[i]));
+                  !is_ray_returned(fog.image.drop_prob[i], fog.image.range_m[i]));
         ASSERT_TRUE(get_sources(fog)[i] != kSurface || fog.image.intensity[i] <= clear.image.intensity[i]);
     }
     renderer.set_weather({});
     expect_same(render("native"), clear);
     expect_same(render("native", 3), clear_sample);
-    renderer.enable_channels("source");
+    renderer.enable_optional_channels("source");
     const RenderedScan said = render("native");
     expect_same(said, clear);
     for (std::size_t i = 0; i < said.image.range_m.size(); ++i)
         ASSERT_EQ(get_sources(said)[i],
-                  is_returned(said.image.drop_prob[i], said.image.range_m[i]) ? kSurface : kNothing);
+                  is_ray_returned(said.image.drop_prob[i], said.image.range_m[i]) ? kSurface : kNothing);
 }
 
 }  // namespace

@@ -46,8 +46,8 @@ Surfels make_ground_before_wall() {
 }
 
 /// Returns a log of a sensor with eight beams that point down by 3.6 to 5.7 degrees.
-Sequence make_sequence_looking_down() {
-    Sequence sequence;
+LidarSequence make_sequence_looking_down() {
+    LidarSequence sequence;
     sequence.lidars[0].sensor.columns = 360;
     sequence.lidars[0].sensor.first_azimuth_rad = kPi;
     sequence.rolling_shutter = false;
@@ -62,20 +62,20 @@ Sequence make_sequence_looking_down() {
 /// the wall is stronger than the light of the ground, which water darkens.
 TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
     const Config config;
-    const Sequence sequence = make_sequence_looking_down();
+    const LidarSequence sequence = make_sequence_looking_down();
     ScanRenderer renderer(device(), make_background_scene(make_ground_before_wall()), config, sequence);
-    const SensorChoice sensor = make_configured_sensor(config, sequence);
+    const SimulatedSensor sensor = make_configured_sensor(config, sequence);
     const RenderedScan dry = renderer.render(sensor, 0.0);
     renderer.set_weather({.wet_mm = 2.0});
     const RenderedScan wet = renderer.render(sensor, 0.0);
-    const std::vector<std::int32_t>& source = *find_values<std::int32_t>(wet.channels, "source");
+    const std::vector<std::int32_t>& source = *find_channel_values<std::int32_t>(wet.channels, "source");
     int mirrored = 0, darker = 0;
     for (std::size_t i = 0; i < source.size(); ++i) {
         const glm::vec3 d = wet.image.direction[i];
         const double ground_m = 0.5 / -double(d.z), wall_m = 12.0 / double(d.x);
         if (dry.median_range_m[i] == 0.0f || ground_m > 11.0) continue;
         ASSERT_NEAR(dry.median_range_m[i], ground_m, 0.02);
-        if (source[i] == std::int32_t(PointSource::mirror)) {
+        if (source[i] == std::int32_t(ReturnCause::mirror)) {
             ++mirrored;
             ASSERT_GT(d.x, 0.0f);
             ASSERT_NEAR(wet.median_range_m[i], wall_m, 0.2) << "the tracing begins 0.1 m above the ground";
@@ -86,11 +86,11 @@ TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
                 0.5 / (1.0 + std::exp(-6.0)) * std::exp(-0.5 * (up_m * up_m + left_m * left_m) / 9.0);
             ASSERT_NEAR(wet.image.intensity[i], wall * std::pow(compute_water_reflectance(-double(d.z)), 2),
                         0.02);
-        } else if (source[i] == std::int32_t(PointSource::surface)) {
+        } else if (source[i] == std::int32_t(ReturnCause::surface)) {
             ++darker;
             ASSERT_EQ(wet.median_range_m[i], dry.median_range_m[i]);
             ASSERT_NEAR(wet.image.intensity[i] / dry.image.intensity[i],
-                        compute_wet_to_dry_ratio(-double(d.z), double(dry.image.intensity[i])),
+                        compute_wet_reflectance_ratio(-double(d.z), double(dry.image.intensity[i])),
                         // close to the foot of the wall, the tolerance is larger, because
                         // the estimated ground is tilted
                         ground_m * double(d.x) < 6.0 ? 1e-3 : 0.05)

@@ -38,18 +38,18 @@ RenderedScan make_four_rays() {
 }
 
 TEST_F(ExrScans, AreReadAsScans) {
-    ScanFormat format;
+    ScanOutputOptions format;
     format.formats = {"exr"};
     RenderedScan truth = make_four_rays();
     const auto write = [&] {
-        ScanFolder scans(folder / "scans", format);
-        scans.write(5, truth);
+        ScanFolderWriter scans(folder / "scans", format);
+        scans.write_scan(5, truth);
         scans.finish();
     };
     std::filesystem::create_directories(folder / "scans");
     write();
-    write_text(folder / "sequence.json", R"({"format": "relidar log", "version": 1, "rate_hz": 10})");
-    write_text(folder / "poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n");
+    write_text_file(folder / "sequence.json", R"({"format": "relidar log", "version": 1, "rate_hz": 10})");
+    write_text_file(folder / "poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n");
     const Scan scan = load_sequence(folder.string(), {}).frames.at(0).scan;
     EXPECT_THAT(scan.range_m, testing::ElementsAre(10.5f, 12.0f, 0.0f, 55.25f))
         << "the median, where the ray returns";

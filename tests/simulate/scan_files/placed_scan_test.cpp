@@ -36,15 +36,15 @@ RenderedScan make_lane_change() {
             {make_rotation(0.7 * (t_s - 3.0), 0.02, 0.01), {16.0 * (t_s - 3.0), 0.5 * (t_s - 3.0), 1.5}});
     }
     scan.time_s = 3.0;
-    scan.world_from_sensor = scan.track.at(scan.time_s);
+    scan.world_from_sensor = scan.track.interpolate_pose(scan.time_s);
     scan.time_offset_s = {-0.05f, -0.0125f, 0.0075f, 0.05f};
     for (std::size_t i = 0; i < places().size(); ++i) {
-        const glm::dvec3 seen = inverse(scan.get_firing_pose(i)) * places()[i];
+        const glm::dvec3 point_in_sensor_m = inverse(scan.get_firing_pose(i)) * places()[i];
         const glm::vec3 origin(0.1f, 0.0f, 0.05f);
-        const glm::dvec3 way = seen - glm::dvec3(origin);
+        const glm::dvec3 ray_vector_m = point_in_sensor_m - glm::dvec3(origin);
         scan.image.origin.push_back(origin);
-        scan.image.direction.emplace_back(glm::normalize(way));
-        scan.image.range_m.push_back(float(glm::length(way)));
+        scan.image.direction.emplace_back(glm::normalize(ray_vector_m));
+        scan.image.range_m.push_back(float(glm::length(ray_vector_m)));
     }
     scan.image.rows = 1, scan.image.columns = int(places().size());
     scan.image.intensity.assign(places().size(), 0.5f);
@@ -96,12 +96,12 @@ protected:
         return folder / (std::string("frame_000000.") + extension);
     }
 
-    void write(PointFrame frame, bool deskew) const {
-        ScanFormat format;
+    void write(PointCoordinateFrame frame, bool deskew) const {
+        ScanOutputOptions format;
         format.formats = {"npz", "exr", "ply", "pcd", "bin"};
         format.frame = frame, format.deskew = deskew;
-        ScanFolder scans(folder, format);
-        scans.write(0, make_lane_change());
+        ScanFolderWriter scans(folder, format);
+        scans.write_scan(0, make_lane_change());
         scans.finish();
     }
     static void expect_places(const std::string& description, const Pose& world_from_points,
@@ -115,10 +115,10 @@ protected:
     /// computed from the pose in the file
     void expect_all(const std::function<Pose(const Pose&)>& world_from_points) const {
         const auto arrays = read_npz(file("npz"));
-        const Pose of_npz = make_pose(find_array(arrays, "pose")->as_double());
-        const std::vector<float> range_m = find_array(arrays, "range")->as_float(),
-                                 origin = find_array(arrays, "origin")->as_float(),
-                                 direction = find_array(arrays, "directions")->as_float();
+        const Pose of_npz = make_pose(find_array(arrays, "pose")->convert_to_doubles());
+        const std::vector<float> range_m = find_array(arrays, "range")->convert_to_floats(),
+                                 origin = find_array(arrays, "origin")->convert_to_floats(),
+                                 direction = find_array(arrays, "directions")->convert_to_floats();
         const ExrImage exr = read_exr(file("exr"));
         std::vector<glm::dvec3> in_npz, in_exr;
         for (std::size_t i = 0; i < places().size(); ++i) {
@@ -143,12 +143,12 @@ protected:
 };
 
 TEST_F(PlacedScans, DeskewedPointsComeToTheWorldByThePoseOfTheirFile) {
-    write(PointFrame::sensor, true);
+    write(PointCoordinateFrame::sensor, true);
     expect_all([](const Pose& world_from_sensor) { return world_from_sensor; });
 }
 
 TEST_F(PlacedScans, PointsOfTheWorldAreThere) {
-    write(PointFrame::world, false);
+    write(PointCoordinateFrame::world, false);
     expect_all([](const Pose&) { return Pose{}; });
 }
 
@@ -160,14 +160,14 @@ TEST_F(PlacedScans, SecondReturnsHaveTheirOwnValues) {
     scan.channels = {{{.name = "why", .none = -1.0},
                       std::vector<std::int32_t>{1, 2, 0, 0},
                       std::vector<std::int32_t>{5, -1, -1, 7}}};
-    ScanFormat format;
+    ScanOutputOptions format;
     format.formats = {"npz", "exr", "ply"};
-    ScanFolder scans(folder, format);
-    scans.write(0, scan);
+    ScanFolderWriter scans(folder, format);
+    scans.write_scan(0, scan);
     scans.finish();
     const auto arrays = read_npz(file("npz"));
-    EXPECT_EQ(find_array(arrays, "why")->as_float(), (std::vector<float>{1, 2, 0, 0}));
-    EXPECT_EQ(find_array(arrays, "why_2")->as_float(), (std::vector<float>{5, -1, -1, 7}));
+    EXPECT_EQ(find_array(arrays, "why")->convert_to_floats(), (std::vector<float>{1, 2, 0, 0}));
+    EXPECT_EQ(find_array(arrays, "why_2")->convert_to_floats(), (std::vector<float>{5, -1, -1, 7}));
     EXPECT_EQ(read_exr(file("exr")).channels.at("why_2"), (std::vector<float>{5, -1, -1, 7}));
     const std::string ply = read_contents(file("ply"));
     std::vector<std::int32_t> of_points;
@@ -178,9 +178,9 @@ TEST_F(PlacedScans, SecondReturnsHaveTheirOwnValues) {
     EXPECT_EQ(of_points, (std::vector<std::int32_t>{1, 5, 2, 0, 0, 7}))
         << "second returns behind their first";
     scan.channels[0].second = std::vector<std::int32_t>{5};
-    EXPECT_THROW(scans.write(1, scan), DataError) << "of another length";
+    EXPECT_THROW(scans.write_scan(1, scan), DataError) << "of another length";
     scan.channels[0].second = std::vector<float>{5, -1, -1, 7};
-    EXPECT_THROW(scans.write(1, scan), DataError) << "of another type";
+    EXPECT_THROW(scans.write_scan(1, scan), DataError) << "of another type";
 }
 
 }  // namespace

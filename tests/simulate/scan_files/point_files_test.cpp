@@ -13,10 +13,10 @@ namespace {
 
 using PointFiles = TemporaryFolder;
 
-const FileNotes kNotes = {{"sensor", "VLP-16"}, {"run", "a\nb"}};
+const FileMetadata kNotes = {{"sensor", "VLP-16"}, {"run", "a\nb"}};
 
-Points make_some_cloud() {
-    Points cloud;
+LidarPoints make_some_cloud() {
+    LidarPoints cloud;
     cloud.position_m = {{1.5f, -2.0f, 0.25f}, {10.0f, 20.0f, 30.0f}, {-0.5f, 0.0f, 80.0f}};
     cloud.intensity = {0.1f, 0.5f, 1.0f};
     cloud.ring = {0, 63, 65535};
@@ -51,7 +51,7 @@ T value_at(const std::string& bytes, std::size_t offset) {
     return value;
 }
 
-void expect_records(const std::string& body, const Points& cloud, std::size_t stride) {
+void expect_records(const std::string& body, const LidarPoints& cloud, std::size_t stride) {
     ASSERT_EQ(body.size(), cloud.position_m.size() * stride);
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
         for (int axis = 0; axis < 3; ++axis)
@@ -105,7 +105,7 @@ TEST_F(PointFiles, WritesPcd) {
 }
 
 TEST_F(PointFiles, LeavesOutFieldsThatAreMissing) {
-    Points cloud = make_some_cloud();
+    LidarPoints cloud = make_some_cloud();
     cloud.ring.clear();
     cloud.time_offset_s.clear();
     cloud.instance.clear();
@@ -121,7 +121,7 @@ TEST_F(PointFiles, LeavesOutFieldsThatAreMissing) {
 }
 
 TEST_F(PointFiles, WritesTheSpreadBehindTheOtherFields) {
-    Points cloud = make_some_cloud();
+    LidarPoints cloud = make_some_cloud();
     const std::vector<float> spread{0.0f, 0.5f, 12.25f};
     cloud.channels = {{{.name = "spread"}, spread}};
     write_ply(folder / "a.ply", cloud);
@@ -141,7 +141,7 @@ TEST_F(PointFiles, WritesTheSpreadBehindTheOtherFields) {
 }
 
 TEST_F(PointFiles, WritesNormalsByTheNamesOfEachFormat) {
-    Points cloud = make_some_cloud();
+    LidarPoints cloud = make_some_cloud();
     cloud.ring.clear(), cloud.time_offset_s.clear(), cloud.instance.clear();
     const std::vector<glm::vec3> normal{{1.0f, 0.0f, 0.0f}, {0.0f, -1.0f, 0.0f}, {0.6f, 0.0f, 0.8f}};
     cloud.channels = {{{.name = "normal", .turns = true}, normal}};
@@ -189,7 +189,7 @@ TEST_F(PointFiles, KeepsFieldsWithoutAPoint) {
 
 TEST_F(PointFiles, RefusesArraysOfUnequalLength) {
     for (int which : {0, 1, 2, 3}) {
-        Points cloud = make_some_cloud();
+        LidarPoints cloud = make_some_cloud();
         if (which == 0) cloud.intensity.pop_back();
         if (which == 1) cloud.ring.pop_back();
         if (which == 2) cloud.time_offset_s.pop_back();

@@ -62,7 +62,7 @@ RenderedScan room(double time_s) {
     scan.time_s = time_s;
     scan.track = make_track();
     for (Pose& pose : scan.track.pose) pose = pose * kMounting;
-    scan.world_from_sensor = scan.track.at(time_s);
+    scan.world_from_sensor = scan.track.interpolate_pose(time_s);
     return scan;
 }
 
@@ -84,7 +84,8 @@ std::vector<SeenPoint> compute_truth() {
             if (scan.image.drop_prob[i] > 0.5f) continue;
             const double t_s = scan.time_s + double(scan.time_offset_s[i]);
             const auto at = [&](float range_m) {
-                return scan.track.at(t_s) * (double(range_m) * glm::dvec3(scan.image.direction[i]));
+                return scan.track.interpolate_pose(t_s) *
+                       (double(range_m) * glm::dvec3(scan.image.direction[i]));
             };
             points.push_back({t_s, scan.ring[i], false, at(scan.image.range_m[i]), scan.image.intensity[i]});
             if (scan.second_returns[0].range_m[i] > 0.0f)
@@ -97,19 +98,19 @@ std::vector<SeenPoint> compute_truth() {
 
 /// Returns the points of a log that was read from a recording.
 /// @param zero_s time in the recording at which the time of the log is zero
-std::vector<SeenPoint> read_again(const Sequence& log, double zero_s) {
+std::vector<SeenPoint> read_again(const LidarSequence& log, double zero_s) {
     std::vector<SeenPoint> points;
-    const PoseTrack track = shift_track(log.world_from_sensor(0), log.world_offset_m);
-    for (const Frame& frame : log.frames)
+    const PoseTrack track = shift_track(log.get_world_from_sensor(0), log.world_offset_m);
+    for (const LidarFrame& frame : log.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
             const double t_s = frame.time_s + double(frame.scan.rays.time_offset_s[i]);
             const glm::dvec3 direction(frame.scan.rays.direction[i]);
             const auto add = [&](float range_m, float intensity, bool second) {
-                points.push_back(
-                    {t_s + zero_s, frame.scan.rays.channel[i], second,
-                     track.at(t_s) * (glm::dvec3(frame.scan.rays.origin[i]) + double(range_m) * direction),
-                     intensity});
+                points.push_back({t_s + zero_s, frame.scan.rays.channel[i], second,
+                                  track.interpolate_pose(t_s) *
+                                      (glm::dvec3(frame.scan.rays.origin[i]) + double(range_m) * direction),
+                                  intensity});
             };
             add(frame.scan.range_m[i], frame.scan.intensity[i], false);
             if (!frame.scan.second_returns.empty() && frame.scan.second_returns[0].range_m[i] > 0.0f)
@@ -139,38 +140,38 @@ std::vector<BoxTrack> actors() {
 double faced_at(const BoxTrack& box, double time_s) {
     double faced_s = time_s;
     for (int round = 0; round < 20; ++round) {
-        const glm::dvec3 seen =
-            inverse(make_track().at(faced_s) * kMounting) * box.world_from_box.at(faced_s).translation;
-        faced_s = time_s - std::atan2(seen.y, seen.x) / (2.0 * kPi) * kPeriod_s;
+        const glm::dvec3 box_in_sensor_m = inverse(make_track().interpolate_pose(faced_s) * kMounting) *
+                                           box.world_from_box.interpolate_pose(faced_s).translation;
+        faced_s = time_s - std::atan2(box_in_sensor_m.y, box_in_sensor_m.x) / (2.0 * kPi) * kPeriod_s;
     }
     return faced_s;
 }
 
 /// Compares the boxes of the log with the boxes that were written.
 /// @param moved_m offset of the read positions from the written positions
-void expect_actors(const Sequence& log, const glm::dvec3& moved_m) {
+void expect_actors(const LidarSequence& log, const glm::dvec3& moved_m) {
     SCOPED_TRACE(testing::PrintToString(log.notes));
     ASSERT_EQ(log.boxes.size(), 2u);
-    for (const BoxTrack& wanted : actors()) {
-        const BoxTrack* found = find_box(log, wanted.id);
-        ASSERT_NE(found, nullptr) << wanted.id;
-        EXPECT_EQ(found->category, wanted.category);
-        EXPECT_LT(glm::distance(found->size_m, wanted.size_m), 1e-9);
-        EXPECT_EQ(found->is_moving(), wanted.is_moving());
-        EXPECT_EQ(found->world_from_box.time_s.size(), wanted.id == "bin" ? kFrames : kFrames - 1);
-        for (std::size_t k = 0; k < found->world_from_box.time_s.size(); ++k) {
-            const double at_s = found->world_from_box.time_s[k] + kFirst_s;
-            BoxTrack there = wanted;
+    for (const BoxTrack& expected_box : actors()) {
+        const BoxTrack* loaded_box = find_box(log, expected_box.id);
+        ASSERT_NE(loaded_box, nullptr) << expected_box.id;
+        EXPECT_EQ(loaded_box->category, expected_box.category);
+        EXPECT_LT(glm::distance(loaded_box->size_m, expected_box.size_m), 1e-9);
+        EXPECT_EQ(loaded_box->is_moving(), expected_box.is_moving());
+        EXPECT_EQ(loaded_box->world_from_box.time_s.size(), expected_box.id == "bin" ? kFrames : kFrames - 1);
+        for (std::size_t k = 0; k < loaded_box->world_from_box.time_s.size(); ++k) {
+            const double at_s = loaded_box->world_from_box.time_s[k] + kFirst_s;
+            BoxTrack there = expected_box;
             // position that the sensor sees
             for (Pose& pose : there.world_from_box.pose) pose.translation += moved_m;
             const double scan_s = 1.0 + kPeriod_s * std::round((at_s - 1.0) / kPeriod_s);
             EXPECT_NEAR(at_s, faced_at(there, scan_s), kPeriod_s / kColumns)
-                << wanted.id << ": within a column";
-            const Pose pose = wanted.world_from_box.at(at_s);
-            EXPECT_LT(glm::distance(found->world_from_box.pose[k].translation + log.world_offset_m,
+                << expected_box.id << ": within a column";
+            const Pose pose = expected_box.world_from_box.interpolate_pose(at_s);
+            EXPECT_LT(glm::distance(loaded_box->world_from_box.pose[k].translation + log.world_offset_m,
                                     pose.translation + moved_m),
                       1e-6);
-            EXPECT_NEAR(std::abs(glm::dot(found->world_from_box.pose[k].rotation, pose.rotation)), 1.0,
+            EXPECT_NEAR(std::abs(glm::dot(loaded_box->world_from_box.pose[k].rotation, pose.rotation)), 1.0,
                         1e-12);
         }
     }
@@ -178,39 +179,39 @@ void expect_actors(const Sequence& log, const glm::dvec3& moved_m) {
 
 class RecordedLog : public TemporaryFolder {};
 
-void expect_same(const Sequence& log, bool has_second) {
+void expect_same(const LidarSequence& log, bool has_second) {
     SCOPED_TRACE(testing::PrintToString(log.notes));
     ASSERT_EQ(log.frames.size(), std::size_t(kFrames)) << testing::PrintToString(log.notes);
     EXPECT_EQ(log.lidars[0].sensor.beams.size(), std::size_t(kRows));
     EXPECT_EQ(log.lidars[0].sensor.columns, kColumns);
-    std::vector<SeenPoint> wanted = compute_truth();
-    if (!has_second) std::erase_if(wanted, &SeenPoint::second);
-    const std::vector<SeenPoint> found = read_again(log, kFirst_s);
-    ASSERT_EQ(found.size(), wanted.size());
-    for (std::size_t i = 0; i < wanted.size(); ++i) {
-        ASSERT_EQ(found[i].ring, wanted[i].ring) << i;
-        ASSERT_EQ(found[i].second, wanted[i].second) << i;
-        ASSERT_NEAR(found[i].time_s, wanted[i].time_s, 2e-6) << i;
-        ASSERT_NEAR(found[i].intensity, wanted[i].intensity, 1e-6) << i;
+    std::vector<SeenPoint> expected_points = compute_truth();
+    if (!has_second) std::erase_if(expected_points, &SeenPoint::second);
+    const std::vector<SeenPoint> loaded_points = read_again(log, kFirst_s);
+    ASSERT_EQ(loaded_points.size(), expected_points.size());
+    for (std::size_t i = 0; i < expected_points.size(); ++i) {
+        ASSERT_EQ(loaded_points[i].ring, expected_points[i].ring) << i;
+        ASSERT_EQ(loaded_points[i].second, expected_points[i].second) << i;
+        ASSERT_NEAR(loaded_points[i].time_s, expected_points[i].time_s, 2e-6) << i;
+        ASSERT_NEAR(loaded_points[i].intensity, expected_points[i].intensity, 1e-6) << i;
         // Poses of frames would be too coarse. At 10 m/s in a curve of 0.5 rad/s, the
         // chord of 0.1 s deviates by 6 mm, and extrapolation after the last frame by 5
         // cm. The recording has a pose every 10 ms. The chords of these poses deviate by
         // only 0.1 mm.
-        ASSERT_LT(glm::distance(found[i].world_m, wanted[i].world_m), 3e-4) << i;
+        ASSERT_LT(glm::distance(loaded_points[i].world_m, expected_points[i].world_m), 3e-4) << i;
     }
 }
 
 TEST_F(RecordedLog, OfEitherKindIsTheSameLog) {
-    ScanFormat format;
+    ScanOutputOptions format;
     format.formats = {"mcap", "rosbag"};
     format.vehicle_from_lidar = kMounting;
     format.actors = actors();
     format.world_offset_m = {1.0, 2.0, 3.0};
-    ScanFolder scans(folder, format);
-    for (int k = 0; k < kFrames; ++k) scans.write(k, room(1.0 + kPeriod_s * k));
+    ScanFolderWriter scans(folder, format);
+    for (int k = 0; k < kFrames; ++k) scans.write_scan(k, room(1.0 + kPeriod_s * k));
     scans.finish();
     for (const char* name : {"scans.mcap", "rosbag.mcap"}) {
-        const Sequence log = load_sequence((folder / name).string(), {});
+        const LidarSequence log = load_sequence((folder / name).string(), {});
         expect_same(log, true);
         expect_actors(log, format.world_offset_m);
     }
@@ -248,7 +249,8 @@ RenderedScan make_scan_of_car(double time_s) {
     scan.world_from_sensor = {};
     const BoxTrack car = make_car_behind();
     for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
-        const glm::dvec3 car_m = car.world_from_box.at(time_s + double(scan.time_offset_s[i])).translation;
+        const glm::dvec3 car_m =
+            car.world_from_box.interpolate_pose(time_s + double(scan.time_offset_s[i])).translation;
         const float range_m =
             float(compute_entry_m(-car_m, glm::dvec3(scan.image.direction[i]) + 1e-9, car.size_m));
         scan.image.range_m[i] = range_m > 0.0f ? range_m : 20.0f;
@@ -262,14 +264,14 @@ RenderedScan make_scan_of_car(double time_s) {
 /// Points of a moving car must lie in its box. The box at the time of each point must
 /// contain the point exactly.
 TEST_F(RecordedLog, BoxesHoldThePointsOfMovingActors) {
-    ScanFormat format;
+    ScanOutputOptions format;
     format.formats = {"mcap", "rosbag"};
     format.actors = {make_car_behind()};
-    ScanFolder scans(folder, format);
-    for (int k = 0; k < kFrames; ++k) scans.write(k, make_scan_of_car(1.0 + kPeriod_s * k));
+    ScanFolderWriter scans(folder, format);
+    for (int k = 0; k < kFrames; ++k) scans.write_scan(k, make_scan_of_car(1.0 + kPeriod_s * k));
     scans.finish();
     for (const char* name : {"scans.mcap", "rosbag.mcap"}) {
-        const Sequence log = load_sequence((folder / name).string(), {});
+        const LidarSequence log = load_sequence((folder / name).string(), {});
         ASSERT_EQ(log.boxes.size(), 1u) << testing::PrintToString(log.notes);
         const PoseTrack& boxes = log.boxes[0].world_from_box;
         ASSERT_EQ(boxes.pose.size(), std::size_t(kFrames));

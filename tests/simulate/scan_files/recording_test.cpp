@@ -58,19 +58,19 @@ struct Record {
 /// Returns the records of a file or of a chunk, by record code.
 /// @param offset start of the first record
 std::multimap<int, Record> records(const std::string& bytes, std::size_t offset, std::size_t end) {
-    std::multimap<int, Record> found;
+    std::multimap<int, Record> records_by_code;
     while (offset < end) {
         const std::size_t body = offset + 9, next = body + number<std::uint64_t>(bytes, offset + 1);
         EXPECT_LE(next, end);
-        found.insert({static_cast<unsigned char>(bytes[offset]), {offset, body, next}});
+        records_by_code.insert({static_cast<unsigned char>(bytes[offset]), {offset, body, next}});
         offset = next;
     }
-    return found;
+    return records_by_code;
 }
 
 class Recordings : public TemporaryFolder {
 protected:
-    ScanFormat format;
+    ScanOutputOptions format;
 
     void SetUp() override {
         TemporaryFolder::SetUp();
@@ -79,8 +79,8 @@ protected:
 };
 
 TEST_F(Recordings, AppearWhenTheyAreFinished) {
-    ScanFolder scans(folder, format);
-    scans.write(0, make_two_rays(1.0));
+    ScanFolderWriter scans(folder, format);
+    scans.write_scan(0, make_two_rays(1.0));
     for (const std::string& name : files())
         EXPECT_EQ(name.front(), '.') << name << ": nothing has a final name yet";
     scans.finish();
@@ -99,14 +99,14 @@ TEST_F(Recordings, ScansJsonHasTheBoxesAtTheTimeOfTheirRay) {
                       .size_m = {4.0, 2.0, 1.5},
                       .world_from_box = {
                           {0.0, 2.0}, {{{1, 0, 0, 0}, {0.0, -5.0, 0.0}}, {{1, 0, 0, 0}, {0.0, 15.0, 0.0}}}}}};
-    ScanFolder scans(folder, format);
+    ScanFolderWriter scans(folder, format);
     RenderedScan scan = make_two_rays(1.0);
     scan.time_offset_s = {-0.0625f, 0.0625f};
     scan.image.direction[1] = {0.0f, 1.0f, 0.0f};
     scan.actor_views = {{"car", 3, 4}};
-    scans.write(0, scan);
+    scans.write_scan(0, scan);
     scan.actor_views.clear();
-    scans.write(1, scan);
+    scans.write_scan(1, scan);
     scans.finish();
     std::string text = read_contents(folder / "scans.json");
     std::erase_if(text, [](char character) { return character == ' ' || character == '\n'; });
@@ -120,15 +120,15 @@ TEST_F(Recordings, ScansJsonHasTheBoxesAtTheTimeOfTheirRay) {
 
 TEST_F(Recordings, LeaveNothingWhereTheRenderingWasInterrupted) {
     {
-        ScanFolder scans(folder, format);
-        scans.write(0, make_two_rays(1.0));
+        ScanFolderWriter scans(folder, format);
+        scans.write_scan(0, make_two_rays(1.0));
     }
     EXPECT_THAT(files(), ElementsAre());
 }
 
 TEST_F(Recordings, IndexLeadsToChunksAndTheirMessages) {
-    ScanFolder scans(folder, format);
-    for (int i = 0; i < 3; ++i) scans.write(i, make_two_rays(1.0 + 0.1 * i));
+    ScanFolderWriter scans(folder, format);
+    for (int i = 0; i < 3; ++i) scans.write_scan(i, make_two_rays(1.0 + 0.1 * i));
     scans.finish();
     for (const char* name : {"scans.mcap", "rosbag.mcap"}) {
         const std::string bytes = read_contents(folder / name);
@@ -150,11 +150,12 @@ TEST_F(Recordings, IndexLeadsToChunksAndTheirMessages) {
                       crc32(0, reinterpret_cast<const Bytef*>(&bytes[inside]), uInt(size)));
             std::size_t n_indexed = 0;
             // entries of 2 + 8 bytes
-            for (std::uint32_t place = 0; place < number<std::uint32_t>(bytes, at + 32); place += 10) {
-                const std::size_t entry = number<std::uint64_t>(bytes, at + 36 + place + 2);
+            for (std::uint32_t entry_offset = 0; entry_offset < number<std::uint32_t>(bytes, at + 32);
+                 entry_offset += 10) {
+                const std::size_t entry = number<std::uint64_t>(bytes, at + 36 + entry_offset + 2);
                 EXPECT_EQ(bytes[entry], 7) << "a message index";
                 EXPECT_EQ(number<std::uint16_t>(bytes, entry + 9),
-                          number<std::uint16_t>(bytes, at + 36 + place))
+                          number<std::uint16_t>(bytes, at + 36 + entry_offset))
                     << "of that channel";
                 EXPECT_EQ(bytes[inside + number<std::uint64_t>(bytes, entry + 9 + 2 + 4 + 8)], 5)
                     << "that leads to a message";
@@ -169,8 +170,8 @@ TEST_F(Recordings, IndexLeadsToChunksAndTheirMessages) {
 }
 
 TEST_F(Recordings, TimesBeforeTheBeginningAreMovedByWholeSeconds) {
-    ScanFolder scans(folder, format);
-    scans.write(0, make_two_rays(0.0));  // its first ray is fired at -0.05 s
+    ScanFolderWriter scans(folder, format);
+    scans.write_scan(0, make_two_rays(0.0));  // its first ray is fired at -0.05 s
     scans.finish();
     const std::string bytes = read_contents(folder / "rosbag.mcap");
     const auto all = records(bytes, 8, bytes.size() - 8);
@@ -180,23 +181,23 @@ TEST_F(Recordings, TimesBeforeTheBeginningAreMovedByWholeSeconds) {
 }
 
 TEST_F(Recordings, TimesThatNoFileHasAreRefused) {
-    ScanFolder scans(folder, format);
-    scans.write(0, make_two_rays(100.0));
-    EXPECT_THAT(get_data_error_message([&] { scans.write(1, make_two_rays(-5.0)); }), Names("-5 s"));
-    EXPECT_THAT(get_data_error_message([&] { scans.write(1, make_two_rays(99.0)); }), Names("decrease"));
-    EXPECT_THAT(get_data_error_message([&] { scans.write(1, make_two_rays(3e9)); }), Names("year 2038"));
+    ScanFolderWriter scans(folder, format);
+    scans.write_scan(0, make_two_rays(100.0));
+    EXPECT_THAT(get_data_error_message([&] { scans.write_scan(1, make_two_rays(-5.0)); }), Names("-5 s"));
+    EXPECT_THAT(get_data_error_message([&] { scans.write_scan(1, make_two_rays(99.0)); }), Names("decrease"));
+    EXPECT_THAT(get_data_error_message([&] { scans.write_scan(1, make_two_rays(3e9)); }), Names("year 2038"));
 }
 
 TEST_F(Recordings, OfARigAreOne) {
-    ScanFormat left = format, right = format;
-    set_recording_name(left, "left"), set_recording_name(right, "2nd-right");
-    ScanRecordings recordings(folder, {left, right});
+    ScanOutputOptions left = format, right = format;
+    set_recording_topic(left, "left"), set_recording_topic(right, "2nd-right");
+    ScanRecordingsWriter recordings(folder, {left, right});
     const std::vector<RenderedScan> scans{make_two_rays(1.0), make_two_rays(1.0)};
-    recordings.write(scans);
-    EXPECT_THAT(error_message<UsageError>([&] { recordings.write(std::span(scans).first(1)); }),
+    recordings.write_scans(scans);
+    EXPECT_THAT(error_message<UsageError>([&] { recordings.write_scans(std::span(scans).first(1)); }),
                 Names("found 1 scans, expected 2"));
     recordings.finish();
-    EXPECT_THAT(recordings.names(), ElementsAre("scans.mcap", "rosbag.mcap"));
+    EXPECT_THAT(recordings.list_file_names(), ElementsAre("scans.mcap", "rosbag.mcap"));
     EXPECT_THAT(files(), UnorderedElementsAre("scans.mcap", "rosbag.mcap"));
     for (const char* name : {"scans.mcap", "rosbag.mcap"})
         for (const char* topic : {"/lidar/left/points", "/lidar/_2nd_right/points"})
@@ -205,9 +206,9 @@ TEST_F(Recordings, OfARigAreOne) {
 
 TEST_F(Recordings, RefuseNamesThatRosDoesNotTakeOrThatAreTaken) {
     const auto error = [&](const char* topic, const char* frame_id) {
-        ScanFormat other = format;
+        ScanOutputOptions other = format;
         other.topic = topic, other.frame_id = frame_id;
-        return error_message<UsageError>([&] { ScanRecordings(folder, {format, other}); });
+        return error_message<UsageError>([&] { ScanRecordingsWriter(folder, {format, other}); });
     };
     for (const char* topic : {"", "/", "points", "/lidar//points", "/lidar/points/", "/2nd/points",
                               "/lidar/top-left", "/lidar points"})
@@ -220,8 +221,9 @@ TEST_F(Recordings, RefuseNamesThatRosDoesNotTakeOrThatAreTaken) {
 }
 
 TEST_F(Recordings, AFolderThatCannotBeWrittenIsNamed) {
-    EXPECT_THAT(get_data_error_message(
-                    [&] { ScanFolder(folder / "file" / "below", (put(folder / "file", "x"), format)); }),
+    EXPECT_THAT(get_data_error_message([&] {
+                    ScanFolderWriter(folder / "file" / "below", (put(folder / "file", "x"), format));
+                }),
                 Names("file"));
 }
 

@@ -62,7 +62,7 @@ std::size_t count_below_half(const std::vector<float>& values) {
 /// Returns the bytes of the first message on a topic of an uncompressed MCAP file.
 std::string find_message_on(const std::string& bytes, const std::string& topic) {
     std::optional<std::uint16_t> channel;
-    const auto walk = [&](std::size_t at, std::size_t end, const auto& self) -> std::string {
+    const auto search_records = [&](std::size_t at, std::size_t end, const auto& self) -> std::string {
         while (at + 9 <= end) {
             const int kind = bytes[at];
             const std::size_t body = at + 9, next = body + value_at<std::uint64_t>(bytes, at + 1);
@@ -74,13 +74,13 @@ std::string find_message_on(const std::string& bytes, const std::string& topic) 
             // and the records.
             if (kind == 6) {
                 const std::size_t inside = body + 28 + 4 + value_at<std::uint32_t>(bytes, body + 28) + 8;
-                if (std::string found = self(inside, next, self); !found.empty()) return found;
+                if (std::string message = self(inside, next, self); !message.empty()) return message;
             }
             at = next;
         }
         return "";
     };
-    return walk(8, bytes.size() - 8, walk);
+    return search_records(8, bytes.size() - 8, search_records);
 }
 
 /// Returns the number of points of a sensor_msgs/PointCloud2 from its width and height.
@@ -141,18 +141,18 @@ std::size_t count_shown_pixels(const std::filesystem::path& path) {
 class Returns : public test::DeviceTest {};
 
 TEST_F(Returns, AreAsManyInEveryFormat) {
-    Sequence log;
+    LidarSequence log;
     SpinningSensor& sensor = log.lidars[0].sensor;
     sensor = {"sixteen", {}, kSteps};
     for (int row = 0; row < kBeams; ++row) sensor.beams.push_back({.elevation_rad = 0.3 - 0.06 * row});
     log.world_from_vehicle = {{1.0}, {Pose{{1, 0, 0, 0}, {0.0, 0.0, kHeight_m}}}};
     log.rolling_shutter = false;
     const Config config;
-    const SensorChoice choice = make_configured_sensor(config, log);
+    const SimulatedSensor choice = make_configured_sensor(config, log);
     ScanRenderer renderer(device(), make_background_scene(make_plate_below()), config, log);
-    renderer.refine_drops(test::make_network_that_never_drops());
+    renderer.set_drop_network(test::make_network_that_never_drops());
     const RenderedScan scan = renderer.render(choice, 1.0);
-    const std::size_t n = place_points(scan, config, {}, PointsOf::first_returns).size();
+    const std::size_t n = convert_scan_to_points(scan, config, {}, PointSelection::first_returns).size();
     EXPECT_GT(n, count_rays_onto_plate(choice.rays, 4.0)) << "one standard deviation of the surfel";
     EXPECT_LT(n, count_rays_onto_plate(choice.rays, 4.0 * 5.0)) << "nobody sees five of them";
 
@@ -162,15 +162,15 @@ TEST_F(Returns, AreAsManyInEveryFormat) {
         ~Folder() override { TearDown(); }
         void TestBody() override {}
     } files;
-    ScanFormat format;
+    ScanOutputOptions format;
     format.formats = {"npz", "exr", "png", "ply", "pcd", "bin", "mcap", "rosbag"};
-    ScanFolder scans(files.folder, format);
-    scans.write(0, scan);
+    ScanFolderWriter scans(files.folder, format);
+    scans.write_scan(0, scan);
     scans.finish();
     const auto file = [&](const char* extension) {
         return files.folder / (std::string("frame_000000.") + extension);
     };
-    EXPECT_EQ(count_below_half(find_array(read_npz(file("npz")), "drop_prob")->as_float()), n);
+    EXPECT_EQ(count_below_half(find_array(read_npz(file("npz")), "drop_prob")->convert_to_floats()), n);
     EXPECT_EQ(count_below_half(read_exr(file("exr")).channels.at("drop_prob")), n);
     EXPECT_EQ(count_shown_pixels(file("png")), n);
     EXPECT_EQ(count_behind(read_contents(file("ply")), "element vertex "), n);

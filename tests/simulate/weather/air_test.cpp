@@ -27,18 +27,20 @@ constexpr int kLevels = 400, kRays = 100'000;
 
 using test::make_air_of, test::make_ray_to;
 
-WeatherSensor make_sensor_to(double max_range_m) {
-    WeatherSensor sensor;
+WeatherSensorProperties make_sensor_to(double max_range_m) {
+    WeatherSensorProperties sensor;
     sensor.max_range_m = max_range_m;
     sensor.darkest = 0.005;
     return sensor;
 }
-double weakest(const WeatherSensor& sensor) { return 0.005 / (sensor.max_range_m * sensor.max_range_m); }
+double weakest(const WeatherSensorProperties& sensor) {
+    return 0.005 / (sensor.max_range_m * sensor.max_range_m);
+}
 
-Echo wall(double range_m, double reflectivity) { return {range_m, reflectivity, PointSource::surface}; }
+LidarEcho wall(double range_m, double reflectivity) { return {range_m, reflectivity, ReturnCause::surface}; }
 
-bool shows_surface(const RayEchoes& echoes) {
-    return echoes.strongest.source == PointSource::surface || echoes.second.source == PointSource::surface;
+bool shows_surface(const EchoPair& echoes) {
+    return echoes.strongest.source == ReturnCause::surface || echoes.second.source == ReturnCause::surface;
 }
 
 /// Solves x e^x = y for x by Newton's method.
@@ -49,9 +51,9 @@ double evaluate_lambert_w(double y) {
 }
 
 TEST(Weather, IsReadAsItIsWritten) {
-    EXPECT_TRUE(parse_weather("").clear());
-    EXPECT_TRUE(parse_weather("clear").clear());
-    EXPECT_TRUE(parse_weather("rain=0").clear());
+    EXPECT_TRUE(parse_weather("").is_clear());
+    EXPECT_TRUE(parse_weather("clear").is_clear());
+    EXPECT_TRUE(parse_weather("rain=0").is_clear());
     EXPECT_EQ(parse_weather("fog=50").fog_visibility_m, 50.0);
     EXPECT_EQ(parse_weather("rain=2.5").rain_mm_h, 2.5);
     const Weather both = parse_weather("fog=120, snow=1.5");
@@ -62,20 +64,20 @@ TEST(Weather, IsReadAsItIsWritten) {
     EXPECT_EQ(parse_weather("sun=200.5:0:40").sun, (Sun{200.5, 0.0, 40.0}));
     for (const char* text : {"clear", "fog=50", "rain=2.5", "fog=120.5,snow=0.1", "rain=4,wet=0.5",
                              "bloom=0.001,sun=-30:20", "sun=200.5:0:40"})
-        EXPECT_EQ(to_text(parse_weather(text)), text);
+        EXPECT_EQ(format_weather(parse_weather(text)), text);
 }
 
 /// Each example of an effect in the table must be weather that has this effect.
 TEST(Weather, EachRowOfTheTableIsComplete) {
-    for (const WeatherEffect* effect : kWeatherEffects) {
+    for (const WeatherEffectEntry* effect : kWeatherEffects) {
         EXPECT_NE(make_weather_help().find(effect->form), std::string::npos) << effect->form;
         EXPECT_TRUE(effect->form.starts_with(effect->name)) << effect->form;
         EXPECT_NE(effect->prepare, nullptr) << effect->name;
-        EXPECT_FALSE(effect->is_in({})) << effect->name;
+        EXPECT_FALSE(effect->is_active_in({})) << effect->name;
         std::istringstream examples{std::string(effect->examples)};
         int n = 0;
         for (std::string example; examples >> example; ++n)
-            EXPECT_TRUE(effect->is_in(parse_weather(example))) << example;
+            EXPECT_TRUE(effect->is_active_in(parse_weather(example))) << example;
         EXPECT_GT(n, 0) << effect->name;
     }
 }
@@ -125,8 +127,8 @@ TEST(Weather, WhatIsNoneIsRefusedInALine) {
 }
 
 TEST(Weather, FogLeavesATwentiethAfterItsVisibility) {
-    EXPECT_NEAR(std::exp(-compute_extinction({.fog_visibility_m = 70.0}) * 70.0), 0.05, 1e-12);
-    EXPECT_EQ(compute_extinction({}), 0.0);
+    EXPECT_NEAR(std::exp(-compute_extinction_coefficient({.fog_visibility_m = 70.0}) * 70.0), 0.05, 1e-12);
+    EXPECT_EQ(compute_extinction_coefficient({}), 0.0);
 }
 
 /// The extinction must be twice the total cross-section area of all particles. The test
@@ -142,9 +144,9 @@ TEST(Weather, ParticlesTakeTwiceTheirShadow) {
         const double rain = shadows(8000.0, 4.1 * std::pow(rate, -0.21), 1.0),
                      snow = shadows(3.8e3 * std::pow(rate, -0.87), 2.55 * std::pow(rate, -0.48),
                                     std::pow(10.0, 1.0 / 3.0));
-        EXPECT_NEAR(compute_extinction({.rain_mm_h = rate}), rain, 1e-4 * rain);
-        EXPECT_NEAR(compute_extinction({.snow_mm_h = rate}), snow, 1e-4 * snow);
-        EXPECT_NEAR(compute_extinction({.fog_visibility_m = 100.0, .rain_mm_h = rate}),
+        EXPECT_NEAR(compute_extinction_coefficient({.rain_mm_h = rate}), rain, 1e-4 * rain);
+        EXPECT_NEAR(compute_extinction_coefficient({.snow_mm_h = rate}), snow, 1e-4 * snow);
+        EXPECT_NEAR(compute_extinction_coefficient({.fog_visibility_m = 100.0, .rain_mm_h = rate}),
                     std::log(20.0) / 100.0 + rain, 1e-4 * rain);
     }
 }
@@ -154,23 +156,25 @@ TEST(Weather, ParticlesTakeTwiceTheirShadow) {
 TEST(Weather, RainIsAsThickAsMeasured) {
     for (const double rate : {5.0, 25.0, 80.0}) {
         const double measured = 1.076 * std::pow(rate, 0.67) * std::log(10.0) / 10.0 / 1000.0;
-        EXPECT_NEAR(compute_extinction({.rain_mm_h = rate}) / measured, 1.0, 0.4) << rate;
+        EXPECT_NEAR(compute_extinction_coefficient({.rain_mm_h = rate}) / measured, 1.0, 0.4) << rate;
     }
 }
 
 TEST(Weather, AWallIsDarkerByTheFormula) {
     for (const Weather& weather :
          {Weather{.fog_visibility_m = 300.0}, Weather{.rain_mm_h = 10.0}, Weather{.snow_mm_h = 1.0}}) {
-        const Air air = make_air_of(weather, make_sensor_to(80.0));
+        const WeatherRaySimulator air = make_air_of(weather, make_sensor_to(80.0));
         int n = 0;
         for (std::uint64_t seed = 0; seed < 200; ++seed) {
-            const Echo seen = air.compute_echoes(make_ray_to(wall(12.0, 0.8), 12.0), seed).strongest;
-            if (seen.source != PointSource::surface) continue;
+            const LidarEcho strongest_echo =
+                air.compute_echoes_in_weather(make_ray_to(wall(12.0, 0.8), 12.0), seed).strongest;
+            if (strongest_echo.source != ReturnCause::surface) continue;
             ++n;
-            EXPECT_EQ(seen.range_m, 12.0);
-            EXPECT_NEAR(seen.reflectivity, 0.8 * std::exp(-2.0 * compute_extinction(weather) * 12.0), 1e-12);
+            EXPECT_EQ(strongest_echo.range_m, 12.0);
+            EXPECT_NEAR(strongest_echo.reflectivity,
+                        0.8 * std::exp(-2.0 * compute_extinction_coefficient(weather) * 12.0), 1e-12);
         }
-        EXPECT_GT(n, 50) << to_text(weather);
+        EXPECT_GT(n, 50) << format_weather(weather);
     }
 }
 
@@ -179,17 +183,17 @@ TEST(Weather, AWallIsDarkerByTheFormula) {
 /// returns, and the target is the last return.
 TEST(Weather, ATenthVanishesWhereItsPowerDoes) {
     for (const double visibility_m : {30.0, 50.0, 150.0, 400.0}) {
-        const WeatherSensor sensor = make_sensor_to(100.0);
+        const WeatherSensorProperties sensor = make_sensor_to(100.0);
         const Weather fog{.fog_visibility_m = visibility_m};
-        const Air air = make_air_of(fog, sensor);
+        const WeatherRaySimulator air = make_air_of(fog, sensor);
         const double alpha = std::log(20.0) / visibility_m,
                      end_m = evaluate_lambert_w(alpha * std::sqrt(0.1 / weakest(sensor))) / alpha;
         for (std::uint64_t seed = 0; seed < 100; ++seed) {
-            EXPECT_TRUE(
-                shows_surface(air.compute_echoes(make_ray_to(wall(0.999 * end_m, 0.1), 0.999 * end_m), seed)))
+            EXPECT_TRUE(shows_surface(
+                air.compute_echoes_in_weather(make_ray_to(wall(0.999 * end_m, 0.1), 0.999 * end_m), seed)))
                 << visibility_m;
-            EXPECT_FALSE(
-                shows_surface(air.compute_echoes(make_ray_to(wall(1.001 * end_m, 0.1), 1.001 * end_m), seed)))
+            EXPECT_FALSE(shows_surface(
+                air.compute_echoes_in_weather(make_ray_to(wall(1.001 * end_m, 0.1), 1.001 * end_m), seed)))
                 << visibility_m;
         }
     }
@@ -199,8 +203,8 @@ TEST(Weather, ATenthVanishesWhereItsPowerDoes) {
 /// a surface.
 class FreeAir {
 public:
-    FreeAir(const Weather& weather, const WeatherSensor& sensor)
-        : sensor_(sensor), alpha_(compute_extinction(weather)) {
+    FreeAir(const Weather& weather, const WeatherSensorProperties& sensor)
+        : sensor_(sensor), alpha_(compute_extinction_coefficient(weather)) {
         for (double r = kNearest_m + 0.5 * kCell_m; r < sensor.max_range_m; r += kCell_m)
             ranges_m_.push_back(r);
         for (int i = 0; i <= kLevels; ++i)
@@ -250,10 +254,10 @@ public:
     }
     double alpha() const { return alpha_; }
     double compute_beam_diameter_m(double r) const { return sensor_.aperture_m + sensor_.divergence_rad * r; }
-    void expect_as(const Air& air, PointSource source) const;
+    void expect_as(const WeatherRaySimulator& air, ReturnCause source) const;
 
 private:
-    const WeatherSensor sensor_;
+    const WeatherSensorProperties sensor_;
     const double alpha_;
     std::vector<double> ranges_m_, levels_;
     std::vector<double> from_;           // [cells] probability that the strongest return comes from the cell
@@ -279,7 +283,7 @@ double compute_deviation(const std::vector<double>& counts, const std::vector<do
 
 constexpr double kMostDeviation = 3.5;  // exceeded by chance in 1 of 4000 cases
 
-void FreeAir::expect_as(const Air& air, PointSource source) const {
+void FreeAir::expect_as(const WeatherRaySimulator& air, ReturnCause source) const {
     std::vector<double> ranges(from_.size() + 1), powers(levels_.size()), from = from_,
                                                                           stronger{none_stronger_[0]};
     double any = 0.0;
@@ -288,8 +292,9 @@ void FreeAir::expect_as(const Air& air, PointSource source) const {
     for (std::size_t i = 1; i < levels_.size(); ++i)
         stronger.push_back(none_stronger_[i] - none_stronger_[i - 1]);
     for (std::uint64_t seed = 0; seed < kRays; ++seed) {
-        const Echo echo = air.compute_echoes(make_ray_to({}, sensor_.max_range_m), seed).strongest;
-        if (echo.source == PointSource::nothing) {
+        const LidarEcho echo =
+            air.compute_echoes_in_weather(make_ray_to({}, sensor_.max_range_m), seed).strongest;
+        if (echo.source == ReturnCause::nothing) {
             ranges.back() += 1.0, powers.front() += 1.0;
             continue;
         }
@@ -305,7 +310,7 @@ void FreeAir::expect_as(const Air& air, PointSource source) const {
 
 TEST(Weather, RainReturnsAsItsIntegral) {
     for (const double rate : {5.0, 25.0}) {
-        const WeatherSensor sensor = make_sensor_to(60.0);
+        const WeatherSensorProperties sensor = make_sensor_to(60.0);
         FreeAir model({.rain_mm_h = rate}, sensor);
         const double slope = 4.1 * std::pow(rate, -0.21);
         model.count_particles([&](double r, double power) {
@@ -316,13 +321,13 @@ TEST(Weather, RainReturnsAsItsIntegral) {
             return kPi / 4.0 * std::pow(model.compute_beam_diameter_m(r), 2) * 8000.0 / slope *
                    std::exp(-slope * mm);
         });
-        model.expect_as(make_air_of({.rain_mm_h = rate}, sensor), PointSource::rain);
+        model.expect_as(make_air_of({.rain_mm_h = rate}, sensor), ReturnCause::rain);
     }
 }
 
 TEST(Weather, SnowReturnsAsItsIntegral) {
     const double rate = 1.0;
-    WeatherSensor sensor = make_sensor_to(60.0);
+    WeatherSensorProperties sensor = make_sensor_to(60.0);
     sensor.divergence_rad = 0.0015;
     FreeAir model({.snow_mm_h = rate}, sensor);
     model.count_particles([&](double r, double power) {
@@ -333,14 +338,14 @@ TEST(Weather, SnowReturnsAsItsIntegral) {
         return kPi / 4.0 * std::pow(model.compute_beam_diameter_m(r), 2) * 3800.0 / 2.55 *
                std::exp(-2.55 * melted_mm);
     });
-    model.expect_as(make_air_of({.snow_mm_h = rate}, sensor), PointSource::snow);
+    model.expect_as(make_air_of({.snow_mm_h = rate}, sensor), ReturnCause::snow);
 }
 
 /// Compares with the integral of fog over the pulse, computed by Simpson's rule. A pulse
 /// is 6 m long, so that a section of 3 m ends at the border of a cell.
 TEST(Weather, FogReturnsAsItsIntegral) {
     for (const double visibility_m : {50.0, 200.0}) {
-        WeatherSensor sensor = make_sensor_to(61.0);
+        WeatherSensorProperties sensor = make_sensor_to(61.0);
         sensor.pulse_s = 6.0 / 299792458.0;
         FreeAir model({.fog_visibility_m = visibility_m}, sensor);
         const auto mean = [&](double range_m) {
@@ -355,15 +360,15 @@ TEST(Weather, FogReturnsAsItsIntegral) {
             return kPi * 0.046 / visibility_m * sum * step / 3.0;
         };
         model.count_stretches(60, mean);
-        model.expect_as(make_air_of({.fog_visibility_m = visibility_m}, sensor), PointSource::fog);
+        model.expect_as(make_air_of({.fog_visibility_m = visibility_m}, sensor), ReturnCause::fog);
     }
 }
 
 /// Returns a sensor that in clear air detects surfaces with a brightness of at least
 /// 0.0025 at any range, like KITTI's HDL-64E. Its intensities have steps of 0.01 and are
 /// 0 down to the shortest ranges.
-WeatherSensor make_sensor_with_time_control() {
-    WeatherSensor sensor = make_sensor_to(80.0);
+WeatherSensorProperties make_sensor_with_time_control() {
+    WeatherSensorProperties sensor = make_sensor_to(80.0);
     sensor.weakest_reflectivity = 0.0025;
     return sensor;
 }
@@ -373,8 +378,8 @@ WeatherSensor make_sensor_with_time_control() {
 /// divided into sections of half a pulse. The power of each section is log-normal with
 /// mean 1. For rain, the drops that are bright enough form a Poisson process.
 double count_expected_false_returns(const Weather& weather, double reflectivity) {
-    const double alpha = compute_extinction(weather), slope = 4.1 * std::pow(weather.rain_mm_h, -0.21),
-                 half_pulse_m = 0.5 * 299792458.0 * 6e-9;
+    const double alpha = compute_extinction_coefficient(weather),
+                 slope = 4.1 * std::pow(weather.rain_mm_h, -0.21), half_pulse_m = 0.5 * 299792458.0 * 6e-9;
     double none = 1.0;
     if (std::isfinite(weather.fog_visibility_m))
         for (double r = 1.0 + 0.5 * half_pulse_m; r < 80.0; r += half_pulse_m) {
@@ -395,10 +400,11 @@ double count_expected_false_returns(const Weather& weather, double reflectivity)
 }
 
 double count_false_returns(const Weather& weather) {
-    const Air air = make_air_of(weather, make_sensor_with_time_control());
+    const WeatherRaySimulator air = make_air_of(weather, make_sensor_with_time_control());
     int n = 0;
     for (std::uint64_t seed = 0; seed < kRays; ++seed)
-        n += air.compute_echoes(make_ray_to({}, 80.0), seed).strongest.source != PointSource::nothing;
+        n += air.compute_echoes_in_weather(make_ray_to({}, 80.0), seed).strongest.source !=
+             ReturnCause::nothing;
     return double(n) / kRays;
 }
 
@@ -416,26 +422,28 @@ TEST(ThinWeather, ReturnsAsTheClosedForm) {
     for (const Weather& weather : {Weather{.fog_visibility_m = 1000.0}, Weather{.fog_visibility_m = 400.0},
                                    Weather{.fog_visibility_m = 150.0}, Weather{.rain_mm_h = 200.0}}) {
         const double expected = count_expected_false_returns(weather, 0.0025),
-                     found = count_false_returns(weather);
-        EXPECT_GT(expected * kRays, 100.0) << to_text(weather);
-        EXPECT_NEAR(found / expected, 1.0, 0.1 + 4.0 / std::sqrt(expected * kRays)) << to_text(weather);
+                     actual = count_false_returns(weather);
+        EXPECT_GT(expected * kRays, 100.0) << format_weather(weather);
+        EXPECT_NEAR(actual / expected, 1.0, 0.1 + 4.0 / std::sqrt(expected * kRays))
+            << format_weather(weather);
     }
 }
 
 /// With thicker weather, fewer surfaces must be detected. The total number of returns may
 /// exceed the number in clear air only by the reported returns from the air.
 TEST(ThinWeather, MoreOfItLeavesFewerSurfaces) {
-    const WeatherSensor sensor = make_sensor_with_time_control();
+    const WeatherSensorProperties sensor = make_sensor_with_time_control();
     const auto count = [&](const Weather& weather) {
-        const Air air = make_air_of(weather, sensor);
+        const WeatherRaySimulator air = make_air_of(weather, sensor);
         std::pair<int, int> surfaces_and_others;
         for (std::uint64_t seed = 0; seed < 20'000; ++seed) {
             const double range_m = 2.0 + 78.0 * double(seed) / 20'000.0,
                          reflectivity = 0.01 * double(seed % 40);
-            const PointSource source =
-                air.compute_echoes(make_ray_to(wall(range_m, reflectivity), range_m), seed).strongest.source;
-            surfaces_and_others.first += source == PointSource::surface;
-            surfaces_and_others.second += source != PointSource::surface && source != PointSource::nothing;
+            const ReturnCause source =
+                air.compute_echoes_in_weather(make_ray_to(wall(range_m, reflectivity), range_m), seed)
+                    .strongest.source;
+            surfaces_and_others.first += source == ReturnCause::surface;
+            surfaces_and_others.second += source != ReturnCause::surface && source != ReturnCause::nothing;
         }
         return surfaces_and_others;
     };
@@ -462,46 +470,48 @@ TEST(ThinWeather, HidesAsManyDarkSurfacesAsTheClosedForm) {
     for (const double rain_mm_h : {5.0, 25.0, 100.0})
         for (const double range_m : {20.0, 50.0}) {
             const Weather weather{.rain_mm_h = rain_mm_h};
-            const double left = std::exp(-2.0 * compute_extinction(weather) * range_m);
+            const double left = std::exp(-2.0 * compute_extinction_coefficient(weather) * range_m);
             const double expected = std::min(0.0025 * (1.0 / left - 1.0) / (0.01 - 0.0025), 1.0);
-            const Air air = make_air_of(weather, make_sensor_with_time_control());
+            const WeatherRaySimulator air = make_air_of(weather, make_sensor_with_time_control());
             int n_hidden = 0;
             for (std::uint64_t seed = 0; seed < kRays; ++seed)
-                n_hidden +=
-                    !shows_surface(air.compute_echoes(make_ray_to(wall(range_m, 0.0), range_m), seed));
+                n_hidden += !shows_surface(
+                    air.compute_echoes_in_weather(make_ray_to(wall(range_m, 0.0), range_m), seed));
             EXPECT_NEAR(double(n_hidden) / kRays, expected, 4.0 * std::sqrt(expected / kRays))
                 << rain_mm_h << ' ' << range_m;
         }
 }
 
 TEST(Weather, TwoReturnsAreThePeakAndTheLast) {
-    const WeatherSensor sensor = make_sensor_to(80.0);
-    const Air air = make_air_of({.fog_visibility_m = 60.0}, sensor);
+    const WeatherSensorProperties sensor = make_sensor_to(80.0);
+    const WeatherRaySimulator air = make_air_of({.fog_visibility_m = 60.0}, sensor);
     int behind = 0, alone = 0;
     for (std::uint64_t seed = 0; seed < 500; ++seed) {
-        const RayEchoes far = air.compute_echoes(make_ray_to(wall(20.0, 0.3), 20.0), seed),
-                        near = air.compute_echoes(make_ray_to(wall(1.2, 0.9), 1.6, wall(1.6, 0.9)), seed);
-        if (far.strongest.source == PointSource::fog) {
-            EXPECT_EQ(far.second.source, PointSource::surface);
+        const EchoPair far_echoes = air.compute_echoes_in_weather(make_ray_to(wall(20.0, 0.3), 20.0), seed),
+                       near_echoes = air.compute_echoes_in_weather(
+                           make_ray_to(wall(1.2, 0.9), 1.6, wall(1.6, 0.9)), seed);
+        if (far_echoes.strongest.source == ReturnCause::fog) {
+            EXPECT_EQ(far_echoes.second.source, ReturnCause::surface);
             ++behind;
         } else {
-            EXPECT_EQ(far.second.source, PointSource::fog) << "nothing is behind the wall";
+            EXPECT_EQ(far_echoes.second.source, ReturnCause::fog) << "nothing is behind the wall";
         }
-        EXPECT_GE(std::abs(far.strongest.range_m - far.second.range_m), sensor.separation_m);
-        EXPECT_LE(std::max(far.strongest.range_m, far.second.range_m), 20.0);
-        alone += near.second.source == PointSource::nothing;
+        EXPECT_GE(std::abs(far_echoes.strongest.range_m - far_echoes.second.range_m), sensor.separation_m);
+        EXPECT_LE(std::max(far_echoes.strongest.range_m, far_echoes.second.range_m), 20.0);
+        alone += near_echoes.second.source == ReturnCause::nothing;
     }
     EXPECT_GT(behind, 400);
     EXPECT_EQ(alone, 500) << "what is nearer than returns can be told apart is one";
 }
 
 TEST(Weather, TheSameSeedIsTheSameWeather) {
-    const Air air = make_air_of({.fog_visibility_m = 100.0, .snow_mm_h = 1.0}, make_sensor_to(80.0));
+    const WeatherRaySimulator air =
+        make_air_of({.fog_visibility_m = 100.0, .snow_mm_h = 1.0}, make_sensor_to(80.0));
     int others = 0;
     for (std::uint64_t seed = 0; seed < 100; ++seed) {
-        const Echo a = air.compute_echoes(make_ray_to({}, 80.0), seed).strongest,
-                   b = air.compute_echoes(make_ray_to({}, 80.0), seed).strongest;
-        const Echo c = air.compute_echoes(make_ray_to({}, 80.0), seed + 1).strongest;
+        const LidarEcho a = air.compute_echoes_in_weather(make_ray_to({}, 80.0), seed).strongest,
+                        b = air.compute_echoes_in_weather(make_ray_to({}, 80.0), seed).strongest;
+        const LidarEcho c = air.compute_echoes_in_weather(make_ray_to({}, 80.0), seed + 1).strongest;
         EXPECT_EQ(a.range_m, b.range_m);
         EXPECT_EQ(a.reflectivity, b.reflectivity);
         others += a.range_m != c.range_m;

@@ -15,9 +15,9 @@ namespace {
 
 using test::make_air_with, test::make_ray_to;
 
-WeatherSensor make_sensor_to_80_m() { return {.max_range_m = 80.0, .darkest = 0.005}; }
-Echo make_ground_at(double range_m, double reflectivity) {
-    return {range_m, reflectivity, PointSource::surface};
+WeatherSensorProperties make_sensor_to_80_m() { return {.max_range_m = 80.0, .darkest = 0.005}; }
+LidarEcho make_ground_at(double range_m, double reflectivity) {
+    return {range_m, reflectivity, ReturnCause::surface};
 }
 
 /// Returns the integral of 2 c function(c) over the cosine c, which is the mean over a
@@ -45,47 +45,48 @@ TEST(WetGround, WaterMirrorsAsFresnelSays) {
 /// directions with total reflection. The closed form does not use this integral.
 TEST(WetGround, IsDarkerByTheSumOfItsBounces) {
     constexpr double n = 1.33;
-    const auto kept_inside = [](double in_water) {
+    const auto compute_internal_reflectance = [](double in_water) {
         const double squared = 1.0 - n * n * (1.0 - in_water * in_water);
         return squared <= 0.0 ? 1.0 : compute_water_reflectance(std::sqrt(squared));
     };
-    const double kept = average_over_dull_surface(kept_inside);
+    const double internal_reflectance = average_over_dull_surface(compute_internal_reflectance);
     for (const double albedo : {0.0, 0.1, 0.4, 0.9}) {
         for (const double cosine : {1.0, 0.5, 0.1, 0.03}) {
             const double passes = 1.0 - compute_water_reflectance(cosine);
             double light = passes, returned = 0.0;  // per albedo
-            for (int bounce = 0; bounce < 2000; ++bounce) returned += light, light *= albedo * kept;
-            EXPECT_NEAR(compute_wet_to_dry_ratio(cosine, albedo), returned * passes / (n * n), 1e-3)
+            for (int bounce = 0; bounce < 2000; ++bounce)
+                returned += light, light *= albedo * internal_reflectance;
+            EXPECT_NEAR(compute_wet_reflectance_ratio(cosine, albedo), returned * passes / (n * n), 1e-3)
                 << cosine << ' ' << albedo;
         }
     }
-    EXPECT_EQ(compute_film_fraction(0.0), 0.0);
-    EXPECT_EQ(compute_film_fraction(0.25), 0.25);
-    EXPECT_EQ(compute_film_fraction(3.0), 1.0);
+    EXPECT_EQ(compute_water_film_fraction(0.0), 0.0);
+    EXPECT_EQ(compute_water_film_fraction(0.25), 0.25);
+    EXPECT_EQ(compute_water_film_fraction(3.0), 1.0);
 }
 
 /// The weakest return has a reflectivity of 0.005 at 80 m.
 TEST(WetGround, WhatIsTooDarkLeavesToWhatItMirrors) {
-    const Echo ground = make_ground_at(40.0, 0.1), mirrored{60.0, 0.5, PointSource::mirror};
+    const LidarEcho ground = make_ground_at(40.0, 0.1), mirrored{60.0, 0.5, ReturnCause::mirror};
     // the power is 0.001 at 40 m, which is less than the weakest detectable power 0.00125
-    const RayEchoes seen = make_air_with(make_sensor_to_80_m(), mirrored, 0.5, 0.01)
-                               .compute_echoes(make_ray_to(ground, 40.0), 1);
-    EXPECT_EQ(seen.strongest.source, PointSource::mirror);
-    EXPECT_EQ(seen.strongest.range_m, 60.0);
-    EXPECT_EQ(seen.strongest.reflectivity, 0.25);
-    EXPECT_EQ(seen.second.source, PointSource::nothing);
-    const RayEchoes both =
-        make_air_with(make_sensor_to_80_m(), mirrored, 0.5, 0.9).compute_echoes(make_ray_to(ground, 40.0), 1);
-    EXPECT_EQ(both.strongest.source, PointSource::mirror) << "0.25 / 60^2 is more than 0.09 / 40^2";
-    EXPECT_EQ(both.second.source, PointSource::surface);
+    const EchoPair echoes = make_air_with(make_sensor_to_80_m(), mirrored, 0.5, 0.01)
+                                .compute_echoes_in_weather(make_ray_to(ground, 40.0), 1);
+    EXPECT_EQ(echoes.strongest.source, ReturnCause::mirror);
+    EXPECT_EQ(echoes.strongest.range_m, 60.0);
+    EXPECT_EQ(echoes.strongest.reflectivity, 0.25);
+    EXPECT_EQ(echoes.second.source, ReturnCause::nothing);
+    const EchoPair both = make_air_with(make_sensor_to_80_m(), mirrored, 0.5, 0.9)
+                              .compute_echoes_in_weather(make_ray_to(ground, 40.0), 1);
+    EXPECT_EQ(both.strongest.source, ReturnCause::mirror) << "0.25 / 60^2 is more than 0.09 / 40^2";
+    EXPECT_EQ(both.second.source, ReturnCause::surface);
     EXPECT_EQ(both.second.reflectivity, 0.1 * 0.9);
 }
 
 TEST(WetGround, MirrorsNothingBeyondTheSensorsRange) {
-    const Air air = make_air_with(make_sensor_to_80_m(), {84.5, 0.5, PointSource::mirror});
-    const RayEchoes seen = air.compute_echoes(make_ray_to(make_ground_at(40.0, 0.1), 40.0), 1);
-    EXPECT_EQ(seen.strongest.source, PointSource::surface);
-    EXPECT_EQ(seen.second.source, PointSource::nothing);
+    const WeatherRaySimulator air = make_air_with(make_sensor_to_80_m(), {84.5, 0.5, ReturnCause::mirror});
+    const EchoPair echoes = air.compute_echoes_in_weather(make_ray_to(make_ground_at(40.0, 0.1), 40.0), 1);
+    EXPECT_EQ(echoes.strongest.source, ReturnCause::surface);
+    EXPECT_EQ(echoes.second.source, ReturnCause::nothing);
 }
 
 }  // namespace

@@ -20,8 +20,8 @@ constexpr double kDegree = kPi / 180.0, kLight_m_s = 299792458.0;
 
 /// Returns a sensor with pulses of 6 m length that detects a reflectivity of at least
 /// 0.005 at 60 m.
-WeatherSensor make_sensor_to_60_m() {
-    WeatherSensor sensor;
+WeatherSensorProperties make_sensor_to_60_m() {
+    WeatherSensorProperties sensor;
     sensor.max_range_m = 60.0, sensor.darkest = 0.005, sensor.pulse_s = 6.0 / kLight_m_s;
     return sensor;
 }
@@ -30,11 +30,12 @@ using test::make_air_with, test::make_ray_to;
 
 /// Returns the air for a ray whose direction differs from the direction of the sun by an
 /// angle.
-Air make_air_beside_sun(double off_deg, double klux, const WeatherSensor& sensor, float hides_sun = 0.0f) {
+WeatherRaySimulator make_air_beside_sun(double off_deg, double klux, const WeatherSensorProperties& sensor,
+                                        float hides_sun = 0.0f) {
     return test::make_air_of({.sun = {off_deg, 0.0, klux}}, sensor, hides_sun);
 }
-Echo make_surface_at(double range_m, double reflectivity) {
-    return {range_m, reflectivity, PointSource::surface};
+LidarEcho make_surface_at(double range_m, double reflectivity) {
+    return {range_m, reflectivity, ReturnCause::surface};
 }
 
 /// Returns chi^2 of counts against expected counts, as a standard normal deviate (Wilson
@@ -51,7 +52,7 @@ double compute_chi2_deviate(const std::vector<double>& counts, const std::vector
 /// aperture of 1e-3 m^2 and 7.07e-6 sr. About 10 nJ of light produce the electrons of a
 /// pulse.
 TEST(Sunlight, IsShotNoiseOfItsPhotons) {
-    WeatherSensor sensor;
+    WeatherSensorProperties sensor;
     sensor.divergence_rad = 0.003, sensor.pulse_s = 6e-9;
     const double photon_J = 6.626e-34 * 299792458.0 / 905e-9, view_sr = kPi * 0.0015 * 0.0015;
     const auto expected = [&](double W_m2_sr_nm) {
@@ -80,21 +81,22 @@ TEST(Sunlight, IsShotNoiseOfItsPhotons) {
 /// Compares the rate of false returns with Rice's rate of level crossings, integrated
 /// over the time in which the sensor accepts returns.
 TEST(Sunlight, IsFalseReturnsAsOftenAsRiceSays) {
-    const WeatherSensor sensor = make_sensor_to_60_m();
+    const WeatherSensorProperties sensor = make_sensor_to_60_m();
     const double seconds = 2.0 * (60.0 - 1.0) / kLight_m_s;
     for (const double off_deg : {0.35, 0.4, 0.5}) {
-        const double level = sensor.compute_min_power() /
+        const double level = sensor.compute_min_detectable_power() /
                              compute_sun_noise({0.0, 0.0, 100.0}, sensor, off_deg * kDegree, 0.0, true);
         const double n = seconds / (2.0 * std::sqrt(3.0) * sensor.pulse_s) * std::exp(-0.5 * level * level);
-        const Air air = make_air_beside_sun(off_deg, 100.0, sensor);
+        const WeatherRaySimulator air = make_air_beside_sun(off_deg, 100.0, sensor);
         std::vector<double> counts(21), expected(21, kPulses * (1.0 - std::exp(-n)) / 20.0);
         expected.back() = kPulses * std::exp(-n);
         for (std::uint64_t seed = 0; seed < kPulses; ++seed) {
-            const Echo echo = air.compute_echoes(make_ray_to({}, 60.0), seed).strongest;
-            if (echo.source == PointSource::nothing) ++counts.back();
+            const LidarEcho echo = air.compute_echoes_in_weather(make_ray_to({}, 60.0), seed).strongest;
+            if (echo.source == ReturnCause::nothing) ++counts.back();
             else {
-                ASSERT_EQ(echo.source, PointSource::noise);
-                ASSERT_GE(echo.reflectivity / (echo.range_m * echo.range_m), sensor.compute_min_power());
+                ASSERT_EQ(echo.source, ReturnCause::noise);
+                ASSERT_GE(echo.reflectivity / (echo.range_m * echo.range_m),
+                          sensor.compute_min_detectable_power());
                 ++counts.at(std::size_t((echo.range_m - 1.0) / 59.0 * 20.0));  // uniform over the range
             }
         }
@@ -107,10 +109,10 @@ TEST(Sunlight, IsFalseReturnsAsOftenAsRiceSays) {
 /// 1 - exp(-N exp(-S^2 / 2 sigma^2)) of the scans, where N is the number of noise crests.
 /// Half of the targets are hidden at R = sqrt(rho / S), S = sigma sqrt(2 ln(N / ln 2)).
 TEST(Sunlight, HidesWeakTargets) {
-    WeatherSensor sensor = make_sensor_to_60_m();
+    WeatherSensorProperties sensor = make_sensor_to_60_m();
     sensor.darkest = 0.0005;
     const Sun sun{0.0, 0.0, 100.0};
-    const Air air = make_air_beside_sun(0.3, 100.0, sensor);
+    const WeatherRaySimulator air = make_air_beside_sun(0.3, 100.0, sensor);
     for (const double reflectivity : {0.002, 0.004}) {
         const double sigma = compute_sun_noise(sun, sensor, 0.3 * kDegree, reflectivity, false);
         const double crests = 2.0 * 59.0 / kLight_m_s / (2.0 * std::sqrt(3.0) * sensor.pulse_s);
@@ -122,8 +124,9 @@ TEST(Sunlight, HidesWeakTargets) {
             const double lost = 1.0 - std::exp(-crests * std::exp(-0.5 * power * power / (sigma * sigma)));
             double n = 0.0;
             for (std::uint64_t seed = 0; seed < kPulses; ++seed)
-                n += air.compute_echoes(make_ray_to(make_surface_at(range_m, reflectivity), range_m), seed)
-                         .strongest.source == PointSource::noise;
+                n += air.compute_echoes_in_weather(
+                            make_ray_to(make_surface_at(range_m, reflectivity), range_m), seed)
+                         .strongest.source == ReturnCause::noise;
             EXPECT_NEAR(n / kPulses, lost, 4.0 * std::sqrt(lost * (1.0 - lost) / kPulses)) << range_m;
             EXPECT_TRUE(range_m != half_m || std::abs(lost - 0.5) < 1e-9);
         }
@@ -131,39 +134,44 @@ TEST(Sunlight, HidesWeakTargets) {
 }
 
 TEST(Sunlight, ElsewhereChangesNothing) {
-    const WeatherSensor sensor = make_sensor_to_60_m();
-    const Air blind = make_air_beside_sun(0.0, 150.0, sensor);
+    const WeatherSensorProperties sensor = make_sensor_to_60_m();
+    const WeatherRaySimulator blind = make_air_beside_sun(0.0, 150.0, sensor);
     for (std::uint64_t seed = 0; seed < 1000; ++seed)
-        ASSERT_EQ(blind.compute_echoes(make_ray_to({}, 0.0), seed).strongest.source, PointSource::nothing)
+        ASSERT_EQ(blind.compute_echoes_in_weather(make_ray_to({}, 0.0), seed).strongest.source,
+                  ReturnCause::nothing)
             << "what is at the sensor hides it";
-    const Echo before = make_surface_at(20.0, 0.3);
+    const LidarEcho before = make_surface_at(20.0, 0.3);
     for (const auto& [off_deg, hides_sun] : {std::pair(8.0, 0.0f), {90.0, 0.0f}, {0.0, 1.0f}}) {
-        const Air air = make_air_beside_sun(off_deg, 150.0, sensor, hides_sun);
+        const WeatherRaySimulator air = make_air_beside_sun(off_deg, 150.0, sensor, hides_sun);
         for (std::uint64_t seed = 0; seed < 1000; ++seed) {
-            const RayEchoes seen = air.compute_echoes(make_ray_to(before, 20.0), seed);
-            ASSERT_EQ(seen.strongest.source, PointSource::surface);
-            ASSERT_EQ(seen.strongest.reflectivity, before.reflectivity);
-            ASSERT_EQ(air.compute_echoes(make_ray_to({}, 60.0), seed).strongest.source, PointSource::nothing);
+            const EchoPair echoes = air.compute_echoes_in_weather(make_ray_to(before, 20.0), seed);
+            ASSERT_EQ(echoes.strongest.source, ReturnCause::surface);
+            ASSERT_EQ(echoes.strongest.reflectivity, before.reflectivity);
+            ASSERT_EQ(air.compute_echoes_in_weather(make_ray_to({}, 60.0), seed).strongest.source,
+                      ReturnCause::nothing);
         }
     }
 }
 
 /// A reflectivity of 0.002 at 4 m has the same power as a reflectivity of 0.05 at 20 m.
 TEST(StrayLight, WinsOverWhatIsWeaker) {
-    const WeatherSensor sensor = make_sensor_to_60_m();
-    Echo stray{4.0, 0.002, PointSource::blooming};
-    const Air air = make_air_with(sensor, stray);
-    const RayEchoes lost = air.compute_echoes(make_ray_to(make_surface_at(20.0, 0.049), 20.0), 1);
-    EXPECT_EQ(lost.strongest.source, PointSource::blooming);
+    const WeatherSensorProperties sensor = make_sensor_to_60_m();
+    LidarEcho stray{4.0, 0.002, ReturnCause::blooming};
+    const WeatherRaySimulator air = make_air_with(sensor, stray);
+    const EchoPair lost = air.compute_echoes_in_weather(make_ray_to(make_surface_at(20.0, 0.049), 20.0), 1);
+    EXPECT_EQ(lost.strongest.source, ReturnCause::blooming);
     EXPECT_EQ(lost.strongest.range_m, 4.0);
     EXPECT_EQ(lost.strongest.reflectivity, 0.002);
-    EXPECT_EQ(lost.second.source, PointSource::surface);
-    EXPECT_EQ(air.compute_echoes(make_ray_to(make_surface_at(20.0, 0.051), 20.0), 1).strongest.source,
-              PointSource::surface);
-    EXPECT_EQ(air.compute_echoes(make_ray_to({}, 60.0), 1).strongest.source, PointSource::blooming);
+    EXPECT_EQ(lost.second.source, ReturnCause::surface);
+    EXPECT_EQ(
+        air.compute_echoes_in_weather(make_ray_to(make_surface_at(20.0, 0.051), 20.0), 1).strongest.source,
+        ReturnCause::surface);
+    EXPECT_EQ(air.compute_echoes_in_weather(make_ray_to({}, 60.0), 1).strongest.source,
+              ReturnCause::blooming);
     stray.reflectivity = 0.9 * 0.005 * 16.0 / 3600.0;
-    EXPECT_EQ(make_air_with(sensor, stray).compute_echoes(make_ray_to({}, 60.0), 1).strongest.source,
-              PointSource::nothing)
+    EXPECT_EQ(
+        make_air_with(sensor, stray).compute_echoes_in_weather(make_ray_to({}, 60.0), 1).strongest.source,
+        ReturnCause::nothing)
         << "too weak to be a return; a dark surface counts as darkest";
 }
 

@@ -57,45 +57,45 @@ double median(std::vector<double> samples) {
     return samples[samples.size() / 2];
 }
 
-BenchTimes measure(Device& device, const BenchCase& bench) {
-    const auto n_rays = static_cast<std::uint32_t>(bench.rays.size());
-    const RendererOptions options{.trace = make_training_trace_options(bench.config),
+BenchTimes measure_benchmark_times(Device& device, const BenchCase& bench_case) {
+    const auto n_rays = static_cast<std::uint32_t>(bench_case.rays.size());
+    const RendererOptions options{.trace = make_training_trace_options(bench_case.config),
                                   .n_rays = n_rays,
-                                  .keep_hits = static_cast<std::uint32_t>(bench.config.trace.keep_hits)};
+                                  .keep_hits = static_cast<std::uint32_t>(bench_case.config.trace.keep_hits)};
     const auto rendered = [&] {
-        Renderer image(device, bench.scene, bench.config.image,
-                       {.trace = make_base_trace_options(bench.config), .n_rays = n_rays});
-        image.place(bench.placed, bench.view_origin_m);
-        return image.forward(bench.rays);
+        Renderer image(device, bench_case.scene, bench_case.config.image,
+                       {.trace = make_base_trace_options(bench_case.config), .n_rays = n_rays});
+        image.prepare_view(bench_case.placed, bench_case.view_origin_m);
+        return image.render_rays(bench_case.rays);
     };
-    TrainingStep step(device, bench, options,
-                      make_noisy_targets(rendered(), bench.config.loss.normalised_depth));
+    TrainingStep step(device, bench_case, options,
+                      make_noisy_loss_targets(rendered(), bench_case.config.loss.normalised_depth));
     Renderer& renderer = step.renderer;
     Stream& stream = renderer.stream();
-    const Array<DeviceRay> rays(device, std::span<const DeviceRay>(to_device_rays(bench.rays)), "rays");
-    const RayBatch batch{&rays, 0, 1, n_rays, static_cast<std::uint32_t>(bench.columns), &step.targets};
+    const Array<DeviceRay> rays(device, std::span<const DeviceRay>(to_device_rays(bench_case.rays)), "rays");
+    const RayBatch batch{&rays, 0, 1, n_rays, static_cast<std::uint32_t>(bench_case.columns), &step.targets};
     std::vector<double> build, refit, forward, backward, iteration;
     const auto time = [&](std::vector<double>& samples, const auto& record) {
         const Clock::time_point start = Clock::now();
         record();
-        stream.finish();
+        stream.submit_and_wait();
         samples.push_back(measure_ms_since(start));
     };
     const auto repeat = [&] {
-        stop_if_interrupted();
+        throw_if_interrupted();
         time(iteration, [&] {
-            renderer.place(bench.placed, bench.view_origin_m);
-            renderer.record_forward(batch);
-            step.compare(batch);
-            step.differentiable.record_backward();
-            step.optimise();
+            renderer.prepare_view(bench_case.placed, bench_case.view_origin_m);
+            renderer.record_forward_pass(batch);
+            step.record_loss_kernels(batch);
+            step.differentiable.record_backward_pass();
+            step.record_optimizer_kernels();
         });
-        time(build, [&] { renderer.accel().update(stream, renderer.scene(), true); });
-        time(refit, [&] { renderer.accel().update(stream, renderer.scene()); });
-        time(forward, [&] { renderer.record_forward(batch); });
-        step.compare(batch);
-        stream.finish();
-        time(backward, [&] { step.differentiable.record_backward(); });
+        time(build, [&] { renderer.accel().update_bvh(stream, renderer.scene(), true); });
+        time(refit, [&] { renderer.accel().update_bvh(stream, renderer.scene()); });
+        time(forward, [&] { renderer.record_forward_pass(batch); });
+        step.record_loss_kernels(batch);
+        stream.submit_and_wait();
+        time(backward, [&] { step.differentiable.record_backward_pass(); });
     };
     // Warm-up time before the measurement, because the first launches compile kernels,
     // and because a GPU raises its clock rate only under load.
@@ -114,16 +114,17 @@ BenchTimes measure(Device& device, const BenchCase& bench) {
 /// spaced along the recorded path of the log's sensor. The scans of all sensors at the
 /// same time are submitted together. While they are read, the device already renders the
 /// next scans.
-double measure_scans_per_second(ScanRenderer& renderer, const Run& run,
-                                std::span<const TargetSensor> sensors) {
-    const PoseTrack path = shift_track(run.sequence.world_from_sensor(0), run.sequence.world_offset_m);
+double measure_scans_per_second(ScanRenderer& renderer, const TrainedRun& run,
+                                std::span<const MountedSimulatedSensor> sensors) {
+    const PoseTrack path = shift_track(run.sequence.get_world_from_sensor(0), run.sequence.world_offset_m);
     const double first_s = path.time_s.front(), length_s = path.time_s.back() - first_s;
     const auto submit = [&](int scan) {
         const double time_s = first_s + length_s * (scan + 0.5) / kScans;
-        for (const TargetSensor& target : sensors)
-            renderer.submit_points(
-                target.sensor, {time_s, mount_on_track(path, target.mounting)}, time_s, {},
-                &target == &sensors.back() ? ScanRenderer::Send::now : ScanRenderer::Send::with_next);
+        for (const MountedSimulatedSensor& target : sensors)
+            renderer.submit_points(target.sensor, {time_s, compute_mounted_track(path, target.mounting)},
+                                   time_s, {},
+                                   &target == &sensors.back() ? ScanRenderer::SubmissionTiming::now
+                                                              : ScanRenderer::SubmissionTiming::with_next);
     };
     const auto collect = [&] {
         for (std::size_t i = 0; i < sensors.size(); ++i) renderer.wait_for_points();
@@ -134,83 +135,91 @@ double measure_scans_per_second(ScanRenderer& renderer, const Run& run,
     const Clock::time_point start = Clock::now();
     submit(0);
     for (int scan = 1; scan <= kScans; ++scan) {
-        stop_if_interrupted();
+        throw_if_interrupted();
         if (scan < kScans) submit(scan);
         collect();
     }
     return 1e3 * double(sensors.size()) * kScans / measure_ms_since(start);
 }
 
-void measure_scans(Device& device, const Run& run, const std::string& sensor, BenchTimes& times) {
+void measure_scan_rates(Device& device, const TrainedRun& run, const std::string& sensor_or_rig_name,
+                        BenchTimes& bench_times) {
     ScanRenderer renderer(device, run);
-    const std::vector<TargetSensor> sensors =
-        list_target_sensors(sensor.empty() ? "native" : sensor, find_rig(sensor), run, 0);
-    times.scans_per_s = measure_scans_per_second(renderer, run, sensors);
+    const std::vector<MountedSimulatedSensor> sensors =
+        list_simulated_sensors(sensor_or_rig_name.empty() ? "native" : sensor_or_rig_name,
+                               read_sensor_rig(sensor_or_rig_name), run, 0);
+    bench_times.scans_per_s = measure_scans_per_second(renderer, run, sensors);
     if (sensors.size() == 1) return;
     double seconds = 0.0;
-    for (const TargetSensor& target : sensors)
+    for (const MountedSimulatedSensor& target : sensors)
         seconds += 1.0 / measure_scans_per_second(renderer, run, {&target, 1});
-    times.separate_scans_per_s = double(sensors.size()) / seconds;
+    bench_times.separate_scans_per_s = double(sensors.size()) / seconds;
 }
 
-const char* get_traversal_name(const Device& device) {
-    return device.traversal() == Traversal::software ? "software" : "ray_query";
+const char* get_ray_tracing_backend_name(const Device& device) {
+    return device.traversal() == RayTracingBackend::software ? "software" : "ray_query";
 }
 
-std::string format_report(const BenchCase& bench, const BenchTimes& times, const Device& device) {
-    const double krays = double(bench.rays.size()) / 1000.0;
+std::string format_benchmark_report(const BenchCase& bench_case, const BenchTimes& bench_times,
+                                    const Device& device) {
+    const double krays = double(bench_case.rays.size()) / 1000.0;
     std::string text = fmt::format(
         "device      {}\ndriver      {}\ntraversal   {}\nscene       {}, {} surfels, {} rays ({} x {})\n",
-        device.info().name, device.info().driver, get_traversal_name(device), bench.name,
-        bench.scene.surfels.size(), bench.rays.size(), bench.rows, bench.columns);
+        device.info().name, device.info().driver, get_ray_tracing_backend_name(device), bench_case.name,
+        bench_case.scene.surfels.size(), bench_case.rays.size(), bench_case.rows, bench_case.columns);
     text += fmt::format(
         "tree        build {:.2f} ms, refit {:.2f} ms\nforward     {:.2f} ms, {:.3f} Mrays/s\n"
         "backward    {:.2f} ms, {:.3f} Mrays/s\niteration   {:.2f} ms of training on all rays\n",
-        times.build_ms, times.refit_ms, times.forward_ms, krays / times.forward_ms, times.backward_ms,
-        krays / times.backward_ms, times.iteration_ms);
-    if (times.scans_per_s) text += fmt::format("scans       {:.1f} per second\n", *times.scans_per_s);
-    if (times.separate_scans_per_s)
+        bench_times.build_ms, bench_times.refit_ms, bench_times.forward_ms, krays / bench_times.forward_ms,
+        bench_times.backward_ms, krays / bench_times.backward_ms, bench_times.iteration_ms);
+    if (bench_times.scans_per_s)
+        text += fmt::format("scans       {:.1f} per second\n", *bench_times.scans_per_s);
+    if (bench_times.separate_scans_per_s)
         text += fmt::format("            {:.1f} per second if the sensors are rendered one after the other\n",
-                            *times.separate_scans_per_s);
-    return text + fmt::format("relidar {}; wall times, medians of {}\n", RELIDAR_VERSION, times.repetitions);
+                            *bench_times.separate_scans_per_s);
+    return text +
+           fmt::format("relidar {}; wall times, medians of {}\n", RELIDAR_VERSION, bench_times.repetitions);
 }
 
-std::string make_report_json(const BenchCase& bench, const BenchTimes& times, const Device& device) {
-    const double krays = double(bench.rays.size()) / 1000.0;
+std::string make_benchmark_report_json(const BenchCase& bench_case, const BenchTimes& bench_times,
+                                       const Device& device) {
+    const double krays = double(bench_case.rays.size()) / 1000.0;
     nlohmann::ordered_json json = {{"format", "relidar check --speed"},
                                    {"version", 2},
                                    {"relidar", RELIDAR_VERSION},
                                    {"device", device.info().name},
                                    {"driver", device.info().driver},
-                                   {"traversal", get_traversal_name(device)},
-                                   {"scene", bench.name},
-                                   {"surfels", bench.scene.surfels.size()},
-                                   {"rays", bench.rays.size()},
-                                   {"build_ms", times.build_ms},
-                                   {"refit_ms", times.refit_ms},
-                                   {"forward_ms", times.forward_ms},
-                                   {"backward_ms", times.backward_ms},
-                                   {"iteration_ms", times.iteration_ms},
-                                   {"forward_mrays_per_s", krays / times.forward_ms},
-                                   {"backward_mrays_per_s", krays / times.backward_ms},
-                                   {"repetitions", times.repetitions}};
-    if (times.scans_per_s) json["scans_per_s"] = *times.scans_per_s;
-    if (times.separate_scans_per_s) json["separate_scans_per_s"] = *times.separate_scans_per_s;
+                                   {"traversal", get_ray_tracing_backend_name(device)},
+                                   {"scene", bench_case.name},
+                                   {"surfels", bench_case.scene.surfels.size()},
+                                   {"rays", bench_case.rays.size()},
+                                   {"build_ms", bench_times.build_ms},
+                                   {"refit_ms", bench_times.refit_ms},
+                                   {"forward_ms", bench_times.forward_ms},
+                                   {"backward_ms", bench_times.backward_ms},
+                                   {"iteration_ms", bench_times.iteration_ms},
+                                   {"forward_mrays_per_s", krays / bench_times.forward_ms},
+                                   {"backward_mrays_per_s", krays / bench_times.backward_ms},
+                                   {"repetitions", bench_times.repetitions}};
+    if (bench_times.scans_per_s) json["scans_per_s"] = *bench_times.scans_per_s;
+    if (bench_times.separate_scans_per_s) json["separate_scans_per_s"] = *bench_times.separate_scans_per_s;
     return json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
 }
 
 }  // namespace
 
-void measure_speed(const BenchOptions& options) {
-    std::optional<Run> run;
+void run_speed_benchmark(const BenchOptions& options) {
+    std::optional<TrainedRun> run;
     if (!options.run.empty()) run = load_run(options.run);
     Device device(make_device_options(options.device));
-    const BenchCase bench = run ? make_run_case(*run)
-                                : make_street_case(100000, false, make_benchmark_rays(64, 1024, 2.0, -24.9));
-    BenchTimes times = measure(device, bench);
-    if (run) measure_scans(device, *run, options.sensor, times);
-    if (!options.json.empty()) write_text(options.json, make_report_json(bench, times, device));
-    print(format_report(bench, times, device));
+    const BenchCase bench =
+        run ? make_benchmark_from_run(*run)
+            : make_street_benchmark(100000, false, make_benchmark_rays(64, 1024, 2.0, -24.9));
+    BenchTimes times = measure_benchmark_times(device, bench);
+    if (run) measure_scan_rates(device, *run, options.sensor, times);
+    if (!options.json.empty())
+        write_text_file(options.json, make_benchmark_report_json(bench, times, device));
+    print(format_benchmark_report(bench, times, device));
 }
 
 }  // namespace relidar::cli

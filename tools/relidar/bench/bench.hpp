@@ -12,10 +12,10 @@ struct BenchOptions {
     std::string run;     ///< Folder of the run. Empty = benchmark street.
     std::string sensor;  ///< Sensor or rig whose scans are measured. Empty = the log's sensor.
     std::string json;    ///< File for the report. Empty = none.
-    DeviceChoice device;
+    DeviceCommandOptions device;
 };
 
 /// Measures the speed and prints a report.
-void measure_speed(const BenchOptions& options);
+void run_speed_benchmark(const BenchOptions& options);
 
 }  // namespace relidar::cli

@@ -11,7 +11,7 @@
 
 namespace relidar::cli {
 
-BenchCase make_street_case(std::uint32_t n_surfels, bool refined, const RayTable& rays) {
+BenchCase make_street_benchmark(std::uint32_t n_surfels, bool shrink_with_count, const RayTable& rays) {
     BenchCase bench;
     bench.name = "benchmark street";
     bench.rows = rays.rows;
@@ -20,22 +20,22 @@ BenchCase make_street_case(std::uint32_t n_surfels, bool refined, const RayTable
     // The rays are already in the world frame, because it equals the sensor frame of the
     // benchmark street.
     bench.rays = {to_vector(rays.origin), to_vector(rays.direction)};
-    const Surfels surfels = make_benchmark_street(n_surfels, 20261120, refined);
-    bench.scene = make_background_scene(surfels.reorder(compute_kd_order(surfels.mean)));
+    const Surfels surfels = make_benchmark_street_surfels(n_surfels, 20261120, shrink_with_count);
+    bench.scene = make_background_scene(surfels.reorder(compute_kd_tree_order(surfels.mean)));
     bench.config = make_preset("paper");
     bench.placed.resize(1);
     return bench;
 }
 
-BenchCase make_run_case(const Run& run) {
+BenchCase make_benchmark_from_run(const TrainedRun& run) {
     if (run.sequence.frames.empty() || count_surfels(run.scene) == 0)
         throw DataError(
             fmt::format("cannot render run {}: it has no frames or no surfels; expected at least "
                         "one of each",
                         run.folder.string()));
-    const Frame& frame =
+    const LidarFrame& frame =
         run.sequence.frames[run.split.test.empty() ? 0 : static_cast<std::size_t>(run.split.test.front())];
-    const SensorChoice sensor = make_configured_sensor(run.config, run.sequence, frame.lidar);
+    const SimulatedSensor sensor = make_configured_sensor(run.config, run.sequence, frame.lidar);
     RayTable table = sensor.rays;
     if (table.size() == 0) table = make_nominal_rays(run.sequence.get_lidar(frame), frame.time_s);
     if (table.size() == 0)
@@ -46,8 +46,8 @@ BenchCase make_run_case(const Run& run) {
     bench.name = fmt::format("{}, frame {}", run.folder.string(), frame.index);
     bench.rows = table.rows;
     bench.columns = table.columns;
-    const PoseTrack track = run.sequence.world_from_sensor(frame.lidar);
-    bench.view_origin_m = glm::vec3(track.at(frame.time_s).translation);
+    const PoseTrack track = run.sequence.get_world_from_sensor(frame.lidar);
+    bench.view_origin_m = glm::vec3(track.interpolate_pose(frame.time_s).translation);
     const bool rolls = has_rolling_shutter(sensor, run.config);
     for (std::size_t i = 0; i < table.size(); ++i) {
         const WorldRay ray = make_world_ray(track, frame.time_s, table, i, rolls);
@@ -55,7 +55,7 @@ BenchCase make_run_case(const Run& run) {
         bench.rays.direction.emplace_back(ray.direction);
         bench.rays.time_s.push_back(rolls ? table.time_offset_s[i] : 0.0f);
     }
-    bench.placed = place_instances(run.scene, run.sequence, get_sweep_moment(frame));
+    bench.placed = compute_instance_poses(run.scene, run.sequence, get_sweep_moment(frame));
     bench.scene = load_all_blocks(run.scene);
     bench.config = run.config;
     return bench;

@@ -27,12 +27,12 @@ struct BenchCase {
 };
 
 /// Creates a benchmark of the synthetic benchmark street with the settings of the paper.
-/// @param refined see make_benchmark_street()
-BenchCase make_street_case(std::uint32_t n_surfels, bool refined, const RayTable& rays);
+/// @param shrink_with_count see make_benchmark_street_surfels()
+BenchCase make_street_benchmark(std::uint32_t n_surfels, bool shrink_with_count, const RayTable& rays);
 
 /// Creates a benchmark from a trained run. Casts the rays of the run's sensor at the
 /// first held-out frame.
 /// @throws DataError if the run has no frames or no surfels
-BenchCase make_run_case(const Run& run);
+BenchCase make_benchmark_from_run(const TrainedRun& run);
 
 }  // namespace relidar::cli

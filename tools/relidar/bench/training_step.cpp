@@ -10,51 +10,53 @@
 
 namespace relidar::cli {
 
-std::vector<DeviceTarget> make_noisy_targets(const Rendering& rendering, bool normalised_depth) {
+std::vector<DeviceTarget> make_noisy_loss_targets(const RenderedRayValues& rendering,
+                                                  bool divide_depth_by_weight) {
     constexpr float kRangeNoise_m = 0.1f, kIntensityNoise = 0.05f, kSolid = 0.5f;
     std::mt19937 random(1);
     const auto noise = [&] { return static_cast<float>(random()) / 2147483648.0f - 1.0f; };
     std::vector<DeviceTarget> targets(rendering.size(), {.range_m = 0.0f, .intensity = 0.0f, .weight = 1.0f});
     for (std::size_t i = 0; i < targets.size(); ++i) {
         if (!(rendering.weight[i] > kSolid)) continue;
-        const float range_m = rendering.depth[i] / (normalised_depth ? rendering.weight[i] : 1.0f);
+        const float range_m = rendering.depth[i] / (divide_depth_by_weight ? rendering.weight[i] : 1.0f);
         targets[i].range_m = std::max(range_m + kRangeNoise_m * noise(), 0.01f);
         targets[i].intensity = rendering.intensity[i] + kIntensityNoise * noise();
     }
     return targets;
 }
 
-TrainingStep::TrainingStep(Device& device, const BenchCase& bench, const RendererOptions& options,
-                           const std::vector<DeviceTarget>& wanted)
-    : differentiable(device, bench.scene, bench.config.image, options,
+TrainingStep::TrainingStep(Device& device, const BenchCase& bench_case, const RendererOptions& options,
+                           const std::vector<DeviceTarget>& target_values)
+    : differentiable(device, bench_case.scene, bench_case.config.image, options,
                      // The gradients of surfels without hits are not set to zero, because
                      // Adam skips these surfels.
-                     {.sums = make_backward_options(bench.config), .zero_untouched = false}),
+                     {.sums = make_backward_options(bench_case.config), .zero_untouched = false}),
       renderer(differentiable.renderer()),
-      targets(device, std::span<const DeviceTarget>(wanted), "targets"),
-      loss_(device, bench.config.loss),
-      adam_(device, renderer.scene().size(), {.only_touched = bench.config.train.only_touched},
-            renderer.scene().parameters().parameters()),
+      targets(device, std::span<const DeviceTarget>(target_values), "targets"),
+      loss_(device, bench_case.config.loss),
+      adam_(device, renderer.scene().size(), {.only_touched = bench_case.config.train.only_touched},
+            renderer.scene().get_surfel_parameters().get_parameter_set()),
       terms_(device, std::vector<float>(kLossTerms, 0.0f), "loss terms") {
-    for (const DeviceTarget& target : wanted) n_returned_ += target.range_m > 0.0f;
-    if (bench.config.loss.likelihood > 0.0f) likelihood_loss_.emplace(device, bench.config.loss);
+    for (const DeviceTarget& target : target_values) n_returned_ += target.range_m > 0.0f;
+    if (bench_case.config.loss.likelihood > 0.0f) likelihood_loss_.emplace(device, bench_case.config.loss);
 }
 
-void TrainingStep::compare(const RayBatch& rays) {
+void TrainingStep::record_loss_kernels(const RayBatch& rays) {
     const std::uint32_t columns = std::max(rays.columns, 1u);
     const ImageShape image{rays.n_rays / columns, columns, false};
     const TargetBatch measured{&targets, 0, 1, rays.n_rays, n_returned_, static_cast<double>(rays.n_rays),
                                image};
-    loss_.compare(renderer.stream(), differentiable.batch(), measured, terms_);
+    loss_.record_ray_losses(renderer.stream(), differentiable.get_last_rendered_batch(), measured, terms_);
     if (likelihood_loss_)
-        likelihood_loss_->compare(renderer.stream(), differentiable.batch(), measured, terms_);
+        likelihood_loss_->record_ray_losses(renderer.stream(), differentiable.get_last_rendered_batch(),
+                                            measured, terms_);
 }
 
-void TrainingStep::optimise() {
+void TrainingStep::record_optimizer_kernels() {
     constexpr LearningRates kNone{0.0, 0.0, 0.0, 0.0, 0.0, 0.05};
-    const Gradients& gradients = differentiable.gradients();
-    adam_.step(renderer.stream(), renderer.scene().parameters(), gradients.surfels, &gradients.touched, kNone,
-               ++step_, renderer.model().sh_degree);
+    const DeviceGradients& gradients = differentiable.gradients();
+    adam_.record_adam_step(renderer.stream(), renderer.scene().get_surfel_parameters(), gradients.surfels,
+                           &gradients.touched, kNone, ++step_, renderer.model().sh_degree);
 }
 
 }  // namespace relidar::cli

@@ -16,25 +16,26 @@ struct BenchCase;
 /// Creates target values for the losses. Adds uniform noise to a rendered image, because
 /// the gradient of an L1 loss is zero where the image equals the target. A ray with a low
 /// rendered weight becomes a dropped ray (a ray without return).
-std::vector<DeviceTarget> make_noisy_targets(const Rendering& rendering, bool normalised_depth);
+std::vector<DeviceTarget> make_noisy_loss_targets(const RenderedRayValues& rendering,
+                                                  bool divide_depth_by_weight);
 
 /// Runs one training step for a benchmark. All learning rates are 0, so that the step
 /// does not change the scene.
 class TrainingStep {
 public:
-    TrainingStep(Device& device, const BenchCase& bench, const RendererOptions& options,
-                 const std::vector<DeviceTarget>& wanted);
+    TrainingStep(Device& device, const BenchCase& bench_case, const RendererOptions& options,
+                 const std::vector<DeviceTarget>& target_values);
 
     DifferentiableRenderer differentiable;
     Renderer& renderer;  ///< The renderer of `differentiable`.
     Array<DeviceTarget> targets;
 
     /// Adds the loss kernels to the command buffer. Must be called after
-    /// record_forward().
-    void compare(const RayBatch& rays);
+    /// record_forward_pass().
+    void record_loss_kernels(const RayBatch& rays);
     /// Adds the kernel of the optimizer (Adam) to the command buffer. Must be called
-    /// after record_backward().
-    void optimise();
+    /// after record_backward_pass().
+    void record_optimizer_kernels();
 
 private:
     ImageLoss loss_;

@@ -10,7 +10,7 @@
 
 namespace relidar::cli {
 
-Finding check_adam(CheckedDevice& checked) {
+CheckResult check_adam_optimizer(CheckedDevice& tested_device) {
     constexpr std::size_t kValues = 1000;
     constexpr double kRate = 1e-2;
     const AdamOptions options;
@@ -19,7 +19,7 @@ Finding check_adam(CheckedDevice& checked) {
     std::vector<float> start(kValues), gradient(kValues);
     for (float& x : start) x = normal(random);
     std::vector<double> expected(start.begin(), start.end()), m(kValues, 0.0), v(kValues, 0.0);
-    Device& device = checked.device();
+    Device& device = tested_device.get_default_device();
     ArrayAdam adam(device, kValues, options);
     const Array<float> values(device, std::span<const float>(start), "values");
     Array<float> gradients(device, kValues, "gradients");
@@ -27,8 +27,8 @@ Finding check_adam(CheckedDevice& checked) {
     for (int step = 1; step <= 3; ++step) {
         for (float& x : gradient) x = normal(random);
         gradients.upload(gradient);
-        adam.step(stream, values, gradients, kRate, step);
-        stream.finish();
+        adam.record_adam_step(stream, values, gradients, kRate, step);
+        stream.submit_and_wait();
         for (std::size_t i = 0; i < kValues; ++i) {
             const double g = gradient[i];
             m[i] = options.beta1 * m[i] + (1.0 - options.beta1) * g;
@@ -43,7 +43,7 @@ Finding check_adam(CheckedDevice& checked) {
         const double difference = std::abs(actual[i] - expected[i]);
         error = std::isfinite(difference) ? std::max(error, difference) : HUGE_VAL;
     }
-    return judge(error, 1e-6);
+    return compare_error_with_tolerance(error, 1e-6);
 }
 
 }  // namespace relidar::cli

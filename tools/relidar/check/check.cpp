@@ -32,21 +32,21 @@ using Clock = std::chrono::steady_clock;
 struct CheckOptions {
     std::string json, run, sensor;
     bool speed = false;
-    DeviceChoice device;
+    DeviceCommandOptions device;
 };
 
 /// A check that was run.
-struct CheckRow {
+struct NamedCheckResult {
     std::string name;
-    Finding finding;
+    CheckResult finding;
     double seconds = 0.0;
 };
 
-const char* get_word(Finding::Kind kind) {
-    switch (kind) {
-        case Finding::Kind::right:
+const char* get_check_outcome_name(CheckResult::CheckOutcome outcome_kind) {
+    switch (outcome_kind) {
+        case CheckResult::CheckOutcome::right:
             return "right";
-        case Finding::Kind::wrong:
+        case CheckResult::CheckOutcome::wrong:
             return "WRONG";
         default:
             return "not supported";
@@ -55,80 +55,85 @@ const char* get_word(Finding::Kind kind) {
 
 /// Runs one check and measures its time. If the driver reports an error, the result of
 /// the check is "wrong".
-/// @param is_lost output: set to true if the driver has lost the device
-CheckRow run_check(const Check& check, CheckedDevice& checked, bool& is_lost) {
-    CheckRow row{check.name, {}, 0.0};
+/// @param is_device_lost output: set to true if the driver has lost the device
+NamedCheckResult run_device_check(const DeviceCheck& check, CheckedDevice& tested_device,
+                                  bool& is_device_lost) {
+    NamedCheckResult row{check.name, {}, 0.0};
     const Clock::time_point start = Clock::now();
     try {
-        row.finding = check.run(checked);
+        row.finding = check.run(tested_device);
     } catch (const DeviceLost& error) {
-        is_lost = true;
-        row.finding = make_wrong_finding(join_lines(error.what()));
+        is_device_lost = true;
+        row.finding = make_failed_check_result(replace_control_characters(error.what()));
     } catch (const DeviceError& error) {
-        row.finding = make_wrong_finding(join_lines(error.what()));
+        row.finding = make_failed_check_result(replace_control_characters(error.what()));
     }
     row.seconds = std::chrono::duration<double>(Clock::now() - start).count();
     return row;
 }
 
-std::string check_json(const DeviceInfo& info, const std::vector<CheckRow>& rows) {
+std::string make_check_report_json(const DeviceInfo& device_info,
+                                   const std::vector<NamedCheckResult>& check_rows) {
     nlohmann::ordered_json json = {{"format", "relidar check"},
                                    {"version", 1},
                                    {"relidar", RELIDAR_VERSION},
                                    {"date", fmt::format("{:%Y-%m-%d}", fmt::gmtime(std::time(nullptr)))},
-                                   {"device", info.name},
-                                   {"type", info.type},
-                                   {"driver", info.driver},
-                                   {"api_version", info.api_version},
-                                   {"memory_bytes", info.memory_bytes}};
-    for (const CheckRow& row : rows)
-        json["checks"].push_back(
-            {{"name", row.name},
-             {"result", row.finding.kind == Finding::Kind::wrong ? "wrong" : get_word(row.finding.kind)},
-             {"text", row.finding.text},
-             {"seconds", row.seconds}});
+                                   {"device", device_info.name},
+                                   {"type", device_info.type},
+                                   {"driver", device_info.driver},
+                                   {"api_version", device_info.api_version},
+                                   {"memory_bytes", device_info.memory_bytes}};
+    for (const NamedCheckResult& row : check_rows)
+        json["checks"].push_back({{"name", row.name},
+                                  {"result", row.finding.kind == CheckResult::CheckOutcome::wrong
+                                                 ? "wrong"
+                                                 : get_check_outcome_name(row.finding.kind)},
+                                  {"text", row.finding.text},
+                                  {"seconds", row.seconds}});
     return json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
 }
 
 /// Returns all checks. If a run is given, also the checks of its scene.
-std::vector<Check> list_checks(const std::string& run_folder) {
-    std::vector<Check> checks(list_all_checks().begin(), list_all_checks().end());
+std::vector<DeviceCheck> list_device_and_run_checks(const std::string& run_folder) {
+    std::vector<DeviceCheck> checks(get_builtin_device_checks().begin(), get_builtin_device_checks().end());
     if (run_folder.empty()) return checks;
-    const auto bench = std::make_shared<const BenchCase>(make_run_case(load_run(run_folder)));
-    checks.push_back(
-        {"run, software", [bench](CheckedDevice& c) { return check_run(c, Traversal::software, *bench); }});
-    checks.push_back(
-        {"run, ray query", [bench](CheckedDevice& c) { return check_run(c, Traversal::ray_query, *bench); }});
+    const auto bench = std::make_shared<const BenchCase>(make_benchmark_from_run(load_run(run_folder)));
+    checks.push_back({"run, software", [bench](CheckedDevice& c) {
+                          return check_run_rendering(c, RayTracingBackend::software, *bench);
+                      }});
+    checks.push_back({"run, ray query", [bench](CheckedDevice& c) {
+                          return check_run_rendering(c, RayTracingBackend::ray_query, *bench);
+                      }});
     return checks;
 }
 
-void run_checks(const CheckOptions& options) {
+void run_device_checks(const CheckOptions& options) {
     // By default, relidar avoids methods that fail on the device. This setting turns that
     // off, so that the checks show whether the driver computes correctly.
-    const Trusting trusting(DeviceTrust{});
+    const ScopedDeviceTestResults trusting(DeviceTestResults{});
     CheckedDevice checked(make_device_options(options.device));
-    const DeviceInfo& info = checked.device().info();
+    const DeviceInfo& info = checked.get_default_device().info();
     print(fmt::format("device   {}\ndriver   {}\nrelidar  {}\n\n", info.name, info.driver, RELIDAR_VERSION));
-    std::vector<CheckRow> rows;
+    std::vector<NamedCheckResult> rows;
     std::vector<std::string> wrong_names;
     bool is_lost = false;
-    for (const Check& check : list_checks(options.run)) {
-        stop_if_interrupted();
-        rows.push_back(run_check(check, checked, is_lost));
-        const CheckRow& row = rows.back();
-        print(fmt::format("{:<22} {:<13} {:6.2f} s  {}\n", row.name, get_word(row.finding.kind), row.seconds,
-                          row.finding.text));
-        if (row.finding.kind == Finding::Kind::wrong) wrong_names.push_back(row.name);
+    for (const DeviceCheck& check : list_device_and_run_checks(options.run)) {
+        throw_if_interrupted();
+        rows.push_back(run_device_check(check, checked, is_lost));
+        const NamedCheckResult& row = rows.back();
+        print(fmt::format("{:<22} {:<13} {:6.2f} s  {}\n", row.name, get_check_outcome_name(row.finding.kind),
+                          row.seconds, row.finding.text));
+        if (row.finding.kind == CheckResult::CheckOutcome::wrong) wrong_names.push_back(row.name);
         if (is_lost) break;
     }
-    if (!options.json.empty()) write_text(options.json, check_json(info, rows));
+    if (!options.json.empty()) write_text_file(options.json, make_check_report_json(info, rows));
     if (wrong_names.empty()) return;
     throw DeviceError(fmt::format("{} of {} checks of {} ({}) are wrong: {}{}", wrong_names.size(),
                                   rows.size(), info.name, info.driver, fmt::join(wrong_names, ", "),
                                   is_lost ? "; the device was lost, so the other checks did not run" : ""));
 }
 
-void check_device(const CheckOptions& options) {
+void run_check_command(const CheckOptions& options) {
     if (std::error_code failed; std::filesystem::is_directory(options.json, failed))
         throw DataError(
             fmt::format("--json {}: this is a folder; expected the name of a file to write", options.json));
@@ -137,9 +142,9 @@ void check_device(const CheckOptions& options) {
     std::optional<OutputFolder> folder;
     if (const std::filesystem::path json = options.json; !json.empty())
         folder.emplace(json.has_parent_path() ? json.parent_path() : ".");
-    catch_interrupts();
-    if (options.speed) measure_speed({options.run, options.sensor, options.json, options.device});
-    else run_checks(options);
+    install_interrupt_handlers();
+    if (options.speed) run_speed_benchmark({options.run, options.sensor, options.json, options.device});
+    else run_device_checks(options);
 }
 
 constexpr const char* kCheckHelp =
@@ -157,7 +162,7 @@ Examples:
 
 }  // namespace
 
-void add_check(CLI::App& app, Call& call) {
+void add_check_command(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command =
         app.add_subcommand("check", "check that a device gives right results, or measure its speed");
     const auto options = std::make_shared<CheckOptions>();
@@ -175,7 +180,8 @@ void add_check(CLI::App& app, Call& call) {
     command->add_option("--json", options->json, "also write the results to this file")->type_name("FILE");
     add_device_options(*command, options->device);
     command->footer(kCheckHelp);
-    command->callback([&call, options] { call.run = [options] { check_device(*options); }; });
+    command->callback(
+        [&selected_command, options] { selected_command.run = [options] { run_check_command(*options); }; });
 }
 
 }  // namespace relidar::cli

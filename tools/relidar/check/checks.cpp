@@ -7,51 +7,57 @@
 
 namespace relidar::cli {
 
-std::span<const Check> list_all_checks() {
-    using enum Traversal;
+std::span<const DeviceCheck> get_builtin_device_checks() {
+    using enum RayTracingBackend;
     static const std::array checks{
-        Check{"float atomics", check_float_atomics},
-        Check{"compare-and-swap sums", check_float_swaps},
-        Check{"subgroups", check_subgroups},
-        Check{"prefix sum", check_prefix_sum},
-        Check{"sort", check_sort},
-        Check{"tree of software", [](CheckedDevice& c) { return check_tree(c, software); }},
-        Check{"tree of ray query", [](CheckedDevice& c) { return check_tree(c, ray_query); }},
-        Check{"gradients, software", [](CheckedDevice& c) { return check_render(c, software); }},
-        Check{"gradients, ray query", [](CheckedDevice& c) { return check_render(c, ray_query); }},
-        Check{"Adam", check_adam},
-        Check{"ray-drop network", check_network},
-        Check{"points on the device", check_points},
-        Check{"largest buffer", check_large_buffer},
-        Check{"memory", check_memory},
-        Check{"longest dispatch", check_long_dispatch},
+        DeviceCheck{"float atomics", check_float_atomics},
+        DeviceCheck{"compare-and-swap sums", check_float_compare_and_swap},
+        DeviceCheck{"subgroups", check_subgroup_operations},
+        DeviceCheck{"prefix sum", check_prefix_sum},
+        DeviceCheck{"sort", check_radix_sort},
+        DeviceCheck{"tree of software", [](CheckedDevice& c) { return check_bvh_ray_hits(c, software); }},
+        DeviceCheck{"tree of ray query", [](CheckedDevice& c) { return check_bvh_ray_hits(c, ray_query); }},
+        DeviceCheck{"gradients, software",
+                    [](CheckedDevice& c) { return check_images_and_gradients(c, software); }},
+        DeviceCheck{"gradients, ray query",
+                    [](CheckedDevice& c) { return check_images_and_gradients(c, ray_query); }},
+        DeviceCheck{"Adam", check_adam_optimizer},
+        DeviceCheck{"ray-drop network", check_network_convolutions},
+        DeviceCheck{"points on the device", check_device_point_cloud},
+        DeviceCheck{"largest buffer", check_largest_buffer},
+        DeviceCheck{"memory", check_device_memory},
+        DeviceCheck{"longest dispatch", check_long_kernel_dispatch},
     };
     return checks;
 }
 
-Finding judge(double error, double tolerance) {
+CheckResult compare_error_with_tolerance(double error, double tolerance) {
     // If the error is NaN, this comparison is false, so NaN counts as wrong.
     const bool is_right = error <= tolerance;
-    return {is_right ? Finding::Kind::right : Finding::Kind::wrong,
+    return {is_right ? CheckResult::CheckOutcome::right : CheckResult::CheckOutcome::wrong,
             is_right && error == 0.0
                 ? "exact"
                 : fmt::format("found an error of {:.1e}, expected at most {:.0e}", error, tolerance)};
 }
 
-Finding make_wrong_finding(const std::string& text) { return {Finding::Kind::wrong, text}; }
-Finding make_unsupported_finding(const std::string& why) { return {Finding::Kind::unsupported, why}; }
+CheckResult make_failed_check_result(const std::string& reason) {
+    return {CheckResult::CheckOutcome::wrong, reason};
+}
+CheckResult make_unsupported_check_result(const std::string& reason) {
+    return {CheckResult::CheckOutcome::unsupported, reason};
+}
 
 CheckedDevice::CheckedDevice(const DeviceOptions& options)
     : options_(options), default_(std::make_unique<Device>(options)) {
     options_.index = default_->info().index;
 }
 
-Device& CheckedDevice::with(Traversal traversal) {
-    if (default_->traversal() == traversal) return *default_;
-    std::unique_ptr<Device>& device = others_[traversal];
+Device& CheckedDevice::get_device_with_backend(RayTracingBackend backend) {
+    if (default_->traversal() == backend) return *default_;
+    std::unique_ptr<Device>& device = others_[backend];
     if (!device) {
         DeviceOptions options = options_;
-        options.traversal = traversal;
+        options.traversal = backend;
         device = std::make_unique<Device>(options);
     }
     return *device;

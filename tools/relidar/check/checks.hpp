@@ -18,18 +18,18 @@ namespace relidar::cli {
 struct BenchCase;
 
 /// Result of a check.
-struct Finding {
-    enum class Kind { right, wrong, unsupported };
-    Kind kind = Kind::right;
+struct CheckResult {
+    enum class CheckOutcome { right, wrong, unsupported };
+    CheckOutcome kind = CheckOutcome::right;
     std::string text;  ///< Size of the error, or the reason why the check is wrong or unsupported.
 };
 /// Returns the result "right" if the error is at most the tolerance, otherwise "wrong".
-Finding judge(double error, double tolerance);
-Finding make_wrong_finding(const std::string& text);
-Finding make_unsupported_finding(const std::string& why);
+CheckResult compare_error_with_tolerance(double error, double tolerance);
+CheckResult make_failed_check_result(const std::string& reason);
+CheckResult make_unsupported_check_result(const std::string& reason);
 /// Returns the reason why a device cannot use a method to trace rays. The text is empty
 /// if the device can use it.
-std::string explain_unsupported(const DeviceInfo& info, Traversal traversal);
+std::string get_unsupported_backend_reason(const DeviceInfo& device_info, RayTracingBackend backend);
 
 /// A device under test. It is opened separately for each ray tracing method (software or
 /// ray query) that the checks need.
@@ -37,38 +37,39 @@ class CheckedDevice {
 public:
     /// Opens the device with its default traversal.
     explicit CheckedDevice(const DeviceOptions& options);
-    Device& device() { return *default_; }
+    Device& get_default_device() { return *default_; }
     /// Returns the device with the given method to trace rays. Opens the device at the
     /// first call.
-    Device& with(Traversal traversal);
-    const DeviceOptions& options() const { return options_; }
+    Device& get_device_with_backend(RayTracingBackend backend);
+    const DeviceOptions& get_device_options() const { return options_; }
 
 private:
     DeviceOptions options_;
     std::unique_ptr<Device> default_;
-    std::map<Traversal, std::unique_ptr<Device>> others_;
+    std::map<RayTracingBackend, std::unique_ptr<Device>> others_;
 };
 
-struct Check {
+struct DeviceCheck {
     const char* name;
-    std::function<Finding(CheckedDevice&)> run;
+    std::function<CheckResult(CheckedDevice&)> run;
 };
-std::span<const Check> list_all_checks();
+std::span<const DeviceCheck> get_builtin_device_checks();
 
-Finding check_float_atomics(CheckedDevice& checked);
-Finding check_float_swaps(CheckedDevice& checked);
-Finding check_subgroups(CheckedDevice& checked);
-Finding check_prefix_sum(CheckedDevice& checked);
-Finding check_sort(CheckedDevice& checked);
-Finding check_tree(CheckedDevice& checked, Traversal traversal);
-Finding check_render(CheckedDevice& checked, Traversal traversal);
-Finding check_adam(CheckedDevice& checked);
-Finding check_network(CheckedDevice& checked);
-Finding check_points(CheckedDevice& checked);
-Finding check_large_buffer(CheckedDevice& checked);
-Finding check_memory(CheckedDevice& checked);
-Finding check_long_dispatch(CheckedDevice& checked);
+CheckResult check_float_atomics(CheckedDevice& tested_device);
+CheckResult check_float_compare_and_swap(CheckedDevice& tested_device);
+CheckResult check_subgroup_operations(CheckedDevice& tested_device);
+CheckResult check_prefix_sum(CheckedDevice& tested_device);
+CheckResult check_radix_sort(CheckedDevice& tested_device);
+CheckResult check_bvh_ray_hits(CheckedDevice& tested_device, RayTracingBackend backend);
+CheckResult check_images_and_gradients(CheckedDevice& tested_device, RayTracingBackend backend);
+CheckResult check_adam_optimizer(CheckedDevice& tested_device);
+CheckResult check_network_convolutions(CheckedDevice& tested_device);
+CheckResult check_device_point_cloud(CheckedDevice& tested_device);
+CheckResult check_largest_buffer(CheckedDevice& tested_device);
+CheckResult check_device_memory(CheckedDevice& tested_device);
+CheckResult check_long_kernel_dispatch(CheckedDevice& tested_device);
 /// Compares rendered rays of a run with the double reference.
-Finding check_run(CheckedDevice& checked, Traversal traversal, const BenchCase& bench);
+CheckResult check_run_rendering(CheckedDevice& tested_device, RayTracingBackend backend,
+                                const BenchCase& bench_case);
 
 }  // namespace relidar::cli

@@ -8,22 +8,23 @@
 
 namespace relidar::cli {
 
-Finding check_long_dispatch(CheckedDevice& checked) {
+CheckResult check_long_kernel_dispatch(CheckedDevice& tested_device) {
     constexpr double kLong_s = 0.25;
     // Runs the kernel once, so that its compile time is not measured.
-    compute_sum_error(checked.device(), true);
+    compute_atomic_sum_error(tested_device.get_default_device(), true);
     // Each iteration starts four times as many threads as the previous iteration. The
     // loop stops when a dispatch takes 0.25 s, so the last dispatch takes about one
     // second at most.
     for (std::uint32_t n_threads = 1u << 18; n_threads <= 1u << 28; n_threads *= 4) {
         double seconds = 0.0;
-        const double error = measure_sum_error_of_kernel(checked.device(), n_threads, seconds);
+        const double error =
+            measure_compare_and_swap_error(tested_device.get_default_device(), n_threads, seconds);
         if (error != 0.0)
-            return make_wrong_finding(
+            return make_failed_check_result(
                 fmt::format("after {:.2f} s, the sums have an error of {:.1e}", seconds, error));
-        if (seconds >= kLong_s) return {Finding::Kind::right, fmt::format("{:.2f} s", seconds)};
+        if (seconds >= kLong_s) return {CheckResult::CheckOutcome::right, fmt::format("{:.2f} s", seconds)};
     }
-    return {Finding::Kind::right, "the GPU needs less than 0.25 s for 268 million threads"};
+    return {CheckResult::CheckOutcome::right, "the GPU needs less than 0.25 s for 268 million threads"};
 }
 
 }  // namespace relidar::cli

@@ -20,60 +20,62 @@ namespace {
 constexpr std::uint64_t kMiB = std::uint64_t(1) << 20;
 
 /// Returns the number of bytes that the memory checks may allocate.
-std::uint64_t compute_allowed_bytes(const Device& device) {
-    std::uint64_t n_free = gpu::query_memory_budget(device.impl().physical).n_free();
+std::uint64_t compute_max_test_bytes(const Device& device) {
+    std::uint64_t n_free = gpu::query_memory_budget(device.impl().physical).get_free_bytes();
     if (const std::uint64_t limit = device.impl().memory_limit_bytes; limit > 0)
         n_free = std::min(n_free, limit - std::min(limit, device.allocated_bytes()));
     return device.info().type == "CPU" ? std::min(n_free / 8, 2048 * kMiB) : n_free / 10 * 9;
 }
 
-/// Returns true if the first and the last 16 words of a buffer all equal `value`.
-bool holds(const Buffer& buffer, std::uint32_t value) {
+/// Returns true if the first and the last 16 words of a buffer all equal `expected_word`.
+bool is_buffer_filled_with(const Buffer& buffer, std::uint32_t expected_word) {
     for (const std::size_t offset : {std::size_t(0), buffer.size_bytes() - 64}) {
         std::uint32_t words[16];
         buffer.download(words, sizeof words, offset);
-        if (std::ranges::any_of(words, [&](std::uint32_t word) { return word != value; })) return false;
+        if (std::ranges::any_of(words, [&](std::uint32_t word) { return word != expected_word; }))
+            return false;
     }
     return true;
 }
 
 }  // namespace
 
-Finding check_large_buffer(CheckedDevice& checked) {
-    Device& device = checked.device();
+CheckResult check_largest_buffer(CheckedDevice& tested_device) {
+    Device& device = tested_device.get_default_device();
     const std::uint64_t limit = device.impl().largest_buffer.n_bytes,
-                        n_bytes = std::min(limit, compute_allowed_bytes(device)) / 64 * 64;
-    if (n_bytes < kMiB) return make_unsupported_finding("less than 1 MiB of device memory is free");
+                        n_bytes = std::min(limit, compute_max_test_bytes(device)) / 64 * 64;
+    if (n_bytes < kMiB) return make_unsupported_check_result("less than 1 MiB of device memory is free");
     const Buffer buffer(device, n_bytes, "the largest buffer");
     Stream stream(device);
     stream.fill(buffer, 0x5a5a1234u);
-    stream.finish();
-    if (!holds(buffer, 0x5a5a1234u))
-        return make_wrong_finding(
+    stream.submit_and_wait();
+    if (!is_buffer_filled_with(buffer, 0x5a5a1234u))
+        return make_failed_check_result(
             fmt::format("a buffer of {} contains other values than were written", format_byte_size(n_bytes)));
-    return {Finding::Kind::right,
+    return {CheckResult::CheckOutcome::right,
             fmt::format("{}{}", format_byte_size(n_bytes),
                         n_bytes < limit / 64 * 64 ? fmt::format(" of at most {}", format_byte_size(limit))
                                                   : ", the limit of the device")};
 }
 
-Finding check_memory(CheckedDevice& checked) {
-    Device& device = checked.device();
+CheckResult check_device_memory(CheckedDevice& tested_device) {
+    Device& device = tested_device.get_default_device();
     constexpr std::uint64_t kPiece = 256 * kMiB;
-    const std::uint64_t allowed = compute_allowed_bytes(device);
+    const std::uint64_t allowed = compute_max_test_bytes(device);
     std::vector<std::unique_ptr<Buffer>> pieces;
     Stream stream(device);
     while ((pieces.size() + 1) * kPiece <= allowed) {
         pieces.push_back(std::make_unique<Buffer>(device, kPiece, "memory of the check"));
         stream.fill(*pieces.back(), static_cast<std::uint32_t>(pieces.size()));
     }
-    stream.finish();
-    if (pieces.empty()) return make_unsupported_finding("less than 256 MiB of device memory may be used");
+    stream.submit_and_wait();
+    if (pieces.empty())
+        return make_unsupported_check_result("less than 256 MiB of device memory may be used");
     for (std::size_t i = 0; i < pieces.size(); ++i)
-        if (!holds(*pieces[i], static_cast<std::uint32_t>(i + 1)))
-            return make_wrong_finding(
+        if (!is_buffer_filled_with(*pieces[i], static_cast<std::uint32_t>(i + 1)))
+            return make_failed_check_result(
                 fmt::format("buffer {} of {} contains other values than were written", i + 1, pieces.size()));
-    return {Finding::Kind::right,
+    return {CheckResult::CheckOutcome::right,
             fmt::format("{} of the memory budget of {}", format_byte_size(pieces.size() * kPiece),
                         format_byte_size(gpu::query_memory_budget(device.impl().physical).n_bytes))};
 }

@@ -17,30 +17,30 @@ namespace {
 
 using reference::ImageBatch;
 
-std::vector<double> make_random_floats(std::size_t count) {
+std::vector<double> draw_normal_samples(std::size_t n_samples) {
     static std::mt19937 random(5);
     std::normal_distribution<float> normal;
-    std::vector<double> values(count);
+    std::vector<double> values(n_samples);
     for (double& x : values) x = normal(random);
     return values;
 }
 
 template <class Meaning = void>
-Array<float, Meaning> to_device(Device& device, const std::vector<double>& values) {
+Array<float, Meaning> upload_as_float_array(Device& device, const std::vector<double>& values) {
     const std::vector<float> floats(values.begin(), values.end());
     return {device, std::span<const float>(floats), "values of a layer"};
 }
 
-refine::Tensor to_tensor(Device& device, const ImageBatch& images) {
-    const refine::Grid grid{std::uint32_t(images.n), std::uint32_t(images.rows),
-                            std::uint32_t(images.columns)};
+refine::Tensor upload_images_as_tensor(Device& device, const ImageBatch& images) {
+    const refine::ImageBatchSize grid{std::uint32_t(images.n), std::uint32_t(images.rows),
+                                      std::uint32_t(images.columns)};
     refine::Tensor tensor(device, std::uint32_t(images.channels), grid, "images of a layer");
     tensor.values.upload(std::vector<float>(images.values.begin(), images.values.end()));
     return tensor;
 }
 
 /// Returns the largest absolute error, divided by the largest absolute expected value.
-double compute_worst_error(const std::vector<float>& actual, const std::vector<double>& expected) {
+double compute_max_relative_error(const std::vector<float>& actual, const std::vector<double>& expected) {
     double worst = 0.0, largest = 0.0;
     for (std::size_t i = 0; i < expected.size(); ++i) {
         const double error = std::abs(actual[i] - expected[i]);
@@ -50,41 +50,48 @@ double compute_worst_error(const std::vector<float>& actual, const std::vector<d
     return worst / largest;
 }
 
-double measure_convolution_error(Device& device, int taps) {
+double measure_convolution_error(Device& device, int n_kernel_taps) {
     const int n_in = 9, n_out = 17;
     ImageBatch from(2, n_in, 7, 33), d_to(2, n_out, 7, 33);
-    from.values = make_random_floats(from.values.size());
-    d_to.values = make_random_floats(d_to.values.size());
-    const std::vector<double> weights = make_random_floats(std::size_t(n_in * n_out * taps)),
-                              bias = make_random_floats(std::size_t(n_out));
-    const refine::Tensor inputs = to_tensor(device, from), d_outputs = to_tensor(device, d_to),
-                         outputs = to_tensor(device, d_to), d_inputs = to_tensor(device, from);
-    const auto weights_there = to_device<shared::ConvWeights>(device, weights),
-               d_weights = to_device<shared::ConvWeights>(device, weights);
-    const auto bias_there = to_device<shared::ConvBias>(device, bias);
-    refine::Conv conv(device, std::uint32_t(taps));
-    conv.reserve(device, conv.count_partial_floats(inputs.grid, n_in, n_out));
+    from.values = draw_normal_samples(from.values.size());
+    d_to.values = draw_normal_samples(d_to.values.size());
+    const std::vector<double> weights = draw_normal_samples(std::size_t(n_in * n_out * n_kernel_taps)),
+                              bias = draw_normal_samples(std::size_t(n_out));
+    const refine::Tensor inputs = upload_images_as_tensor(device, from),
+                         d_outputs = upload_images_as_tensor(device, d_to),
+                         outputs = upload_images_as_tensor(device, d_to),
+                         d_inputs = upload_images_as_tensor(device, from);
+    const auto weights_there = upload_as_float_array<shared::ConvWeights>(device, weights),
+               d_weights = upload_as_float_array<shared::ConvWeights>(device, weights);
+    const auto bias_there = upload_as_float_array<shared::ConvBias>(device, bias);
+    refine::ConvolutionKernels conv(device, std::uint32_t(n_kernel_taps));
+    conv.reserve_partial_sums(device, conv.count_partial_sum_floats(inputs.grid, n_in, n_out));
     Stream stream(device);
-    conv.forward(stream, inputs.all(), weights_there.address(), bias_there.address(), outputs.all());
-    conv.backpropagate_input(stream, d_outputs.all(), weights_there.address(), d_inputs.all());
-    conv.backpropagate_weights(stream, inputs.all(), d_outputs.all(), d_weights.address());
-    stream.finish();
+    conv.run_convolution(stream, inputs.get_all_channels(), weights_there.address(), bias_there.address(),
+                         outputs.get_all_channels());
+    conv.backpropagate_input(stream, d_outputs.get_all_channels(), weights_there.address(),
+                             d_inputs.get_all_channels());
+    conv.backpropagate_weights(stream, inputs.get_all_channels(), d_outputs.get_all_channels(),
+                               d_weights.address());
+    stream.submit_and_wait();
     return std::max(
-        {compute_worst_error(outputs.values.download(),
-                             reference::convolve(from, weights, bias, n_out, taps).values),
-         compute_worst_error(d_inputs.values.download(),
-                             reference::backpropagate_convolution_input(d_to, weights, n_in, taps).values),
-         compute_worst_error(d_weights.download(),
-                             reference::backpropagate_convolution_weights(from, d_to, taps))});
+        {compute_max_relative_error(outputs.values.download(),
+                                    reference::convolve(from, weights, bias, n_out, n_kernel_taps).values),
+         compute_max_relative_error(
+             d_inputs.values.download(),
+             reference::backpropagate_convolution_input(d_to, weights, n_in, n_kernel_taps).values),
+         compute_max_relative_error(
+             d_weights.download(), reference::backpropagate_convolution_weights(from, d_to, n_kernel_taps))});
 }
 
 }  // namespace
 
-Finding check_network(CheckedDevice& checked) {
-    Device& device = checked.device();
-    if (const std::string missing = list_missing_for_networks(device); !missing.empty())
-        return make_unsupported_finding("missing " + missing);
-    return judge(std::max(measure_convolution_error(device, 1), measure_convolution_error(device, 9)), 1e-5);
+CheckResult check_network_convolutions(CheckedDevice& tested_device) {
+    Device& device = tested_device.get_default_device();
+    if (const std::string missing = list_features_missing_for_networks(device); !missing.empty())
+        return make_unsupported_check_result("missing " + missing);
+    return compare_error_with_tolerance(
+        std::max(measure_convolution_error(device, 1), measure_convolution_error(device, 9)), 1e-5);
 }
 
 }  // namespace relidar::cli

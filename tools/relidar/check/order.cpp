@@ -18,9 +18,9 @@ namespace {
 
 using Words = std::vector<std::uint32_t>;
 
-Words make_random_words(std::size_t count) {
+Words draw_random_uint32s(std::size_t n_values) {
     std::mt19937 random(7);
-    Words words(count);
+    Words words(n_values);
     for (std::uint32_t& x : words) x = static_cast<std::uint32_t>(random());
     return words;
 }
@@ -28,8 +28,8 @@ Words make_random_words(std::size_t count) {
 /// Sorts random keys by their low 24 bits on the device.
 /// @return true if the sorted keys and their order equal the result of a stable sort on
 /// the host
-bool is_sort_correct(Device& device, std::uint32_t n_keys, std::uint32_t capacity) {
-    const Words keys = make_random_words(capacity);
+bool is_radix_sort_correct(Device& device, std::uint32_t n_keys, std::uint32_t capacity) {
+    const Words keys = draw_random_uint32s(capacity);
     const Array<std::uint32_t, shared::SortCount> count(device, Words{n_keys}, "number of keys");
     const Array<std::uint32_t, shared::SortKeys> first(device, std::span<const std::uint32_t>(keys), "keys"),
         second(device, capacity, "sorted keys");
@@ -39,7 +39,7 @@ bool is_sort_correct(Device& device, std::uint32_t n_keys, std::uint32_t capacit
     Stream stream(device);
     sort.run(stream, {first.address(), first_order.address()}, {second.address(), second_order.address()}, 24,
              count.address());
-    stream.finish();
+    stream.submit_and_wait();
     Words order(n_keys);
     std::iota(order.begin(), order.end(), 0u);
     std::ranges::stable_sort(order, {}, [&](std::uint32_t index) { return keys[index] & 0xffffffu; });
@@ -51,35 +51,35 @@ bool is_sort_correct(Device& device, std::uint32_t n_keys, std::uint32_t capacit
 
 }  // namespace
 
-Finding check_prefix_sum(CheckedDevice& checked) {
-    Device& device = checked.device();
+CheckResult check_prefix_sum(CheckedDevice& tested_device) {
+    Device& device = tested_device.get_default_device();
     PrefixSum prefix_sum(device);
     Stream stream(device);
     for (const std::uint32_t n : {1u, 255u, 4096u, 4097u, 1'000'003u}) {
-        Words counts = make_random_words(n);
+        Words counts = draw_random_uint32s(n);
         for (std::uint32_t& x : counts) x %= 1000u;
         const Array<std::uint32_t, shared::ScanCounts> in(device, std::span<const std::uint32_t>(counts),
                                                           "counts");
         const Array<std::uint32_t, shared::ScanPrefix> out(device, n, "prefix sums");
         prefix_sum.reserve(device, n);
         prefix_sum.run(stream, {in.address()}, out.address(), n);
-        stream.finish();
+        stream.submit_and_wait();
         std::exclusive_scan(counts.begin(), counts.end(), counts.begin(), 0u);
-        if (out.download() != counts) return make_wrong_finding(fmt::format("{} counts", n));
+        if (out.download() != counts) return make_failed_check_result(fmt::format("{} counts", n));
     }
-    return {Finding::Kind::right, "exact"};
+    return {CheckResult::CheckOutcome::right, "exact"};
 }
 
-Finding check_sort(CheckedDevice& checked) {
-    Device& device = checked.device();
-    if (!device.info().has_known_subgroups)
-        return make_unsupported_finding("the device does not report its subgroup size");
+CheckResult check_radix_sort(CheckedDevice& tested_device) {
+    Device& device = tested_device.get_default_device();
+    if (!device.info().can_require_subgroup_size)
+        return make_unsupported_check_result("the device does not report its subgroup size");
     const std::uint32_t most = device.info().type == "CPU" ? 1'000'000u : 10'000'000u;
     for (const auto& [n_keys, capacity] :
          {std::pair{0u, 10u}, {1u, 1u}, {4097u, 4097u}, {12'345u, 30'000u}, {most, most}})
-        if (!is_sort_correct(device, n_keys, capacity))
-            return make_wrong_finding(fmt::format("{} keys", n_keys));
-    return {Finding::Kind::right, fmt::format("exact results for up to {} keys", most)};
+        if (!is_radix_sort_correct(device, n_keys, capacity))
+            return make_failed_check_result(fmt::format("{} keys", n_keys));
+    return {CheckResult::CheckOutcome::right, fmt::format("exact results for up to {} keys", most)};
 }
 
 }  // namespace relidar::cli

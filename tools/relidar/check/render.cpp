@@ -20,16 +20,16 @@ namespace relidar::cli {
 namespace {
 
 /// Rendered images and gradients of a random scene.
-struct Pass {
+struct RenderAndGradients {
     test::RandomScene scene;
     reference::Settings settings;
     std::vector<reference::PixelGradient> upstream;
-    Rendering rendering;
+    RenderedRayValues rendering;
     Surfels gradients;
 };
 
-Pass run_pass(Device& device) {
-    Pass pass;
+RenderAndGradients run_forward_and_backward_pass(Device& device) {
+    RenderAndGradients pass;
     test::RandomSceneOptions options;
     options.seed = 21;
     options.actor_instances = 1;
@@ -52,27 +52,27 @@ Pass run_pass(Device& device) {
         RELIDAR_BLENDED_VALUES(RELIDAR_COPY)
 #undef RELIDAR_COPY
     }
-    differentiable.batch().upstream->upload(upstream);
-    renderer.place(placed.world_from_instance, glm::vec3(pass.scene.view_origin));
-    renderer.record_forward({&rays, 0, 1, n_rays});
-    differentiable.record_backward();
+    differentiable.get_last_rendered_batch().upstream->upload(upstream);
+    renderer.prepare_view(placed.world_from_instance, glm::vec3(pass.scene.view_origin));
+    renderer.record_forward_pass({&rays, 0, 1, n_rays});
+    differentiable.record_backward_pass();
     pass.rendering = renderer.download_rendering();
     pass.gradients = differentiable.gradients().surfels.download();
     return pass;
 }
 
 template <class Vector>
-std::vector<double> convert_to_doubles(const Vector& values, int count) {
+std::vector<double> convert_to_doubles(const Vector& vector, int n_values) {
     std::vector<double> row;
-    for (int k = 0; k < count; ++k) row.push_back(values[k]);
+    for (int k = 0; k < n_values; ++k) row.push_back(vector[k]);
     return row;
 }
 
-double measure_gradient_error(const Pass& pass, const reference::BruteForce& brute) {
+double compute_max_gradient_error(const RenderAndGradients& pass, const reference::BruteForce& brute_force) {
     reference::Gradients expected(pass.scene.world);
     for (std::size_t i = 0; i < pass.scene.rays.size(); ++i)
-        reference::backward(pass.scene.world, brute, pass.settings, pass.scene.rays[i], 16, pass.upstream[i],
-                            expected);
+        reference::backward(pass.scene.world, brute_force, pass.settings, pass.scene.rays[i], 16,
+                            pass.upstream[i], expected);
     test::GradientTable rows;
     const Surfels& actual = pass.gradients;
     for (std::size_t i = 0; i < expected.surfels.size(); ++i) {
@@ -89,11 +89,12 @@ double measure_gradient_error(const Pass& pass, const reference::BruteForce& bru
     return rows.compute_worst_error();
 }
 
-double measure_image_error(const Pass& pass, const reference::BruteForce& brute) {
+double compute_relative_image_error(const RenderAndGradients& pass,
+                                    const reference::BruteForce& brute_force) {
     double error = 0.0, power = 0.0;
     for (std::size_t i = 0; i < pass.scene.rays.size(); ++i) {
         const reference::Pixel p =
-            reference::render(pass.scene.world, brute, pass.settings, pass.scene.rays[i], 16);
+            reference::render(pass.scene.world, brute_force, pass.settings, pass.scene.rays[i], 16);
         const auto add = [&](double actual, double expected) {
             error += (actual - expected) * (actual - expected);
             power += expected * expected;
@@ -108,30 +109,39 @@ double measure_image_error(const Pass& pass, const reference::BruteForce& brute)
 
 }  // namespace
 
-std::string explain_unsupported(const DeviceInfo& info, Traversal traversal) {
-    return traversal == Traversal::ray_query ? info.why_not_ray_query : info.why_not_software;
+std::string get_unsupported_backend_reason(const DeviceInfo& device_info, RayTracingBackend backend) {
+    return backend == RayTracingBackend::ray_query ? device_info.why_not_ray_query
+                                                   : device_info.why_not_software;
 }
 
-Finding check_tree(CheckedDevice& checked, Traversal traversal) {
-    const std::string missing = explain_unsupported(checked.device().info(), traversal);
-    if (!missing.empty()) return make_unsupported_finding("missing " + missing);
-    const int n_built = count_wrong_rays(checked.with(traversal), TreeState::built),
-              n_refitted = count_wrong_rays(checked.with(traversal), TreeState::refitted);
-    if (n_built + n_refitted == 0) return {Finding::Kind::right, "all rays find the same surfels"};
-    return make_wrong_finding(
+CheckResult check_bvh_ray_hits(CheckedDevice& tested_device, RayTracingBackend backend) {
+    const std::string missing =
+        get_unsupported_backend_reason(tested_device.get_default_device().info(), backend);
+    if (!missing.empty()) return make_unsupported_check_result("missing " + missing);
+    const int n_built = count_wrongly_traced_rays(tested_device.get_device_with_backend(backend),
+                                                  AccelTreeState::built),
+              n_refitted = count_wrongly_traced_rays(tested_device.get_device_with_backend(backend),
+                                                     AccelTreeState::refitted);
+    if (n_built + n_refitted == 0)
+        return {CheckResult::CheckOutcome::right, "all rays find the same surfels"};
+    return make_failed_check_result(
         fmt::format("{} of 256 rays find other surfels after a build of the tree, and {} after a "
                     "refit",
                     n_built, n_refitted));
 }
 
-Finding check_render(CheckedDevice& checked, Traversal traversal) {
-    const std::string missing = explain_unsupported(checked.device().info(), traversal);
-    if (!missing.empty()) return make_unsupported_finding("missing " + missing);
-    const Pass pass = run_pass(checked.with(traversal));
+CheckResult check_images_and_gradients(CheckedDevice& tested_device, RayTracingBackend backend) {
+    const std::string missing =
+        get_unsupported_backend_reason(tested_device.get_default_device().info(), backend);
+    if (!missing.empty()) return make_unsupported_check_result("missing " + missing);
+    const RenderAndGradients pass =
+        run_forward_and_backward_pass(tested_device.get_device_with_backend(backend));
     const reference::BruteForce brute(pass.scene.world, pass.settings.image,
                                       reference::Precision::double_record);
-    const Finding image = judge(measure_image_error(pass, brute), std::sqrt(test::kKernelNmse)),
-                  gradient = judge(measure_gradient_error(pass, brute), test::kKernelGradient);
+    const CheckResult image = compare_error_with_tolerance(compute_relative_image_error(pass, brute),
+                                                           std::sqrt(test::kKernelNmse)),
+                      gradient = compare_error_with_tolerance(compute_max_gradient_error(pass, brute),
+                                                              test::kKernelGradient);
     return {std::max(image.kind, gradient.kind),
             fmt::format("image: {}; gradients: {}", image.text, gradient.text)};
 }

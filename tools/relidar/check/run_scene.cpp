@@ -25,7 +25,7 @@ constexpr double kValueTolerance = 1e-3;
 /// or two surfels at equal distances, so that rounding decides which surfels are blended.
 constexpr double kEdgeShare = 0.02;
 
-WorldRays select_rays(const WorldRays& rays) {
+WorldRays select_evenly_spaced_rays(const WorldRays& rays) {
     WorldRays selected;
     const std::size_t n = std::min(kRunRays, rays.size());
     for (std::size_t k = 0; k < n; ++k) {
@@ -39,7 +39,7 @@ WorldRays select_rays(const WorldRays& rays) {
 
 /// Returns true if a line passes the centre of a surfel within four standard deviations.
 /// Farther away, the opacity of a hit is below the smallest opacity that is blended.
-bool passes_near(const reference::LocalRay<double>& ray, const reference::Surfel& surfel) {
+bool is_ray_near_surfel(const reference::LocalRay<double>& ray, const reference::Surfel& surfel) {
     const glm::dvec3 to_mean = surfel.mean - ray.origin;
     const double along = glm::dot(to_mean, ray.direction) / glm::dot(ray.direction, ray.direction);
     double log_scale = std::max(surfel.log_scale.x, surfel.log_scale.y);
@@ -49,25 +49,27 @@ bool passes_near(const reference::LocalRay<double>& ray, const reference::Surfel
 
 /// Converts the surfels that the rays can hit to double precision, with one range of
 /// surfels per instance.
-reference::World make_world_near_rays(const BenchCase& bench, const std::vector<reference::Ray>& rays) {
+reference::World collect_surfels_near_rays(const BenchCase& bench_case,
+                                           const std::vector<reference::Ray>& rays) {
     reference::World world;
-    for (std::size_t i = 0; i < bench.scene.instances.size(); ++i) {
-        const InstancePose& pose = bench.placed[i];
+    for (std::size_t i = 0; i < bench_case.scene.instances.size(); ++i) {
+        const InstancePose& pose = bench_case.placed[i];
         if (!pose.present) continue;
-        const Model& model = bench.scene.models[bench.scene.instances[i].model];
+        const SurfelModel& model = bench_case.scene.models[bench_case.scene.instances[i].model];
         const PoseMotion& motion = pose.motion;
-        reference::Placement placement{
-            .first = std::uint32_t(world.surfels.size()),
-            .world_from_model = pose.world_from_model,
-            .motion = {motion.velocity_mps, motion.turn_radps, motion.middle_s, motion.half_span_s}};
+        reference::Placement placement{.first = std::uint32_t(world.surfels.size()),
+                                       .world_from_model = pose.world_from_model,
+                                       .motion = {motion.velocity_mps, motion.angular_velocity_radps,
+                                                  motion.middle_s, motion.half_span_s}};
         std::vector<reference::LocalRay<double>> local_rays;
         for (const reference::Ray& ray : rays)
             local_rays.push_back(reference::to_model(placement.at(ray.time_s), ray));
         for (const reference::Surfel& stored :
-             test::to_reference(bench.scene.surfels.slice(model.first, model.count))) {
+             test::to_reference(bench_case.scene.surfels.slice(model.first, model.count))) {
             const reference::Surfel surfel =
                 model.stride_m > 0.0f ? reference::move_to_phase(stored, pose.phase) : stored;
-            if (std::ranges::any_of(local_rays, [&](const auto& ray) { return passes_near(ray, surfel); }))
+            if (std::ranges::any_of(local_rays,
+                                    [&](const auto& ray) { return is_ray_near_surfel(ray, surfel); }))
                 world.surfels.push_back(surfel);
         }
         placement.count = std::uint32_t(world.surfels.size()) - placement.first;
@@ -78,7 +80,8 @@ reference::World make_world_near_rays(const BenchCase& bench, const std::vector<
 
 /// Largest difference of the values of a ray. The difference is relative for values above
 /// 1, for example ranges.
-double measure_difference(const Rendering& rendering, std::size_t ray, const reference::Pixel& expected) {
+double compute_max_pixel_difference(const RenderedRayValues& rendering, std::size_t ray,
+                                    const reference::Pixel& expected) {
     double worst = 0.0;
     const auto compare_value = [&](double value, double expected_value) {
         const double difference = std::abs(value - expected_value) / std::max(1.0, std::abs(expected_value));
@@ -94,28 +97,32 @@ double measure_difference(const Rendering& rendering, std::size_t ray, const ref
 
 }  // namespace
 
-Finding check_run(CheckedDevice& checked, Traversal traversal, const BenchCase& bench) {
-    const std::string missing = explain_unsupported(checked.device().info(), traversal);
-    if (!missing.empty()) return make_unsupported_finding("missing " + missing);
-    const WorldRays rays = select_rays(bench.rays);
-    Renderer renderer(checked.with(traversal), bench.scene, bench.config.image,
-                      {.trace = make_base_trace_options(bench.config), .n_rays = std::uint32_t(rays.size())});
-    renderer.place(bench.placed, bench.view_origin_m);
-    const Rendering rendering = renderer.forward(rays);
+CheckResult check_run_rendering(CheckedDevice& tested_device, RayTracingBackend backend,
+                                const BenchCase& bench_case) {
+    const std::string missing =
+        get_unsupported_backend_reason(tested_device.get_default_device().info(), backend);
+    if (!missing.empty()) return make_unsupported_check_result("missing " + missing);
+    const WorldRays rays = select_evenly_spaced_rays(bench_case.rays);
+    Renderer renderer(
+        tested_device.get_device_with_backend(backend), bench_case.scene, bench_case.config.image,
+        {.trace = make_base_trace_options(bench_case.config), .n_rays = std::uint32_t(rays.size())});
+    renderer.prepare_view(bench_case.placed, bench_case.view_origin_m);
+    const RenderedRayValues rendering = renderer.render_rays(rays);
 
     const std::vector<reference::Ray> exact_rays = test::to_reference(rays);
-    const reference::World world = make_world_near_rays(bench, exact_rays);
-    const reference::Settings settings{.image = bench.config.image,
-                                       .view_origin = glm::dvec3(bench.view_origin_m)};
+    const reference::World world = collect_surfels_near_rays(bench_case, exact_rays);
+    const reference::Settings settings{.image = bench_case.config.image,
+                                       .view_origin = glm::dvec3(bench_case.view_origin_m)};
     const reference::BruteForce brute(world, settings.image, reference::Precision::double_record);
     std::vector<double> differences;
     for (std::size_t i = 0; i < rays.size(); ++i)
-        differences.push_back(measure_difference(
+        differences.push_back(compute_max_pixel_difference(
             rendering, i, reference::render_all_at_once(world, brute, settings, exact_rays[i])));
     const auto n_wrong = std::ranges::count_if(differences, [](double d) { return !(d <= kValueTolerance); });
     std::ranges::sort(differences);
     return {
-        double(n_wrong) <= kEdgeShare * double(rays.size()) ? Finding::Kind::right : Finding::Kind::wrong,
+        double(n_wrong) <= kEdgeShare * double(rays.size()) ? CheckResult::CheckOutcome::right
+                                                            : CheckResult::CheckOutcome::wrong,
         fmt::format("{} of {} rays differ by more than {:.0e}, expected at most {:.0f}; median difference "
                     "{:.1e}",
                     n_wrong, rays.size(), kValueTolerance, kEdgeShare * double(rays.size()),

@@ -13,35 +13,35 @@ namespace {
 
 /// Returns the result "right" only if a sum is exact. The sums are of small integers,
 /// which are exact in float.
-Finding judge_sum_error(double error) {
-    if (error == 0.0) return {Finding::Kind::right, "exact"};
-    return make_wrong_finding(fmt::format("a sum has a relative error of {:.3g}", error));
+CheckResult make_sum_check_result(double relative_error) {
+    if (relative_error == 0.0) return {CheckResult::CheckOutcome::right, "exact"};
+    return make_failed_check_result(fmt::format("a sum has a relative error of {:.3g}", relative_error));
 }
 
 }  // namespace
 
-Finding check_float_atomics(CheckedDevice& checked) {
-    if (!checked.device().info().float_atomics)
-        return make_unsupported_finding("no VK_EXT_shader_atomic_float");
-    return judge_sum_error(compute_sum_error(checked.device(), false));
+CheckResult check_float_atomics(CheckedDevice& tested_device) {
+    if (!tested_device.get_default_device().info().float_atomics)
+        return make_unsupported_check_result("no VK_EXT_shader_atomic_float");
+    return make_sum_check_result(compute_atomic_sum_error(tested_device.get_default_device(), false));
 }
 
-Finding check_float_swaps(CheckedDevice& checked) {
-    return judge_sum_error(compute_sum_error(checked.device(), true));
+CheckResult check_float_compare_and_swap(CheckedDevice& tested_device) {
+    return make_sum_check_result(compute_atomic_sum_error(tested_device.get_default_device(), true));
 }
 
-Finding check_subgroups(CheckedDevice& checked) {
-    const DeviceInfo& info = checked.device().info();
-    if (!info.has_known_subgroups)
-        return make_unsupported_finding("the device does not report its subgroup size");
-    const std::vector<int> sizes = list_subgroup_sizes(checked.device());
+CheckResult check_subgroup_operations(CheckedDevice& tested_device) {
+    const DeviceInfo& info = tested_device.get_default_device().info();
+    if (!info.can_require_subgroup_size)
+        return make_unsupported_check_result("the device does not report its subgroup size");
+    const std::vector<int> sizes = list_subgroup_sizes(tested_device.get_default_device());
     for (const int lanes : sizes) {
-        const Trusting trusting(DeviceTrust{.subgroup_size = lanes});
-        Device device(checked.options());
-        const std::string text = find_wrong_subgroups(device);
-        if (!text.empty()) return make_wrong_finding(fmt::format("{} lanes, {}", lanes, text));
+        const ScopedDeviceTestResults trusting(DeviceTestResults{.subgroup_size = lanes});
+        Device device(tested_device.get_device_options());
+        const std::string text = describe_subgroup_failure(device);
+        if (!text.empty()) return make_failed_check_result(fmt::format("{} lanes, {}", lanes, text));
     }
-    return {Finding::Kind::right, fmt::format("{} lanes", fmt::join(sizes, ", "))};
+    return {CheckResult::CheckOutcome::right, fmt::format("{} lanes", fmt::join(sizes, ", "))};
 }
 
 }  // namespace relidar::cli

@@ -19,31 +19,31 @@ constexpr float kLeastWeight = 0.5f;
 
 /// Axes of one camera view in the frame of the object's box: viewing direction, right and
 /// up.
-struct AssetView {
+struct CameraAxes {
     glm::dvec3 along, right, up;
 };
 constexpr int kLeft = 0, kRight = 1, kAbove = 2, kBehind = 3, kAhead = 4;
-const AssetView kViews[] = {{{0, -1, 0}, {-1, 0, 0}, {0, 0, 1}},
-                            {{0, 1, 0}, {1, 0, 0}, {0, 0, 1}},
-                            {{0, 0, -1}, {1, 0, 0}, {0, 1, 0}},
-                            {{1, 0, 0}, {0, -1, 0}, {0, 0, 1}},
-                            {{-1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
+const CameraAxes kViews[] = {{{0, -1, 0}, {-1, 0, 0}, {0, 0, 1}},
+                             {{0, 1, 0}, {1, 0, 0}, {0, 0, 1}},
+                             {{0, 0, -1}, {1, 0, 0}, {0, 1, 0}},
+                             {{1, 0, 0}, {0, -1, 0}, {0, 0, 1}},
+                             {{-1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
 
-double compute_extent_m(const glm::dvec3& axis, const glm::dvec3& size_m) {
-    return glm::dot(glm::abs(axis), size_m) + 2.0 * kAround_m;
+double compute_view_extent_m(const glm::dvec3& axis, const glm::dvec3& box_size_m) {
+    return glm::dot(glm::abs(axis), box_size_m) + 2.0 * kAround_m;
 }
 
 /// Returns one ray per pixel in the box frame, row by row from the upper left pixel. All
 /// rays have the same direction.
-RayTable make_parallel_rays(const AssetView& view, const glm::dvec3& size_m, double pixel_m) {
+RayTable make_parallel_view_rays(const CameraAxes& view, const glm::dvec3& box_size_m, double pixel_size_m) {
     RayTable rays;
-    rays.rows = int(std::ceil(compute_extent_m(view.up, size_m) / pixel_m));
-    rays.columns = int(std::ceil(compute_extent_m(view.right, size_m) / pixel_m));
-    const glm::dvec3 from = -(0.5 * glm::length(size_m) + 1.0) * view.along;
+    rays.rows = int(std::ceil(compute_view_extent_m(view.up, box_size_m) / pixel_size_m));
+    rays.columns = int(std::ceil(compute_view_extent_m(view.right, box_size_m) / pixel_size_m));
+    const glm::dvec3 from = -(0.5 * glm::length(box_size_m) + 1.0) * view.along;
     for (int row = 0; row < rays.rows; ++row) {
         for (int column = 0; column < rays.columns; ++column) {
-            const double right_m = (column + 0.5 - 0.5 * rays.columns) * pixel_m,
-                         up_m = (0.5 * rays.rows - row - 0.5) * pixel_m;
+            const double right_m = (column + 0.5 - 0.5 * rays.columns) * pixel_size_m,
+                         up_m = (0.5 * rays.rows - row - 0.5) * pixel_size_m;
             rays.origin.push_back(glm::vec3(from + right_m * view.right + up_m * view.up));
             rays.direction.push_back(glm::vec3(view.along));
             rays.time_offset_s.push_back(0.0f);
@@ -55,22 +55,24 @@ RayTable make_parallel_rays(const AssetView& view, const glm::dvec3& size_m, dou
 
 /// Returns the brightness of each pixel, from 0 to 1. A value of -1 means that the pixel
 /// shows no surface.
-std::vector<float> compute_shades(const RenderedScan& scan, const AssetView& view,
-                                  const glm::dquat& world_from_box, float brightest) {
+std::vector<float> compute_pixel_brightness(const RenderedScan& scan, const CameraAxes& view,
+                                            const glm::dquat& world_from_box,
+                                            float full_brightness_intensity) {
     std::vector<float> shade(scan.weight.size(), -1.0f);
     const glm::vec3 along(world_from_box * view.along);
-    const auto* normals = find_values<glm::vec3>(scan.channels, "normal");
+    const auto* normals = find_channel_values<glm::vec3>(scan.channels, "normal");
     for (std::size_t i = 0; i < shade.size(); ++i) {
         if (scan.weight[i] < kLeastWeight) continue;
         const float steep = normals ? std::abs(glm::dot((*normals)[i], along)) : 1.0f;
-        shade[i] = (0.3f + 0.7f * std::sqrt(std::clamp(scan.image.intensity[i] / brightest, 0.0f, 1.0f))) *
+        shade[i] = (0.3f + 0.7f * std::sqrt(std::clamp(scan.image.intensity[i] / full_brightness_intensity,
+                                                       0.0f, 1.0f))) *
                    (0.35f + 0.65f * steep);
     }
     return shade;
 }
 
 /// Returns the intensity that only 5 % of the visible pixels exceed.
-float choose_bright_intensity(const std::vector<RenderedScan>& scans) {
+float find_95th_percentile_intensity(const std::vector<RenderedScan>& scans) {
     std::vector<float> values;
     for (const RenderedScan& scan : scans)
         for (std::size_t i = 0; i < scan.weight.size(); ++i)
@@ -83,25 +85,25 @@ float choose_bright_intensity(const std::vector<RenderedScan>& scans) {
 
 /// Draws one view of the asset into the canvas.
 /// @param row, column position of the view's upper left pixel in the canvas
-void draw(Image& canvas, int row, int column, const RenderedScan& scan, const std::vector<float>& shade,
-          const BoxSurface& surface) {
+void draw_asset_view(Image& canvas, int row, int column, const RenderedScan& scan,
+                     const std::vector<float>& pixel_brightness, const ObservedBoxSurface& surface) {
     for (int r = 0; r < scan.image.rows; ++r) {
         for (int c = 0; c < scan.image.columns; ++c) {
             const auto i = std::size_t(r * scan.image.columns + c);
-            if (shade[i] < 0.0f) continue;
+            if (pixel_brightness[i] < 0.0f) continue;
             const glm::vec3 point_m = scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i];
-            const bool of_mirror = surface.is_mirrored(glm::dvec3(point_m));
+            const bool of_mirror = surface.is_observed_only_in_mirror(glm::dvec3(point_m));
             std::uint8_t* pixel = &canvas.rgb[std::size_t(3 * ((row + r) * canvas.columns + column + c))];
             for (int k = 0; k < 3; ++k)
-                pixel[k] = std::uint8_t(255.0f * shade[i] * (of_mirror && k < 2 ? 0.7f : 1.0f));
+                pixel[k] = std::uint8_t(255.0f * pixel_brightness[i] * (of_mirror && k < 2 ? 0.7f : 1.0f));
         }
     }
 }
 
 }  // namespace
 
-Image draw_asset_picture(Device& device, const Asset& asset, const BoxSurface& surface) {
-    const Run& run = asset.run;
+Image draw_asset_picture(Device& device, const ActorAsset& asset, const ObservedBoxSurface& surface) {
+    const TrainedRun& run = asset.run;
     Config config = run.config;
     config.render.channels = get_primitive_kind(run.scene.surfels.primitive).has_normals ? "normal" : "";
     config.sensor.sub_rays = config.sensor.returns = 1;
@@ -109,14 +111,14 @@ Image draw_asset_picture(Device& device, const Asset& asset, const BoxSurface& s
     const BoxTrack& box = run.sequence.boxes.front();
     const double pixel_m = std::max(kPixel_m, std::max(box.size_m.x, box.size_m.y) / kWidest),
                  time_s = run.sequence.frames.front().time_s;
-    Pose dataset_from_box = box.world_from_box.at(time_s);
+    Pose dataset_from_box = box.world_from_box.interpolate_pose(time_s);
     dataset_from_box.translation += run.sequence.world_offset_m;
     const PoseTrack stands{{time_s}, {dataset_from_box}};
     std::vector<RenderedScan> scans;
-    for (const AssetView& view : kViews)
-        scans.push_back(
-            renderer.render({.rays = make_parallel_rays(view, box.size_m, pixel_m), .name = "parallel rays"},
-                            {time_s, stands, ActorPoses{{asset.facts.name, stands}}}));
+    for (const CameraAxes& view : kViews)
+        scans.push_back(renderer.render(
+            {.rays = make_parallel_view_rays(view, box.size_m, pixel_m), .name = "parallel rays"},
+            {time_s, stands, ActorTracksByName{{asset.facts.name, stands}}}));
     const auto rows = [&](int view) { return scans[std::size_t(view)].image.rows; };
     const auto columns = [&](int view) { return scans[std::size_t(view)].image.columns; };
     const int upper = std::max(rows(kLeft), rows(kAbove));
@@ -125,11 +127,13 @@ Image draw_asset_picture(Device& device, const Asset& asset, const BoxSurface& s
     canvas.rgb.assign(std::size_t(3 * canvas.rows * canvas.columns), kBackdrop);
     const int second = 2 * kGap + columns(kLeft), third = second + kGap + columns(kRight),
               below = upper + 2 * kGap;
-    const int places[][2] = {{kGap, kGap}, {kGap, second}, {kGap, third}, {below, kGap}, {below, second}};
-    const float brightest = choose_bright_intensity(scans);
+    const int view_positions_px[][2] = {
+        {kGap, kGap}, {kGap, second}, {kGap, third}, {below, kGap}, {below, second}};
+    const float brightest = find_95th_percentile_intensity(scans);
     for (std::size_t v = 0; v < scans.size(); ++v)
-        draw(canvas, places[v][0], places[v][1], scans[v],
-             compute_shades(scans[v], kViews[v], dataset_from_box.rotation, brightest), surface);
+        draw_asset_view(canvas, view_positions_px[v][0], view_positions_px[v][1], scans[v],
+                        compute_pixel_brightness(scans[v], kViews[v], dataset_from_box.rotation, brightest),
+                        surface);
     return canvas;
 }
 

@@ -27,46 +27,50 @@ struct AssetOptions {
     std::string run;
     std::string out;
     double least = 0.5;
-    DeviceChoice device;
+    DeviceCommandOptions device;
     bool quiet = false;
 };
 
 /// Checks that the output folder is new or empty.
 /// @throws UsageError if the folder exists and is not empty
-void require_new_output_folder(const std::string& out) {
+void require_new_or_empty_folder(const std::string& output_folder) {
     std::error_code failed;
-    if (fs::exists(out, failed) && !fs::is_empty(out, failed))
+    if (fs::exists(output_folder, failed) && !fs::is_empty(output_folder, failed))
         throw UsageError(
-            fmt::format("--out {}: the folder is not empty, expected a new or empty folder", out));
+            fmt::format("--out {}: the folder is not empty, expected a new or empty folder", output_folder));
 }
 
-std::string format_sides(const AssetFacts& facts) {
+std::string format_observed_side_fractions(const AssetDescription& asset_description) {
     std::string text;
     for (std::size_t s = 0; s < kBoxSides; ++s)
-        text += fmt::format("{}{} {:.2f}", s ? ", " : "", get_name(BoxSide(s)), facts.seen_sides[s]);
+        text +=
+            fmt::format("{}{} {:.2f}", s ? ", " : "", get_name(BoxSide(s)), asset_description.seen_sides[s]);
     return text;
 }
 
 /// Returns the reason why an actor is not saved as an asset. The text is empty if the
 /// actor is saved.
-std::string explain_rejection(const AssetFacts& facts, const ActorObservations& sightings, double min_score) {
-    if (sightings.points_m.empty()) return "no ray of the training frames hits this actor";
-    if (facts.score() >= min_score) return "";
+std::string explain_asset_rejection(const AssetDescription& asset_description,
+                                    const ActorObservations& observations, double min_score) {
+    if (observations.points_m.empty()) return "no ray of the training frames hits this actor";
+    if (asset_description.compute_covered_fraction() >= min_score) return "";
     return fmt::format(
         "the score of the actor is {:.2f}, expected at least {:.2f} (--least); the observed shares of its "
         "sides are {}{}",
-        facts.score(), min_score, format_sides(facts),
-        facts.completed > 0.0
-            ? fmt::format("; its mirror image completed a share of {:.2f} of the surface", facts.completed)
+        asset_description.compute_covered_fraction(), min_score,
+        format_observed_side_fractions(asset_description),
+        asset_description.completed > 0.0
+            ? fmt::format("; its mirror image completed a share of {:.2f} of the surface",
+                          asset_description.completed)
             : "");
 }
 
-std::vector<std::string> list_actors(const Run& run) {
+std::vector<std::string> list_actor_track_ids(const TrainedRun& run) {
     std::vector<std::string> tracks;
     // Models that are already listed. A copy of an actor has the same model, so it is
     // skipped.
     std::set<std::uint32_t> models;
-    for (const Instance& instance : run.scene.instances)
+    for (const ModelInstance& instance : run.scene.instances)
         if (!instance.track.empty() && models.insert(instance.model).second) tracks.push_back(instance.track);
     if (tracks.empty())
         throw UsageError(
@@ -76,7 +80,7 @@ std::vector<std::string> list_actors(const Run& run) {
 
 /// Adds a number to the name of an asset if another asset already has this name. Names
 /// can collide, because characters that are not allowed in folder names are replaced.
-void make_unique(Asset& asset, std::set<std::string>& used_names) {
+void make_asset_name_unique(ActorAsset& asset, std::set<std::string>& used_names) {
     const std::string stem = asset.facts.name;
     std::string name = stem;
     for (int n = 2; !used_names.insert(name).second; ++n) name = fmt::format("{}-{}", stem, n);
@@ -85,51 +89,53 @@ void make_unique(Asset& asset, std::set<std::string>& used_names) {
         asset.run.sequence.boxes[0].id = name;
 }
 
-std::vector<std::string> make_asset_row(const AssetFacts& facts) {
-    std::vector<std::string> row{facts.name, facts.category, fmt::format("{:.2f}", facts.score())};
-    for (const double side : facts.seen_sides) row.push_back(fmt::format("{:.2f}", side));
-    for (const double value : {facts.completed, facts.nearest_m}) row.push_back(fmt::format("{:.2f}", value));
-    row.push_back(fmt::format("{}", facts.surfels));
+std::vector<std::string> format_asset_table_row(const AssetDescription& asset_description) {
+    std::vector<std::string> row{asset_description.name, asset_description.category,
+                                 fmt::format("{:.2f}", asset_description.compute_covered_fraction())};
+    for (const double side : asset_description.seen_sides) row.push_back(fmt::format("{:.2f}", side));
+    for (const double value : {asset_description.completed, asset_description.nearest_m})
+        row.push_back(fmt::format("{:.2f}", value));
+    row.push_back(fmt::format("{}", asset_description.surfels));
     return row;
 }
 
-void run_assets(const AssetOptions& options) {
+void run_assets_command(const AssetOptions& options) {
     if (!(options.least >= 0.0 && options.least <= 1.0))
         throw UsageError(fmt::format("--least: found {}; expected a number from 0 to 1", options.least));
-    require_new_output_folder(options.out);
+    require_new_or_empty_folder(options.out);
     const StagedFolder folder(options.out);
-    const Run run = load_run(options.run);
-    const std::vector<std::string> tracks = list_actors(run);
+    const TrainedRun run = load_run(options.run);
+    const std::vector<std::string> tracks = list_actor_track_ids(run);
     Device device(make_device_options(options.device));
-    Progress progress(options.quiet);
+    TerminalProgress progress(options.quiet);
     const std::map<std::string, ActorObservations> sightings =
-        observe_actors(device, run, make_progress(progress));
+        collect_actor_observations(device, run, make_progress_callback(progress));
     std::vector<std::vector<std::string>> rows{{"asset", "class", "score", "front", "rear", "left", "right",
                                                 "top", "completed", "nearest_m", "surfels"}};
     std::set<std::string> used_names;
     std::string skipped;
     for (const std::string& track : tracks) {
-        const auto seen = sightings.find(track);
+        const auto match = sightings.find(track);
         const ActorObservations actor_sightings =
-            seen == sightings.end() ? ActorObservations{} : seen->second;
-        Asset asset = make_asset(run, track, actor_sightings);
-        if (const std::string reason = explain_rejection(asset.facts, actor_sightings, options.least);
+            match == sightings.end() ? ActorObservations{} : match->second;
+        ActorAsset asset = extract_actor_asset(run, track, actor_sightings);
+        if (const std::string reason = explain_asset_rejection(asset.facts, actor_sightings, options.least);
             !reason.empty()) {
             skipped += fmt::format("skipped {} ({}): {}\n", track, asset.facts.category, reason);
             continue;
         }
-        make_unique(asset, used_names);
+        make_asset_name_unique(asset, used_names);
         save_asset(asset, folder.path() / asset.facts.name);
         const Image views =
-            draw_asset_picture(device, asset, compute_visible_surface(asset.facts.size_m, actor_sightings));
+            draw_asset_picture(device, asset, compute_observed_surface(asset.facts.size_m, actor_sightings));
         write_png(folder.path() / asset.facts.name / "views.png", views);
-        rows.push_back(make_asset_row(asset.facts));
+        rows.push_back(format_asset_table_row(asset.facts));
     }
     end_progress_line();
     if (rows.size() == 1)
-        throw DataError(
-            fmt::format("no actor of run {} has a sufficient score: {}", options.run, join_lines(skipped)));
-    folder.finish();
+        throw DataError(fmt::format("no actor of run {} has a sufficient score: {}", options.run,
+                                    replace_control_characters(skipped)));
+    folder.move_folder_to_final_path();
     if (options.quiet) return;
     print(format_table(rows) + skipped +
           fmt::format("saved {} of {} actors in {}\n", rows.size() - 1, tracks.size(), options.out));
@@ -147,7 +153,7 @@ Examples:
 
 }  // namespace
 
-void add_assets(CLI::App& app, Call& call) {
+void add_assets_command(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command =
         app.add_subcommand("assets", "save well-observed actors of a run for use in other runs");
     const auto options = std::make_shared<AssetOptions>();
@@ -160,7 +166,8 @@ void add_assets(CLI::App& app, Call& call) {
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(kAssetsHelp);
-    command->callback([&call, options] { call.run = [options] { run_assets(*options); }; });
+    command->callback(
+        [&selected_command, options] { selected_command.run = [options] { run_assets_command(*options); }; });
 }
 
 }  // namespace relidar::cli

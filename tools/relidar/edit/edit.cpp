@@ -25,19 +25,19 @@ struct EditOptions {
     std::string out;
     /// PLY file whose surfels replace the surfels of the run; empty to keep them
     std::string ply;
-    std::vector<TypedEdit> edits;  ///< Edits in the order in which the user typed them.
+    std::vector<EditArgument> edits;  ///< Edits in the order in which the user typed them.
     bool force = false;
     bool quiet = false;
 };
 
-void check_other_folder(const EditOptions& options) {
+void require_output_differs_from_input(const EditOptions& options) {
     std::error_code failed;
     if (std::filesystem::equivalent(options.run, options.out, failed))
         throw UsageError(fmt::format(
             "--out {}: this is the folder of the run to edit; expected a different folder", options.out));
 }
 
-bool is_same(const PoseTrack& first, const PoseTrack& second) {
+bool are_pose_tracks_identical(const PoseTrack& first, const PoseTrack& second) {
     const auto same = [](const Pose& p, const Pose& q) {
         return p.translation == q.translation && p.rotation == q.rotation;
     };
@@ -45,12 +45,13 @@ bool is_same(const PoseTrack& first, const PoseTrack& second) {
 }
 
 /// Returns the track names of the actors that an edit has added or moved.
-std::vector<std::string> list_new_tracks(const DrivingScene& driving, const Sequence& original_log) {
+std::vector<std::string> list_added_or_moved_track_ids(const SceneWithLog& driving_scene,
+                                                       const LidarSequence& original_log) {
     std::vector<std::string> placed;
-    for (const Instance& instance : driving.scene.instances) {
-        const BoxTrack *now = find_box(driving.sequence, instance.track),
+    for (const ModelInstance& instance : driving_scene.scene.instances) {
+        const BoxTrack *now = find_box(driving_scene.sequence, instance.track),
                        *then = find_box(original_log, instance.track);
-        if (now && (!then || !is_same(now->world_from_box, then->world_from_box)))
+        if (now && (!then || !are_pose_tracks_identical(now->world_from_box, then->world_from_box)))
             placed.push_back(instance.track);
     }
     return placed;
@@ -58,11 +59,12 @@ std::vector<std::string> list_new_tracks(const DrivingScene& driving, const Sequ
 
 /// Returns a warning line for each added or moved actor that has too few surfels. An
 /// actor needs more surfels if it is closer to the sensor.
-std::string describe_sparse_actors(const DrivingScene& driving, const Sequence& original_log) {
+std::string format_sparse_actor_warnings(const SceneWithLog& driving_scene,
+                                         const LidarSequence& original_log) {
     std::string text;
-    for (const std::string& track : list_new_tracks(driving, original_log)) {
-        const ActorDetail detail = measure_actor_detail(driving, track);
-        if (!detail.is_sparse()) continue;
+    for (const std::string& track : list_added_or_moved_track_ids(driving_scene, original_log)) {
+        const ActorModelResolution detail = measure_actor_resolution(driving_scene, track);
+        if (!detail.has_too_few_surfels()) continue;
         text += fmt::format(
             "note: actor {} comes within {:.1f} m of the sensor at {:.2f} s, where {} rays hit its box, but "
             "it has only {} surfels because it was recorded from farther away; it will show holes\n",
@@ -71,29 +73,29 @@ std::string describe_sparse_actors(const DrivingScene& driving, const Sequence& 
     return text;
 }
 
-void run_edit(const EditOptions& options) {
+void run_edit_command(const EditOptions& options) {
     if (options.edits.empty() && options.ply.empty())
         throw UsageError(
             "no edit is given; expected at least one of --remove, --move, --retime, --trajectory, "
             "--copy, --insert, --scenario, --keep and --from-ply (see `relidar edit --help`)");
-    check_other_folder(options);
-    const NewRun edited(options.out, options.force);
-    Run run = load_run(options.run);
+    require_output_differs_from_input(options);
+    const RunFolderWriter edited(options.out, options.force);
+    TrainedRun run = load_run(options.run);
     if (!options.ply.empty())
         run.scene = read_surfel_ply(options.ply, load_all_blocks(run.scene), run.config.image.primitive);
     const std::string origin = make_absolute_path(options.run);
-    DrivingScene driving{std::move(run.scene), std::move(run.sequence)};
-    const Sequence before = copy_without_frames(driving.sequence);
+    SceneWithLog driving{std::move(run.scene), std::move(run.sequence)};
+    const LidarSequence before = copy_without_frames(driving.sequence);
     std::string text;
-    for (const TypedEdit& edit : options.edits) {
-        AppliedEdit applied = apply(std::move(driving), edit);
+    for (const EditArgument& edit : options.edits) {
+        EditResult applied = apply_typed_edit(std::move(driving), edit);
         driving = std::move(applied.driving);
         run.edits.push_back({origin, fmt::format("{} {}", edit.option, edit.value)});
         text += applied.said + "\n" + (applied.note.empty() ? "" : "note: " + applied.note + "\n");
     }
-    text += describe_sparse_actors(driving, before);
-    run.replace(std::move(driving));
-    edited.save(run);
+    text += format_sparse_actor_warnings(driving, before);
+    run.replace_driving_scene(std::move(driving));
+    edited.save_run_to_folder(run);
     if (!options.quiet)
         print(text + fmt::format("saved {} instances of {} models with {} surfels in {}\n",
                                  run.scene.instances.size(), run.scene.models.size(),
@@ -127,17 +129,17 @@ Examples:
 
 }  // namespace
 
-void add_edit(CLI::App& app, Call& call) {
+void add_edit_command(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command =
         app.add_subcommand("edit", "remove, move, copy and insert actors; read surfels from a PLY file");
     const auto options = std::make_shared<EditOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train` or `relidar edit`")->required();
     command->add_option("--out", options->out, "folder for the edited run")->required()->type_name("DIR");
     for (const EditOption& edit : list_edit_options()) {
-        const auto take = [options, option = std::string(edit.option)](const std::string& value) {
+        const auto append_edit = [options, option = std::string(edit.option)](const std::string& value) {
             options->edits.push_back({option, value});
         };
-        command->add_option_function<std::string>(edit.option, take, edit.help)
+        command->add_option_function<std::string>(edit.option, append_edit, edit.help)
             ->type_name(edit.form)
             ->trigger_on_parse()
             ->allow_extra_args(false)
@@ -151,7 +153,8 @@ void add_edit(CLI::App& app, Call& call) {
     command->add_flag("--force", options->force, "overwrite the run in DIR");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(kEditHelp);
-    command->callback([&call, options] { call.run = [options] { run_edit(*options); }; });
+    command->callback(
+        [&selected_command, options] { selected_command.run = [options] { run_edit_command(*options); }; });
 }
 
 }  // namespace relidar::cli

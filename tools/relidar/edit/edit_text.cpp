@@ -24,30 +24,32 @@ namespace {
 // Maximum offset or speed. A larger value is probably a typing error, so it is rejected.
 constexpr double kFarOff_m = 1e6;
 
-[[noreturn]] void throw_edit_error(const TypedEdit& edit, const std::string& expected) {
-    throw UsageError(fmt::format("{}: found \"{}\", expected {}", edit.option, edit.value, expected));
+[[noreturn]] void throw_edit_error(const EditArgument& edit, const std::string& expected_value) {
+    throw UsageError(fmt::format("{}: found \"{}\", expected {}", edit.option, edit.value, expected_value));
 }
 
-const char* get_form(const TypedEdit& edit) {
+const char* get_edit_value_syntax(const EditArgument& edit) {
     const auto& options = list_edit_options();
     return std::find_if(options.begin(), options.end(),
                         [&](const EditOption& o) { return edit.option == o.option; })
         ->form;
 }
 
-/// Splits a text at `position` and leaves out the character there. Throws an error if a
-/// part is empty.
-std::pair<std::string, std::string> split_at(const TypedEdit& edit, const std::string& text,
-                                             std::size_t position) {
-    if (position == std::string::npos || position == 0 || position + 1 == text.size())
-        throw_edit_error(edit, get_form(edit));
-    return {text.substr(0, position), text.substr(position + 1)};
+/// Splits a text at `separator_position` and leaves out the character there. Throws an
+/// error if a part is empty.
+std::pair<std::string, std::string> split_edit_value_at(const EditArgument& edit, const std::string& text,
+                                                        std::size_t separator_position) {
+    if (separator_position == std::string::npos || separator_position == 0 ||
+        separator_position + 1 == text.size())
+        throw_edit_error(edit, get_edit_value_syntax(edit));
+    return {text.substr(0, separator_position), text.substr(separator_position + 1)};
 }
 
-std::vector<double> parse_edit_numbers(const TypedEdit& edit, const std::string& text, std::size_t min_count,
-                                       std::size_t max_count) {
-    const std::vector<double> values = parse_list(edit.option, text);
-    if (values.size() < min_count || values.size() > max_count) throw_edit_error(edit, get_form(edit));
+std::vector<double> parse_edit_numbers(const EditArgument& edit, const std::string& text,
+                                       std::size_t min_count, std::size_t max_count) {
+    const std::vector<double> values = parse_number_list(edit.option, text);
+    if (values.size() < min_count || values.size() > max_count)
+        throw_edit_error(edit, get_edit_value_syntax(edit));
     for (const double v : values)
         if (std::abs(v) > 1e9) throw_edit_error(edit, "numbers below 1e9");
     return values;
@@ -55,30 +57,31 @@ std::vector<double> parse_edit_numbers(const TypedEdit& edit, const std::string&
 
 /// Converts numbers to a pose. The numbers are x, y and z in metres, and optionally yaw,
 /// pitch and roll in degrees.
-Pose make_pose(const std::vector<double>& values) {
+Pose make_pose_from_numbers(const std::vector<double>& xyz_yaw_pitch_roll) {
     const auto radians = [&](std::size_t index) {
-        return index < values.size() ? values[index] * kPi / 180.0 : 0.0;
+        return index < xyz_yaw_pitch_roll.size() ? xyz_yaw_pitch_roll[index] * kPi / 180.0 : 0.0;
     };
-    return {make_rotation(radians(3), radians(4), radians(5)), {values[0], values[1], values[2]}};
+    return {make_rotation(radians(3), radians(4), radians(5)),
+            {xyz_yaw_pitch_roll[0], xyz_yaw_pitch_roll[1], xyz_yaw_pitch_roll[2]}};
 }
 
 /// Parses a place on the ground, "x,y,ground[,yaw_deg]". Returns no value if the third
 /// field is a number, so that the text is a full pose.
-std::optional<GroundPlace> parse_ground_place(const TypedEdit& edit, const std::string& text) {
+std::optional<GroundPlacement> parse_ground_placement(const EditArgument& edit, const std::string& text) {
     constexpr std::string_view kWord = ",ground";
     const std::size_t at = text.find(kWord);
     if (at == std::string::npos) return {};
     const std::vector<double> xy = parse_edit_numbers(edit, text.substr(0, at), 2, 2);
-    GroundPlace place{{xy[0], xy[1]}};
+    GroundPlacement placement{{xy[0], xy[1]}};
     const std::string rest = text.substr(at + kWord.size());
-    if (!rest.empty() && rest[0] != ',') throw_edit_error(edit, get_form(edit));
-    if (!rest.empty()) place.yaw_rad = parse_edit_numbers(edit, rest.substr(1), 1, 1)[0] * kPi / 180.0;
-    return place;
+    if (!rest.empty() && rest[0] != ',') throw_edit_error(edit, get_edit_value_syntax(edit));
+    if (!rest.empty()) placement.yaw_rad = parse_edit_numbers(edit, rest.substr(1), 1, 1)[0] * kPi / 180.0;
+    return placement;
 }
 
 /// An actor to insert or move, and the scene that contains this actor.
-struct SourceActor {
-    const DrivingScene& owner;
+struct ActorToInsert {
+    const SceneWithLog& owner;
     const std::string& track;
     /// height of the bottom of the actor's box above the ground; no value if unknown
     std::optional<double> clearance_m;
@@ -86,28 +89,28 @@ struct SourceActor {
 
 /// Parses a start pose with an optional speed. The text is
 /// "x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed]" or "x,y,ground[,yaw_deg][:speed]".
-Start parse_start_pose(const TypedEdit& edit, const std::string& text, const DrivingScene& driving,
-                       const SourceActor& actor) {
+NewActorMotion parse_start_pose_and_speed(const EditArgument& edit, const std::string& text,
+                                          const SceneWithLog& driving_scene, const ActorToInsert& actor) {
     const std::size_t colon = text.find(':');
     const double speed_mps =
         colon == std::string::npos ? 0.0 : parse_edit_numbers(edit, text.substr(colon + 1), 1, 1)[0];
     if (std::abs(speed_mps) > kFarOff_m) throw_edit_error(edit, "a speed in m/s");
-    const std::string place = text.substr(0, colon);
-    if (std::optional<GroundPlace> ground = parse_ground_place(edit, place)) {
+    const std::string position_text = text.substr(0, colon);
+    if (std::optional<GroundPlacement> ground = parse_ground_placement(edit, position_text)) {
         ground->speed_mps = speed_mps;
         ground->clearance_m = actor.clearance_m;
-        return compute_start_on_ground({driving.scene, driving.sequence}, *ground,
-                                       {actor.owner.scene, actor.owner.sequence}, actor.track);
+        return compute_actor_start_on_ground({driving_scene.scene, driving_scene.sequence}, *ground,
+                                             {actor.owner.scene, actor.owner.sequence}, actor.track);
     }
-    const std::vector<double> pose = parse_edit_numbers(edit, place, 4, 6);
-    if (pose.size() == 5) throw_edit_error(edit, get_form(edit));
-    return {make_pose(pose), speed_mps};
+    const std::vector<double> pose = parse_edit_numbers(edit, position_text, 4, 6);
+    if (pose.size() == 5) throw_edit_error(edit, get_edit_value_syntax(edit));
+    return {make_pose_from_numbers(pose), speed_mps};
 }
 
 /// Describes height and tilt of an actor that was placed on the ground, because the
 /// program computed them. Returns an empty text for other actors.
-std::string describe_ground_contact(const Start& start, const std::string& typed) {
-    if (typed.find(",ground") == std::string::npos) return "";
+std::string describe_pose_on_ground(const NewActorMotion& start, const std::string& placement_text) {
+    if (placement_text.find(",ground") == std::string::npos) return "";
     const glm::dvec3& p = start.dataset_from_box.translation;
     const double tilt_deg =
         std::acos(std::clamp((start.dataset_from_box.rotation * glm::dvec3(0, 0, 1)).z, -1.0, 1.0)) * 180.0 /
@@ -118,137 +121,142 @@ std::string describe_ground_contact(const Start& start, const std::string& typed
 
 /// Returns a warning if the actor moves over ground that the log has not observed. The
 /// height of such ground is a guess.
-std::string describe_unseen_ground(const Start& start, const std::string& track) {
+std::string format_unobserved_ground_warning(const NewActorMotion& start, const std::string& track_id) {
     if (start.unseen_m == 0.0) return "";
     return fmt::format(
         "track {}: the log has not seen the ground below {:.0f} m of its path, so the height there is a "
         "guess: the actor keeps the mean slope of its path",
-        track, start.unseen_m);
+        track_id, start.unseen_m);
 }
 
 /// Returns a note on the sides of an actor that the log has not observed. Completed sides
 /// are mirror images. The remaining sides have no surfels, so rays pass through them.
-std::string describe_unseen_sides(const DrivingScene& driving, const std::string& track) {
-    const auto actor = std::ranges::find(driving.scene.instances, track, &Instance::track);
-    const std::optional<BoxSurface>& surface = driving.scene.models[actor->model].surface;
+std::string format_unobserved_sides_note(const SceneWithLog& driving_scene, const std::string& track_id) {
+    const auto actor = std::ranges::find(driving_scene.scene.instances, track_id, &ModelInstance::track);
+    const std::optional<ObservedBoxSurface>& surface = driving_scene.scene.models[actor->model].surface;
     if (!surface) return "";
     std::vector<std::string> parts;
     for (std::size_t s = 0; s < kBoxSides; ++s) {
-        const double share = surface->mirrored(BoxSide(s));
+        const double share = surface->compute_mirrored_fraction(BoxSide(s));
         if (surface->is_completed && share >= double(kUnseenSide))
             parts.push_back(fmt::format("{:.0f} % of the {}", 100.0 * share, get_name(BoxSide(s))));
     }
-    const std::string unseen = list_unseen_sides(surface->known());
+    const std::string unseen = format_unobserved_sides(surface->compute_covered_fractions());
     std::string text;
     if (!parts.empty())
         text = fmt::format(
             "track {}: not seen by the log and completed by the mirror image of the other "
             "side: {}",
-            track, fmt::join(parts, ", "));
+            track_id, fmt::join(parts, ", "));
     if (!unseen.empty())
         text += fmt::format("{}track {}: the log has not seen these sides of it: {}; rays pass through them",
-                            text.empty() ? "" : "; ", track, unseen);
+                            text.empty() ? "" : "; ", track_id, unseen);
     return text;
 }
 
-std::string join_notes(const std::vector<std::string>& notes) {
+std::string join_nonempty_notes(const std::vector<std::string>& notes) {
     std::string text;
     for (const std::string& note : notes)
         if (!note.empty()) text += (text.empty() ? "" : "; ") + note;
     return text;
 }
 
-const std::string& get_last_track(const DrivingScene& driving) {
-    return driving.scene.instances.back().track;
+const std::string& get_last_instance_track_id(const SceneWithLog& driving_scene) {
+    return driving_scene.scene.instances.back().track;
 }
 
-AppliedEdit remove_one(DrivingScene driving, const TypedEdit& edit) {
-    return {remove_track(std::move(driving), edit.value), "removed " + edit.value, ""};
+EditResult apply_remove_edit(SceneWithLog driving_scene, const EditArgument& edit) {
+    return {remove_track(std::move(driving_scene), edit.value), "removed " + edit.value, ""};
 }
 
-AppliedEdit apply_move(DrivingScene driving, const TypedEdit& edit) {
-    const auto [track, offset] = split_at(edit, edit.value, edit.value.rfind(':'));
-    driving = move_track(std::move(driving), track, make_pose(parse_edit_numbers(edit, offset, 3, 4)));
-    const std::string note = describe_unseen_sides(driving, track);
-    return {std::move(driving), "moved " + track, note};
+EditResult apply_move_edit(SceneWithLog driving_scene, const EditArgument& edit) {
+    const auto [track, offset] = split_edit_value_at(edit, edit.value, edit.value.rfind(':'));
+    driving_scene = move_track(std::move(driving_scene), track,
+                               make_pose_from_numbers(parse_edit_numbers(edit, offset, 3, 4)));
+    const std::string note = format_unobserved_sides_note(driving_scene, track);
+    return {std::move(driving_scene), "moved " + track, note};
 }
 
 /// Returns true if the actor is present in at least one frame of the log.
-bool is_present_in_any_frame(const DrivingScene& driving, const std::string& track) {
-    const BoxTrack* box = find_box(driving.sequence, track);
-    return box && std::ranges::any_of(driving.sequence.frames,
-                                      [&](const Frame& f) { return box->is_present(f.time_s); });
+bool is_actor_in_any_frame(const SceneWithLog& driving_scene, const std::string& track_id) {
+    const BoxTrack* box = find_box(driving_scene.sequence, track_id);
+    return box && std::ranges::any_of(driving_scene.sequence.frames,
+                                      [&](const LidarFrame& f) { return box->is_present(f.time_s); });
 }
 
 /// Returns a warning if an edit removes an actor from frames of the log, for example
 /// because its motion is delayed.
 /// @param original_box track of the actor before the edit; null for a new actor
-std::string describe_absence(const DrivingScene& driving, const std::string& track,
-                             const BoxTrack* original_box) {
-    if (!is_present_in_any_frame(driving, track))
+std::string format_actor_absence_warning(const SceneWithLog& driving_scene, const std::string& track_id,
+                                         const BoxTrack* original_box) {
+    if (!is_actor_in_any_frame(driving_scene, track_id))
         return fmt::format(
-            "track {} is not visible in any frame, because all its times are outside the log's time", track);
-    return original_box ? describe_lost_frames(*original_box, driving.sequence) : "";
+            "track {} is not visible in any frame, because all its times are outside the log's time",
+            track_id);
+    return original_box ? describe_frames_without_actor(*original_box, driving_scene.sequence) : "";
 }
 
-BoxTrack copy_actor_box(const DrivingScene& driving, const std::string& track) {
-    const BoxTrack* box = find_box(driving.sequence, track);
+BoxTrack copy_box_track_if_known(const SceneWithLog& driving_scene, const std::string& track_id) {
+    const BoxTrack* box = find_box(driving_scene.sequence, track_id);
     // Returns an empty track if the actor is unknown. The edit itself reports this error
     // later.
     return box ? *box : BoxTrack{};
 }
 
-AppliedEdit apply_retime(DrivingScene driving, const TypedEdit& edit) {
-    const auto [track, seconds] = split_at(edit, edit.value, edit.value.rfind(':'));
-    const BoxTrack before = copy_actor_box(driving, track);
-    driving = retime_track(std::move(driving), track, parse_edit_numbers(edit, seconds, 1, 1)[0]);
-    const std::string note =
-        join_notes({describe_absence(driving, track, &before), describe_unseen_sides(driving, track)});
-    return {std::move(driving), fmt::format("delayed the motion of {} by {} s", track, seconds), note};
+EditResult apply_retime_edit(SceneWithLog driving_scene, const EditArgument& edit) {
+    const auto [track, seconds] = split_edit_value_at(edit, edit.value, edit.value.rfind(':'));
+    const BoxTrack before = copy_box_track_if_known(driving_scene, track);
+    driving_scene = delay_track(std::move(driving_scene), track, parse_edit_numbers(edit, seconds, 1, 1)[0]);
+    const std::string note = join_nonempty_notes({format_actor_absence_warning(driving_scene, track, &before),
+                                                  format_unobserved_sides_note(driving_scene, track)});
+    return {std::move(driving_scene), fmt::format("delayed the motion of {} by {} s", track, seconds), note};
 }
 
-AppliedEdit apply_trajectory(DrivingScene driving, const TypedEdit& edit) {
-    const auto [track, file] = split_at(edit, edit.value, edit.value.find(':'));
-    const BoxTrack before = copy_actor_box(driving, track);
-    driving = replace_trajectory(std::move(driving), track, read_trajectory(file));
-    const std::string note =
-        join_notes({describe_absence(driving, track, &before), describe_unseen_sides(driving, track)});
-    return {std::move(driving), fmt::format("{} follows {}", track, file), note};
+EditResult apply_trajectory_edit(SceneWithLog driving_scene, const EditArgument& edit) {
+    const auto [track, file] = split_edit_value_at(edit, edit.value, edit.value.find(':'));
+    const BoxTrack before = copy_box_track_if_known(driving_scene, track);
+    driving_scene = replace_trajectory(std::move(driving_scene), track, read_trajectory_csv(file));
+    const std::string note = join_nonempty_notes({format_actor_absence_warning(driving_scene, track, &before),
+                                                  format_unobserved_sides_note(driving_scene, track)});
+    return {std::move(driving_scene), fmt::format("{} follows {}", track, file), note};
 }
 
-AppliedEdit apply_copy(DrivingScene driving, const TypedEdit& edit) {
-    const auto [track, place] = split_at(edit, edit.value, edit.value.rfind('@'));
-    const Start start = parse_start_pose(edit, place, driving, {driving, track, {}});
-    driving = copy_track(std::move(driving), track, start);
-    return {driving,
-            fmt::format("copied {} as {}{}", track, get_last_track(driving),
-                        describe_ground_contact(start, place)),
-            join_notes({describe_unseen_ground(start, get_last_track(driving)),
-                        describe_unseen_sides(driving, get_last_track(driving))})};
+EditResult apply_copy_edit(SceneWithLog driving_scene, const EditArgument& edit) {
+    const auto [track, place] = split_edit_value_at(edit, edit.value, edit.value.rfind('@'));
+    const NewActorMotion start =
+        parse_start_pose_and_speed(edit, place, driving_scene, {driving_scene, track, {}});
+    driving_scene = copy_track(std::move(driving_scene), track, start);
+    return {driving_scene,
+            fmt::format("copied {} as {}{}", track, get_last_instance_track_id(driving_scene),
+                        describe_pose_on_ground(start, place)),
+            join_nonempty_notes(
+                {format_unobserved_ground_warning(start, get_last_instance_track_id(driving_scene)),
+                 format_unobserved_sides_note(driving_scene, get_last_instance_track_id(driving_scene))})};
 }
 
 /// An actor that is inserted from another run or from an asset.
 struct ExternalActor {
     std::string folder, track;
-    Run run;
-    DrivingScene owner;
+    TrainedRun run;
+    SceneWithLog owner;
 };
 
 /// Loads an actor from a folder. The text is "RUN#TRACK" or "ASSET".
-ExternalActor load_external_actor(const TypedEdit& edit, const std::string& description) {
-    const bool named = description.find('#') != std::string::npos;
+ExternalActor load_external_actor(const EditArgument& edit, const std::string& run_track_or_asset) {
+    const bool named = run_track_or_asset.find('#') != std::string::npos;
     const auto [folder, named_track] =
-        named ? split_at(edit, description, description.rfind('#')) : std::pair(description, std::string());
-    Run run = load_run(folder);
-    const std::string track = named ? named_track : find_only_track(run);
-    DrivingScene owner = run.driving();
+        named ? split_edit_value_at(edit, run_track_or_asset, run_track_or_asset.rfind('#'))
+              : std::pair(run_track_or_asset, std::string());
+    TrainedRun run = load_run(folder);
+    const std::string track = named ? named_track : get_only_actor_track(run);
+    SceneWithLog owner = run.copy_driving_scene();
     return {folder, track, std::move(run), std::move(owner)};
 }
 
 /// Returns a warning if the actor was recorded with another type of sensor than this run.
-std::string describe_sensor_of_actor(const ExternalActor& actor, const DrivingScene& driving) {
+std::string format_sensor_mismatch_warning(const ExternalActor& actor, const SceneWithLog& driving_scene) {
     const SpinningSensor &actor_sensor = actor.run.sequence.lidars[0].sensor,
-                         &run_sensor = driving.sequence.lidars[0].sensor;
+                         &run_sensor = driving_scene.sequence.lidars[0].sensor;
     if (actor_sensor.name == run_sensor.name && actor_sensor.beams.size() == run_sensor.beams.size())
         return "";
     return fmt::format(
@@ -259,83 +267,89 @@ std::string describe_sensor_of_actor(const ExternalActor& actor, const DrivingSc
         actor.track);
 }
 
-AppliedEdit apply_insert(DrivingScene driving, const TypedEdit& edit) {
-    const auto [what, place] = split_at(edit, edit.value, edit.value.rfind('@'));
+EditResult apply_insert_edit(SceneWithLog driving_scene, const EditArgument& edit) {
+    const auto [what, place] = split_edit_value_at(edit, edit.value, edit.value.rfind('@'));
     const ExternalActor actor = load_external_actor(edit, what);
-    const Start start = parse_start_pose(edit, place, driving,
-                                         {actor.owner, actor.track, measure_asset_clearance(actor.run)});
-    const std::string sensor = describe_sensor_of_actor(actor, driving);
-    driving = insert_track(std::move(driving), actor.owner, actor.track, start);
-    const std::string note = join_notes({sensor, describe_unseen_ground(start, get_last_track(driving)),
-                                         describe_unseen_sides(driving, get_last_track(driving))});
-    const std::string placed = describe_ground_contact(start, place);
-    return {
-        driving,
-        fmt::format("inserted {} of {} as {}{}", actor.track, actor.folder, get_last_track(driving), placed),
-        note};
+    const NewActorMotion start = parse_start_pose_and_speed(
+        edit, place, driving_scene, {actor.owner, actor.track, read_asset_ground_clearance(actor.run)});
+    const std::string sensor = format_sensor_mismatch_warning(actor, driving_scene);
+    driving_scene = insert_track(std::move(driving_scene), actor.owner, actor.track, start);
+    const std::string note = join_nonempty_notes(
+        {sensor, format_unobserved_ground_warning(start, get_last_instance_track_id(driving_scene)),
+         format_unobserved_sides_note(driving_scene, get_last_instance_track_id(driving_scene))});
+    const std::string placed = describe_pose_on_ground(start, place);
+    return {driving_scene,
+            fmt::format("inserted {} of {} as {}{}", actor.track, actor.folder,
+                        get_last_instance_track_id(driving_scene), placed),
+            note};
 }
 
-bool has_track(const DrivingScene& driving, const std::string& track) {
-    return std::ranges::any_of(driving.scene.instances,
-                               [&](const Instance& i) { return !track.empty() && i.track == track; });
+bool has_track(const SceneWithLog& driving_scene, const std::string& track_id) {
+    return std::ranges::any_of(driving_scene.scene.instances, [&](const ModelInstance& i) {
+        return !track_id.empty() && i.track == track_id;
+    });
 }
 
-glm::dvec3 get_size_of_track(const DrivingScene& driving, const std::string& track) {
-    const auto box = std::ranges::find(driving.sequence.boxes, track, &BoxTrack::id);
-    return box == driving.sequence.boxes.end() ? glm::dvec3(0.0) : box->size_m;
+glm::dvec3 get_track_box_size_m(const SceneWithLog& driving_scene, const std::string& track_id) {
+    const auto box = std::ranges::find(driving_scene.sequence.boxes, track_id, &BoxTrack::id);
+    return box == driving_scene.sequence.boxes.end() ? glm::dvec3(0.0) : box->size_m;
 }
 
 /// Parses "ENTITY=ACTOR,ENTITY=ACTOR". Each pair assigns an actor to an entity of an
 /// OpenSCENARIO file.
-std::map<std::string, std::string> parse_roles(const TypedEdit& edit, const std::string& text) {
+std::map<std::string, std::string> parse_entity_actor_pairs(const EditArgument& edit,
+                                                            const std::string& text) {
     std::map<std::string, std::string> roles;
     std::istringstream words(text);
     for (std::string word; std::getline(words, word, ',');) {
-        auto [entity, actor] = split_at(edit, word, word.find('='));
+        auto [entity, actor] = split_edit_value_at(edit, word, word.find('='));
         if (!roles.emplace(entity, actor).second) throw_edit_error(edit, fmt::format("{} once", entity));
     }
     return roles;
 }
 
-void append_note(std::string& note, const std::string& more) {
-    if (!more.empty()) note += (note.empty() ? "" : "; ") + more;
+void append_warning_note(std::string& notes, const std::string& new_note) {
+    if (!new_note.empty()) notes += (notes.empty() ? "" : "; ") + new_note;
 }
 
 /// Moves an actor along the trajectory of an entity of an OpenSCENARIO file. If the run
 /// does not contain the actor, inserts it from another run or an asset.
-void apply_entity_trajectory(const TypedEdit& edit, const ScenarioEntity& entity,
-                             const std::string& description, AppliedEdit& applied) {
-    DrivingScene& driving = applied.driving;
-    std::string track = description;
-    const bool is_known = has_track(driving, description);
-    const BoxTrack before = copy_actor_box(driving, description);
-    if (!is_known) {
-        if (description.find('#') == std::string::npos && !std::filesystem::exists(description))
+void move_actor_along_entity_path(const EditArgument& edit, const ScenarioEntity& entity,
+                                  const std::string& actor_text, EditResult& applied_edit) {
+    SceneWithLog& driving = applied_edit.driving;
+    std::string track = actor_text;
+    const bool is_in_scene = has_track(driving, actor_text);
+    const BoxTrack before = copy_box_track_if_known(driving, actor_text);
+    if (!is_in_scene) {
+        if (actor_text.find('#') == std::string::npos && !std::filesystem::exists(actor_text))
             throw_edit_error(edit, fmt::format("{}=TRACK of the run, RUN#TRACK or ASSET", entity.name));
-        const ExternalActor actor = load_external_actor(edit, description);
-        append_note(applied.note, describe_sensor_of_actor(actor, driving));
+        const ExternalActor actor = load_external_actor(edit, actor_text);
+        append_warning_note(applied_edit.note, format_sensor_mismatch_warning(actor, driving));
         driving = insert_track(std::move(driving), actor.owner, actor.track, {});
-        track = get_last_track(driving);
+        track = get_last_instance_track_id(driving);
     }
     const double begin_s = driving.sequence.frames.front().time_s;
     driving = replace_trajectory(std::move(driving), track,
-                                 make_box_track(entity, begin_s, get_size_of_track(driving, track)));
-    applied.said += fmt::format("{}{} follows {} of {}", applied.said.empty() ? "" : "\n", track, entity.name,
-                                edit.value.substr(0, edit.value.find('@')));
-    append_note(applied.note, describe_absence(driving, track, is_known ? &before : nullptr));
-    append_note(applied.note, describe_unseen_sides(driving, track));
+                                 convert_to_box_track(entity, begin_s, get_track_box_size_m(driving, track)));
+    applied_edit.said += fmt::format("{}{} follows {} of {}", applied_edit.said.empty() ? "" : "\n", track,
+                                     entity.name, edit.value.substr(0, edit.value.find('@')));
+    append_warning_note(applied_edit.note,
+                        format_actor_absence_warning(driving, track, is_in_scene ? &before : nullptr));
+    append_warning_note(applied_edit.note, format_unobserved_sides_note(driving, track));
     if (!entity.ignored.empty())
-        append_note(applied.note, fmt::format("the element {} of entity {} is not supported and is ignored",
-                                              fmt::join(entity.ignored, ", "), entity.name));
+        append_warning_note(applied_edit.note,
+                            fmt::format("the element {} of entity {} is not supported and is ignored",
+                                        fmt::join(entity.ignored, ", "), entity.name));
 }
 
-AppliedEdit apply_scenario(DrivingScene driving, const TypedEdit& edit) {
+EditResult apply_scenario_edit(SceneWithLog driving_scene, const EditArgument& edit) {
     const std::size_t at = edit.value.find('@');
     const std::string file = edit.value.substr(0, at);
     std::map<std::string, std::string> roles;
-    if (at != std::string::npos) roles = parse_roles(edit, split_at(edit, edit.value, at).second);
-    AppliedEdit applied{std::move(driving), "", ""};
-    for (const ScenarioEntity& entity : read_scenario(file)) {
+    if (at != std::string::npos)
+        roles = parse_entity_actor_pairs(edit, split_edit_value_at(edit, edit.value, at).second);
+    EditResult applied{std::move(driving_scene), "", ""};
+    for (const ScenarioEntity& entity : read_openscenario_entities(file)) {
         const auto role = roles.extract(entity.name);
         const bool follows = !entity.world_from_reference.pose.empty();
         const std::string what = role                                      ? role.mapped()
@@ -349,10 +363,10 @@ AppliedEdit apply_scenario(DrivingScene driving, const TypedEdit& edit) {
                 edit, fmt::format("also {0}=TRACK, {0}=RUN#TRACK, {0}=ASSET or {0}=-, because the run has "
                                   "no actor of that name",
                                   entity.name));
-        if (follows && what != "-") apply_entity_trajectory(edit, entity, what, applied);
+        if (follows && what != "-") move_actor_along_entity_path(edit, entity, what, applied);
         else
-            append_note(applied.note,
-                        fmt::format("{} {}", entity.name, follows ? "is ignored" : "has no trajectory"));
+            append_warning_note(applied.note, fmt::format("{} {}", entity.name,
+                                                          follows ? "is ignored" : "has no trajectory"));
     }
     if (!roles.empty())
         throw_edit_error(edit,
@@ -362,10 +376,11 @@ AppliedEdit apply_scenario(DrivingScene driving, const TypedEdit& edit) {
     return applied;
 }
 
-AppliedEdit apply_keep(DrivingScene driving, const TypedEdit& edit) {
+EditResult apply_keep_edit(SceneWithLog driving_scene, const EditArgument& edit) {
     if (edit.value == "background")
-        return {keep_background(std::move(driving)), "kept only the background", ""};
-    if (edit.value == "actors") return {keep_actors(std::move(driving)), "kept only the actors", ""};
+        return {remove_all_actors(std::move(driving_scene)), "kept only the background", ""};
+    if (edit.value == "actors")
+        return {remove_background(std::move(driving_scene)), "kept only the actors", ""};
     throw_edit_error(edit, "background or actors");
 }
 
@@ -395,16 +410,16 @@ const std::vector<EditOption>& list_edit_options() {
     return options;
 }
 
-AppliedEdit apply(DrivingScene driving, const TypedEdit& edit) {
-    using Apply = AppliedEdit (*)(DrivingScene, const TypedEdit&);
+EditResult apply_typed_edit(SceneWithLog driving_scene, const EditArgument& edit) {
+    using Apply = EditResult (*)(SceneWithLog, const EditArgument&);
     static const std::vector<std::pair<std::string, Apply>> functions{
-        {"--remove", remove_one},           {"--move", apply_move}, {"--retime", apply_retime},
-        {"--trajectory", apply_trajectory}, {"--copy", apply_copy}, {"--insert", apply_insert},
-        {"--scenario", apply_scenario},     {"--keep", apply_keep}};
+        {"--remove", apply_remove_edit},         {"--move", apply_move_edit}, {"--retime", apply_retime_edit},
+        {"--trajectory", apply_trajectory_edit}, {"--copy", apply_copy_edit}, {"--insert", apply_insert_edit},
+        {"--scenario", apply_scenario_edit},     {"--keep", apply_keep_edit}};
     const auto function = std::find_if(functions.begin(), functions.end(),
                                        [&](const auto& f) { return f.first == edit.option; });
     try {
-        return function->second(std::move(driving), edit);
+        return function->second(std::move(driving_scene), edit);
     } catch (const UsageError& error) {
         // Adds the option and its value to the error message, so that the user knows
         // which of several edits failed.

@@ -11,7 +11,7 @@
 namespace relidar::cli {
 
 /// An option of `relidar edit` with its value.
-struct TypedEdit {
+struct EditArgument {
     std::string option;  ///< For example "--move".
     std::string value;   ///< For example "0:0,3.5,0".
 };
@@ -26,8 +26,8 @@ struct EditOption {
 const std::vector<EditOption>& list_edit_options();
 
 /// Result of applying an edit to a scene.
-struct AppliedEdit {
-    DrivingScene driving;
+struct EditResult {
+    SceneWithLog driving;
     std::string said;  ///< One line that describes the edit.
     std::string note;  ///< Warning for the user. Empty if the edit causes no warning.
 };
@@ -36,6 +36,6 @@ struct AppliedEdit {
 /// @throws UsageError if the value is malformed or the track does not exist; the message
 /// names the option and the value
 /// @throws DataError if a file is malformed
-AppliedEdit apply(DrivingScene driving, const TypedEdit& edit);
+EditResult apply_typed_edit(SceneWithLog driving_scene, const EditArgument& edit);
 
 }  // namespace relidar::cli

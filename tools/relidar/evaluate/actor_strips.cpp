@@ -23,10 +23,10 @@ constexpr float kErrorScale_m = 0.3f;  // distance that the brightest colour of 
 
 /// Returns the rays of a frame that may hit the box, as a list without image rows and
 /// columns.
-Scan make_rays_about_box(const Run& run, const Frame& frame, const BoxTrack& box) {
-    const Pose sensor =
-        run.sequence.world_from_vehicle.at(frame.time_s, run.sequence.get_lidar(frame).vehicle_from_sensor);
-    const glm::dvec3 about = inverse(sensor) * box.world_from_box.at(frame.time_s).translation;
+Scan select_rays_near_box(const TrainedRun& run, const LidarFrame& frame, const BoxTrack& box) {
+    const Pose sensor = run.sequence.world_from_vehicle.interpolate_mounted_pose(
+        frame.time_s, run.sequence.get_lidar(frame).vehicle_from_sensor);
+    const glm::dvec3 about = inverse(sensor) * box.world_from_box.interpolate_pose(frame.time_s).translation;
     const double distance = glm::length(about), reach = 0.5 * glm::length(box.size_m) + kWider_m;
     const double cosine = distance > reach ? std::cos(std::asin(reach / distance)) : -1.0;
     std::vector<std::size_t> ray_indices;
@@ -43,39 +43,40 @@ Scan make_rays_about_box(const Run& run, const Frame& frame, const BoxTrack& box
 
 /// Returns the frames of the first LiDAR that have a scan and in which the box is
 /// present.
-std::vector<const Frame*> list_box_frames(const Run& run, const BoxTrack& box) {
-    std::vector<const Frame*> frames;
-    for (const Frame& frame : run.sequence.frames)
+std::vector<const LidarFrame*> list_frames_with_box(const TrainedRun& run, const BoxTrack& box) {
+    std::vector<const LidarFrame*> frames;
+    for (const LidarFrame& frame : run.sequence.frames)
         if (frame.lidar == 0 && frame.scan.range_m.size() > 0 && box.is_present(frame.time_s))
             frames.push_back(&frame);
     return frames;
 }
 
-double compute_distance(const Run& run, const Frame& frame, const BoxTrack& box) {
-    return glm::distance(run.sequence.world_from_vehicle.at(frame.time_s).translation,
-                         box.world_from_box.at(frame.time_s).translation);
+double compute_vehicle_to_box_distance_m(const TrainedRun& run, const LidarFrame& frame,
+                                         const BoxTrack& box) {
+    return glm::distance(run.sequence.world_from_vehicle.interpolate_pose(frame.time_s).translation,
+                         box.world_from_box.interpolate_pose(frame.time_s).translation);
 }
 
-struct Walk {
+struct WalkingActorFrames {
     const BoxTrack* box = nullptr;
-    std::vector<const Frame*> frames;
+    std::vector<const LidarFrame*> frames;
     /// Mean distance between the actor and the sensor.
     double distance_m = std::numeric_limits<double>::max();
 };
 
 /// Finds the walking actor that comes nearest to the sensor, and its nearest frames. A
 /// near actor has many points.
-Walk find_nearest_walk(const Run& run) {
-    Walk nearest;
-    for (const Instance& instance : run.scene.instances) {
+WalkingActorFrames find_nearest_walking_actor(const TrainedRun& run) {
+    WalkingActorFrames nearest;
+    for (const ModelInstance& instance : run.scene.instances) {
         const BoxTrack* box = find_box(run.sequence, instance.track);
         if (!box || !(run.scene.models[std::size_t(instance.model)].stride_m > 0.0f)) continue;
-        const std::vector<const Frame*> frames = list_box_frames(run, *box);
+        const std::vector<const LidarFrame*> frames = list_frames_with_box(run, *box);
         for (std::size_t first = 0; first + kFrames <= frames.size(); ++first) {
-            const std::vector<const Frame*> some(frames.begin() + std::ptrdiff_t(first),
-                                                 frames.begin() + std::ptrdiff_t(first + kFrames));
+            const std::vector<const LidarFrame*> some(frames.begin() + std::ptrdiff_t(first),
+                                                      frames.begin() + std::ptrdiff_t(first + kFrames));
             double sum = 0.0;
-            for (const Frame* frame : some) sum += compute_distance(run, *frame, *box);
+            for (const LidarFrame* frame : some) sum += compute_vehicle_to_box_distance_m(run, *frame, *box);
             if (sum / double(kFrames) < nearest.distance_m) nearest = {box, some, sum / double(kFrames)};
         }
     }
@@ -84,62 +85,65 @@ Walk find_nearest_walk(const Run& run) {
 
 /// A point of an actor in a picture: its position in metres, and a value that is shown as
 /// colour.
-struct Dot {
+struct PictureDot {
     double right_m, up_m;
     float value;
 };
 
 /// Draws several sets of dots side by side.
-/// @param half_m half width and half height of each panel, metres
-/// @param low value at the lower end of the colour map; `high` is the upper end
-Image draw_panels(const std::vector<std::vector<Dot>>& panels, const glm::dvec2& half_m, float low,
-                  float high, const char* colours) {
-    const int width = int(2.0 * (half_m.x + kBeside_m) * kPixels_per_m),
-              rows = int(2.0 * (half_m.y + kBeside_m) * kPixels_per_m);
+/// @param half_size_m half width and half height of each panel, metres
+/// @param min_value value at the lower end of the colour map; `max_value` is the upper
+/// end
+Image draw_dot_panels(const std::vector<std::vector<PictureDot>>& panels, const glm::dvec2& half_size_m,
+                      float min_value, float max_value, const char* colour_map_name) {
+    const int width = int(2.0 * (half_size_m.x + kBeside_m) * kPixels_per_m),
+              rows = int(2.0 * (half_size_m.y + kBeside_m) * kPixels_per_m);
     const int columns = width * int(panels.size());
     std::vector<float> values(std::size_t(rows) * std::size_t(columns),
                               std::numeric_limits<float>::quiet_NaN());
     for (std::size_t k = 0; k < panels.size(); ++k)
-        for (const Dot& dot : panels[k]) {
-            const int x = int((dot.right_m + half_m.x + kBeside_m) * kPixels_per_m);
-            const int y = int((half_m.y + kBeside_m - dot.up_m) * kPixels_per_m);
+        for (const PictureDot& dot : panels[k]) {
+            const int x = int((dot.right_m + half_size_m.x + kBeside_m) * kPixels_per_m);
+            const int y = int((half_size_m.y + kBeside_m - dot.up_m) * kPixels_per_m);
             for (int row = std::max(y, 0); row < std::min(y + kDot, rows); ++row)
                 for (int column = std::max(x, 0); column < std::min(x + kDot, width - 1); ++column)
                     values[std::size_t(row) * std::size_t(columns) + k * std::size_t(width) +
                            std::size_t(column)] = dot.value;
         }
-    return apply_colour_map(values, rows, columns, low, high, colours);
+    return apply_colour_map(values, rows, columns, min_value, max_value, colour_map_name);
 }
 
 /// Returns the dots of points in the frame of a box, seen along a horizontal direction.
 /// The value of a dot is the distance from the box centre along the direction.
-std::vector<Dot> project_points_to_dots(const std::vector<glm::dvec3>& points_m,
-                                        const glm::dvec2& direction) {
-    std::vector<Dot> dots;
+std::vector<PictureDot> project_points_to_dots(const std::vector<glm::dvec3>& points_m,
+                                               const glm::dvec2& view_direction) {
+    std::vector<PictureDot> dots;
     for (const glm::dvec3& p : points_m)
-        dots.push_back(
-            {direction.y * p.x - direction.x * p.y, p.z, float(direction.x * p.x + direction.y * p.y)});
+        dots.push_back({view_direction.y * p.x - view_direction.x * p.y, p.z,
+                        float(view_direction.x * p.x + view_direction.y * p.y)});
     return dots;
 }
 
 /// Renders the scene with the rays of a frame that may hit an actor. Returns the real and
 /// the simulated points in its box.
-BoxPoints collect_box_points(ScanRenderer& renderer, const Run& run, const Config& config, const Frame& frame,
-                             const BoxTrack& box) {
-    const Scan scan = make_rays_about_box(run, frame, box);
+MovingBoxPoints render_and_collect_box_points(ScanRenderer& renderer, const TrainedRun& run,
+                                              const Config& config, const LidarFrame& frame,
+                                              const BoxTrack& box) {
+    const Scan scan = select_rays_near_box(run, frame, box);
     if (scan.rays.size() == 0) return {};
-    SensorChoice sensor = make_configured_sensor(config, run.sequence, frame.lidar);
+    SimulatedSensor sensor = make_configured_sensor(config, run.sequence, frame.lidar);
     sensor.rays = scan.rays;
     sensor.follows_sweeps = false;
     sensor.rolling_shutter = run.sequence.rolling_shutter;
     const RenderedScan rendered = renderer.render(sensor, frame.time_s);
     return collect_points_in_box(rendered.image, select_point_ranges(rendered, config),
-                                 make_real_image(config, scan), run.sequence, get_sweep_moment(frame), box);
+                                 make_measured_image(config, scan), run.sequence, get_sweep_moment(frame),
+                                 box);
 }
 
 /// Returns the settings for pictures, in which each ray has no sub-rays and at most one
 /// return.
-Config make_picture_config(const Run& run) {
+Config make_actor_picture_config(const TrainedRun& run) {
     Config config = run.config;
     config.sensor.grid = "native";
     config.sensor.sub_rays = config.sensor.returns = 1;
@@ -147,36 +151,38 @@ Config make_picture_config(const Run& run) {
 }
 
 /// Sets the value of each simulated dot to the distance from the nearest real point.
-void set_dot_errors(std::vector<Dot>& dots, const BoxPoints& points) {
+void set_dot_values_to_errors(std::vector<PictureDot>& dots, const MovingBoxPoints& box_points) {
     for (std::size_t i = 0; i < dots.size(); ++i) {
         double nearest_m = std::numeric_limits<double>::max();
-        for (const glm::dvec3& real_m : points.real_m)
-            nearest_m = std::min(nearest_m, glm::distance(points.simulated_m[i], real_m));
+        for (const glm::dvec3& real_m : box_points.real_m)
+            nearest_m = std::min(nearest_m, glm::distance(box_points.simulated_m[i], real_m));
         dots[i].value = float(nearest_m);
     }
 }
 
 /// Draws an actor in some frames, as the sensor sees it. Returns nothing if it has too
 /// few real points.
-std::optional<ReportFigure> draw_sensor_strip(ScanRenderer& renderer, const Run& run, const Config& config,
-                                              const ActorScore& actor) {
+std::optional<ReportFigure> draw_actor_comparison_figure(ScanRenderer& renderer, const TrainedRun& run,
+                                                         const Config& config, const ActorScore& actor) {
     const BoxTrack* box = find_box(run.sequence, actor.track);
     if (!box) return std::nullopt;
-    std::vector<std::vector<Dot>> real, simulated, errors;
+    std::vector<std::vector<PictureDot>> real, simulated, errors;
     std::size_t n = 0;
     for (const int position : run.split.test) {
-        const Frame& frame = run.sequence.frames[std::size_t(position)];
+        const LidarFrame& frame = run.sequence.frames[std::size_t(position)];
         if (real.size() == kFrames || frame.scan.range_m.empty() || !box->is_present(frame.time_s)) continue;
-        const BoxPoints points = collect_box_points(renderer, run, config, frame, *box);
+        const MovingBoxPoints points = render_and_collect_box_points(renderer, run, config, frame, *box);
         if (points.real_m.empty() && points.simulated_m.empty()) continue;
-        const glm::dvec3 sensor_m = run.sequence.world_from_sensor(frame.lidar).at(frame.time_s).translation;
-        const glm::dvec2 seen_from(inverse(box->world_from_box.at(frame.time_s)) * sensor_m);
-        const glm::dvec2 direction = -seen_from / std::max(glm::length(seen_from), 1e-6);
+        const glm::dvec3 sensor_m =
+            run.sequence.get_world_from_sensor(frame.lidar).interpolate_pose(frame.time_s).translation;
+        const glm::dvec2 sensor_in_box_m(inverse(box->world_from_box.interpolate_pose(frame.time_s)) *
+                                         sensor_m);
+        const glm::dvec2 direction = -sensor_in_box_m / std::max(glm::length(sensor_in_box_m), 1e-6);
         n += points.real_m.size();
         real.push_back(project_points_to_dots(points.real_m, direction));
         simulated.push_back(project_points_to_dots(points.simulated_m, direction));
         errors.push_back(simulated.back());
-        set_dot_errors(errors.back(), points);
+        set_dot_values_to_errors(errors.back(), points);
     }
     if (real.empty() || n < real.size() * kFewestPoints) return std::nullopt;
     const double radius_m = 0.5 * std::hypot(box->size_m.x, box->size_m.y);
@@ -185,69 +191,70 @@ std::optional<ReportFigure> draw_sensor_strip(ScanRenderer& renderer, const Run&
     return ReportFigure{
         fmt::format("{} {}: held-out frames, as the sensor sees them, coloured by distance", actor.category,
                     actor.track),
-        {{"real", draw_panels(real, half_m, -deepest, deepest, "turbo")},
-         {"simulated", draw_panels(simulated, half_m, -deepest, deepest, "turbo")},
+        {{"real", draw_dot_panels(real, half_m, -deepest, deepest, "turbo")},
+         {"simulated", draw_dot_panels(simulated, half_m, -deepest, deepest, "turbo")},
          {fmt::format("distance of simulated points from the nearest real point, 0 to {} m", kErrorScale_m),
-          draw_panels(errors, half_m, 0.0f, kErrorScale_m, "heat")}}};
+          draw_dot_panels(errors, half_m, 0.0f, kErrorScale_m, "heat")}}};
 }
 
 }  // namespace
 
-std::optional<ReportFigure> draw_walking_strip(Device& device, const Run& run) {
-    const Walk walk = find_nearest_walk(run);
-    if (!walk.box) return std::nullopt;
-    const Config config = make_picture_config(run);
+std::optional<ReportFigure> draw_walking_actor_figure(Device& device, const TrainedRun& run) {
+    const WalkingActorFrames walking_actor = find_nearest_walking_actor(run);
+    if (!walking_actor.box) return std::nullopt;
+    const Config config = make_actor_picture_config(run);
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     const glm::dvec2 to_the_left(0.0, 1.0);
-    std::vector<std::vector<Dot>> real, simulated;
+    std::vector<std::vector<PictureDot>> real, simulated;
     std::size_t n = 0;
-    for (const Frame* frame : walk.frames) {
-        const BoxPoints points = collect_box_points(renderer, run, config, *frame, *walk.box);
+    for (const LidarFrame* frame : walking_actor.frames) {
+        const MovingBoxPoints points =
+            render_and_collect_box_points(renderer, run, config, *frame, *walking_actor.box);
         n += points.real_m.size();
         real.push_back(project_points_to_dots(points.real_m, to_the_left));
         simulated.push_back(project_points_to_dots(points.simulated_m, to_the_left));
     }
     if (n < kFrames * kFewestPoints) return std::nullopt;
-    const glm::dvec2 half_m(0.5 * walk.box->size_m.x, 0.5 * walk.box->size_m.z);
-    const float half = float(0.5 * walk.box->size_m.y);
+    const glm::dvec2 half_m(0.5 * walking_actor.box->size_m.x, 0.5 * walking_actor.box->size_m.z);
+    const float half = float(0.5 * walking_actor.box->size_m.y);
     return ReportFigure{
         fmt::format("{} {} {}, {:.0f} m away: successive frames, including training frames, seen from the "
                     "right, coloured from right to left",
-                    walk.box->category, walk.box->id,
-                    parse_object_kind(walk.box->category) == ObjectKind::cyclist ? "rides" : "walks",
-                    walk.distance_m),
-        {{"real", draw_panels(real, half_m, -half, half, "turbo")},
-         {"simulated", draw_panels(simulated, half_m, -half, half, "turbo")}}};
+                    walking_actor.box->category, walking_actor.box->id,
+                    parse_object_kind(walking_actor.box->category) == ObjectKind::cyclist ? "rides" : "walks",
+                    walking_actor.distance_m),
+        {{"real", draw_dot_panels(real, half_m, -half, half, "turbo")},
+         {"simulated", draw_dot_panels(simulated, half_m, -half, half, "turbo")}}};
 }
 
-std::vector<ReportFigure> draw_worst_actor_strips(Device& device, const Run& run,
-                                                  const Evaluation& evaluation) {
+std::vector<ReportFigure> draw_worst_actor_figures(Device& device, const TrainedRun& run,
+                                                   const EvaluationResult& evaluation) {
     constexpr std::size_t kMost = 3;
-    const Config config = make_picture_config(run);
+    const Config config = make_actor_picture_config(run);
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     std::vector<ReportFigure> figures;
     for (const ActorScore& actor : evaluation.actors) {
         if (figures.size() == kMost) break;
-        if (std::optional<ReportFigure> figure = draw_sensor_strip(renderer, run, config, actor))
+        if (std::optional<ReportFigure> figure = draw_actor_comparison_figure(renderer, run, config, actor))
             figures.push_back(std::move(*figure));
     }
     return figures;
 }
 
-void write_actor_strips(const std::filesystem::path& folder, Device& device, const Run& run,
-                        const Evaluation& evaluation) {
+void write_worst_actor_pictures(const std::filesystem::path& folder, Device& device, const TrainedRun& run,
+                                const EvaluationResult& evaluation) {
     constexpr std::size_t kMost = 20;
-    const Config config = make_picture_config(run);
+    const Config config = make_actor_picture_config(run);
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     for (std::size_t i = 0; i < std::min(kMost, evaluation.actors.size()); ++i) {
         const std::optional<ReportFigure> figure =
-            draw_sensor_strip(renderer, run, config, evaluation.actors[i]);
+            draw_actor_comparison_figure(renderer, run, config, evaluation.actors[i]);
         if (!figure) continue;
         std::vector<Image> images;
         for (const auto& [caption, image] : figure->images) images.push_back(image);
         std::string name = evaluation.actors[i].track;
         std::ranges::replace(name, '/', '-');
-        write_png(folder / fmt::format("actor_{}.png", name), stack_images(images));
+        write_png(folder / fmt::format("actor_{}.png", name), stack_images_vertically(images));
     }
 }
 

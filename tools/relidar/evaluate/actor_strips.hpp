@@ -10,8 +10,8 @@
 
 namespace relidar {
 class Device;
-struct Evaluation;
-struct Run;
+struct EvaluationResult;
+struct TrainedRun;
 }  // namespace relidar
 
 namespace relidar::cli {
@@ -20,19 +20,19 @@ namespace relidar::cli {
 /// the actor with the most points in the log.
 /// @param run run whose log is loaded with all scans
 /// @return no value if no walking actor is visible in eight frames
-std::optional<ReportFigure> draw_walking_strip(Device& device, const Run& run);
+std::optional<ReportFigure> draw_walking_actor_figure(Device& device, const TrainedRun& run);
 
 /// Draws the three actors with the worst scores in held-out frames, as the sensor sees
 /// them: the real points, the simulated points, and the distance of each simulated point
 /// from the nearest real point. Actors with fewer than 20 real points per frame are left
 /// out.
 /// @param run run whose log is loaded with the scans of the held-out frames
-std::vector<ReportFigure> draw_worst_actor_strips(Device& device, const Run& run,
-                                                  const Evaluation& evaluation);
+std::vector<ReportFigure> draw_worst_actor_figures(Device& device, const TrainedRun& run,
+                                                   const EvaluationResult& evaluation);
 
-/// Writes the figures of draw_worst_actor_strips() for at most 20 actors as
+/// Writes the figures of draw_worst_actor_figures() for at most 20 actors as
 /// FOLDER/actor_TRACK.png.
-void write_actor_strips(const std::filesystem::path& folder, Device& device, const Run& run,
-                        const Evaluation& evaluation);
+void write_worst_actor_pictures(const std::filesystem::path& folder, Device& device, const TrainedRun& run,
+                                const EvaluationResult& evaluation);
 
 }  // namespace relidar::cli

@@ -37,51 +37,54 @@ struct EvalOptions {
     std::string target;                ///< Run or log to score.
     std::vector<std::string> tables;
     std::string out;
-    LogPart part;
+    LogSelection part;
     std::string baseline;
     std::string pictures;
     std::vector<std::string> sets;
-    DeviceChoice device;
+    DeviceCommandOptions device;
     bool no_refine = false;
     bool open = false;
     bool quiet = false;
 };
 
-void apply_options(Config& config, const EvalOptions& options) { apply_setting_texts(config, options.sets); }
+void apply_eval_settings(Config& config, const EvalOptions& options) {
+    apply_setting_texts(config, options.sets);
+}
 
-void check_held_out(const Split& split, const std::string& location) {
+void require_held_out_frames(const TrainTestSplit& split, const std::string& run_or_log_path) {
     if (split.test.empty())
-        throw DataError(
-            fmt::format("cannot evaluate {}: it has no held-out frames; expected at least one", location));
+        throw DataError(fmt::format("cannot evaluate {}: it has no held-out frames; expected at least one",
+                                    run_or_log_path));
 }
 
 /// Output files and folders of the command. The first MPI process checks that they are
 /// writable, before any process renders.
-struct Output {
+struct EvaluationOutputs {
     /// Paths of the output files. If a path is empty, that output is not written.
     std::filesystem::path file, pictures;
     std::optional<OutputFolder> of_file;
     std::optional<LockedFolder> of_pictures;
 
-    Output(const std::filesystem::path& metrics, const std::string& picture_folder, const Ranks& ranks)
-        : file(metrics), pictures(picture_folder) {
+    EvaluationOutputs(const std::filesystem::path& metrics_file, const std::string& picture_folder,
+                      const MpiProcessGroup& ranks)
+        : file(metrics_file), pictures(picture_folder) {
         if (ranks.is_first() && !file.empty())
             of_file.emplace(file.has_parent_path() ? file.parent_path() : ".");
         if (ranks.is_first() && !pictures.empty()) of_pictures.emplace(pictures);
-        ranks.wait_for_all();
+        ranks.wait_for_all_ranks();
     }
 
-    void draw(const ScoredFrame& frame, const Config& config) const {
-        if (!pictures.empty()) write_strips(pictures, frame, config.dataset.max_range_m);
+    void write_frame_pictures(const ScoredFrame& frame, const Config& config) const {
+        if (!pictures.empty()) write_comparison_pictures(pictures, frame, config.dataset.max_range_m);
     }
 };
 
-void write_results(const Output& output, const Evaluation& evaluation, const Config& config,
-                   const MetricsOrigin& origin, bool quiet) {
+void write_evaluation_results(const EvaluationOutputs& output, const EvaluationResult& evaluation,
+                              const Config& config, const EvaluationProvenance& origin, bool quiet) {
     end_progress_line();
-    if (!output.file.empty()) write_text(output.file, make_metrics_json(evaluation, config, origin));
+    if (!output.file.empty()) write_text_file(output.file, make_metrics_json(evaluation, config, origin));
     if (quiet) return;
-    print(format_metric_table(evaluation, origin.baseline));
+    print(format_metric_tables(evaluation, origin.baseline));
     print(fmt::format("\n{} held-out frames", evaluation.frames.size()));
     if (evaluation.trace_ms > 0.0)
         print(fmt::format(", {:.1f} ms of tracing per frame, {:.3f} Mrays/s, {} of device memory",
@@ -96,16 +99,16 @@ double measure_seconds_since(std::chrono::steady_clock::time_point start) {
 }
 
 /// Writes the scores as a web page and opens this page in a browser.
-void open_page(const std::filesystem::path& page, const Report& report, bool quiet) {
-    write_report(page, report);
-    if (!quiet) print("page     " + make_absolute_path(page.string()) + "\n");
-    open_in_browser(make_absolute_path(page.string()));
+void write_and_open_report_page(const std::filesystem::path& page_file, const Report& report, bool quiet) {
+    write_report(page_file, report);
+    if (!quiet) print("page     " + make_absolute_path(page_file.string()) + "\n");
+    open_in_browser(make_absolute_path(page_file.string()));
 }
 
 /// Returns a note that explains what the scores of an edited run mean.
-std::string describe_edits(const Run& run) {
+std::string format_edited_run_note(const TrainedRun& run) {
     if (run.edits.empty()) return "";
-    if (can_recast_scans(run))
+    if (can_compute_exact_scans(run))
         return "note: the synthetic street was rendered again with the run's edits and without noise; "
                "the scores edited/* use only the pixels that the edits change\n";
     return "note: the run is edited, but the log shows the scene before the edits; the scores of changed "
@@ -114,85 +117,87 @@ std::string describe_edits(const Run& run) {
 
 /// Adds scores of only those pixels that an edit has changed.
 /// @param original_scan exact scan of the street without the edit
-void add_edited_scores(ScoredFrame& frame, const Config& config, const Scan& original_scan) {
+void add_edited_pixel_scores(ScoredFrame& frame, const Config& config, const Scan& original_scan) {
     frame.metrics.merge(
         evaluate_regions(frame.rendered.image, frame.real,
-                         {find_edited_region(frame.real, make_real_image(config, original_scan))}));
+                         {find_edited_region(frame.real, make_measured_image(config, original_scan))}));
 }
 
 /// Keeps only the frames that this process scores. The other MPI processes score the
 /// remaining frames.
-void select_rank_positions(std::vector<int>& positions, const Ranks& ranks) {
-    const ProcessGroup::Share share = ranks.group().share(positions.size());
-    positions = {positions.begin() + std::ptrdiff_t(share.begin),
-                 positions.begin() + std::ptrdiff_t(share.end)};
+void keep_frames_of_this_rank(std::vector<int>& frame_positions, const MpiProcessGroup& ranks) {
+    const ProcessGroup::PartRange share =
+        ranks.get_process_group().compute_assigned_range(frame_positions.size());
+    frame_positions = {frame_positions.begin() + std::ptrdiff_t(share.begin),
+                       frame_positions.begin() + std::ptrdiff_t(share.end)};
 }
 
 /// Loads the scans of the held-out frames. For an edited synthetic street, computes the
 /// scans exactly.
 /// @return exact scans of the street before the edits; empty for other logs
-std::vector<Scan> attach_test_scans(Run& run, const Sequence& log) {
-    if (can_recast_scans(run)) return attach_exact_scans(run);
-    attach_scans(run, run.split.test, log);
+std::vector<Scan> load_held_out_scans(TrainedRun& run, const LidarSequence& log) {
+    if (can_compute_exact_scans(run)) return set_exact_held_out_scans(run);
+    copy_scans_into_run(run, run.split.test, log);
     return {};
 }
 
-void score_run(const EvalOptions& options, const Ranks& ranks, const std::string& command_line) {
-    // Lock of the run's folder, because the command writes metrics.json there. No other
-    // process may write to the folder.
+void evaluate_trained_run(const EvalOptions& options, const MpiProcessGroup& ranks,
+                          const std::string& command_line) {
+    // The command writes metrics.json to the run's folder, so no other process may.
     std::optional<FolderLock> lock;
-    if (ranks.is_first() && options.out.empty() && is_run(options.target)) lock.emplace(options.target);
-    std::vector<std::string> used = list_rendering_settings();
-    used.insert(used.end(), {"dataset."});
-    check_setting_names(options.sets, used, "eval");
-    Run run = load_run(options.target);
-    apply_options(run.config, options);
-    run.config = use_farthest_return(std::move(run.config), run.sequence);
+    if (ranks.is_first() && options.out.empty() && is_run_folder(options.target))
+        lock.emplace(options.target);
+    std::vector<std::string> setting_names = list_rendering_setting_names();
+    setting_names.push_back("dataset.");
+    check_settings_have_effect(options.sets, setting_names, "eval");
+    TrainedRun run = load_run(options.target);
+    apply_eval_settings(run.config, options);
+    run.config = resolve_max_range(std::move(run.config), run.sequence);
     if (options.no_refine) run.config.refine.enabled = false;
-    const Output output(
+    const EvaluationOutputs output(
         options.out.empty() ? run.folder / "metrics.json" : std::filesystem::path(options.out),
         options.pictures, ranks);
-    check_held_out(run.split, run.folder.string());
+    require_held_out_frames(run.split, run.folder.string());
     const std::vector<int> all_test = run.split.test;
-    select_rank_positions(run.split.test, ranks);
+    keep_frames_of_this_rank(run.split.test, ranks);
     Device device(make_device_options(options.device));
-    const Sequence log = load_dataset(run.config, options.quiet);
-    const std::vector<Scan> before = attach_test_scans(run, log);
-    if (!options.baseline.empty()) attach_scans(run, run.split.train, log);
+    const LidarSequence log = load_dataset(run.config, options.quiet);
+    const std::vector<Scan> before = load_held_out_scans(run, log);
+    if (!options.baseline.empty()) copy_scans_into_run(run, run.split.train, log);
 
-    catch_interrupts();
+    install_interrupt_handlers();
     const auto start = std::chrono::steady_clock::now();
-    Progress progress(options.quiet);
-    std::optional<Evaluation> baseline;
+    TerminalProgress progress(options.quiet);
+    const auto callback = make_interruptible_callback(progress);
+    std::optional<EvaluationResult> baseline;
     if (!options.baseline.empty())
-        baseline = gather_evaluation(evaluate_baseline(options.baseline, run.config, run.sequence, run.split,
-                                                       stop_on_interrupt(progress)),
-                                     ranks);
+        baseline = gather_evaluation_from_ranks(
+            evaluate_baseline(options.baseline, run.config, run.sequence, run.split, callback), ranks);
     ScanRenderer renderer(device, run);
-    std::size_t n_seen = 0;
-    const auto see = [&](ScoredFrame& frame) {
-        if (!before.empty()) add_edited_scores(frame, run.config, before[n_seen++]);
-        output.draw(frame, run.config);
+    std::size_t n_scored_frames = 0;
+    const auto process_frame = [&](ScoredFrame& frame) {
+        if (!before.empty()) add_edited_pixel_scores(frame, run.config, before[n_scored_frames++]);
+        output.write_frame_pictures(frame, run.config);
     };
-    Evaluation evaluation = gather_evaluation(
-        evaluate_frames(renderer, run.config, run.sequence, run.split.test, stop_on_interrupt(progress), see),
-        ranks);
+    EvaluationResult evaluation = gather_evaluation_from_ranks(
+        evaluate_frames(renderer, run.config, run.sequence, run.split.test, callback, process_frame), ranks);
     if (!ranks.is_first()) return;
-    if (!options.quiet) print(describe_edits(run));
-    write_results(output, evaluation, run.config,
-                  {make_absolute_path(run.folder.string()), device.info().name, device.peak_bytes(),
-                   measure_seconds_since(start), baseline ? &*baseline : nullptr},
-                  options.quiet);
+    if (!options.quiet) print(format_edited_run_note(run));
+    write_evaluation_results(
+        output, evaluation, run.config,
+        {make_absolute_path(run.folder.string()), device.info().name, device.peak_allocated_bytes(),
+         measure_seconds_since(start), baseline ? &*baseline : nullptr},
+        options.quiet);
     if (!output.pictures.empty()) {
         run.split.test = all_test;
-        if (ranks.size() > 1) (void)attach_test_scans(run, log);
-        write_actor_strips(output.pictures, device, run, evaluation);
+        if (ranks.size() > 1) (void)load_held_out_scans(run, log);
+        write_worst_actor_pictures(output.pictures, device, run, evaluation);
     }
     if (!options.open) return;
     Report report = make_evaluation_report(run, evaluation, device, command_line);
-    for (ReportFigure& strip : draw_worst_actor_strips(device, run, evaluation))
+    for (ReportFigure& strip : draw_worst_actor_figures(device, run, evaluation))
         report.figures.push_back(std::move(strip));
-    open_page(output.file.parent_path() / "evaluation.html", report, options.quiet);
+    write_and_open_report_page(output.file.parent_path() / "evaluation.html", report, options.quiet);
 }
 
 /// Settings that affect the scores of a baseline.
@@ -203,35 +208,37 @@ const std::vector<std::string> kBaselineSettings = {
     "dataset.waymo_intensity", "sensor.grid",         "sensor.rolling_shutter"};
 
 /// Scores a baseline on a log. A baseline needs neither a trained run nor a GPU.
-void score_log(const EvalOptions& options, const Ranks& ranks) {
-    check_setting_names(options.sets, kBaselineSettings, "eval LOG --baseline");
+void evaluate_baseline_on_log(const EvalOptions& options, const MpiProcessGroup& ranks) {
+    check_settings_have_effect(options.sets, kBaselineSettings, "eval LOG --baseline");
     Config config = make_preset("default");
-    apply_options(config, options);
-    config.dataset.path = make_dataset_absolute(options.target);
+    apply_eval_settings(config, options);
+    config.dataset.path = make_dataset_path_absolute(options.target);
     apply_log_part(config, options.part);
-    const Output output(options.out, options.pictures, ranks);
-    const Sequence log = load_dataset(config, options.quiet);
+    const EvaluationOutputs output(options.out, options.pictures, ranks);
+    const LidarSequence log = load_dataset(config, options.quiet);
     if (!options.quiet)
-        for (const std::string& text : log.notes) note(text);
-    config = use_farthest_return(std::move(config), log);
-    Split split = split_frames(log, config.dataset.test_every, config.dataset.test_frames);
-    check_held_out(split, options.target);
-    select_rank_positions(split.test, ranks);
+        for (const std::string& text : log.notes) print_note(text);
+    config = resolve_max_range(std::move(config), log);
+    TrainTestSplit split = split_frames(log, config.dataset.test_every, config.dataset.test_frames);
+    require_held_out_frames(split, options.target);
+    keep_frames_of_this_rank(split.test, ranks);
 
-    catch_interrupts();
+    install_interrupt_handlers();
     const auto start = std::chrono::steady_clock::now();
-    Progress progress(options.quiet);
-    const auto see = [&](const ScoredFrame& frame) { output.draw(frame, config); };
-    const Evaluation evaluation = gather_evaluation(
-        evaluate_baseline(options.baseline, config, log, split, stop_on_interrupt(progress), see), ranks);
+    TerminalProgress progress(options.quiet);
+    const auto process_frame = [&](const ScoredFrame& frame) { output.write_frame_pictures(frame, config); };
+    const EvaluationResult evaluation =
+        gather_evaluation_from_ranks(evaluate_baseline(options.baseline, config, log, split,
+                                                       make_interruptible_callback(progress), process_frame),
+                                     ranks);
     if (ranks.is_first())
-        write_results(output, evaluation, config, {"", "none", 0, measure_seconds_since(start)},
-                      options.quiet);
+        write_evaluation_results(output, evaluation, config, {"", "none", 0, measure_seconds_since(start)},
+                                 options.quiet);
 }
 
-void run_eval(const EvalOptions& typed_options, const std::string& command_line) {
-    const Ranks ranks;
-    EvalOptions options = typed_options;
+void run_eval_command(const EvalOptions& command_options, const std::string& command_line) {
+    const MpiProcessGroup ranks;
+    EvalOptions options = command_options;
     options.quiet = options.quiet || !ranks.is_first();
     if (!options.tables.empty()) {
         if (ranks.is_first()) write_score_tables(options.targets, options.tables);
@@ -245,7 +252,7 @@ void run_eval(const EvalOptions& typed_options, const std::string& command_line)
             "scores of several runs",
             options.targets.size()));
     options.target = options.targets.front();
-    options.device = ranks.device(options.device);
+    options.device = ranks.select_device_for_rank(options.device);
     if (options.open && ranks.size() > 1)
         throw UsageError(
             fmt::format("--open: found {} MPI processes; expected one, because the page has pictures of all "
@@ -253,25 +260,25 @@ void run_eval(const EvalOptions& typed_options, const std::string& command_line)
                         ranks.size()));
     // Throws an error if the baseline is unknown. This is checked before the log is
     // loaded, because loading takes a long time.
-    if (!options.baseline.empty()) (void)find_baseline(options.baseline);
-    if (!options.baseline.empty() && !is_run(options.target)) {
+    if (!options.baseline.empty()) (void)parse_baseline_motion(options.baseline);
+    if (!options.baseline.empty() && !is_run_folder(options.target)) {
         if (options.open)
             throw UsageError(
                 "--open: the argument is a log; expected a run, because --baseline on a log writes no "
                 "page");
-        return score_log(options, ranks);
+        return evaluate_baseline_on_log(options, ranks);
     }
     if (!options.part.frames.empty() || !options.part.sequence.empty())
         throw UsageError(fmt::format(
             "{} cannot be used with a run, because a run already has its held-out frames; expected "
             "it only with --baseline and a log",
             options.part.frames.empty() ? "--sequence" : "--frames"));
-    score_run(options, ranks, command_line);
+    evaluate_trained_run(options, ranks, command_line);
 }
 
 /// Checks the options that the user has combined with --table.
 /// @throws UsageError if one of them is an option for scoring
-void check_table_options(const CLI::App& command) {
+void check_table_option_conflicts(const CLI::App& command) {
     for (const CLI::Option* option : command.get_options()) {
         if (option->count() == 0 || option->get_positional() || option->check_lname("table") ||
             option->check_lname("quiet"))
@@ -303,7 +310,7 @@ Examples:
 
 }  // namespace
 
-void add_eval(CLI::App& app, Call& call) {
+void add_eval_command(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand("eval", "score the held-out frames of a run against its log");
     const auto options = std::make_shared<EvalOptions>();
     command
@@ -320,7 +327,7 @@ void add_eval(CLI::App& app, Call& call) {
                      "the held-out pose: nearest, or nearest-actors, which also moves the points in boxes "
                      "along their tracks")
         ->type_name("NAME");
-    add_log_part_options(*command, options->part);
+    add_log_selection_options(*command, options->part);
     command
         ->add_option("--pictures", options->pictures,
                      "folder for pictures of each held-out frame and of each moving box: real, rendered, "
@@ -329,7 +336,7 @@ void add_eval(CLI::App& app, Call& call) {
     command->add_flag("--open", options->open,
                       "write the scores to a page, evaluation.html in the folder of the JSON file, and open "
                       "it in a browser");
-    add_set_option(*command, options->sets);
+    add_setting_override_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine,
                       "use the ray-drop of the surfels, without the run's network");
@@ -342,9 +349,11 @@ void add_eval(CLI::App& app, Call& call) {
         ->type_size(1)
         ->allow_extra_args(false);
     command->footer(kEvalHelp);
-    command->callback([&call, options, command] {
-        if (!options->tables.empty()) check_table_options(*command);
-        call.run = [&call, options] { run_eval(*options, call.command_line); };
+    command->callback([&selected_command, options, command] {
+        if (!options->tables.empty()) check_table_option_conflicts(*command);
+        selected_command.run = [&selected_command, options] {
+            run_eval_command(*options, selected_command.command_line);
+        };
     });
 }
 

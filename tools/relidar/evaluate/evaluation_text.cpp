@@ -17,7 +17,7 @@ namespace relidar::cli {
 namespace {
 
 using Json = nlohmann::ordered_json;
-using Rows = std::vector<std::vector<std::string>>;
+using TextTableRows = std::vector<std::vector<std::string>>;
 
 constexpr const char* kPeer =
     "all pixels, dropped ones at 0, ranges clamped to [1e-6, max_range_m], intensity to [1e-6, 1]; PSNR peak "
@@ -53,8 +53,8 @@ constexpr const char* kClasses =
 constexpr const char* kColumns[] = {"pixels",      "returned",     "depth_medae_m",
                                     "depth_mae_m", "depth_rmse_m", "intensity_rmse"};
 
-Json make_protocol_json(const Config& config) {
-    const std::string lpips = find_lpips_weights();
+Json make_metric_protocol_json(const Config& config) {
+    const std::string lpips = find_lpips_weights_path();
     return {
         {"frames", "held out of training; mean over frames, metric by metric, over the frames that have it"},
         {"grid", config.sensor.grid},
@@ -76,17 +76,19 @@ Json make_protocol_json(const Config& config) {
         {"drop_threshold", {{"peer", 0.4}, {"strict", 0.5}, {"regions", 0.5}}}};
 }
 
-bool is_protocol_metric(const std::string& name) {
-    return name.starts_with("peer/") || name.starts_with("strict/") || name.starts_with("points/") ||
-           name.starts_with("actors/") || name.starts_with("classes/");
+bool is_frame_level_metric(const std::string& metric_name) {
+    return metric_name.starts_with("peer/") || metric_name.starts_with("strict/") ||
+           metric_name.starts_with("points/") || metric_name.starts_with("actors/") ||
+           metric_name.starts_with("classes/");
 }
 
 /// Returns the minimum and the maximum of a metric over all frames. Frames without this
 /// metric are skipped.
-std::pair<double, double> find_spread(const Evaluation& evaluation, const std::string& name) {
-    double low = evaluation.mean.at(name), high = low;
+std::pair<double, double> find_metric_min_and_max(const EvaluationResult& evaluation,
+                                                  const std::string& metric_name) {
+    double low = evaluation.mean.at(metric_name), high = low;
     for (const ScoredFrame& frame : evaluation.frames) {
-        const auto it = frame.metrics.find(name);
+        const auto it = frame.metrics.find(metric_name);
         if (it == frame.metrics.end()) continue;
         low = std::min(low, it->second);
         high = std::max(high, it->second);
@@ -94,60 +96,61 @@ std::pair<double, double> find_spread(const Evaluation& evaluation, const std::s
     return {low, high};
 }
 
-Json make_actors_json(const std::vector<ActorScore>& actors) {
+Json make_actor_scores_json(const std::vector<ActorScore>& actor_scores) {
     Json json = Json::array();
-    for (const ActorScore& actor : actors)
+    for (const ActorScore& actor : actor_scores)
         json.push_back({{"track", actor.track}, {"class", actor.category}, {"metrics", actor.metrics}});
     return json;
 }
 
-std::string format_cell(const MetricRow& row, const std::string& name) {
-    return row.contains(name) ? format_short_number(row.at(name)) : "-";
+std::string format_metric_or_dash(const MetricValues& metrics, const std::string& metric_name) {
+    return metrics.contains(metric_name) ? format_four_significant_digits(metrics.at(metric_name)) : "-";
 }
 
-Rows make_protocol_rows(const Evaluation& evaluation, const Evaluation* baseline) {
+TextTableRows make_metric_table_rows(const EvaluationResult& evaluation, const EvaluationResult* baseline) {
     const bool spread = evaluation.frames.size() > 1;
-    Rows rows{{"metric", spread ? "mean" : "value"}};
+    TextTableRows rows{{"metric", spread ? "mean" : "value"}};
     if (spread) rows.back().insert(rows.back().end(), {"lowest", "highest"});
     if (baseline) rows.back().push_back(baseline->title);
     for (const auto& [name, mean_value] : evaluation.mean) {
-        if (!is_protocol_metric(name)) continue;
-        rows.push_back({name, format_short_number(mean_value)});
-        const auto [low, high] = find_spread(evaluation, name);
+        if (!is_frame_level_metric(name)) continue;
+        rows.push_back({name, format_four_significant_digits(mean_value)});
+        const auto [low, high] = find_metric_min_and_max(evaluation, name);
         if (spread)
-            rows.back().insert(rows.back().end(), {format_short_number(low), format_short_number(high)});
-        if (baseline) rows.back().push_back(format_cell(baseline->mean, name));
+            rows.back().insert(rows.back().end(),
+                               {format_four_significant_digits(low), format_four_significant_digits(high)});
+        if (baseline) rows.back().push_back(format_metric_or_dash(baseline->mean, name));
     }
     return rows;
 }
 
-Rows make_region_rows(const Evaluation& evaluation) {
-    Rows rows{{evaluation.title + ", by region"}};
+TextTableRows make_region_metric_rows(const EvaluationResult& evaluation) {
+    TextTableRows rows{{evaluation.title + ", by region"}};
     for (const char* column : kColumns) rows.back().emplace_back(column);
     std::set<std::string> regions;
     for (const auto& [name, value] : evaluation.mean)
-        if (!is_protocol_metric(name)) regions.insert(name.substr(0, name.find('/')));
+        if (!is_frame_level_metric(name)) regions.insert(name.substr(0, name.find('/')));
     for (const std::string& region : regions) {
         rows.push_back({region});
         for (const char* column : kColumns)
-            rows.back().push_back(format_cell(evaluation.mean, region + "/" + column));
+            rows.back().push_back(format_metric_or_dash(evaluation.mean, region + "/" + column));
     }
     return rows;
 }
 
 }  // namespace
 
-std::vector<std::vector<std::string>> make_actor_rows(const Evaluation& evaluation) {
+std::vector<std::vector<std::string>> make_worst_actor_table_rows(const EvaluationResult& evaluation) {
     constexpr std::size_t kMost = 20;
-    const auto number_in = [](const MetricRow& row, const char* name, int digits) {
+    const auto number_in = [](const MetricValues& row, const char* name, int digits) {
         const auto it = row.find(name);
         return it == row.end() ? "-" : fmt::format("{:.{}f}", it->second, digits);
     };
-    Rows rows{{"actor, worst first", "class", "points", "real points", "median m", "bias m", "above 0.3 m",
-               "f1", "tail", "real tail"}};
+    TextTableRows rows{{"actor, worst first", "class", "points", "real points", "median m", "bias m",
+                        "above 0.3 m", "f1", "tail", "real tail"}};
     for (const ActorScore& actor : evaluation.actors) {
         if (rows.size() > kMost) break;
-        const MetricRow& m = actor.metrics;
+        const MetricValues& m = actor.metrics;
         rows.push_back({actor.track, actor.category, number_in(m, "points", 0),
                         number_in(m, "points_real", 0), number_in(m, "range_medae_m", 3),
                         number_in(m, "range_bias_m", 3), number_in(m, "range_above_30cm", 3),
@@ -156,20 +159,20 @@ std::vector<std::vector<std::string>> make_actor_rows(const Evaluation& evaluati
     return rows;
 }
 
-relidar::Progress stop_on_interrupt(Progress& progress) {
-    return [show = make_progress(progress)](std::string_view description, double done) {
-        stop_if_interrupted();
+relidar::ProgressReporter make_interruptible_callback(TerminalProgress& terminal_progress) {
+    return [show = make_progress_callback(terminal_progress)](std::string_view description, double done) {
+        throw_if_interrupted();
         show(description, done);
     };
 }
 
-std::string format_score_summary(const Evaluation& evaluation) {
-    struct Score {
+std::string format_score_summary(const EvaluationResult& evaluation) {
+    struct ScoreColumn {
         const char* name;
         const char* label;
         const char* unit;
     };
-    constexpr Score kScores[] = {
+    constexpr ScoreColumn kScores[] = {
         {"points/depth_medae_m", "range error of points, median", " m"},
         {"points/cd_mean_m", "distance between point clouds (Chamfer)", " m"},
         {"moving_boxes/depth_medae_m", "range error on moving boxes, median", " m"},
@@ -177,15 +180,15 @@ std::string format_score_summary(const Evaluation& evaluation) {
         {"strict/drop_f1", "dropped rays, F1", ""},
     };
     std::string text = fmt::format("held-out scans: {}\n", evaluation.frames.size());
-    for (const Score& score : kScores)
+    for (const ScoreColumn& score : kScores)
         if (evaluation.mean.contains(score.name))
             text +=
                 fmt::format("  {:<40} {:.3f}{}\n", score.label, evaluation.mean.at(score.name), score.unit);
     return text;
 }
 
-std::string format_metric_table(const Evaluation& evaluation, const Evaluation* baseline) {
-    Rows rows = make_protocol_rows(evaluation, baseline);
+std::string format_metric_tables(const EvaluationResult& evaluation, const EvaluationResult* baseline) {
+    TextTableRows rows = make_metric_table_rows(evaluation, baseline);
     const bool lpips = std::any_of(evaluation.mean.begin(), evaluation.mean.end(),
                                    [](const auto& metric) { return metric.first.ends_with("_lpips"); });
     if (!lpips)
@@ -194,15 +197,15 @@ std::string format_metric_table(const Evaluation& evaluation, const Evaluation* 
             rows.back().resize(rows.front().size());
         }
     std::string text = format_score_summary(evaluation) + "\n" + format_table(rows) + "\n" +
-                       format_table(make_region_rows(evaluation));
-    if (baseline) text += "\n" + format_table(make_region_rows(*baseline));
-    if (const Rows actors = make_actor_rows(evaluation); actors.size() > 1)
+                       format_table(make_region_metric_rows(evaluation));
+    if (baseline) text += "\n" + format_table(make_region_metric_rows(*baseline));
+    if (const TextTableRows actors = make_worst_actor_table_rows(evaluation); actors.size() > 1)
         text += "\n" + format_table(actors);
     return text + fmt::format("\npeer     {}\nstrict   {}\npoints   {}\nregions  {}\nactors   {}\n", kPeer,
                               kStrict, kPoints, kRegions, kActors);
 }
 
-Json make_frames_json(const Evaluation& evaluation) {
+Json make_scored_frames_json(const EvaluationResult& evaluation) {
     Json frames = Json::array();
     for (const ScoredFrame& f : evaluation.frames)
         frames.push_back({{"frame", f.frame},
@@ -211,22 +214,22 @@ Json make_frames_json(const Evaluation& evaluation) {
                           {"n_rays", f.n_rays},
                           {"trace_ms", f.rendered.trace_ms},
                           {"metrics", f.metrics},
-                          {"actors", make_actors_json(f.actors)}});
+                          {"actors", make_actor_scores_json(f.actors)}});
     return frames;
 }
 
-std::string make_metrics_json(const Evaluation& evaluation, const Config& config,
-                              const MetricsOrigin& origin) {
+std::string make_metrics_json(const EvaluationResult& evaluation, const Config& config,
+                              const EvaluationProvenance& origin) {
     Json json = {{"format", "relidar metrics"},
                  {"version", 1},
                  {"relidar", RELIDAR_VERSION},
                  {"scored", evaluation.title},
                  {"run", origin.run},
                  {"dataset", config.dataset.path},
-                 {"protocol", make_protocol_json(config)},
+                 {"protocol", make_metric_protocol_json(config)},
                  {"mean", evaluation.mean},
-                 {"actors", make_actors_json(evaluation.actors)},
-                 {"frames", make_frames_json(evaluation)},
+                 {"actors", make_actor_scores_json(evaluation.actors)},
+                 {"frames", make_scored_frames_json(evaluation)},
                  {"timings",
                   {{"kernel_ms", evaluation.kernel_ms},
                    {"trace_ms", evaluation.trace_ms},
@@ -237,7 +240,7 @@ std::string make_metrics_json(const Evaluation& evaluation, const Config& config
     if (origin.baseline)
         json["baseline"] = {{"scored", origin.baseline->title},
                             {"mean", origin.baseline->mean},
-                            {"frames", make_frames_json(*origin.baseline)}};
+                            {"frames", make_scored_frames_json(*origin.baseline)}};
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 

@@ -13,32 +13,34 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-void add_frames(std::vector<ScoredFrame>& frames, const std::string& text) {
-    for (const Json& json : Json::parse(text)) {
+void append_scored_frames_from_json(std::vector<ScoredFrame>& frames, const std::string& json_text) {
+    for (const Json& json : Json::parse(json_text)) {
         ScoredFrame& frame = frames.emplace_back();
         frame.frame = json.at("frame");
         frame.lidar = json.at("lidar");
         frame.time_s = json.at("time_s");
         frame.n_rays = json.at("n_rays");
         frame.rendered.trace_ms = json.at("trace_ms");
-        frame.metrics = json.at("metrics").get<MetricRow>();
+        frame.metrics = json.at("metrics").get<MetricValues>();
         for (const Json& actor : json.at("actors"))
             frame.actors.push_back(
-                {actor.at("track"), actor.at("class"), actor.at("metrics").get<MetricRow>()});
+                {actor.at("track"), actor.at("class"), actor.at("metrics").get<MetricValues>()});
     }
 }
 
 }  // namespace
 
-Evaluation gather_evaluation(const Evaluation& local, const Ranks& ranks) {
-    if (ranks.size() == 1) return local;
-    const std::vector<std::string> all = ranks.gather(make_frames_json(local).dump());
-    if (!ranks.is_first()) return local;
-    std::vector<ScoredFrame> frames = local.frames;
-    for (std::size_t r = 1; r < all.size(); ++r) add_frames(frames, all[r]);
-    Evaluation evaluation = summarise(std::move(frames), {});
-    evaluation.title = local.title;
-    evaluation.kernel_ms = local.kernel_ms;
+EvaluationResult gather_evaluation_from_ranks(const EvaluationResult& local_evaluation,
+                                              const MpiProcessGroup& ranks) {
+    if (ranks.size() == 1) return local_evaluation;
+    const std::vector<std::string> all =
+        ranks.gather_texts_on_first_rank(make_scored_frames_json(local_evaluation).dump());
+    if (!ranks.is_first()) return local_evaluation;
+    std::vector<ScoredFrame> frames = local_evaluation.frames;
+    for (std::size_t r = 1; r < all.size(); ++r) append_scored_frames_from_json(frames, all[r]);
+    EvaluationResult evaluation = summarise_evaluation(std::move(frames), {});
+    evaluation.title = local_evaluation.title;
+    evaluation.kernel_ms = local_evaluation.kernel_ms;
     return evaluation;
 }
 

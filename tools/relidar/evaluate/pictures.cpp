@@ -18,7 +18,7 @@ namespace {
 constexpr float kRangeErrorScale_m = 1.0f;
 constexpr float kIntensityErrorScale = 0.3f;
 
-std::vector<float> combine_values(std::vector<float> first, const std::vector<float>& second) {
+std::vector<float> multiply_elementwise(std::vector<float> first, const std::vector<float>& second) {
     for (std::size_t i = 0; i < first.size(); ++i) first[i] *= second[i];
     return first;
 }
@@ -33,18 +33,20 @@ std::vector<float> compute_absolute_differences(const std::vector<float>& first,
 }  // namespace
 
 std::vector<ReportFigure> make_comparison_figures(const ScoredFrame& frame, const std::string& title,
-                                                  const std::string& real_caption, double max_range_m) {
+                                                  const std::string& real_caption_caption,
+                                                  double max_range_m) {
     const RangeImage& real = frame.real;
     const RangeImage& rendered = frame.rendered.image;
     const std::vector<float> mask =
-        combine_values(select_returned_pixels(real), select_returned_pixels(rendered));
+        multiply_elementwise(make_returned_pixel_mask(real), make_returned_pixel_mask(rendered));
     const auto error = [&](const std::vector<float>& first, const std::vector<float>& second, float scale,
                            const std::vector<float>& shown) {
         return apply_colour_map(compute_absolute_differences(first, second), real.rows, real.columns, 0.0f,
                                 scale, "heat", shown);
     };
-    ReportFigure drops{title + ": ray drop", {{real_caption + ", white: dropped", draw_drop_picture(real)}}};
-    if (const auto* of_surfels = find_values<float>(frame.rendered.channels, "surfel_drop_prob")) {
+    ReportFigure drops{title + ": ray drop",
+                       {{real_caption_caption + ", white: dropped", draw_drop_picture(real)}}};
+    if (const auto* of_surfels = find_channel_values<float>(frame.rendered.channels, "surfel_drop_prob")) {
         RangeImage surfels = rendered;
         surfels.drop_prob = *of_surfels;
         drops.images.emplace_back("drop probability of the surfels", draw_drop_picture(surfels));
@@ -58,14 +60,14 @@ std::vector<ReportFigure> make_comparison_figures(const ScoredFrame& frame, cons
                               error(real.drop_prob, rendered.drop_prob, 1.0f, {}));
     std::vector<ReportFigure> figures = {
         {title + ": range",
-         {{real_caption, draw_range_picture(real, max_range_m)},
+         {{real_caption_caption, draw_range_picture(real, max_range_m)},
           {"rendered", draw_range_picture(rendered, max_range_m)},
           {fmt::format("absolute error where both return, black 0 to white {} m", kRangeErrorScale_m),
            error(real.range_m, rendered.range_m, kRangeErrorScale_m, mask)}}}};
     if (has_intensities(real))
         figures.push_back(
             {title + ": intensity",
-             {{real_caption, draw_intensity_picture(real)},
+             {{real_caption_caption, draw_intensity_picture(real)},
               {"rendered", draw_intensity_picture(rendered)},
               {fmt::format("absolute error where both return, black 0 to white {}", kIntensityErrorScale),
                error(real.intensity, rendered.intensity, kIntensityErrorScale, mask)}}});
@@ -73,7 +75,8 @@ std::vector<ReportFigure> make_comparison_figures(const ScoredFrame& frame, cons
     return figures;
 }
 
-void write_strips(const std::filesystem::path& folder, const ScoredFrame& frame, double max_range_m) {
+void write_comparison_pictures(const std::filesystem::path& folder, const ScoredFrame& frame,
+                               double max_range_m) {
     // File names in the same order as the figures that make_comparison_figures() returns.
     std::vector<const char*> names = {"range", "intensity", "drop"};
     if (!has_intensities(frame.real)) names.erase(names.begin() + 1);
@@ -82,17 +85,17 @@ void write_strips(const std::filesystem::path& folder, const ScoredFrame& frame,
         std::vector<Image> strip;
         for (const auto& [caption, image] : figures[k].images) strip.push_back(image);
         write_png(folder / fmt::format("{}_{:06}.png", names[k], frame.frame),
-                  stack_images(strip, compute_picture_stretch(frame.real)));
+                  stack_images_vertically(strip, compute_vertical_scale(frame.real)));
     }
 }
 
-Image draw_range_pair(const ScoredFrame& frame, double max_range_m) {
-    return stack_images(
+Image draw_real_and_rendered_range(const ScoredFrame& frame, double max_range_m) {
+    return stack_images_vertically(
         {draw_range_picture(frame.real, max_range_m), draw_range_picture(frame.rendered.image, max_range_m)},
-        compute_picture_stretch(frame.real));
+        compute_vertical_scale(frame.real));
 }
 
-Image draw_ray_picture(const RayTable& rays) {
+Image draw_ray_pattern(const RayTable& rays) {
     constexpr double kSector_rad = 20.0 * kPi / 180.0, kMargin_rad = 0.5 * kPi / 180.0;
     constexpr int kWidth = 1200, kDot = 2;
     std::vector<glm::dvec2> angle;  // Azimuth and elevation of each ray.

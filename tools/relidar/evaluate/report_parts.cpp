@@ -11,16 +11,16 @@
 
 namespace relidar::cli {
 
-ReportView compare_points(const ScoredFrame& frame, const Config& config, const std::string& title,
-                          const std::string& real_name) {
+ReportView make_point_comparison_view(const ScoredFrame& frame, const Config& config,
+                                      const std::string& title, const std::string& real_label_name) {
     const RangeImage &rendered = frame.rendered.image, &real = frame.real;
     const std::vector<float>& range_m = select_point_ranges(frame.rendered, config);
-    FiringPoses sensor(frame.rendered, inverse(frame.rendered.world_from_sensor));
-    ReportCloud measured{real_name, {}, {}, {}}, simulated{"simulated", {}, {}, {}};
+    FiringPoseInterpolator sensor(frame.rendered, inverse(frame.rendered.world_from_sensor));
+    ReportCloud measured{real_label_name, {}, {}, {}}, simulated{"simulated", {}, {}, {}};
     for (std::size_t i = 0; i < range_m.size(); ++i) {
         const bool has_real = real.range_m[i] > 0.0f,
-                   has_simulated = is_returned(rendered.drop_prob[i], range_m[i]);
-        const Pose& sensor_from_firing = sensor.at(i);
+                   has_simulated = is_ray_returned(rendered.drop_prob[i], range_m[i]);
+        const Pose& sensor_from_firing = sensor.compute_firing_pose(i);
         const float error_m = has_real && has_simulated ? range_m[i] - real.range_m[i]
                                                         : std::numeric_limits<float>::quiet_NaN();
         const auto add = [&](ReportCloud& cloud, const RangeImage& image, float range) {
@@ -35,7 +35,7 @@ ReportView compare_points(const ScoredFrame& frame, const Config& config, const 
     return {title, {std::move(measured), std::move(simulated)}};
 }
 
-ReportBars make_errors_by_range(const Evaluation& evaluation, const std::string& title) {
+ReportBars make_error_by_range_chart(const EvaluationResult& evaluation, const std::string& title) {
     ReportBars bars{
         title,
         "Share of all rays that return in the real scan. Missed: the simulated ray does not return.",
@@ -56,7 +56,7 @@ ReportBars make_errors_by_range(const Evaluation& evaluation, const std::string&
     return bars;
 }
 
-std::vector<ReportKeyMetric> key_metrics() {
+std::vector<ReportKeyMetric> get_key_metrics() {
     return {
         {"strict/depth_medae_m", "Typical range error, m",
          "median of the absolute error over rays that return in both scans; less is better"},
@@ -82,9 +82,10 @@ std::vector<ReportKeyMetric> key_metrics() {
          "peak signal to noise, dropped rays as 0 m; more is better"}};
 }
 
-std::string describe_quality(const MetricRow& mean) {
-    const auto error = mean.find("strict/depth_medae_m"), drops = mean.find("strict/drop_accuracy");
-    if (error == mean.end() || drops == mean.end()) return "";
+std::string describe_mean_quality(const MetricValues& mean_metrics) {
+    const auto error = mean_metrics.find("strict/depth_medae_m"),
+               drops = mean_metrics.find("strict/drop_accuracy");
+    if (error == mean_metrics.end() || drops == mean_metrics.end()) return "";
     return fmt::format(
         "half of all ranges are within {:.1f} cm of the real ones, and {:.1f} % of all rays return or drop "
         "as in the real scan",

@@ -11,7 +11,7 @@
 
 namespace relidar {
 struct Config;
-struct Evaluation;
+struct EvaluationResult;
 struct ScoredFrame;
 }  // namespace relidar
 
@@ -19,20 +19,20 @@ namespace relidar::cli {
 
 /// Creates a 3D view that shows the real and the simulated points of a frame together.
 /// All points are in the sensor frame at the time of the frame.
-/// @param real label of the real points
-ReportView compare_points(const ScoredFrame& frame, const Config& config, const std::string& title,
-                          const std::string& real);
+/// @param real_label label of the real points
+ReportView make_point_comparison_view(const ScoredFrame& frame, const Config& config,
+                                      const std::string& title, const std::string& real_label);
 
 /// Creates a bar chart of the range errors. Each bar shows the shares of rays with small
 /// and large errors, for one interval of the real range.
-ReportBars make_errors_by_range(const Evaluation& evaluation, const std::string& title);
+ReportBars make_error_by_range_chart(const EvaluationResult& evaluation, const std::string& title);
 
 /// Returns the most important metrics with their explanations.
-std::vector<ReportKeyMetric> key_metrics();
+std::vector<ReportKeyMetric> get_key_metrics();
 
 /// Returns a sentence about the quality of a run. Example: "half of all ranges are within
 /// 2.1 cm of the real ones, and 97.3 % of all rays return or drop as they did". The text
 /// is empty if the metrics are missing.
-std::string describe_quality(const MetricRow& mean);
+std::string describe_mean_quality(const MetricValues& mean_metrics);
 
 }  // namespace relidar::cli

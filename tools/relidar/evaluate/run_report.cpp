@@ -38,8 +38,8 @@ std::vector<ReportCurve> make_loss_curves(const TrainResult& result) {
 
 }  // namespace
 
-Report make_report(const Run& run, const TrainResult& result, const Device& device,
-                   const std::string& command_line) {
+Report make_training_report(const TrainedRun& run, const TrainResult& result, const Device& device,
+                            const std::string& command_line) {
     const int done = result.log.empty() ? 0 : result.log.back().iteration;
     const SpinningSensor& sensor = run.sequence.lidars[0].sensor;
     Report report;
@@ -47,33 +47,35 @@ Report make_report(const Run& run, const TrainResult& result, const Device& devi
     report.summary = fmt::format("{} of a {} x {} LiDAR became {} surfels in {} of training.",
                                  format_frame_count(run.split.train.size()), sensor.beams.size(),
                                  sensor.columns, count_surfels(run.scene), format_duration(result.train_s));
-    report.facts = {{"Command", command_line},
-                    {"Log", run.sequence.source},
-                    {"Preset", run.config.preset},
-                    {"Image", run.config.sensor.grid == "native"
-                                  ? "native"
-                                  : run.config.sensor.grid + ", " + run.config.sensor.grid_method},
-                    {"Range", run.config.render.range},
-                    {"Surfels", fmt::format("{}", count_surfels(run.scene))},
-                    {"Iterations", fmt::format("{} of {}", done, run.config.train.iterations)},
-                    {"Initialisation", format_duration(result.initialise_s)},
-                    {"Training", fmt::format("{} ({:.2f} iterations/s)", format_duration(result.train_s),
-                                             result.train_s > 0.0 ? done / result.train_s : 0.0)},
-                    {"Device", device.info().name},
-                    {"Driver", device.info().driver},
-                    {"Traversal", device.traversal() == Traversal::software ? "software" : "ray query"},
-                    {"Peak device memory", format_byte_size(result.peak_device_bytes)},
-                    {"relidar", RELIDAR_VERSION}};
-    if (const std::vector<BoxTrack> masked = find_masked_boxes(run.scene, run.sequence, run.config.init);
+    report.facts = {
+        {"Command", command_line},
+        {"Log", run.sequence.source},
+        {"Preset", run.config.preset},
+        {"Image", run.config.sensor.grid == "native"
+                      ? "native"
+                      : run.config.sensor.grid + ", " + run.config.sensor.grid_method},
+        {"Range", run.config.render.range},
+        {"Surfels", fmt::format("{}", count_surfels(run.scene))},
+        {"Iterations", fmt::format("{} of {}", done, run.config.train.iterations)},
+        {"Initialisation", format_duration(result.initialise_s)},
+        {"Training", fmt::format("{} ({:.2f} iterations/s)", format_duration(result.train_s),
+                                 result.train_s > 0.0 ? done / result.train_s : 0.0)},
+        {"Device", device.info().name},
+        {"Driver", device.info().driver},
+        {"Traversal", device.traversal() == RayTracingBackend::software ? "software" : "ray query"},
+        {"Peak device memory", format_byte_size(result.peak_device_bytes)},
+        {"relidar", RELIDAR_VERSION}};
+    if (const std::vector<BoxTrack> masked =
+            find_boxes_without_model(run.scene, run.sequence, run.config.init);
         !masked.empty())
-        report.facts.emplace_back("Moving boxes masked out", list_boxes(masked));
+        report.facts.emplace_back("Moving boxes masked out", format_box_list(masked));
     report.curves = make_loss_curves(result);
-    if (const MetricRow times = compute_mean_times(result.times); !times.empty())
+    if (const MetricValues times = compute_mean_kernel_ms(result.times); !times.empty())
         report.timings_ms.emplace_back("Training: mean of one launch", times);
     return report;
 }
 
-Report make_evaluation_report(const Run& run, const Evaluation& evaluation, const Device& device,
+Report make_evaluation_report(const TrainedRun& run, const EvaluationResult& evaluation, const Device& device,
                               const std::string& command_line) {
     Report report;
     report.title = "relidar: " + run.sequence.name + ", scored";
@@ -82,20 +84,20 @@ Report make_evaluation_report(const Run& run, const Evaluation& evaluation, cons
     report.facts = {{"Command", command_line},        {"Run", run.folder.string()},
                     {"Log", run.sequence.source},     {"Device", device.info().name},
                     {"Driver", device.info().driver}, {"relidar", RELIDAR_VERSION}};
-    add_evaluation(report, evaluation, run, {"held out", "real"});
+    add_evaluation_to_report(report, evaluation, run, {"held out", "real"});
     return report;
 }
 
-void add_evaluation(Report& report, const Evaluation& evaluation, const Run& run,
-                    const EvaluationTitle& title) {
+void add_evaluation_to_report(Report& report, const EvaluationResult& evaluation, const TrainedRun& run,
+                              const EvaluationLabels& title) {
     if (evaluation.frames.empty()) return;
-    if (const std::string good = describe_quality(evaluation.mean);
+    if (const std::string good = describe_mean_quality(evaluation.mean);
         report.metrics.empty() && !good.empty() && report.summary.ends_with('.')) {
         report.summary.pop_back();
         report.summary += fmt::format("; on {} that did not train the scene, {}.",
                                       format_frame_count(evaluation.frames.size()), good);
     }
-    report.key_metrics = key_metrics();
+    report.key_metrics = get_key_metrics();
     report.metrics.emplace_back(
         fmt::format("{} ({})", title.column, format_frame_count(evaluation.frames.size())), evaluation.mean);
     report.facts.emplace_back(fmt::format("Rendering, {}", title.column),
@@ -105,13 +107,14 @@ void add_evaluation(Report& report, const Evaluation& evaluation, const Run& run
                                        evaluation.kernel_ms);
     const ScoredFrame& shown = evaluation.frames[evaluation.frames.size() / 2];
     const std::string name = fmt::format("Frame {}, {}", shown.frame, title.column);
-    report.views.push_back(compare_points(shown, run.config, name + ": points", title.real));
-    report.bars.push_back(make_errors_by_range(evaluation, fmt::format("Errors by range, {}", title.column)));
+    report.views.push_back(make_point_comparison_view(shown, run.config, name + ": points", title.real));
+    report.bars.push_back(
+        make_error_by_range_chart(evaluation, fmt::format("Errors by range, {}", title.column)));
     report.tables.push_back({fmt::format("Moving objects, {}", title.column),
                              "Points of all frames in each moving box, the highest share of errors above "
                              "0.3 m first. Bias: median of simulated minus real ranges. F1: rays that "
                              "return from the box. Tail: points where the object is at another time.",
-                             make_actor_rows(evaluation)});
+                             make_worst_actor_table_rows(evaluation)});
     for (ReportFigure& figure :
          make_comparison_figures(shown, name, title.real, run.config.dataset.max_range_m))
         report.figures.push_back(std::move(figure));

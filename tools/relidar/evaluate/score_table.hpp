@@ -11,11 +11,12 @@ namespace relidar::cli {
 /// Reads the scores of each run from metrics.json and writes the scores of all runs into
 /// each file. Needs no device. If a run has no scores, throws a DataError after the files
 /// are written.
-/// @param runs run folders, in the order of the rows
-/// @param files output files: FILE.md receives the means of the key metrics, FILE.csv all
-/// metrics, and FILE.html both as a web page
+/// @param run_folders run folders, in the order of the rows
+/// @param output_files output files: FILE.md receives the means of the key metrics,
+/// FILE.csv all metrics, and FILE.html both as a web page
 /// @throws UsageError if a file has another extension
 /// @throws DataError if a folder contains no run, or a run has no scores
-void write_score_tables(const std::vector<std::string>& runs, const std::vector<std::string>& files);
+void write_score_tables(const std::vector<std::string>& run_folders,
+                        const std::vector<std::string>& output_files);
 
 }  // namespace relidar::cli

@@ -17,18 +17,18 @@ namespace {
 
 /// Returns the name of the method to trace rays that `--traversal auto` selects on this
 /// device.
-std::string get_traversal_text(const DeviceInfo& info) {
-    switch (choose_best_traversal(info)) {
-        case Traversal::ray_query:
+std::string get_automatic_backend_name(const DeviceInfo& device_info) {
+    switch (choose_best_traversal(device_info)) {
+        case RayTracingBackend::ray_query:
             return "ray_query";
-        case Traversal::software:
+        case RayTracingBackend::software:
             return "software";
         default:
             return "none";
     }
 }
 
-void print_json(const std::vector<DeviceInfo>& devices) {
+void print_devices_json(const std::vector<DeviceInfo>& devices) {
     nlohmann::ordered_json json = nlohmann::ordered_json::array();
     for (const DeviceInfo& d : devices) {
         json.push_back({{"index", d.index},
@@ -45,19 +45,20 @@ void print_json(const std::vector<DeviceInfo>& devices) {
                         {"timestamps", d.timestamps},
                         {"usable", d.why_not_usable.empty()},
                         {"why_not_usable", d.why_not_usable},
-                        {"traversal", get_traversal_text(d)}});
+                        {"traversal", get_automatic_backend_name(d)}});
     }
     print(json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n");
 }
 
-void print_table(const std::vector<DeviceInfo>& devices) {
+void print_device_table(const std::vector<DeviceInfo>& devices) {
     std::vector<std::vector<std::string>> rows{
         {"", "name", "type", "API", "memory", "ray query", "software", "float atomics", "traversal"}};
     std::string notes;
     for (const DeviceInfo& d : devices) {
         rows.push_back({fmt::format("{}", d.index), d.name, d.type, d.api_version,
                         format_byte_size(d.memory_bytes), d.ray_query ? "yes" : "no",
-                        d.software ? "yes" : "no", d.float_atomics ? "yes" : "no", get_traversal_text(d)});
+                        d.software ? "yes" : "no", d.float_atomics ? "yes" : "no",
+                        get_automatic_backend_name(d)});
         notes += fmt::format("\n{}  driver: {}", d.index, d.driver);
         if (!d.why_not_usable.empty()) notes += fmt::format("\n   not usable: missing {}", d.why_not_usable);
         if (!d.why_not_ray_query.empty())
@@ -72,20 +73,20 @@ void print_table(const std::vector<DeviceInfo>& devices) {
 
 }  // namespace
 
-void add_device_list(CLI::App& list, Call& call) {
-    CLI::App* command = list.add_subcommand(
+void add_list_devices_command(CLI::App& list_command, ParsedCommand& selected_command) {
+    CLI::App* command = list_command.add_subcommand(
         "devices", "list all Vulkan devices, their features and the traversal that relidar would use");
     const auto json = std::make_shared<bool>(false);
     command->add_flag("--json", *json, "print JSON");
     command->footer("The first column is the number for --device.\nExample: relidar list devices");
-    command->callback([&call, json] {
-        call.run = [json] {
+    command->callback([&selected_command, json] {
+        selected_command.run = [json] {
             const std::vector<DeviceInfo> devices = list_devices();
             if (devices.empty())
                 throw DeviceError(
                     "this machine has no Vulkan device; expected at least one; tools/dev/setup installs a "
                     "driver that renders on the CPU");
-            *json ? print_json(devices) : print_table(devices);
+            *json ? print_devices_json(devices) : print_device_table(devices);
         };
     });
 }

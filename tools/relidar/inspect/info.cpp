@@ -20,8 +20,8 @@ namespace {
 
 struct InfoOptions {
     std::string path;
-    LogPart part;
-    Settings settings;
+    LogSelection part;
+    SettingsCommandOptions settings;
     bool json = false;
     bool all = false;
 };
@@ -35,19 +35,20 @@ void print_run_info(const InfoOptions& options) {
 /// yet.
 void print_unfinished_run_info(const std::filesystem::path& folder) {
     const Config config = load_saved_config(folder / "config.toml");
-    print(fmt::format(
-        "{}: {}, at iteration {} of {}; no scene has been saved yet; log {}\n", folder.string(),
-        FolderLock::is_held(folder) ? "a run that is being trained" : "a run whose training was interrupted",
-        read_last_logged_iteration(folder), config.train.iterations, config.dataset.path));
-    if (!FolderLock::is_held(folder))
-        print(fmt::format("continue with: relidar train --resume {}\n", quote_shell_word(folder.string())));
+    print(fmt::format("{}: {}, at iteration {} of {}; no scene has been saved yet; log {}\n", folder.string(),
+                      FolderLock::is_folder_locked(folder) ? "a run that is being trained"
+                                                           : "a run whose training was interrupted",
+                      read_last_logged_iteration(folder), config.train.iterations, config.dataset.path));
+    if (!FolderLock::is_folder_locked(folder))
+        print(
+            fmt::format("continue with: relidar train --resume {}\n", quote_word_for_shell(folder.string())));
 }
 
 void print_log_info(const InfoOptions& options) {
     // Maximum number of scans to read per LiDAR, because a bag of one hour has 36,000
     // scans.
     constexpr std::size_t kMostScans = 64;
-    Config config = resolve_settings(options.settings);
+    Config config = make_config_from_settings(options.settings);
     config.dataset.path = options.path;
     apply_log_part(config, options.part);
     LogSummary summary =
@@ -62,12 +63,12 @@ void print_log_info(const InfoOptions& options) {
 
 }  // namespace
 
-void add_info(CLI::App& app, Call& call) {
+void add_info_command(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand("info", "print a summary of a log or a run");
     const auto options = std::make_shared<InfoOptions>();
     command->add_option("DATASET|RUN", options->path, "log (path, or kind:path) or run folder")->required();
-    add_log_part_options(*command, options->part);
-    add_set_option(*command, options->settings.sets);
+    add_log_selection_options(*command, options->part);
+    add_setting_override_option(*command, options->settings.sets);
     command->add_flag("--json", options->json, "print JSON");
     command->add_flag(
         "--all", options->all,
@@ -76,20 +77,20 @@ void add_info(CLI::App& app, Call& call) {
         "Examples:\n"
         "  relidar info data/kitti/2011_09_26/2011_09_26_drive_0005_sync --frames 0:50\n"
         "  relidar info run --json");
-    command->callback([&call, options] {
-        call.run = [options] {
-            const bool is_of_run = is_run(options->path) || contains_run(options->path);
-            check_setting_names(options->settings.sets,
-                                is_of_run
-                                    ? std::vector<std::string>{}
-                                    : std::vector<std::string>{"dataset.", "sensor.rolling_shutter", "init."},
-                                is_of_run ? "info RUN" : "info");
+    command->callback([&selected_command, options] {
+        selected_command.run = [options] {
+            const bool is_of_run = is_run_folder(options->path) || contains_run(options->path);
+            check_settings_have_effect(
+                options->settings.sets,
+                is_of_run ? std::vector<std::string>{}
+                          : std::vector<std::string>{"dataset.", "sensor.rolling_shutter", "init."},
+                is_of_run ? "info RUN" : "info");
             if (is_of_run &&
                 (options->all || !options->part.frames.empty() || !options->part.sequence.empty()))
                 throw UsageError(
                     fmt::format("--frames, --sequence and --all can only be used with a log; {} is a run",
                                 options->path));
-            if (is_run(options->path)) print_run_info(*options);
+            if (is_run_folder(options->path)) print_run_info(*options);
             else if (contains_run(options->path)) print_unfinished_run_info(options->path);
             else print_log_info(*options);
         };

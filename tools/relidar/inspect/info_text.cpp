@@ -22,9 +22,9 @@ double compute_path_length_m(const PoseTrack& track) {
     return length;
 }
 
-std::optional<double> compute_returns_share(const Sequence& sequence) {
+std::optional<double> compute_return_fraction(const LidarSequence& sequence) {
     std::size_t n_returns = 0, n_rays = 0;
-    for (const Frame& frame : sequence.frames) {
+    for (const LidarFrame& frame : sequence.frames) {
         n_returns += frame.scan.count_returns();
         n_rays += frame.scan.range_m.size();
     }
@@ -32,13 +32,13 @@ std::optional<double> compute_returns_share(const Sequence& sequence) {
     return static_cast<double>(n_returns) / static_cast<double>(n_rays);
 }
 
-std::string format_line(const std::string& name, const std::string& value) {
+std::string format_name_value_line(const std::string& name, const std::string& value) {
     return value.empty() ? "" : fmt::format("{:<12}{}\n", name, value);
 }
 
 /// Returns the class of a box, such as "car". If the size of the box was guessed, adds
 /// the class that was used for the guess.
-std::string format_class(const BoxSummary& box) {
+std::string format_box_class(const BoxSummary& box) {
     return box.size_guess.empty() ? box.category : fmt::format("{}, {}?", box.category, box.size_guess);
 }
 
@@ -64,27 +64,27 @@ std::string format_box_notes(const std::vector<BoxSummary>& boxes) {
     return text;
 }
 
-std::string format_box_table(const std::vector<BoxSummary>& boxes, bool is_run) {
+std::string format_box_table(const std::vector<BoxSummary>& boxes, bool show_instance_columns) {
     if (boxes.empty()) return "";
     std::vector<std::vector<std::string>> rows{
         {"track", "class", "length", "width", "height", "frames", "path", "speed", "start x,y,z,yaw_deg"}};
-    if (is_run) rows[0].insert(rows[0].end(), {"instance", "surfels"});
+    if (show_instance_columns) rows[0].insert(rows[0].end(), {"instance", "surfels"});
     for (const BoxSummary& b : boxes) {
-        rows.push_back({b.id, format_class(b), fmt::format("{:.2f} m", b.size_m.x),
+        rows.push_back({b.id, format_box_class(b), fmt::format("{:.2f} m", b.size_m.x),
                         fmt::format("{:.2f} m", b.size_m.y), fmt::format("{:.2f} m", b.size_m.z),
                         b.n_frames ? fmt::format("{}-{}", b.first_frame, b.last_frame) : "none",
                         fmt::format("{:.1f} m", b.path_m),
                         b.moves ? fmt::format("{:.1f} m/s", b.mean_speed_mps) : "parked",
                         fmt::format("{:.2f},{:.2f},{:.2f},{:.1f}", b.start_m.x, b.start_m.y, b.start_m.z,
                                     b.start_yaw_deg)});
-        if (is_run)
+        if (show_instance_columns)
             rows.back().insert(rows.back().end(), {b.instance ? fmt::format("{}", *b.instance) : "-",
                                                    b.instance ? fmt::format("{}", b.n_surfels) : "-"});
     }
     return "\n" + format_table(rows) + format_box_notes(boxes);
 }
 
-Json json_of(const BoxSummary& box) {
+Json make_summary_json(const BoxSummary& box) {
     Json json = {{"id", box.id},
                  {"category", box.category},
                  {"size_m", {box.size_m.x, box.size_m.y, box.size_m.z}},
@@ -104,7 +104,7 @@ Json json_of(const BoxSummary& box) {
     return json;
 }
 
-Json json_of(const LidarSummary& summary) {
+Json make_summary_json(const LidarSummary& summary) {
     return {{"name", summary.name},         {"sensor", summary.sensor},
             {"rows", summary.n_beams},      {"columns", summary.columns},
             {"top_deg", summary.top_deg},   {"bottom_deg", summary.bottom_deg},
@@ -112,26 +112,27 @@ Json json_of(const LidarSummary& summary) {
             {"frames", summary.n_frames},   {"second_returns", summary.n_second_returns}};
 }
 
-Json json_of(const LogSummary& log) {
+Json make_summary_json(const LogSummary& summary) {
     Json boxes = Json::array();
-    for (const BoxSummary& b : log.boxes) boxes.push_back(json_of(b));
+    for (const BoxSummary& b : summary.boxes) boxes.push_back(make_summary_json(b));
     Json lidars = Json::array();
-    for (const LidarSummary& l : log.lidars) lidars.push_back(json_of(l));
-    Json json = {{"name", log.name},
-                 {"source", log.source},
-                 {"conventions", log.conventions},
-                 {"notes", log.notes},
+    for (const LidarSummary& l : summary.lidars) lidars.push_back(make_summary_json(l));
+    Json json = {{"name", summary.name},
+                 {"source", summary.source},
+                 {"conventions", summary.conventions},
+                 {"notes", summary.notes},
                  {"lidars", lidars},
-                 {"rolling_shutter", log.rolling_shutter},
-                 {"frames", log.n_frames},
-                 {"first_frame", log.first_frame},
-                 {"last_frame", log.last_frame},
-                 {"seconds", log.seconds},
-                 {"path_m", log.path_m},
+                 {"rolling_shutter", summary.rolling_shutter},
+                 {"frames", summary.n_frames},
+                 {"first_frame", summary.first_frame},
+                 {"last_frame", summary.last_frame},
+                 {"seconds", summary.seconds},
+                 {"path_m", summary.path_m},
                  {"returns_share", nullptr},
                  {"boxes", boxes},
-                 {"masked", log.masked}};
-    if (log.returns_share) json["returns_share"] = *log.returns_share, json["scans_read"] = log.n_scans_read;
+                 {"masked", summary.masked}};
+    if (summary.returns_share)
+        json["returns_share"] = *summary.returns_share, json["scans_read"] = summary.n_scans_read;
     return json;
 }
 
@@ -139,14 +140,14 @@ std::string dump_json(const Json& json) {
     return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
-BoxSummary summarise(const Sequence& sequence, const BoxTrack& box) {
+BoxSummary summarise(const LidarSequence& sequence, const BoxTrack& box) {
     BoxSummary summary;
     summary.id = box.id;
     summary.category = box.category;
     summary.size_m = box.size_m;
     summary.size_guess = box.size_guess;
     summary.n_unlabelled_frames = box.n_before + box.n_after;
-    for (const Frame& frame : sequence.frames) {
+    for (const LidarFrame& frame : sequence.frames) {
         if (!box.is_present(frame.time_s)) continue;
         if (summary.n_frames++ == 0) summary.first_frame = frame.index;
         summary.last_frame = frame.index;
@@ -163,7 +164,7 @@ BoxSummary summarise(const Sequence& sequence, const BoxTrack& box) {
     return summary;
 }
 
-LidarSummary summarise(const Sequence& sequence, int lidar_index) {
+LidarSummary summarise(const LidarSequence& sequence, int lidar_index) {
     const Lidar& lidar = sequence.lidars[std::size_t(lidar_index)];
     const SpinningSensor& sensor = lidar.sensor;
     LidarSummary l{lidar.name,
@@ -189,10 +190,10 @@ LidarSummary summarise(const Sequence& sequence, int lidar_index) {
         l.bottom_deg = std::asin(double(lowest.z)) * 180.0 / kPi,
         l.top_deg = std::asin(double(highest.z)) * 180.0 / kPi;
     }
-    for (const Frame& frame : sequence.frames) {
+    for (const LidarFrame& frame : sequence.frames) {
         if (frame.lidar != lidar_index) continue;
         ++l.n_frames;
-        for (const SecondReturn& f : frame.scan.second_returns)
+        for (const AdditionalReturns& f : frame.scan.second_returns)
             l.n_second_returns += std::size_t(
                 std::count_if(f.range_m.begin(), f.range_m.end(), [](float r) { return r > 0.0f; }));
     }
@@ -214,32 +215,35 @@ std::string format_summary_text(const LidarSummary& summary) {
         summary.period_s, summary.max_range_m, second);
 }
 
-std::string format_summary_text(const LogSummary& log, bool is_run) {
-    std::string text = format_line("log", log.name) + format_line("source", log.source) +
-                       format_line("conventions", log.conventions);
-    for (const std::string& note : log.notes) text += format_line("note", note);
-    const char* shutter = log.rolling_shutter ? ", rolling shutter" : ", no rolling shutter";
-    for (const LidarSummary& lidar : log.lidars)
-        text += format_line("sensor", format_summary_text(lidar) + shutter);
-    text += format_line("frames", fmt::format("{} ({} to {}), {:.1f} s, {:.1f} m driven", log.n_frames,
-                                              log.first_frame, log.last_frame, log.seconds, log.path_m));
-    if (log.returns_share)
-        text += format_line(
+std::string format_summary_text(const LogSummary& summary, bool show_instance_columns) {
+    std::string text = format_name_value_line("log", summary.name) +
+                       format_name_value_line("source", summary.source) +
+                       format_name_value_line("conventions", summary.conventions);
+    for (const std::string& note : summary.notes) text += format_name_value_line("note", note);
+    const char* shutter = summary.rolling_shutter ? ", rolling shutter" : ", no rolling shutter";
+    for (const LidarSummary& lidar : summary.lidars)
+        text += format_name_value_line("sensor", format_summary_text(lidar) + shutter);
+    text += format_name_value_line(
+        "frames", fmt::format("{} ({} to {}), {:.1f} s, {:.1f} m driven", summary.n_frames,
+                              summary.first_frame, summary.last_frame, summary.seconds, summary.path_m));
+    if (summary.returns_share)
+        text += format_name_value_line(
             "returns",
-            fmt::format("{:.1f} % of all rays{}", 100.0 * *log.returns_share,
-                        log.is_look ? fmt::format(" of {} scans spread over the log; --all reads every scan",
-                                                  log.n_scans_read)
-                                    : ""));
-    const auto n_moving = std::ranges::count_if(log.boxes, &BoxSummary::moves);
-    text += format_line("boxes", fmt::format("{}: {} moving, {} parked", log.boxes.size(), n_moving,
-                                             std::ssize(log.boxes) - n_moving));
-    text += format_line("masked", log.masked);
-    return text + format_box_table(log.boxes, is_run);
+            fmt::format("{:.1f} % of all rays{}", 100.0 * *summary.returns_share,
+                        summary.is_look
+                            ? fmt::format(" of {} scans spread over the log; --all reads every scan",
+                                          summary.n_scans_read)
+                            : ""));
+    const auto n_moving = std::ranges::count_if(summary.boxes, &BoxSummary::moves);
+    text += format_name_value_line("boxes", fmt::format("{}: {} moving, {} parked", summary.boxes.size(),
+                                                        n_moving, std::ssize(summary.boxes) - n_moving));
+    text += format_name_value_line("masked", summary.masked);
+    return text + format_box_table(summary.boxes, show_instance_columns);
 }
 
 }  // namespace
 
-LogSummary summarise(const Sequence& sequence, const InitialiseOptions& options) {
+LogSummary summarise(const LidarSequence& sequence, const SceneInitialisationOptions& options) {
     LogSummary log;
     log.name = sequence.name;
     log.source = sequence.source;
@@ -255,21 +259,23 @@ LogSummary summarise(const Sequence& sequence, const InitialiseOptions& options)
         log.seconds = sequence.frames.back().time_s - sequence.frames.front().time_s;
     }
     log.path_m = compute_path_length_m(sequence.world_from_vehicle);
-    log.returns_share = compute_returns_share(sequence);
-    log.n_scans_read = std::size_t(
-        std::ranges::count_if(sequence.frames, [](const Frame& f) { return f.scan.range_m.size() > 0; }));
+    log.returns_share = compute_return_fraction(sequence);
+    log.n_scans_read = std::size_t(std::ranges::count_if(
+        sequence.frames, [](const LidarFrame& f) { return f.scan.range_m.size() > 0; }));
     for (const BoxTrack& box : sequence.boxes) log.boxes.push_back(summarise(sequence, box));
-    log.masked = list_boxes(find_unselected_boxes(sequence, options));
+    log.masked = format_box_list(find_unselected_moving_boxes(sequence, options));
     return log;
 }
 
-RunSummary summarise(const Run& run) {
+RunSummary summarise(const TrainedRun& run) {
     RunSummary summary;
     summary.log = summarise(run.sequence, run.config.init);
     // After edits, the list is left out, because it would contain actors that the edits
     // have removed.
     summary.log.masked =
-        run.edits.empty() ? list_boxes(find_masked_boxes(run.scene, run.sequence, run.config.init)) : "";
+        run.edits.empty()
+            ? format_box_list(find_boxes_without_model(run.scene, run.sequence, run.config.init))
+            : "";
     summary.preset = run.config.preset;
     summary.iterations = run.config.train.iterations;
     summary.n_surfels = count_surfels(run.scene);
@@ -285,7 +291,7 @@ RunSummary summarise(const Run& run) {
             box.n_surfels = run.scene.models[run.scene.instances[i].model].count;
         }
     }
-    for (const Model& model : run.scene.models) summary.models.emplace_back(model.name, model.count);
+    for (const SurfelModel& model : run.scene.models) summary.models.emplace_back(model.name, model.count);
     for (const SceneBlock& block : run.scene.blocks) summary.models.front().second += block.count;
     summary.n_blocks = run.scene.blocks.size();
     summary.n_train = run.split.train.size();
@@ -302,39 +308,46 @@ RunSummary summarise(const Run& run) {
 std::string to_text(const LogSummary& log) { return format_summary_text(log, false); }
 
 std::string to_text(const RunSummary& run) {
-    const std::string other = run.primitive == ImageModel{}.primitive
+    const std::string other = run.primitive == ImageFormationModel{}.primitive
                                   ? ""
                                   : fmt::format(" {}", get_primitive_kind(run.primitive).label);
-    std::string text = format_line("surfels", fmt::format("{}{}", run.n_surfels, other));
+    std::string text = format_name_value_line("surfels", fmt::format("{}{}", run.n_surfels, other));
     if (run.n_blocks > 0)
-        text += format_line(
+        text += format_name_value_line(
             "blocks", fmt::format("the background consists of {} blocks, each loaded when a scan needs it",
                                   run.n_blocks));
     for (const auto& [name, count] : run.models)
-        text += format_line("  model", fmt::format("{}: {} surfels", name, count));
-    text += format_line("instances", fmt::format("{}, of which number 0 is the background", run.n_instances));
+        text += format_name_value_line("  model", fmt::format("{}: {} surfels", name, count));
+    text += format_name_value_line("instances",
+                                   fmt::format("{}, of which number 0 is the background", run.n_instances));
     if (run.n_drop_parameters > 0)
-        text += format_line("ray drop",
-                            fmt::format("corrected by a network of {} parameters that reads {} images",
-                                        run.n_drop_parameters, run.drop_image));
-    for (const RunEdit& e : run.edits)
-        text += format_line("  edit", fmt::format("{} (of run {})", e.edit, e.run));
-    text += format_line("settings", fmt::format("preset {}, {} iterations", run.preset, run.iterations));
-    text += format_line("split", fmt::format("{} training frames, {} test frames ({})", run.n_train,
-                                             run.test_frames.size(), fmt::join(run.test_frames, ", ")));
+        text += format_name_value_line(
+            "ray drop", fmt::format("corrected by a network of {} parameters that reads {} images",
+                                    run.n_drop_parameters, run.drop_image));
+    for (const EditHistoryEntry& e : run.edits)
+        text += format_name_value_line("  edit", fmt::format("{} (of run {})", e.edit, e.run));
+    text += format_name_value_line("settings",
+                                   fmt::format("preset {}, {} iterations", run.preset, run.iterations));
+    text += format_name_value_line(
+        "split", fmt::format("{} training frames, {} test frames ({})", run.n_train, run.test_frames.size(),
+                             fmt::join(run.test_frames, ", ")));
     std::vector<std::vector<std::string>> rows{{"file", "size"}};
     for (const auto& [name, size] : run.files) rows.push_back({name, format_byte_size(size)});
     return text + format_summary_text(run.log, true) + "\n" + format_table(rows);
 }
 
-std::string to_json(const LogSummary& log) { return dump_json(json_of(log)); }
+std::string to_json(const LogSummary& log) { return dump_json(make_summary_json(log)); }
 
 std::string to_json(const RunSummary& run) {
-    Json json = {{"preset", run.preset},           {"iterations", run.iterations},
-                 {"surfels", run.n_surfels},       {"primitive", get_primitive_kind(run.primitive).name},
-                 {"models", Json::array()},        {"train_frames", run.n_train},
-                 {"test_frames", run.test_frames}, {"files", Json::object()},
-                 {"log", json_of(run.log)}};
+    Json json = {{"preset", run.preset},
+                 {"iterations", run.iterations},
+                 {"surfels", run.n_surfels},
+                 {"primitive", get_primitive_kind(run.primitive).name},
+                 {"models", Json::array()},
+                 {"train_frames", run.n_train},
+                 {"test_frames", run.test_frames},
+                 {"files", Json::object()},
+                 {"log", make_summary_json(run.log)}};
     for (const auto& [name, count] : run.models)
         json["models"].push_back({{"name", name}, {"surfels", count}});
     json["instances"] = run.n_instances;
@@ -343,7 +356,7 @@ std::string to_json(const RunSummary& run) {
                                ? Json{{"parameters", run.n_drop_parameters}, {"image", run.drop_image}}
                                : Json();
     json["edits"] = Json::array();
-    for (const RunEdit& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
+    for (const EditHistoryEntry& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     for (const auto& [name, size] : run.files) json["files"][name] = size;
     return dump_json(json);
 }

@@ -67,7 +67,7 @@ struct LogSummary {
 
 /// Creates the summary of a log.
 /// @param options settings that decide which boxes move and which of them become actors
-LogSummary summarise(const Sequence& sequence, const InitialiseOptions& options);
+LogSummary summarise(const LidarSequence& sequence, const SceneInitialisationOptions& options);
 
 struct RunSummary {
     LogSummary log;
@@ -78,19 +78,19 @@ struct RunSummary {
     std::size_t n_drop_parameters = 0;
     std::string drop_image = {};  ///< Kind of image that the ray-drop network reads.
     std::size_t n_surfels = 0;
-    Primitive primitive = Primitive::surfel;  ///< Shape of the surfels.
+    PrimitiveType primitive = PrimitiveType::surfel;  ///< Shape of the surfels.
     /// Name and number of surfels of each model.
     std::vector<std::pair<std::string, std::size_t>> models;
     /// Number of blocks into which the background is divided. The value is 0 if the
     /// background is not divided.
     std::size_t n_blocks = 0;
     std::size_t n_instances = 0;
-    std::vector<RunEdit> edits;
+    std::vector<EditHistoryEntry> edits;
     std::size_t n_train = 0;
     std::vector<int> test_frames;
     std::vector<std::pair<std::string, std::uint64_t>> files;  ///< Name and size in bytes of each file.
 };
-RunSummary summarise(const Run& run);
+RunSummary summarise(const TrainedRun& run);
 
 std::string to_text(const LogSummary& log);
 std::string to_text(const RunSummary& run);

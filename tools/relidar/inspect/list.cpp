@@ -8,12 +8,12 @@
 
 namespace relidar::cli {
 
-void add_list(CLI::App& app, Call& call) {
+void add_list_command(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand("list", "list devices, sensors or settings and their properties");
     command->require_subcommand(1);
-    add_device_list(*command, call);
-    add_sensor_list(*command, call);
-    add_setting_list(*command, call);
+    add_list_devices_command(*command, selected_command);
+    add_list_sensors_command(*command, selected_command);
+    add_list_settings_command(*command, selected_command);
     command->footer(
         "Examples:\n"
         "  relidar list devices\n"

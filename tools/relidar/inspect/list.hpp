@@ -6,8 +6,8 @@
 
 namespace relidar::cli {
 
-void add_device_list(CLI::App& list, Call& call);
-void add_sensor_list(CLI::App& list, Call& call);
-void add_setting_list(CLI::App& list, Call& call);
+void add_list_devices_command(CLI::App& list_command, ParsedCommand& selected_command);
+void add_list_sensors_command(CLI::App& list_command, ParsedCommand& selected_command);
+void add_list_settings_command(CLI::App& list_command, ParsedCommand& selected_command);
 
 }  // namespace relidar::cli

@@ -24,13 +24,13 @@ struct SensorsOptions {
 };
 
 /// Number of rays of a sensor, and the range of angles in degrees that the rays cover.
-struct Extent {
+struct SensorFieldOfView {
     std::size_t rays = 0;
     double left_deg = 0.0, right_deg = 0.0, top_deg = 0.0, bottom_deg = 0.0;
 };
 
-Extent compute_extent(const RayTable& rays) {
-    Extent e{rays.size(), -180.0, 180.0, -90.0, 90.0};
+SensorFieldOfView compute_angular_extent(const RayTable& rays) {
+    SensorFieldOfView e{rays.size(), -180.0, 180.0, -90.0, 90.0};
     for (const glm::vec3& d : rays.direction) {
         const double azimuth = std::atan2(double(d.y), double(d.x)) * 180.0 / kPi,
                      elevation = std::asin(std::clamp(double(d.z), -1.0, 1.0)) * 180.0 / kPi;
@@ -42,34 +42,34 @@ Extent compute_extent(const RayTable& rays) {
     return e;
 }
 
-double get_period(const SensorModel& sensor, const RayTable& rays) {
-    if (const double period_s = relidar::get_period(sensor.pattern); period_s > 0.0) return period_s;
+double compute_scan_period_s(const SensorModel& sensor, const RayTable& rays) {
+    if (const double period_s = relidar::get_scan_period_s(sensor.pattern); period_s > 0.0) return period_s;
     const auto [first, last] = std::ranges::minmax(rays.time_offset_s);
     return double(last) - double(first);
 }
 
-std::string format_divergence(const RayTable& rays) {
-    const double least = rays.ray_divergence_rad.empty() ? rays.find_largest_divergence()
+std::string format_beam_divergence(const RayTable& rays) {
+    const double least = rays.ray_divergence_rad.empty() ? rays.find_max_divergence_rad()
                                                          : double(std::ranges::min(rays.ray_divergence_rad));
-    return least < rays.find_largest_divergence()
-               ? fmt::format("{:.3g} to {:.3g} mrad", 1e3 * least, 1e3 * rays.find_largest_divergence())
+    return least < rays.find_max_divergence_rad()
+               ? fmt::format("{:.3g} to {:.3g} mrad", 1e3 * least, 1e3 * rays.find_max_divergence_rad())
                : fmt::format("{:.3g} mrad", 1e3 * least);
 }
 
-void list_sensors() {
+void print_sensor_table() {
     std::vector<std::vector<std::string>> rows{
         {"name", "rays", "azimuth", "elevation", "scan", "range", "divergence", "figures"}};
     for (const std::string& name : list_sensor_names()) {
         const SensorModel sensor = *find_built_in_sensor(name);
         const RayTable rays = make_rays(sensor);
-        const Extent e = compute_extent(rays);
+        const SensorFieldOfView e = compute_angular_extent(rays);
         const bool round = e.left_deg - e.right_deg > 350.0;
         rows.push_back(
             {name,
              rays.rows > 1 ? fmt::format("{} x {}", rays.rows, rays.columns) : fmt::format("{}", rays.size()),
              round ? "all round" : fmt::format("{:+.1f} to {:+.1f}", e.left_deg, e.right_deg),
              fmt::format("{:+.2f} to {:+.2f}", e.top_deg, e.bottom_deg),
-             fmt::format("{:.0f} ms", 1e3 * get_period(sensor, rays)),
+             fmt::format("{:.0f} ms", 1e3 * compute_scan_period_s(sensor, rays)),
              fmt::format("{:g} to {:g} m", sensor.limits.min_m, sensor.limits.max_m),
              rays.divergence_rad > 0.0f ? fmt::format("{:.1f} mrad", 1e3 * double(rays.divergence_rad)) : "-",
              sensor.about});
@@ -78,17 +78,17 @@ void list_sensors() {
           "\nAngles are in degrees; left and up are positive. A divergence of - is unknown.\n");
 }
 
-void describe_sensor(const SensorsOptions& options) {
+void print_sensor_description(const SensorsOptions& options) {
     const SensorModel sensor = find_sensor(options.sensor);
     const RayTable rays = make_rays(sensor, options.time_s);
-    const Extent e = compute_extent(rays);
+    const SensorFieldOfView e = compute_angular_extent(rays);
     print(fmt::format(
         "{}{}{}\nrays        {} ({} rows of {})\nazimuth     {:+.2f} to {:+.2f} degrees, left positive\n"
         "elevation   {:+.2f} to {:+.2f} degrees\nscan        {:.4g} s\nrange       {:g} to {:g} "
         "m\ndivergence  {}\n",
         sensor.name, sensor.about.empty() ? "" : ": ", sensor.about, e.rays, rays.rows, rays.columns,
-        e.left_deg, e.right_deg, e.top_deg, e.bottom_deg, get_period(sensor, rays), sensor.limits.min_m,
-        sensor.limits.max_m, format_divergence(rays)));
+        e.left_deg, e.right_deg, e.top_deg, e.bottom_deg, compute_scan_period_s(sensor, rays),
+        sensor.limits.min_m, sensor.limits.max_m, format_beam_divergence(rays)));
     if (const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) {
         std::vector<std::vector<std::string>> rows{
             {"beam", "elevation", "azimuth offset", "origin forward", "up", "left"}};
@@ -103,24 +103,24 @@ void describe_sensor(const SensorsOptions& options) {
         print("\n" + format_table(rows));
     }
     if (!options.out.empty()) {
-        write_png(options.out, draw_ray_picture(rays), {{"relidar", fmt::format("rays of {}", sensor.name)}});
+        write_png(options.out, draw_ray_pattern(rays), {{"relidar", fmt::format("rays of {}", sensor.name)}});
         print(fmt::format("\npicture     {}: azimuth by elevation, colour by firing time\n", options.out));
     }
 }
 
-void run_sensors(const SensorsOptions& options) {
+void run_list_sensors_command(const SensorsOptions& options) {
     if (!options.out.empty() && options.sensor.empty())
         throw UsageError("--out needs a sensor to draw: `relidar list sensors SENSOR --out FILE.png`");
     if (!(std::abs(options.time_s) <= 1e10))
         throw UsageError(fmt::format("--time: found {}; expected a time in seconds", options.time_s));
-    options.sensor.empty() ? list_sensors() : describe_sensor(options);
+    options.sensor.empty() ? print_sensor_table() : print_sensor_description(options);
 }
 
 }  // namespace
 
-void add_sensor_list(CLI::App& list, Call& call) {
-    CLI::App* command =
-        list.add_subcommand("sensors", "list the sensors that can be simulated, or show one and its pattern");
+void add_list_sensors_command(CLI::App& list_command, ParsedCommand& selected_command) {
+    CLI::App* command = list_command.add_subcommand(
+        "sensors", "list the sensors that can be simulated, or show one and its pattern");
     const auto options = std::make_shared<SensorsOptions>();
     command->add_option("SENSOR", options->sensor, "name or file of a sensor (default: list all names)");
     command
@@ -136,7 +136,9 @@ void add_sensor_list(CLI::App& list, Call& call) {
         "\n\nExamples:\n  relidar list sensors\n  relidar list sensors OS1-128 --out pattern.png\n"
         "  relidar list sensors metadata.json\n"
         "  relidar render run --out scans --sensor OS1-128:2048x10");
-    command->callback([&call, options] { call.run = [options] { run_sensors(*options); }; });
+    command->callback([&selected_command, options] {
+        selected_command.run = [options] { run_list_sensors_command(*options); };
+    });
 }
 
 }  // namespace relidar::cli

@@ -11,10 +11,10 @@
 
 namespace relidar::cli {
 
-void add_setting_list(CLI::App& list, Call& call) {
+void add_list_settings_command(CLI::App& list_command, ParsedCommand& selected_command) {
     CLI::App* command =
-        list.add_subcommand("settings", "print settings with their values and descriptions, as TOML");
-    const auto settings = std::make_shared<Settings>();
+        list_command.add_subcommand("settings", "print settings with their values and descriptions, as TOML");
+    const auto settings = std::make_shared<SettingsCommandOptions>();
     const auto all = std::make_shared<bool>(false);
     add_settings_options(*command, *settings);
     command->add_flag("--all", *all,
@@ -23,10 +23,10 @@ void add_setting_list(CLI::App& list, Call& call) {
         "Later settings replace earlier ones in this order: preset, config file, --set.\nExamples:\n  "
         "relidar list settings --preset quick\n  relidar list settings --preset paper --set loss.depth=0.2 > "
         "mine.toml");
-    command->callback([&call, settings, all] {
-        call.run = [settings, all] {
-            print(*all ? to_toml(resolve_settings(*settings))
-                       : to_toml_without_defaults(resolve_settings(*settings)));
+    command->callback([&selected_command, settings, all] {
+        selected_command.run = [settings, all] {
+            print(*all ? to_toml(make_config_from_settings(*settings))
+                       : to_toml_without_defaults(make_config_from_settings(*settings)));
         };
     });
 }

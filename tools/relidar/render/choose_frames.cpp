@@ -13,14 +13,14 @@
 namespace relidar::cli {
 namespace {
 
-std::vector<int> list_all_positions(const Run& run) {
+std::vector<int> list_all_frame_positions(const TrainedRun& run) {
     std::vector<int> positions(run.sequence.frames.size());
     std::iota(positions.begin(), positions.end(), 0);
     return positions;
 }
 
-std::vector<int> list_positions_in(const Run& run, const FrameRange& range) {
-    std::vector<int> positions = list_all_positions(run);
+std::vector<int> list_frame_positions_in_range(const TrainedRun& run, const FrameRange& range) {
+    std::vector<int> positions = list_all_frame_positions(run);
     std::erase_if(positions, [&](int i) {
         const int index = run.sequence.frames[static_cast<std::size_t>(i)].index;
         return index < range.begin || (range.end >= 0 && index >= range.end);
@@ -30,23 +30,24 @@ std::vector<int> list_positions_in(const Run& run, const FrameRange& range) {
 
 }  // namespace
 
-std::vector<int> choose_frames(const Run& run, const std::optional<std::string>& frames_text, bool quiet) {
+std::vector<int> select_frame_positions(const TrainedRun& run, const std::optional<std::string>& frames_text,
+                                        bool quiet) {
     if (!frames_text && run.split.test.empty()) {
         if (!quiet)
-            note(fmt::format("{} has no held-out frames; all {} frames are rendered instead",
-                             run.folder.string(), run.sequence.frames.size()));
-        return list_all_positions(run);
+            print_note(fmt::format("{} has no held-out frames; all {} frames are rendered instead",
+                                   run.folder.string(), run.sequence.frames.size()));
+        return list_all_frame_positions(run);
     }
     const std::string which = frames_text.value_or("test");
-    const std::string name = find_known_name(which, {"test", "train", "all"}).value_or("");
-    std::vector<int> positions = name == "all"     ? list_all_positions(run)
+    const std::string name = find_name_ignoring_case(which, {"test", "train", "all"}).value_or("");
+    std::vector<int> positions = name == "all"     ? list_all_frame_positions(run)
                                  : name == "train" ? run.split.train
                                                    : run.split.test;
     const int last = run.sequence.frames.back().index;
     if (name.empty()) {
-        const FrameRange range = parse_frames(which);
-        positions = list_positions_in(run, range);
-        if (!positions.empty()) note_frames_beyond(range, last, run.folder.string());
+        const FrameRange range = parse_frame_range(which);
+        positions = list_frame_positions_in_range(run, range);
+        if (!positions.empty()) print_missing_frames_note(range, last, run.folder.string());
     }
     if (positions.empty()) {
         throw UsageError(

@@ -24,15 +24,15 @@ struct ConvertOptions {
     std::string dataset;
     std::string out;
     std::string frames;
-    Settings settings;
-    PacketTarget packets;
+    SettingsCommandOptions settings;
+    PacketDestination packets;
     bool overwrite = false;
     bool quiet = false;
 };
 
 /// Writes a log as a capture file with the network packets that the sensor would send.
 /// Also sends the packets if the user has set an address.
-void convert_to_packets(const Sequence& sequence, const ConvertOptions& options) {
+void write_log_as_packets(const LidarSequence& sequence, const ConvertOptions& options) {
     const std::filesystem::path out = options.out;
     if (!options.overwrite && std::filesystem::exists(out))
         throw UsageError(
@@ -40,50 +40,50 @@ void convert_to_packets(const Sequence& sequence, const ConvertOptions& options)
                         "replace the file",
                         options.out));
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
-    Progress progress(options.quiet);
-    const relidar::Progress shown = make_progress(progress);
+    TerminalProgress progress(options.quiet);
+    const relidar::ProgressReporter shown = make_progress_callback(progress);
     std::optional<PacketQueue> queue;
     if (!options.packets.address.empty()) queue.emplace(options.packets, 1);
     const std::size_t n = save_packets(
         sequence, out,
         [&](std::string_view description, double done) {
-            stop_if_interrupted();
+            throw_if_interrupted();
             shown(description, done);
         },
         [&](const std::vector<SensorPacket>& packets) {
-            if (queue) queue->add({packets});
+            if (queue) queue->send_or_queue_packets({packets});
         });
     end_progress_line();
     if (!options.quiet)
         print(fmt::format("{}: {} packets of {} scans\n", make_absolute_path(options.out), n,
                           sequence.frames.size()));
     if (!queue) return;
-    queue->send_all();
-    if (!options.quiet) print(fmt::format("{} packets sent\n", queue->n_sent()));
+    queue->send_queued_packets();
+    if (!options.quiet) print(fmt::format("{} packets sent\n", queue->get_sent_packet_count()));
 }
 
-void run_convert(const ConvertOptions& options) {
-    check_setting_names(options.settings.sets, {"dataset.", "sensor.rolling_shutter"}, "convert");
+void run_convert_command(const ConvertOptions& options) {
+    check_settings_have_effect(options.settings.sets, {"dataset.", "sensor.rolling_shutter"}, "convert");
     check_packet_target(options.packets);
     const bool writes_packets = std::filesystem::path(options.out).extension() == ".pcap";
     if (!options.packets.address.empty() && !writes_packets)
         throw UsageError(fmt::format("--udp: found --out {}; expected --out FILE.pcap", options.out));
-    Config config = resolve_settings(options.settings);
+    Config config = make_config_from_settings(options.settings);
     config.dataset.path = options.dataset;
     if (!options.frames.empty()) {
-        const FrameRange range = parse_frames(options.frames);
+        const FrameRange range = parse_frame_range(options.frames);
         config.dataset.frames_begin = range.begin;
         config.dataset.frames_end = range.end;
     }
-    const Sequence sequence = load_dataset(config, options.quiet);
-    catch_interrupts();
-    if (writes_packets) return convert_to_packets(sequence, options);
-    Progress progress(options.quiet);
-    const relidar::Progress shown = make_progress(progress);
+    const LidarSequence sequence = load_dataset(config, options.quiet);
+    install_interrupt_handlers();
+    if (writes_packets) return write_log_as_packets(sequence, options);
+    TerminalProgress progress(options.quiet);
+    const relidar::ProgressReporter shown = make_progress_callback(progress);
     const bool has_poses = config.dataset.poses != kNoPoses && sequence.has_poses;
     save_folder(sequence, options.out,
                 {options.overwrite, has_poses, [&](std::string_view description, double done) {
-                     stop_if_interrupted();
+                     throw_if_interrupted();
                      shown(description, done);
                  }});
     end_progress_line();
@@ -106,7 +106,7 @@ Examples:
 
 }  // namespace
 
-void add_convert(CLI::App& app, Call& call) {
+void add_convert_command(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command =
         app.add_subcommand("convert", "write a log as a folder (npz, text, JSON) or as packets");
     const auto options = std::make_shared<ConvertOptions>();
@@ -116,14 +116,16 @@ void add_convert(CLI::App& app, Call& call) {
         ->type_name("FOLDER|FILE.pcap");
     command->add_option("--frames", options->frames, "frames to convert, first:end (default: all)")
         ->type_name("A:B");
-    add_set_option(*command, options->settings.sets);
+    add_setting_override_option(*command, options->settings.sets);
     add_packet_options(*command, options->packets,
                        "with --out FILE.pcap: also send the packets to this address",
                        "write the file first, then send the packets with the timing of the sensor");
     command->add_flag("--force", options->overwrite, "replace an existing folder or file of this name");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(kConvertHelp);
-    command->callback([&call, options] { call.run = [options] { run_convert(*options); }; });
+    command->callback([&selected_command, options] {
+        selected_command.run = [options] { run_convert_command(*options); };
+    });
 }
 
 }  // namespace relidar::cli

@@ -28,32 +28,32 @@ struct ExportOptions {
     bool quiet = false;
 };
 
-std::string format_scene_sizes(const Scene& scene) {
+std::string format_surfel_and_model_counts(const Scene& scene) {
     return fmt::format("{} surfels, {} model{}", count_surfels(scene), scene.models.size(),
                        scene.models.size() == 1 ? "" : "s");
 }
 
 /// Returns the path of the log's first LiDAR in the world frame of the dataset.
-PoseTrack make_sensor_path(const Sequence& sequence) {
-    return shift_track(sequence.world_from_sensor(0), sequence.world_offset_m);
+PoseTrack make_sensor_trajectory(const LidarSequence& sequence) {
+    return shift_track(sequence.get_world_from_sensor(0), sequence.world_offset_m);
 }
 
 /// Writes the scene of each frame as a PLY file, such as FOLDER/000010.ply. The actors
 /// are at their poses at the time of the frame. Positions are in relidar's world frame.
-void export_frames(const ExportOptions& options) {
-    const Run run = load_run(options.run);
-    const std::vector<int> positions = choose_frames(run, options.frames, options.quiet);
+void export_frames_as_ply(const ExportOptions& options) {
+    const TrainedRun run = load_run(options.run);
+    const std::vector<int> positions = select_frame_positions(run, options.frames, options.quiet);
     const LockedFolder folder(options.out);
     const Scene scene = load_all_blocks(run.scene);
     const glm::dvec3& offset = run.sequence.world_offset_m;
-    catch_interrupts();
-    Progress progress(options.quiet);
+    install_interrupt_handlers();
+    TerminalProgress progress(options.quiet);
     for (std::size_t done = 0; done < positions.size(); ++done) {
-        stop_if_interrupted();
-        progress.count("writing scenes", done, positions.size());
-        const Frame& frame = run.sequence.frames[std::size_t(positions[done])];
-        const Surfels surfels =
-            bake_instances(scene, place_instances(scene, run.sequence, get_sweep_moment(frame)));
+        throw_if_interrupted();
+        progress.show_step_progress("writing scenes", done, positions.size());
+        const LidarFrame& frame = run.sequence.frames[std::size_t(positions[done])];
+        const Surfels surfels = bake_surfels_to_world(
+            scene, compute_instance_poses(scene, run.sequence, get_sweep_moment(frame)));
         write_surfel_ply(folder.path() / fmt::format("{:06}.ply", frame.index), surfels,
                          {{"time_s", fmt::format("{}", frame.time_s)},
                           {"add_to_positions_m", fmt::format("{} {} {}", offset.x, offset.y, offset.z)}});
@@ -64,7 +64,7 @@ void export_frames(const ExportOptions& options) {
                           positions.size() == 1 ? "" : "s"));
 }
 
-void run_export(const ExportOptions& options) {
+void run_export_command(const ExportOptions& options) {
     const std::filesystem::path out = options.out;
     if (options.frames) {
         if (out.has_extension())
@@ -72,22 +72,23 @@ void run_export(const ExportOptions& options) {
                 "--out {}: the name ends in {}; expected the name of a folder, because --frames writes "
                 "one file per frame",
                 options.out, out.extension().string()));
-        return export_frames(options);
+        return export_frames_as_ply(options);
     }
-    const std::optional<std::string> format = find_known_name(out.extension().string(), {".ply", ".csv"});
+    const std::optional<std::string> format =
+        find_name_ignoring_case(out.extension().string(), {".ply", ".csv"});
     if (!format) {
-        const std::string found =
+        const std::string actual_ending =
             out.has_extension() ? "the ending " + out.extension().string() : "no ending";
         throw UsageError(fmt::format(
             "--out {}: found {}, expected a name that ends in .ply (surfels) or .csv (the sensor's path)",
-            options.out, found));
+            options.out, actual_ending));
     }
-    const Run run = load_run(options.run);
+    const TrainedRun run = load_run(options.run);
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
     if (*format == ".ply") write_surfel_ply(out, load_all_blocks(run.scene));
-    else write_trajectory(out, make_sensor_path(run.sequence));
+    else write_trajectory_csv(out, make_sensor_trajectory(run.sequence));
     const std::string written = *format == ".ply"
-                                    ? format_scene_sizes(run.scene)
+                                    ? format_surfel_and_model_counts(run.scene)
                                     : fmt::format("{} poses", run.sequence.world_from_vehicle.pose.size());
     if (!options.quiet) print(fmt::format("{}: {}\n", make_absolute_path(options.out), written));
 }
@@ -106,7 +107,7 @@ Examples:
 
 }  // namespace
 
-void add_export(CLI::App& app, Call& call) {
+void add_export_command(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command =
         app.add_subcommand("export", "write surfels as PLY for 3D Gaussian splatting, or the sensor's path");
     const auto options = std::make_shared<ExportOptions>();
@@ -123,7 +124,8 @@ void add_export(CLI::App& app, Call& call) {
         ->type_name("A:B");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(kExportHelp);
-    command->callback([&call, options] { call.run = [options] { run_export(*options); }; });
+    command->callback(
+        [&selected_command, options] { selected_command.run = [options] { run_export_command(*options); }; });
 }
 
 }  // namespace relidar::cli

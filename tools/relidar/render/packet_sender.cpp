@@ -29,18 +29,20 @@ using Clock = std::chrono::steady_clock;
 class UdpSocket {
 public:
     explicit UdpSocket(const HostPort& address) {
-        addrinfo hints{}, *found = nullptr;
+        addrinfo hints{}, *addresses = nullptr;
         hints.ai_socktype = SOCK_DGRAM;
         const std::string port = fmt::format("{}", address.port);
-        if (const int error = ::getaddrinfo(address.host.c_str(), port.c_str(), &hints, &found); error != 0)
+        if (const int error = ::getaddrinfo(address.host.c_str(), port.c_str(), &hints, &addresses);
+            error != 0)
             throw UsageError(
                 fmt::format("--udp {}: {}; expected a reachable host", address.host, ::gai_strerror(error)));
-        socket_ = ::socket(found->ai_family, found->ai_socktype, found->ai_protocol);
+        socket_ = ::socket(addresses->ai_family, addresses->ai_socktype, addresses->ai_protocol);
         const int on = 1;
         (void)::setsockopt(socket_, SOL_SOCKET, SO_BROADCAST, &on, sizeof on);
-        const bool is_connected = socket_ >= 0 && ::connect(socket_, found->ai_addr, found->ai_addrlen) == 0;
+        const bool is_connected =
+            socket_ >= 0 && ::connect(socket_, addresses->ai_addr, addresses->ai_addrlen) == 0;
         const std::string why = std::strerror(errno);
-        ::freeaddrinfo(found);
+        ::freeaddrinfo(addresses);
         if (!is_connected && socket_ >= 0) ::close(socket_);
         if (!is_connected) throw DataError(fmt::format("--udp {}:{}: {}", address.host, address.port, why));
     }
@@ -49,7 +51,7 @@ public:
         if (socket_ >= 0) ::close(socket_);
     }
 
-    void send(const std::string& bytes) {
+    void send_datagram(const std::string& bytes) {
         // ECONNREFUSED means that nobody received an earlier packet. The current packet
         // was not sent in this case, so it is sent again.
         if (::send(socket_, bytes.data(), bytes.size(), 0) < 0 && errno == ECONNREFUSED)
@@ -67,25 +69,25 @@ struct QueuedPacket {
 
 }  // namespace
 
-void add_packet_options(CLI::App& command, PacketTarget& target, const std::string& receiver,
-                        const std::string& pace) {
-    command.add_option("--udp", target.address, receiver)->type_name("HOST:PORT");
-    command.add_flag("--realtime", target.is_realtime, "with --udp: " + pace);
+void add_packet_options(CLI::App& command, PacketDestination& target, const std::string& udp_help_text,
+                        const std::string& realtime_help_text) {
+    command.add_option("--udp", target.address, udp_help_text)->type_name("HOST:PORT");
+    command.add_flag("--realtime", target.is_realtime, "with --udp: " + realtime_help_text);
 }
 
-void check_packet_target(const PacketTarget& target) {
+void check_packet_target(const PacketDestination& target) {
     if (!target.address.empty()) (void)parse_host_port(target.address, "--udp", 1);
     else if (target.is_realtime)
         throw UsageError("--realtime: found no --udp; expected the address of the receiver");
 }
 
-void check_packet_options(const PacketTarget& target, const std::vector<std::string>& formats, bool merges,
-                          int n_processes) {
+void check_packet_options(const PacketDestination& target, const std::vector<std::string>& formats,
+                          bool merges_scans, int n_processes) {
     if (!target.address.empty() && n_processes > 1)
         throw UsageError(fmt::format("--udp: found {} MPI processes; expected one", n_processes));
     const bool writes_packets =
         !target.address.empty() || std::ranges::find(formats, "pcap") != formats.end();
-    if (writes_packets && merges)
+    if (writes_packets && merges_scans)
         throw UsageError(
             "--merge: found --udp or --format pcap; expected neither, because packets hold the "
             "scan of a single sensor");
@@ -99,7 +101,7 @@ struct PacketQueue::Impl {
     bool is_realtime, is_interruptible;
 };
 
-PacketQueue::PacketQueue(const PacketTarget& target, std::size_t n_sensors)
+PacketQueue::PacketQueue(const PacketDestination& target, std::size_t n_sensors)
     : impl_(new Impl{{}, {}, 0, target.is_realtime, target.is_interruptible}) {
     HostPort address = parse_host_port(target.address, "--udp", 1);
     for (std::size_t s = 0; s < n_sensors; ++s, ++address.port) impl_->sockets.emplace_back(address);
@@ -107,48 +109,48 @@ PacketQueue::PacketQueue(const PacketTarget& target, std::size_t n_sensors)
 
 PacketQueue::~PacketQueue() = default;
 
-void PacketQueue::add(std::vector<std::vector<SensorPacket>> packets) {
-    for (std::size_t s = 0; s < packets.size(); ++s)
-        for (SensorPacket& packet : packets[s]) impl_->queue.push_back({s, std::move(packet)});
-    if (!impl_->is_realtime) send_all();
+void PacketQueue::send_or_queue_packets(std::vector<std::vector<SensorPacket>> packets_by_sensor) {
+    for (std::size_t s = 0; s < packets_by_sensor.size(); ++s)
+        for (SensorPacket& packet : packets_by_sensor[s]) impl_->queue.push_back({s, std::move(packet)});
+    if (!impl_->is_realtime) send_queued_packets();
 }
 
-void PacketQueue::send_all() {
+void PacketQueue::send_queued_packets() {
     std::ranges::stable_sort(impl_->queue, {},
                              [](const QueuedPacket& queued) { return queued.packet.time_ns; });
     const Clock::time_point start = Clock::now();
     for (const auto& [sensor, packet] : impl_->queue) {
         const std::int64_t after_ns = packet.time_ns - impl_->queue.front().packet.time_ns;
         if (impl_->is_realtime) std::this_thread::sleep_until(start + std::chrono::nanoseconds(after_ns));
-        if (impl_->is_interruptible) stop_if_interrupted();
-        impl_->sockets[sensor].send(packet.bytes);
+        if (impl_->is_interruptible) throw_if_interrupted();
+        impl_->sockets[sensor].send_datagram(packet.bytes);
         ++impl_->n_sent;
     }
     impl_->queue.clear();
 }
 
-std::size_t PacketQueue::n_sent() const { return impl_->n_sent; }
+std::size_t PacketQueue::get_sent_packet_count() const { return impl_->n_sent; }
 
 struct PacketSender::Impl {
-    ScanPackets packets;
+    ScanPacketEncoder packets;
     PacketQueue queue;
 };
 
-PacketSender::PacketSender(const PacketTarget& target, const std::vector<ScanFormat>& sensors)
-    : impl_(new Impl{ScanPackets(sensors), PacketQueue(target, sensors.size())}) {}
+PacketSender::PacketSender(const PacketDestination& target, const std::vector<ScanOutputOptions>& sensors)
+    : impl_(new Impl{ScanPacketEncoder(sensors), PacketQueue(target, sensors.size())}) {}
 
 PacketSender::~PacketSender() = default;
 
-void PacketSender::add(std::span<const RenderedScan> scans) {
-    impl_->queue.add(impl_->packets.encode(scans));
+void PacketSender::send_or_queue_scans(std::span<const RenderedScan> scans) {
+    impl_->queue.send_or_queue_packets(impl_->packets.encode_scans_as_packets(scans));
 }
 
-void PacketSender::send_all() { impl_->queue.send_all(); }
+void PacketSender::send_queued_packets() { impl_->queue.send_queued_packets(); }
 
-std::string PacketSender::finish() {
-    impl_->queue.add(impl_->packets.finish());
-    impl_->queue.send_all();
-    return fmt::format("{} packets sent\n", impl_->queue.n_sent());
+std::string PacketSender::send_remaining_packets() {
+    impl_->queue.send_or_queue_packets(impl_->packets.flush_remaining_packets());
+    impl_->queue.send_queued_packets();
+    return fmt::format("{} packets sent\n", impl_->queue.get_sent_packet_count());
 }
 
 }  // namespace relidar::cli

@@ -15,12 +15,12 @@ class App;
 }
 namespace relidar {
 struct RenderedScan;
-struct ScanFormat;
+struct ScanOutputOptions;
 }  // namespace relidar
 
 namespace relidar::cli {
 
-struct PacketTarget {
+struct PacketDestination {
     /// Address HOST:PORT of the receiver. If it is empty, no packets are sent. With
     /// several sensors, the first sensor uses this port and the others use the following
     /// ports.
@@ -31,35 +31,35 @@ struct PacketTarget {
     /// If false, Ctrl-C does not stop the sending, because the caller finishes its work.
     bool is_interruptible = true;
 };
-/// @param receiver  help text for --udp
-/// @param pace  help text for --realtime
-void add_packet_options(CLI::App& command, PacketTarget& target, const std::string& receiver,
-                        const std::string& pace);
+/// @param udp_help_text  help text for --udp
+/// @param realtime_help_text  help text for --realtime
+void add_packet_options(CLI::App& command, PacketDestination& target, const std::string& udp_help_text,
+                        const std::string& realtime_help_text);
 /// @throws UsageError if the address is invalid, or --realtime is used without --udp
-void check_packet_target(const PacketTarget& target);
+void check_packet_target(const PacketDestination& target);
 /// Checks the options for sending packets of rendered scans.
 /// @param formats  formats of the output files
-/// @param merges  true if the scans of all sensors are merged into one
+/// @param merges_scans  true if the scans of all sensors are merged into one
 /// @param n_processes  number of MPI processes
 /// @throws UsageError in the same cases as check_packet_target(). Also if merged scans
 /// should be written as packets, or several processes should send packets.
-void check_packet_options(const PacketTarget& target, const std::vector<std::string>& formats, bool merges,
-                          int n_processes);
+void check_packet_options(const PacketDestination& target, const std::vector<std::string>& formats,
+                          bool merges_scans, int n_processes);
 
 /// Sends packets to a UDP socket per sensor.
 class PacketQueue {
 public:
     /// Opens the sockets.
     /// @throws UsageError if the host is unknown
-    PacketQueue(const PacketTarget& target, std::size_t n_sensors);
+    PacketQueue(const PacketDestination& target, std::size_t n_sensors);
     ~PacketQueue();
 
-    /// Sends packets, or stores them until send_all() sends them.
-    /// @param packets  [sensors]
-    void add(std::vector<std::vector<SensorPacket>> packets);
+    /// Sends packets, or stores them until send_queued_packets() sends them.
+    /// @param packets_by_sensor  [sensors]
+    void send_or_queue_packets(std::vector<std::vector<SensorPacket>> packets_by_sensor);
     /// Sends the stored packets with the timing of the sensor.
-    void send_all();
-    std::size_t n_sent() const;
+    void send_queued_packets();
+    std::size_t get_sent_packet_count() const;
 
 private:
     struct Impl;
@@ -72,18 +72,18 @@ public:
     /// Opens a UDP socket to the receiver.
     /// @throws UsageError if the host is unknown, or if relidar cannot write packets of a
     /// sensor
-    PacketSender(const PacketTarget& target, const std::vector<ScanFormat>& sensors);
+    PacketSender(const PacketDestination& target, const std::vector<ScanOutputOptions>& sensors);
     ~PacketSender();
 
-    /// Sends the packets of one sweep, or stores them until send_all() or finish() sends
-    /// them.
+    /// Sends the packets of one sweep, or stores them until send_queued_packets() or
+    /// send_remaining_packets() sends them.
     /// @param scans  one scan for each sensor
-    void add(std::span<const RenderedScan> scans);
+    void send_or_queue_scans(std::span<const RenderedScan> scans);
     /// Sends the stored packets with the timing of the sensor.
-    void send_all();
+    void send_queued_packets();
     /// Sends the remaining packets.
     /// @return a line that tells the user how many packets were sent
-    std::string finish();
+    std::string send_remaining_packets();
 
 private:
     struct Impl;

@@ -19,62 +19,65 @@ constexpr const char* kKind = "synthetic:";
 
 /// Returns the folder of the synthetic street. The dataset path starts with a prefix such
 /// as "synthetic:", which is removed.
-std::filesystem::path get_street_folder(const Run& run) {
+std::filesystem::path get_synthetic_street_folder(const TrainedRun& run) {
     const std::string& path = run.config.dataset.path;
     return path.starts_with(kKind) ? path.substr(std::string(kKind).size()) : path;
 }
 
 /// Returns the number of the synthetic car from which a model was trained. The name of
 /// the model is this number, even after an edit.
-std::size_t find_car(const Model& model, const std::string& track) {
+std::size_t parse_synthetic_car_number(const SurfelModel& model, const std::string& track_id) {
     std::size_t car = 0;
     const auto [end, error] = std::from_chars(model.name.data(), model.name.data() + model.name.size(), car);
     if (error != std::errc() || end != model.name.data() + model.name.size())
         throw DataError(fmt::format(
             "cannot render the edited street: track {} has the model \"{}\"; expected the number of "
             "a car of the synthetic street",
-            track, model.name));
+            track_id, model.name));
     return car;
 }
 
-std::vector<StreetCar> list_cars(const Run& run) {
-    std::vector<StreetCar> cars;
-    for (const Instance& instance : run.scene.instances) {
+std::vector<SyntheticCar> list_synthetic_cars(const TrainedRun& run) {
+    std::vector<SyntheticCar> cars;
+    for (const ModelInstance& instance : run.scene.instances) {
         const BoxTrack* box = find_box(run.sequence, instance.track);
-        if (box) cars.push_back({find_car(run.scene.models[instance.model], instance.track), *box});
+        if (box)
+            cars.push_back(
+                {parse_synthetic_car_number(run.scene.models[instance.model], instance.track), *box});
     }
     return cars;
 }
 
 }  // namespace
 
-bool can_recast_scans(const Run& run) {
+bool can_compute_exact_scans(const TrainedRun& run) {
     if (run.edits.empty()) return false;
     const std::string& path = run.config.dataset.path;
-    return path.starts_with(kKind) || std::filesystem::exists(get_street_folder(run) / "street.toml");
+    return path.starts_with(kKind) ||
+           std::filesystem::exists(get_synthetic_street_folder(run) / "street.toml");
 }
 
-std::vector<Scan> attach_exact_scans(Run& run) {
-    const SyntheticOptions street = read_synthetic(get_street_folder(run));
-    const std::vector<StreetCar> cars = list_cars(run);
+std::vector<Scan> set_exact_held_out_scans(TrainedRun& run) {
+    const SyntheticOptions street = read_synthetic_options(get_synthetic_street_folder(run));
+    const std::vector<SyntheticCar> cars = list_synthetic_cars(run);
     const RayTable rays = make_rays(run.sequence.lidars[0].sensor);
     const RangeLimits limits = make_configured_sensor(run.config, run.sequence).limits;
     // uses LiDAR 0, because a synthetic street has exactly one LiDAR
-    const PoseTrack track = run.sequence.world_from_sensor(0);
+    const PoseTrack track = run.sequence.get_world_from_sensor(0);
     std::vector<Scan> before;
     for (const int position : run.split.test) {
-        Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
-        frame.scan = cast_synthetic_street(street, cars, rays, track, frame.time_s);
-        before.push_back(cast_synthetic_street(street, rays, track, frame.time_s));
-        for (Scan* scan : {&frame.scan, &before.back()}) drop_outside_limits(*scan, limits);
+        LidarFrame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
+        frame.scan = cast_rays_into_synthetic_street(street, cars, rays, track, frame.time_s);
+        before.push_back(cast_rays_into_synthetic_street(street, rays, track, frame.time_s));
+        for (Scan* scan : {&frame.scan, &before.back()}) remove_returns_outside_limits(*scan, limits);
     }
     return before;
 }
 
-Region find_edited_region(const RangeImage& edited, const RangeImage& original) {
-    Region region{"edited", std::vector<bool>(edited.range_m.size())};
+PixelRegion find_edited_region(const RangeImage& edited_image, const RangeImage& original_image) {
+    PixelRegion region{"edited", std::vector<bool>(edited_image.range_m.size())};
     for (std::size_t i = 0; i < region.pixels.size(); ++i)
-        region.pixels[i] = std::abs(edited.range_m[i] - original.range_m[i]) > kSameRange_m;
+        region.pixels[i] = std::abs(edited_image.range_m[i] - original_image.range_m[i]) > kSameRange_m;
     return region;
 }
 

@@ -14,9 +14,9 @@ namespace {
 
 constexpr std::string_view kName = "{name}";
 
-std::string insert_name(std::string text, const std::string& name) {
-    for (std::size_t at = 0; (at = text.find(kName, at)) != std::string::npos; at += name.size())
-        text.replace(at, kName.size(), name);
+std::string replace_name_placeholder(std::string text, const std::string& sensor_name) {
+    for (std::size_t at = 0; (at = text.find(kName, at)) != std::string::npos; at += sensor_name.size())
+        text.replace(at, kName.size(), sensor_name);
     return text;
 }
 
@@ -40,7 +40,7 @@ void check_recording_names(const RecordingNames& names, const std::vector<std::s
                            bool is_rig) {
     const auto check = [&](const char* option, const std::string& text) {
         if (text.empty()) return;
-        if (std::ranges::none_of(formats, is_recording))
+        if (std::ranges::none_of(formats, is_recording_format))
             throw UsageError(fmt::format(
                 "{} has no effect on the selected formats; expected mcap or rosbag in --format, because "
                 "other files have no topics and frame ids",
@@ -54,11 +54,13 @@ void check_recording_names(const RecordingNames& names, const std::vector<std::s
     check("--topic", names.topic), check("--frame-id", names.frame_id);
 }
 
-void set_recording_name(ScanFormat& format, const std::string& sensor, const RecordingNames& names) {
-    relidar::set_recording_name(format, sensor);
-    const std::string name = sensor.empty() ? format.frame_id : sensor;
-    if (!names.topic.empty()) format.topic = insert_name(names.topic, make_topic_word(name));
-    if (!names.frame_id.empty()) format.frame_id = insert_name(names.frame_id, name);
+void set_topic_and_frame_id(ScanOutputOptions& format, const std::string& sensor_name,
+                            const RecordingNames& names) {
+    relidar::set_recording_topic(format, sensor_name);
+    const std::string name = sensor_name.empty() ? format.frame_id : sensor_name;
+    if (!names.topic.empty())
+        format.topic = replace_name_placeholder(names.topic, make_valid_topic_name(name));
+    if (!names.frame_id.empty()) format.frame_id = replace_name_placeholder(names.frame_id, name);
 }
 
 }  // namespace relidar::cli

@@ -10,7 +10,7 @@ namespace CLI {
 class App;
 }
 namespace relidar {
-struct ScanFormat;
+struct ScanOutputOptions;
 }
 
 namespace relidar::cli {
@@ -27,7 +27,8 @@ void add_recording_options(CLI::App& command, RecordingNames& names);
 /// same name
 void check_recording_names(const RecordingNames& names, const std::vector<std::string>& formats, bool is_rig);
 /// Sets the topic and the frame id of one sensor in its output format.
-/// @param sensor name of the sensor in the rig or in the log; may be empty
-void set_recording_name(ScanFormat& format, const std::string& sensor, const RecordingNames& names);
+/// @param sensor_name name of the sensor in the rig or in the log; may be empty
+void set_topic_and_frame_id(ScanOutputOptions& format, const std::string& sensor_name,
+                            const RecordingNames& names);
 
 }  // namespace relidar::cli

@@ -38,16 +38,16 @@ struct RenderOptions {
     std::string out;
     std::optional<std::string> frames;
     std::string offset;
-    TrajectoryChoice trajectory;
+    TrajectoryOptions trajectory;
     std::string lidar;
     std::string sensor;
     std::string formats = "npz";
     std::optional<std::string> channels;
     RecordingNames names;
-    PacketTarget packets;
+    PacketDestination packets;
     std::vector<std::string> sets;
     std::vector<std::string> only;
-    DeviceChoice device;
+    DeviceCommandOptions device;
     std::string point_frame = "sensor";
     std::optional<std::uint64_t> sample;
     std::string weather;
@@ -65,9 +65,9 @@ struct RenderOptions {
 constexpr double kFarthestOffset_m = 10'000.0;
 
 /// Parses the text "x,y,z" or "x,y,z,yaw_deg" as a pose in the sensor's frame.
-Pose parse_offset(const std::string& text) {
+Pose parse_sensor_offset(const std::string& text) {
     if (text.empty()) return {};
-    const std::vector<double> v = parse_list("--offset", text);
+    const std::vector<double> v = parse_number_list("--offset", text);
     if (v.size() != 3 && v.size() != 4)
         throw UsageError(fmt::format("--offset: found {} numbers in \"{}\", expected x,y,z or x,y,z,yaw_deg",
                                      v.size(), text));
@@ -88,32 +88,34 @@ Pose parse_offset(const std::string& text) {
 
 /// Parses a list of file formats such as "npz,ply". Upper and lower case and spaces are
 /// allowed.
-std::vector<std::string> parse_formats(const std::string& list) {
+std::vector<std::string> parse_file_formats(const std::string& format_list) {
     const std::vector<std::string> known_formats = list_scan_formats();
     std::vector<std::string> formats;
-    for (const std::string& word : split_text(list, ',')) {
-        const std::string name = remove_blanks(word);
-        const std::optional<std::string> format = find_known_name(name, known_formats);
+    for (const std::string& word : split_text(format_list, ',')) {
+        const std::string name = trim_blanks(word);
+        const std::optional<std::string> format = find_name_ignoring_case(name, known_formats);
         if (!format)
             throw UsageError(fmt::format("--format: \"{}\" is unknown{} (known formats: {})", name,
-                                         suggest_name(name, known_formats), fmt::join(known_formats, ", ")));
+                                         format_name_suggestion(name, known_formats),
+                                         fmt::join(known_formats, ", ")));
         formats.push_back(*format);
     }
     return formats;
 }
 
-PointFrame parse_point_frame(const std::string& name) {
-    if (find_known_name(name, {"sensor"})) return PointFrame::sensor;
-    if (find_known_name(name, {"world"})) return PointFrame::world;
+PointCoordinateFrame parse_point_frame(const std::string& name) {
+    if (find_name_ignoring_case(name, {"sensor"})) return PointCoordinateFrame::sensor;
+    if (find_name_ignoring_case(name, {"world"})) return PointCoordinateFrame::world;
     throw UsageError(
         fmt::format("--frame: found \"{}\"; expected sensor or world (use --frames to select scans)", name));
 }
 
 /// Removes the boxes of actors that are not rendered, so that they do not appear in
 /// recordings.
-void remove_hidden_actors(ScanFormat& format, const Run& run, const std::vector<std::string>& only) {
-    if (only.empty()) return;
-    const std::vector<bool> shown = select_instances(run.scene, only);
+void remove_hidden_actor_boxes(ScanOutputOptions& format, const TrainedRun& run,
+                               const std::vector<std::string>& visible_parts) {
+    if (visible_parts.empty()) return;
+    const std::vector<bool> shown = select_instances(run.scene, visible_parts);
     std::erase_if(format.actors, [&](const BoxTrack& box) {
         for (std::size_t i = 0; i < shown.size(); ++i)
             if (run.scene.instances[i].track == box.id) return !shown[i];
@@ -122,19 +124,22 @@ void remove_hidden_actors(ScanFormat& format, const Run& run, const std::vector<
 }
 
 /// Returns the output format of the scans of one sensor.
-/// @param name name of the sensor in a rig; empty if there is only one sensor
-ScanFormat make_scan_file_format(const RenderOptions& options, const Run& run, const SensorChoice& sensor,
-                                 const Pose& offset, const std::string& name) {
-    ScanFormat format = make_scan_format(run, sensor);
-    format.offset = offset;
-    set_recording_name(format, name.empty() ? run.sequence.lidars[std::size_t(sensor.lidar)].name : name,
-                       options.names);
+/// @param rig_sensor_name name of the sensor in a rig; empty if there is only one sensor
+ScanOutputOptions make_scan_output_format(const RenderOptions& options, const TrainedRun& run,
+                                          const SimulatedSensor& sensor, const Pose& sensor_offset,
+                                          const std::string& rig_sensor_name) {
+    ScanOutputOptions format = make_scan_format(run, sensor);
+    format.offset = sensor_offset;
+    set_topic_and_frame_id(
+        format,
+        rig_sensor_name.empty() ? run.sequence.lidars[std::size_t(sensor.lidar)].name : rig_sensor_name,
+        options.names);
     if (!options.trajectory.file.empty()) format.trajectory = make_absolute_path(options.trajectory.file);
-    format.formats = parse_formats(options.formats);
+    format.formats = parse_file_formats(options.formats);
     format.frame = parse_point_frame(options.point_frame);
     format.deskew = options.deskew;
     format.only = options.only;
-    remove_hidden_actors(format, run, options.only);
+    remove_hidden_actor_boxes(format, run, options.only);
     format.sample = options.sample;
     format.weather = parse_weather(options.weather);
     return format;
@@ -142,7 +147,7 @@ ScanFormat make_scan_file_format(const RenderOptions& options, const Run& run, c
 
 /// Checks that the command would not overwrite files in the output folder.
 /// @throws UsageError if the folder is a run, or if --force is needed to replace scans
-void check_empty(const std::filesystem::path& folder, const RenderOptions& options) {
+void check_no_files_overwritten(const std::filesystem::path& folder, const RenderOptions& options) {
     if (contains_run(folder))
         throw UsageError(fmt::format(
             "--out {}: this is a run folder; choose a different folder for its scans", folder.string()));
@@ -158,20 +163,20 @@ void check_empty(const std::filesystem::path& folder, const RenderOptions& optio
 
 /// Checks all options that do not depend on the run, before the run is loaded.
 /// @throws UsageError if an option is invalid
-void check_options(const RenderOptions& options, bool is_rig, const Ranks& ranks) {
-    for (const std::string& format : parse_formats(options.formats))
-        if (ranks.size() > 1 && is_recording(format))
+void check_render_options(const RenderOptions& options, bool is_rig, const MpiProcessGroup& ranks) {
+    for (const std::string& format : parse_file_formats(options.formats))
+        if (ranks.size() > 1 && is_recording_format(format))
             throw UsageError(fmt::format(
                 "--format {}: found {} MPI processes; expected one, because this format stores all scans "
                 "in one file",
                 format, ranks.size()));
-    check_recording_names(options.names, parse_formats(options.formats), is_rig && !options.merge);
+    check_recording_names(options.names, parse_file_formats(options.formats), is_rig && !options.merge);
     parse_point_frame(options.point_frame), parse_weather(options.weather);
-    check_packet_options(options.packets, parse_formats(options.formats), options.merge, ranks.size());
-    if (ranks.is_first()) check_empty(options.out, options);
+    check_packet_options(options.packets, parse_file_formats(options.formats), options.merge, ranks.size());
+    if (ranks.is_first()) check_no_files_overwritten(options.out, options);
     if (options.merge && !is_rig)
         throw UsageError("--merge needs a rig with several sensors, but --sensor names a single sensor");
-    const TrajectoryChoice& t = options.trajectory;
+    const TrajectoryOptions& t = options.trajectory;
     if (t.file.empty() && (t.rate_hz || !t.times.empty()))
         throw UsageError("--rate and --times need --trajectory, because they select times on a trajectory");
     if (!t.file.empty() && options.frames)
@@ -183,16 +188,17 @@ void check_options(const RenderOptions& options, bool is_rig, const Ranks& ranks
 
 /// A scan to render. `number` is part of the file name. `time_s` is the reference time of
 /// the sweep.
-struct Sweep {
+struct NumberedScanTime {
     int number;
     double time_s;
 };
 
-std::vector<Sweep> make_sweeps_of_log(const Run& run, const RenderOptions& options, int lidar) {
-    std::vector<Sweep> sweeps;
-    for (const int position : choose_frames(run, options.frames, options.quiet)) {
-        const Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
-        if (frame.lidar == lidar) sweeps.push_back({frame.index, frame.time_s});
+std::vector<NumberedScanTime> list_sweeps_of_log_frames(const TrainedRun& run, const RenderOptions& options,
+                                                        int lidar_index) {
+    std::vector<NumberedScanTime> sweeps;
+    for (const int position : select_frame_positions(run, options.frames, options.quiet)) {
+        const LidarFrame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
+        if (frame.lidar == lidar_index) sweeps.push_back({frame.index, frame.time_s});
     }
     if (sweeps.empty())
         throw UsageError(fmt::format("--lidar {}: this LiDAR has none of the selected frames of {}",
@@ -200,223 +206,238 @@ std::vector<Sweep> make_sweeps_of_log(const Run& run, const RenderOptions& optio
     return sweeps;
 }
 
-std::vector<Sweep> make_sweeps_along(const Run& run, const RenderOptions& options, const PoseTrack& track,
-                                     int lidar) {
-    const std::vector<double> times_s = list_scan_times(
-        options.trajectory, track, 1.0 / run.sequence.lidars[static_cast<std::size_t>(lidar)].period_s());
-    if (!options.quiet) note_times_beyond_log(run, track, times_s);
-    std::vector<Sweep> sweeps;
+std::vector<NumberedScanTime> list_sweeps_along_track(const TrainedRun& run, const RenderOptions& options,
+                                                      const PoseTrack& sensor_track, int lidar_index) {
+    const std::vector<double> times_s =
+        list_scan_times(options.trajectory, sensor_track,
+                        1.0 / run.sequence.lidars[static_cast<std::size_t>(lidar_index)].period_s());
+    if (!options.quiet) print_trajectory_outside_log_notes(run, sensor_track, times_s);
+    std::vector<NumberedScanTime> sweeps;
     for (const double t : times_s) sweeps.push_back({static_cast<int>(sweeps.size()), t});
     return sweeps;
 }
 
 /// Returns the output format of each sensor.
-std::vector<ScanFormat> make_sensor_formats(const RenderOptions& options, const Run& run,
-                                            const std::vector<TargetSensor>& targets, const Pose& offset) {
-    std::vector<ScanFormat> formats;
-    for (const TargetSensor& target : targets) {
-        formats.push_back(
-            make_scan_file_format(options, run, target.sensor, offset * target.mounting, target.folder));
+std::vector<ScanOutputOptions> make_output_format_per_sensor(
+    const RenderOptions& options, const TrainedRun& run, const std::vector<MountedSimulatedSensor>& targets,
+    const Pose& sensor_offset) {
+    std::vector<ScanOutputOptions> formats;
+    for (const MountedSimulatedSensor& target : targets) {
+        formats.push_back(make_scan_output_format(options, run, target.sensor,
+                                                  sensor_offset * target.mounting, target.folder));
         PacketFormatOptions& packets = formats.back().packets;
         if (target.spinning) packets.sensor = target.spinning;
-        packets.ouster_profile = read_ouster_profile(options.sensor);
+        packets.ouster_profile = read_ouster_packet_format(options.sensor);
     }
     return formats;
 }
 
 /// Returns the output format of scans that merge all sensors of a rig.
-ScanFormat make_merged_format(const RenderOptions& options, const Run& run,
-                              const std::vector<TargetSensor>& targets, const Pose& offset) {
-    SensorChoice rig = targets.front().sensor;
+ScanOutputOptions make_merged_output_format(const RenderOptions& options, const TrainedRun& run,
+                                            const std::vector<MountedSimulatedSensor>& targets,
+                                            const Pose& sensor_offset) {
+    SimulatedSensor rig = targets.front().sensor;
     rig.name = std::filesystem::path(options.sensor).stem().string();
-    for (const TargetSensor& w : targets) rig.returns = std::max(rig.returns, w.sensor.returns);
-    for (const TargetSensor& w : targets)
+    for (const MountedSimulatedSensor& w : targets) rig.returns = std::max(rig.returns, w.sensor.returns);
+    for (const MountedSimulatedSensor& w : targets)
         rig.limits = {std::min(rig.limits.min_m, w.sensor.limits.min_m),
                       std::max(rig.limits.max_m, w.sensor.limits.max_m)};
-    return make_scan_file_format(options, run, rig, offset, "");
+    return make_scan_output_format(options, run, rig, sensor_offset, "");
 }
 
 /// Output folders of a rendering: one folder per sensor, or one folder for merged scans.
 /// If there is a folder per sensor, `recordings` writes the scans of all sensors into
 /// common files.
-struct Output {
-    std::vector<ScanFolder> folders;
-    std::optional<ScanRecordings> recordings;
+struct RenderOutputs {
+    std::vector<ScanFolderWriter> folders;
+    std::optional<ScanRecordingsWriter> recordings;
     std::unique_ptr<PacketSender> sender;
 };
 
 /// Creates the output folders in the first MPI process. The other processes wait and then
 /// open these folders.
-Output make_output(const RenderOptions& options, const Run& run, const std::vector<TargetSensor>& targets,
-                   const Pose& offset, const Ranks& ranks) {
-    Output output;
-    std::vector<ScanFormat> sensors;
-    if (!ranks.is_first()) ranks.wait_for_all();
-    const auto add = [&](const std::filesystem::path& folder, const ScanFormat& format) {
-        if (!ranks.is_first()) return output.folders.push_back(ScanFolder::open_shared(folder, format));
-        if (folder != options.out) check_empty(folder, options), std::filesystem::create_directories(folder);
+RenderOutputs create_output_folders(const RenderOptions& options, const TrainedRun& run,
+                                    const std::vector<MountedSimulatedSensor>& targets,
+                                    const Pose& sensor_offset, const MpiProcessGroup& ranks) {
+    RenderOutputs output;
+    std::vector<ScanOutputOptions> sensors;
+    if (!ranks.is_first()) ranks.wait_for_all_ranks();
+    const auto add = [&](const std::filesystem::path& folder, const ScanOutputOptions& format) {
+        if (!ranks.is_first())
+            return output.folders.push_back(ScanFolderWriter::open_shared_folder(folder, format));
+        if (folder != options.out)
+            check_no_files_overwritten(folder, options), std::filesystem::create_directories(folder);
         output.folders.emplace_back(folder, format);
     };
-    if (options.merge) sensors = {make_merged_format(options, run, targets, offset)};
-    else sensors = make_sensor_formats(options, run, targets, offset);
+    if (options.merge) sensors = {make_merged_output_format(options, run, targets, sensor_offset)};
+    else sensors = make_output_format_per_sensor(options, run, targets, sensor_offset);
     if (!options.packets.address.empty())
         output.sender = std::make_unique<PacketSender>(options.packets, sensors);
     const bool is_rig = !options.merge && !targets.front().folder.empty();
     if (is_rig && ranks.is_first()) output.recordings.emplace(options.out, sensors);
     for (std::size_t s = 0; s < sensors.size(); ++s) {
-        if (is_rig) std::erase_if(sensors[s].formats, is_recording);
+        if (is_rig) std::erase_if(sensors[s].formats, is_recording_format);
         add(is_rig ? std::filesystem::path(options.out) / targets[s].folder
                    : std::filesystem::path(options.out),
             sensors[s]);
     }
-    if (ranks.is_first()) ranks.wait_for_all();
+    if (ranks.is_first()) ranks.wait_for_all_ranks();
     return output;
 }
 
 /// Writes the list of scans of all MPI processes, and completes the recordings.
-void finish_rendering(Output& output, const Ranks& ranks, bool quiet) {
+void finish_output_files(RenderOutputs& output, const MpiProcessGroup& ranks, bool quiet) {
     if (output.recordings) output.recordings->finish();
     if (output.sender) {
-        const std::string sent = output.sender->finish();
+        const std::string sent = output.sender->send_remaining_packets();
         if (!quiet) print(sent);
     }
-    for (ScanFolder& folder : output.folders) {
+    for (ScanFolderWriter& folder : output.folders) {
         std::vector<std::string> entries;
-        for (const std::string& of_one : ranks.gather(fmt::format("{}", fmt::join(folder.entries(), "\n"))))
+        for (const std::string& of_one : ranks.gather_texts_on_first_rank(
+                 fmt::format("{}", fmt::join(folder.get_summary_entries(), "\n"))))
             if (!of_one.empty())
                 for (const std::string& entry : split_text(of_one, '\n')) entries.push_back(entry);
-        folder.set_entries(std::move(entries));
+        folder.set_summary_entries(std::move(entries));
         if (ranks.is_first()) folder.finish();
-        if (!quiet) note_unseen_regions(folder.entries(), folder.path().string());
+        if (!quiet) print_unobserved_space_note(folder.get_summary_entries(), folder.path().string());
     }
 }
 
 /// Renders one sweep after the other and writes the scans to files.
 class SweepRenderer {
 public:
-    SweepRenderer(ScanRenderer& renderer, const Run& run, const RenderOptions& options,
-                  const std::vector<TargetSensor>& targets, const Pose& offset, const PoseTrack& track)
+    SweepRenderer(ScanRenderer& renderer, const TrainedRun& run, const RenderOptions& options,
+                  const std::vector<MountedSimulatedSensor>& targets, const Pose& offset,
+                  const PoseTrack& track)
         : renderer_(renderer),
           run_(run),
           options_(options),
           targets_(targets),
           offset_(offset),
           track_(track) {
-        for (const TargetSensor& w : targets) mountings_.push_back(w.mounting);
+        for (const MountedSimulatedSensor& w : targets) mountings_.push_back(w.mounting);
     }
 
-    void render(const Sweep& sweep, Output& output) {
+    void render_and_write_sweep(const NumberedScanTime& sweep, RenderOutputs& output) {
         std::vector<RenderedScan> scans;
-        for (const TargetSensor& w : targets_) {
-            stop_if_interrupted();
+        for (const MountedSimulatedSensor& w : targets_) {
+            throw_if_interrupted();
             scans.push_back(
-                drives() ? renderer_.render(w.sensor, {sweep.time_s, mount_on_track(track_, w.mounting)},
-                                            options_.sample)
-                         : renderer_.render(w.sensor, sweep.time_s, offset_ * w.mounting, options_.sample));
+                follows_user_trajectory()
+                    ? renderer_.render(w.sensor, {sweep.time_s, compute_mounted_track(track_, w.mounting)},
+                                       options_.sample)
+                    : renderer_.render(w.sensor, sweep.time_s, offset_ * w.mounting, options_.sample));
             trace_ms_ += scans.back().trace_ms;
             n_rays_ += double(scans.back().image.range_m.size());
-            scans.back().unseen_sides = find_unseen_sides(scans.back(), run_.scene, run_.sequence);
-            count(scans.back());
+            scans.back().unseen_sides = find_unobserved_actor_sides(scans.back(), run_.scene, run_.sequence);
+            add_scan_statistics(scans.back());
         }
-        if (output.sender) output.sender->add(scans);
+        if (output.sender) output.sender->send_or_queue_scans(scans);
         if (options_.merge) scans = {merge_scans(scans, mountings_)};
-        for (std::size_t s = 0; s < scans.size(); ++s) output.folders[s].write(sweep.number, scans[s]);
-        if (output.recordings) output.recordings->write(scans);
+        for (std::size_t s = 0; s < scans.size(); ++s) output.folders[s].write_scan(sweep.number, scans[s]);
+        if (output.recordings) output.recordings->write_scans(scans);
     }
-    bool drives() const { return !options_.trajectory.file.empty(); }
+    bool follows_user_trajectory() const { return !options_.trajectory.file.empty(); }
     /// Returns a one-line summary for the user.
-    /// @param n_sweeps number of sweeps that this process has rendered
-    /// @param n_all number of sweeps that all MPI processes have rendered
-    std::string summary(std::size_t n_sweeps, std::size_t n_all, int n_processes) const {
-        const double n = double(n_sweeps);
+    /// @param n_local_sweeps number of sweeps that this process has rendered
+    /// @param n_total_sweeps number of sweeps that all MPI processes have rendered
+    std::string format_render_summary(std::size_t n_local_sweeps, std::size_t n_total_sweeps,
+                                      int n_processes) const {
+        const double n = double(n_local_sweeps);
         return fmt::format(
             "wrote {} scans of {:.0f} rays in {} ({}): {:.1f} % of the rays return{}; tracing took "
             "{:.1f} ms per scan, {:.3f} Mrays/s{}\n",
-            n_all, n_rays_ / n, options_.out, fmt::join(parse_formats(options_.formats), ", "),
+            n_total_sweeps, n_rays_ / n, options_.out, fmt::join(parse_file_formats(options_.formats), ", "),
             100.0 * n_returns_ / n_rays_,
-            has_seen_share_ ? fmt::format(", {:.1f} % of the rays cross space that the log has not observed",
-                                          100.0 * n_unseen_ / n_rays_)
-                            : "",
+            has_unseen_share_
+                ? fmt::format(", {:.1f} % of the rays cross space that the log has not observed",
+                              100.0 * n_unseen_ / n_rays_)
+                : "",
             trace_ms_ / n, trace_ms_ > 0.0 ? 1e-3 * n_rays_ / trace_ms_ : 0.0,
             n_processes > 1 ? fmt::format(" in the first of {} processes", n_processes) : "");
     }
 
 private:
     ScanRenderer& renderer_;
-    const Run& run_;
+    const TrainedRun& run_;
     const RenderOptions& options_;
-    const std::vector<TargetSensor>& targets_;
+    const std::vector<MountedSimulatedSensor>& targets_;
     const Pose offset_;
     const PoseTrack track_;
     std::vector<Pose> mountings_;
     double trace_ms_ = 0.0, n_rays_ = 0.0, n_returns_ = 0.0, n_unseen_ = 0.0;
-    bool has_seen_share_ = false;
+    bool has_unseen_share_ = false;
 
-    void count(const RenderedScan& scan) {
+    void add_scan_statistics(const RenderedScan& scan) {
         for (std::size_t i = 0; i < scan.image.range_m.size(); ++i)
-            n_returns_ += is_returned(scan.image.drop_prob[i], scan.image.range_m[i]);
+            n_returns_ += is_ray_returned(scan.image.drop_prob[i], scan.image.range_m[i]);
         if (!scan.unseen_share) return;
-        has_seen_share_ = true;
+        has_unseen_share_ = true;
         n_unseen_ += *scan.unseen_share * double(scan.image.range_m.size());
     }
 };
 
-void run_render(const RenderOptions& typed_options) {
-    const Ranks ranks;
-    RenderOptions options = typed_options;
+void run_render_command(const RenderOptions& command_options) {
+    const MpiProcessGroup ranks;
+    RenderOptions options = command_options;
     options.quiet = options.quiet || !ranks.is_first();
-    options.device = ranks.device(options.device);
-    const Rig rig = find_rig(options.sensor);
-    check_options(options, rig.has_value(), ranks);
-    const Pose offset = parse_offset(options.offset);
+    options.device = ranks.select_device_for_rank(options.device);
+    const SensorRig rig = read_sensor_rig(options.sensor);
+    check_render_options(options, rig.has_value(), ranks);
+    const Pose offset = parse_sensor_offset(options.offset);
     const bool drives = !options.trajectory.file.empty();
     const PoseTrack track =
-        drives ? mount_on_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
+        drives ? compute_mounted_track(read_trajectory_csv(options.trajectory.file), offset) : PoseTrack{};
     std::optional<LockedFolder> folder;
     // Only the first MPI process locks the folder, because the destructor may remove the
     // folder.
     if (ranks.is_first()) folder.emplace(options.out);
-    check_setting_names(options.sets, list_rendering_settings(), "render");
-    Run run = load_run(options.run);
+    check_settings_have_effect(options.sets, list_rendering_setting_names(), "render");
+    TrainedRun run = load_run(options.run);
     apply_setting_texts(run.config, options.sets);
-    run.config = use_farthest_return(std::move(run.config), run.sequence);
+    run.config = resolve_max_range(std::move(run.config), run.sequence);
     if (options.channels) set_config_value(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;
-    const int lidar = find_lidar(run.sequence, options.lidar);
-    const std::vector<Sweep> sweeps =
-        drives ? make_sweeps_along(run, options, track, lidar) : make_sweeps_of_log(run, options, lidar);
-    const std::vector<TargetSensor> targets = list_target_sensors(options.sensor, rig, run, lidar);
+    const int lidar = find_lidar_index_by_name(run.sequence, options.lidar);
+    const std::vector<NumberedScanTime> sweeps = drives ? list_sweeps_along_track(run, options, track, lidar)
+                                                        : list_sweeps_of_log_frames(run, options, lidar);
+    const std::vector<MountedSimulatedSensor> targets =
+        list_simulated_sensors(options.sensor, rig, run, lidar);
     const std::vector<bool> shown = select_instances(run.scene, options.only);
     Device device(make_device_options(options.device));
     ScanRenderer renderer(device, run);
     if (!options.only.empty()) renderer.set_visible_instances(shown);
-    if (options.boxes) renderer.enable_actor_views();
+    if (options.boxes) renderer.enable_actor_visibility();
     renderer.set_weather(parse_weather(options.weather));
-    Output output = make_output(options, run, targets, offset, ranks);
+    RenderOutputs output = create_output_folders(options, run, targets, offset, ranks);
 
     if (options.sample && run.sequence.lidars[std::size_t(lidar)].range_noise.sigma_m.empty() &&
         !options.quiet)
-        note(fmt::format("{} has no range noise: sampled ranges are exact", run.folder.string()));
-    if (options.sample && !options.quiet) note_unscattered_intensities(run, lidar);
-    if (!options.quiet) note_weather(parse_weather(options.weather));
-    for (const TargetSensor& w : targets)
+        print_note(fmt::format("{} has no range noise: sampled ranges are exact", run.folder.string()));
+    if (options.sample && !options.quiet) print_missing_intensity_noise_note(run, lidar);
+    if (!options.quiet) print_weather_assumptions_note(parse_weather(options.weather));
+    for (const MountedSimulatedSensor& w : targets)
         if (!options.quiet)
-            note_compensated_rays(run, w.sensor), note_unrefined_drops(run, renderer, w.sensor);
-    catch_interrupts();
-    Progress progress(options.quiet);
-    SweepRenderer sweep_renderer(renderer, run, options, targets, offset, refine_turns(track));
-    const ProcessGroup::Share share = ranks.group().share(sweeps.size());
+            print_motion_compensation_note(run, w.sensor),
+                print_unused_drop_network_note(run, renderer, w.sensor);
+    install_interrupt_handlers();
+    TerminalProgress progress(options.quiet);
+    SweepRenderer sweep_renderer(renderer, run, options, targets, offset, subdivide_turning_segments(track));
+    const ProcessGroup::PartRange share = ranks.get_process_group().compute_assigned_range(sweeps.size());
     for (std::size_t i = share.begin; i < share.end; ++i) {
-        sweep_renderer.render(sweeps[i], output);
-        progress.count(fmt::format("rendering {} {}:", drives ? "scan" : "frame", sweeps[i].number),
-                       i + 1 - share.begin, share.end - share.begin);
+        sweep_renderer.render_and_write_sweep(sweeps[i], output);
+        progress.show_step_progress(
+            fmt::format("rendering {} {}:", drives ? "scan" : "frame", sweeps[i].number), i + 1 - share.begin,
+            share.end - share.begin);
     }
     end_progress_line();
-    finish_rendering(output, ranks, options.quiet);
-    if (!options.quiet) print(sweep_renderer.summary(share.end - share.begin, sweeps.size(), ranks.size()));
+    finish_output_files(output, ranks, options.quiet);
+    if (!options.quiet)
+        print(sweep_renderer.format_render_summary(share.end - share.begin, sweeps.size(), ranks.size()));
 }
 
-void add_trajectory_options(CLI::App& command, TrajectoryChoice& trajectory) {
+void add_trajectory_options(CLI::App& command, TrajectoryOptions& trajectory) {
     command
         .add_option("--trajectory", trajectory.file,
                     "move the sensor along this path: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg] in "
@@ -436,7 +457,7 @@ void add_trajectory_options(CLI::App& command, TrajectoryChoice& trajectory) {
 
 /// Adds the options that select the file formats, their content, and the coordinate frame
 /// of the points.
-void add_file_options(CLI::App& command, RenderOptions& options) {
+void add_output_file_options(CLI::App& command, RenderOptions& options) {
     command
         .add_option("--format", options.formats,
                     "npz, exr, ply, pcd, bin, png, mcap, rosbag, pcap, separated by commas (default: npz)")
@@ -466,7 +487,7 @@ void add_file_options(CLI::App& command, RenderOptions& options) {
 
 }  // namespace
 
-void add_render(CLI::App& app, Call& call) {
+void add_render_command(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand("render", "render scans of a trained run");
     const auto options = std::make_shared<RenderOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train`")->required();
@@ -507,24 +528,23 @@ void add_render(CLI::App& app, Call& call) {
         })
         ->type_name("SEED");
     add_weather_option(*command, options->weather, "all scans; the seed is --sample, or 0 without it");
-    add_file_options(*command, *options);
-    add_set_option(*command, options->sets);
+    add_output_file_options(*command, *options);
+    add_setting_override_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine,
                       "use the ray-drop of the surfels, without the run's network");
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer(make_files_help() + make_channels_help() + make_sensor_file_help() +
+    command->footer(make_output_files_help_text() + make_channels_help_text() + make_sensor_file_help() +
                     "\n"
                     "Examples:\n"
                     "  relidar render run --out scans\n"
                     "  relidar render run --out cars --only actors --format ply\n"
-                    "  relidar render run --out map --frames all --frame world --format pcd\n"
                     "  relidar render run --out lane --trajectory trajectory.csv --rate 20 --format pcd\n"
                     "  relidar render run --out left --frames 10:20 --offset 0,2,1,0 --format npz,ply\n"
-                    "  relidar render run --out small --sensor VLP-16 --format png\n"
                     "  relidar render run --out fog --weather fog=50 --sample 1 --format ply\n"
                     "  mpirun -n 8 relidar render run --out scans --frames all");
-    command->callback([&call, options] { call.run = [options] { run_render(*options); }; });
+    const auto run = [options] { run_render_command(*options); };
+    command->callback([&selected_command, run] { selected_command.run = run; });
 }
 
 }  // namespace relidar::cli

@@ -7,7 +7,7 @@
 
 namespace relidar::cli {
 
-std::string make_files_help() {
+std::string make_output_files_help_text() {
     return R"(Files are named DIR/frame_000123.npz and so on, by the dataset's frame number; with --trajectory
 they are counted from 0. DIR/scans.json holds run, sensor, offset, poses, times and settings, and
 `unseen`: the share of rays that cross mainly space that the log has not seen. `unseen_sides`: sides
@@ -31,7 +31,7 @@ packets.csv (Hesai) or packets.json (Ouster), the calibration for its driver.
 )";
 }
 
-std::string make_channels_help() {
+std::string make_channels_help_text() {
     std::string text =
         "Channels of --channels, one value per ray in npz and exr, one per point in ply, pcd, mcap and "
         "rosbag:\n";

@@ -7,8 +7,8 @@
 namespace relidar::cli {
 
 /// Returns the description of the output files.
-std::string make_files_help();
+std::string make_output_files_help_text();
 /// Returns the help text of the option --channels.
-std::string make_channels_help();
+std::string make_channels_help_text();
 
 }  // namespace relidar::cli

@@ -35,13 +35,13 @@
 namespace relidar::cli {
 namespace {
 
-struct ServeOptions {
+struct ServeCommandOptions {
     serve::ServerOptions server;
     std::string api, pose_order, weather;
     int queue = 64;
     int memory_mib = 0;
-    PacketTarget packets;
-    DeviceChoice device;
+    PacketDestination packets;
+    DeviceCommandOptions device;
     bool quiet = false;
 };
 
@@ -55,7 +55,7 @@ constexpr std::chrono::seconds kFarewell{2};
 
 /// Returns whether poses of the sensorsim gRPC interface rotate or translate first.
 /// Returns no value if the interface is disabled.
-std::optional<serve::PoseOrder> parse_sensorsim_poses(const ServeOptions& options) {
+std::optional<serve::PoseTransformOrder> parse_sensorsim_pose_order(const ServeCommandOptions& options) {
     const bool offered = options.api == "sensorsim";
     if (!offered && !options.api.empty())
         throw UsageError(fmt::format("--api: found '{}', expected sensorsim", options.api));
@@ -63,13 +63,13 @@ std::optional<serve::PoseOrder> parse_sensorsim_poses(const ServeOptions& option
         throw UsageError("--sensorsim-poses can only be used together with --api sensorsim");
     if (!offered) return {};
     if (options.pose_order.empty() || options.pose_order == "rotation-first")
-        return serve::PoseOrder::rotation_first;
-    if (options.pose_order == "translation-first") return serve::PoseOrder::translation_first;
+        return serve::PoseTransformOrder::rotation_first;
+    if (options.pose_order == "translation-first") return serve::PoseTransformOrder::translation_first;
     throw UsageError(fmt::format(
         "--sensorsim-poses: found '{}', expected rotation-first or translation-first", options.pose_order));
 }
 
-serve::ServerOptions make_server_options(const ServeOptions& options) {
+serve::ServerOptions make_server_options(const ServeCommandOptions& options) {
     if (options.queue < 1 || options.queue > kLongestQueue)
         throw UsageError(
             fmt::format("--queue: found {}; expected a number from 1 to {}", options.queue, kLongestQueue));
@@ -80,7 +80,7 @@ serve::ServerOptions make_server_options(const ServeOptions& options) {
     serve::ServerOptions server = options.server;
     server.waiting = std::size_t(options.queue);
     server.memory_mib = std::uint64_t(options.memory_mib);
-    server.sensorsim = parse_sensorsim_poses(options);
+    server.sensorsim = parse_sensorsim_pose_order(options);
     (void)parse_host_port(server.listen, "--listen", 0);
     check_packet_target(options.packets);
     server.weather = parse_weather(options.weather);
@@ -90,34 +90,35 @@ serve::ServerOptions make_server_options(const ServeOptions& options) {
 
 /// Sends the scans of clients as packets. Starts new packets if the sensor changes or if
 /// the time does not increase.
-class ScanSender {
+class PacketScanSender {
 public:
-    explicit ScanSender(PacketTarget target) : target_(std::move(target)) {
+    explicit PacketScanSender(PacketDestination target) : target_(std::move(target)) {
         target_.is_interruptible = false;  // the server answers the pending calls
     }
 
-    void send(const Run& run, const SensorChoice& sensor, const std::string& name, const RenderedScan& scan) {
-        if (name.empty() && !sensor.is_own)
+    void send_scan_packets(const TrainedRun& run, const SimulatedSensor& sensor,
+                           const std::string& sensor_name, const RenderedScan& scan) {
+        if (sensor_name.empty() && !sensor.is_log_lidar)
             throw UsageError(
                 fmt::format("cannot write packets of a sensor that the request describes; expected "
                             "sensor.name with one of {}",
-                            list_packet_sensors()));
+                            format_packet_sensor_names()));
         const std::lock_guard lock(mutex_);
         const std::string key =
-            fmt::format("{} {} {} {}", run.folder.string(), sensor.lidar, sensor.returns, name);
-        if (key != key_ || scan.time_s <= last_s_) finish();
+            fmt::format("{} {} {} {}", run.folder.string(), sensor.lidar, sensor.returns, sensor_name);
+        if (key != key_ || scan.time_s <= last_s_) flush_pending_packets();
         if (!sender_) {
-            ScanFormat format = make_scan_format(run, sensor);
-            if (!name.empty())
-                if (const auto spinning = find_spinning_sensor(name, sensor))
+            ScanOutputOptions format = make_scan_format(run, sensor);
+            if (!sensor_name.empty())
+                if (const auto spinning = find_spinning_sensor(sensor_name, sensor))
                     format.packets.sensor = spinning;
             sender_.emplace(target_, std::vector{format});
             key_ = key;
         }
         last_s_ = scan.time_s;
         try {
-            sender_->add({&scan, 1});
-            sender_->send_all();
+            sender_->send_or_queue_scans({&scan, 1});
+            sender_->send_queued_packets();
         } catch (...) {
             sender_.reset();  // because it may contain a part of the scan
             throw;
@@ -125,13 +126,13 @@ public:
     }
 
     /// Sends the packets that wait for the next scan.
-    void finish() {
-        if (sender_) (void)sender_->finish();
+    void flush_pending_packets() {
+        if (sender_) (void)sender_->send_remaining_packets();
         sender_.reset();
     }
 
 private:
-    PacketTarget target_;
+    PacketDestination target_;
     std::mutex mutex_;
     std::optional<PacketSender> sender_;
     std::string key_;  ///< run and sensor of the packets
@@ -142,49 +143,50 @@ private:
 /// and gRPC often starts and ends threads. One thread allocates a scan and another thread
 /// frees it, which leaves gaps in each heap. Without this function, the memory of the
 /// process would grow for hours (docs/service.md).
-void limit_malloc_arenas() {
+void limit_malloc_to_one_arena() {
 #ifdef __GLIBC__
     mallopt(M_ARENA_MAX, 1);
 #endif
 }
 
-void run_serve(const ServeOptions& options) {
-    limit_malloc_arenas();
-    raise_descriptor_limit();
+void run_serve_command(const ServeCommandOptions& options) {
+    limit_malloc_to_one_arena();
+    raise_file_descriptor_limit();
     serve::ServerOptions server_settings = make_server_options(options);
-    ScanSender sender(options.packets);
+    PacketScanSender sender(options.packets);
     if (!options.packets.address.empty())
-        server_settings.on_scan = [&sender](const Run& run, const SensorChoice& sensor,
+        server_settings.on_scan = [&sender](const TrainedRun& run, const SimulatedSensor& sensor,
                                             const std::string& name, const RenderedScan& scan) {
-            sender.send(run, sensor, name, scan);
+            sender.send_scan_packets(run, sensor, name, scan);
         };
-    if (!options.quiet) note_weather(server_settings.weather);
+    if (!options.quiet) print_weather_assumptions_note(server_settings.weather);
     const std::string host = server_settings.listen.substr(0, server_settings.listen.rfind(':'));
-    if (!is_loopback(host))
-        note(fmt::format(
+    if (!is_loopback_host(host))
+        print_note(fmt::format(
             "--listen {}: every client that can reach this address can render and upload, "
             "because there is no authentication{}",
             server_settings.listen,
             server_settings.tls_cert.empty() ? ", and nothing is encrypted (--tls-cert, --tls-key)" : ""));
-    catch_interrupts();
+    install_interrupt_handlers();
     serve::ScanServer server(server_settings);
     if (!options.quiet) {
-        print(fmt::format("serving {} at {}:{} on {}\n", fmt::join(server.scenes(), ", "), host,
-                          server.port(), server.device_name()));
+        print(fmt::format("serving {} at {}:{} on {}\n", fmt::join(server.list_scene_names(), ", "), host,
+                          server.port(), server.get_device_name()));
         // Writes the line immediately, because another program may wait for it through a
         // pipe.
         std::fflush(stdout);
     }
     while (!is_interrupted()) {
         if (const std::optional<std::string> loss = server.get_device_loss_message()) {
-            server.stop(kFarewell);
+            server.stop_and_wait(kFarewell);
             throw DeviceError(*loss);
         }
         std::this_thread::sleep_for(kLook);
     }
-    if (!options.quiet) note("interrupted: finishing the pending calls; a second Ctrl-C ends immediately");
-    server.stop(kPatience);
-    sender.finish();
+    if (!options.quiet)
+        print_note("interrupted: finishing the pending calls; a second Ctrl-C ends immediately");
+    server.stop_and_wait(kPatience);
+    sender.flush_pending_packets();
 }
 
 constexpr const char* kServeHelp =
@@ -199,9 +201,9 @@ Examples:
 
 }  // namespace
 
-void add_serve(CLI::App& app, Call& call) {
+void add_serve_command(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand("serve", "render scans of runs for simulators through gRPC");
-    const auto options = std::make_shared<ServeOptions>();
+    const auto options = std::make_shared<ServeCommandOptions>();
     command
         ->add_option("RUN", options->server.runs,
                      "run folders of `relidar train`; clients select a run by its folder's name, or by NAME")
@@ -253,7 +255,8 @@ void add_serve(CLI::App& app, Call& call) {
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->quiet, "print errors and warnings only");
     command->footer(kServeHelp);
-    command->callback([&call, options] { call.run = [options] { run_serve(*options); }; });
+    command->callback(
+        [&selected_command, options] { selected_command.run = [options] { run_serve_command(*options); }; });
 }
 
 }  // namespace relidar::cli

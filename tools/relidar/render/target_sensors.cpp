@@ -14,21 +14,25 @@ std::optional<SpinningSensor> get_spinning_sensor(const SensorModel& model) {
 }  // namespace
 
 std::optional<SpinningSensor> find_spinning_sensor(const std::string& name_or_file,
-                                                   const SensorChoice& choice) {
-    if (choice.is_own || choice.grid || choice.pattern) return std::nullopt;
+                                                   const SimulatedSensor& simulated_sensor) {
+    if (simulated_sensor.is_log_lidar || simulated_sensor.grid || simulated_sensor.pattern)
+        return std::nullopt;
     return get_spinning_sensor(find_sensor(name_or_file));
 }
 
-std::vector<TargetSensor> list_target_sensors(const std::string& sensor, const Rig& rig, const Run& run,
-                                              int lidar) {
-    if (sensor.empty()) return {{"", make_configured_sensor(run.config, run.sequence, lidar), {}}};
+std::vector<MountedSimulatedSensor> list_simulated_sensors(const std::string& sensor_name_or_file,
+                                                           const SensorRig& rig, const TrainedRun& run,
+                                                           int lidar_index) {
+    if (sensor_name_or_file.empty())
+        return {{"", make_configured_sensor(run.config, run.sequence, lidar_index), {}}};
     if (!rig) {
-        const SensorChoice choice = choose_sensor(sensor, run.config, run.sequence, lidar);
-        return {{"", choice, {}, find_spinning_sensor(sensor, choice)}};
+        const SimulatedSensor choice =
+            choose_sensor(sensor_name_or_file, run.config, run.sequence, lidar_index);
+        return {{"", choice, {}, find_spinning_sensor(sensor_name_or_file, choice)}};
     }
-    std::vector<TargetSensor> targets;
+    std::vector<MountedSimulatedSensor> targets;
     for (const MountedSensor& mounted : *rig)
-        targets.push_back({mounted.name, make_sensor_choice(mounted, lidar), mounted.rig_from_sensor,
+        targets.push_back({mounted.name, make_sensor_choice(mounted, lidar_index), mounted.rig_from_sensor,
                            get_spinning_sensor(mounted.sensor)});
     return targets;
 }

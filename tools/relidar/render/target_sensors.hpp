@@ -14,11 +14,11 @@ namespace relidar::cli {
 
 /// A sensor to simulate and its mounting pose. The sensor replaces the log's sensor, or
 /// it follows a path of the user.
-struct TargetSensor {
+struct MountedSimulatedSensor {
     /// Subfolder for the files of this sensor. If the name is empty, the files are
     /// written into the output folder itself.
     std::string folder;
-    SensorChoice sensor;
+    SimulatedSensor sensor;
     Pose mounting;
     /// Model of a spinning sensor. Empty for the log's sensor, for a regular grid of
     /// rays, and for a sensor that does not spin.
@@ -26,16 +26,18 @@ struct TargetSensor {
 };
 
 /// Sensors of a rig. Empty if a single sensor is simulated.
-using Rig = std::optional<std::vector<MountedSensor>>;
+using SensorRig = std::optional<std::vector<MountedSensor>>;
 
 /// Returns the spinning sensor with this name, or from this file. Returns no value for
 /// the log's sensor, for a regular grid of rays, and for a sensor that does not spin.
 std::optional<SpinningSensor> find_spinning_sensor(const std::string& name_or_file,
-                                                   const SensorChoice& choice);
+                                                   const SimulatedSensor& simulated_sensor);
 
 /// Returns the sensors that the command simulates.
-/// @param sensor  name or file of the sensor; empty means the sensor of the log
-std::vector<TargetSensor> list_target_sensors(const std::string& sensor, const Rig& rig, const Run& run,
-                                              int lidar);
+/// @param sensor_name_or_file  name or file of the sensor; empty means the sensor of the
+/// log
+std::vector<MountedSimulatedSensor> list_simulated_sensors(const std::string& sensor_name_or_file,
+                                                           const SensorRig& rig, const TrainedRun& run,
+                                                           int lidar_index);
 
 }  // namespace relidar::cli

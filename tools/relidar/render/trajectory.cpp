@@ -22,35 +22,37 @@ constexpr double kFar_m = 50.0;
 // 0:1:0.1 is 1.
 constexpr double kSlack = 1e-6;
 
-struct Steps {
+struct TimeSteps {
     double first, last, step;
 };
 
-Steps parse_times(const std::string& text) {
+TimeSteps parse_time_steps(const std::string& text) {
     const std::vector<std::string> words = split_text(text, ':');
     if (words.size() != 3)
         throw UsageError(fmt::format(
             "--times: found \"{}\"; expected FIRST:LAST:STEP in seconds, for example 2:4:0.05", text));
-    const auto number = [&](std::size_t index) { return parse_list("--times", words[index]).at(0); };
+    const auto number = [&](std::size_t index) { return parse_number_list("--times", words[index]).at(0); };
     return {number(0), number(1), number(2)};
 }
 
-double nearest_m(const PoseTrack& log, const glm::dvec3& point_m) {
+double compute_distance_to_track_m(const PoseTrack& recorded_track, const glm::dvec3& point_m) {
     double nearest = std::numeric_limits<double>::infinity();
-    for (const Pose& pose : log.pose) nearest = std::min(nearest, glm::distance(pose.translation, point_m));
+    for (const Pose& pose : recorded_track.pose)
+        nearest = std::min(nearest, glm::distance(pose.translation, point_m));
     return nearest;
 }
 
 }  // namespace
 
-std::vector<double> list_scan_times(const TrajectoryChoice& choice, const PoseTrack& track,
+std::vector<double> list_scan_times(const TrajectoryOptions& choice, const PoseTrack& sensor_track,
                                     double log_rate_hz) {
-    const double begin = track.time_s.front(), end = track.time_s.back();
+    const double begin = sensor_track.time_s.front(), end = sensor_track.time_s.back();
     if (choice.rate_hz && !(*choice.rate_hz > 0.0 && std::isfinite(*choice.rate_hz)))
         throw UsageError(
             fmt::format("--rate: found {}; expected a number of scans per second above 0", *choice.rate_hz));
-    const Steps steps = choice.times.empty() ? Steps{begin, end, 1.0 / choice.rate_hz.value_or(log_rate_hz)}
-                                             : parse_times(choice.times);
+    const TimeSteps steps = choice.times.empty()
+                                ? TimeSteps{begin, end, 1.0 / choice.rate_hz.value_or(log_rate_hz)}
+                                : parse_time_steps(choice.times);
     if (!(steps.step > 0.0) || !(steps.last >= steps.first))
         throw UsageError(
             fmt::format("--times: found \"{}\"; expected FIRST < LAST and a STEP above 0", choice.times));
@@ -70,14 +72,16 @@ std::vector<double> list_scan_times(const TrajectoryChoice& choice, const PoseTr
     return times;
 }
 
-void note_times_beyond_log(const Run& run, const PoseTrack& track, const std::vector<double>& times_s) {
-    const Sequence& log = run.sequence;
+void print_trajectory_outside_log_notes(const TrainedRun& run, const PoseTrack& sensor_track,
+                                        const std::vector<double>& times_s) {
+    const LidarSequence& log = run.sequence;
     double farthest = 0.0;
     for (const double t : times_s)
-        farthest = std::max(farthest,
-                            nearest_m(log.world_from_vehicle, track.at(t).translation - log.world_offset_m));
+        farthest = std::max(farthest, compute_distance_to_track_m(
+                                          log.world_from_vehicle,
+                                          sensor_track.interpolate_pose(t).translation - log.world_offset_m));
     if (farthest > kFar_m) {
-        note(fmt::format(
+        print_note(fmt::format(
             "the trajectory is up to {:.0f} m away from the path of the log's sensor; expected poses "
             "in the dataset's world, like the path that `relidar export {} --out FILE.csv` writes",
             farthest, run.folder.string()));
@@ -86,8 +90,8 @@ void note_times_beyond_log(const Run& run, const PoseTrack& track, const std::ve
     const auto beyond =
         std::count_if(times_s.begin(), times_s.end(), [&](double t) { return t < begin || t > end; });
     if (beyond > 0 && run.scene.instances.size() > 1)
-        note(fmt::format("{} of {} scans are outside the log's time of {} to {} s and show no actors", beyond,
-                         times_s.size(), begin, end));
+        print_note(fmt::format("{} of {} scans are outside the log's time of {} to {} s and show no actors",
+                               beyond, times_s.size(), begin, end));
 }
 
 }  // namespace relidar::cli

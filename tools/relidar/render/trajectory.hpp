@@ -10,13 +10,13 @@
 #include <relidar/log/sequence.hpp>
 
 namespace relidar {
-struct Run;
+struct TrainedRun;
 }
 
 namespace relidar::cli {
 
 /// Values of --trajectory, --rate and --times.
-struct TrajectoryChoice {
+struct TrajectoryOptions {
     /// File that contains the trajectory. If the name is empty, the sensor follows the
     /// path of the log.
     std::string file;
@@ -31,11 +31,12 @@ struct TrajectoryChoice {
 /// Returns the times of the scans on a trajectory.
 /// @throws UsageError if the rate or the times are invalid, or if a time is outside the
 /// trajectory
-std::vector<double> list_scan_times(const TrajectoryChoice& choice, const PoseTrack& track,
+std::vector<double> list_scan_times(const TrajectoryOptions& choice, const PoseTrack& sensor_track,
                                     double log_rate_hz);
 
 /// Prints a note if a trajectory is far from the recorded path. Prints another note if it
 /// continues after the end of the log, because actors exist only during the log.
-void note_times_beyond_log(const Run& run, const PoseTrack& track, const std::vector<double>& times_s);
+void print_trajectory_outside_log_notes(const TrainedRun& run, const PoseTrack& sensor_track,
+                                        const std::vector<double>& times_s);
 
 }  // namespace relidar::cli

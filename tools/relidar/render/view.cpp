@@ -37,7 +37,7 @@ struct ViewOptions {
     int port = 8080;
     std::vector<std::string> sets;
     std::optional<std::string> channels;
-    DeviceChoice device;
+    DeviceCommandOptions device;
     bool no_refine = false;
     bool open = false;
     bool quiet = false;
@@ -50,82 +50,82 @@ constexpr std::chrono::milliseconds kViewPatience{50};
 constexpr std::chrono::seconds kGoodbye{5};
 
 /// Returns the folder in which the web page saves edited runs.
-std::filesystem::path save_folder(const ViewOptions& options, const Run& run) {
+std::filesystem::path get_save_folder(const ViewOptions& options, const TrainedRun& run) {
     const std::filesystem::path folder =
         options.save_to.empty() ? run.folder / ".." : std::filesystem::path(options.save_to);
     return std::filesystem::absolute(folder).lexically_normal();
 }
 
 /// Loads the other runs. The web page shows them under the names that the user typed.
-view::OtherRuns load_other_runs(const std::vector<std::string>& folders) {
-    view::OtherRuns runs;
+view::OtherRunsByName load_other_runs(const std::vector<std::string>& folders) {
+    view::OtherRunsByName runs;
     for (const std::string& folder : folders) runs.emplace(folder, load_run(folder));
     return runs;
 }
 
-view::ServerOptions make_server_options(const ViewOptions& options) {
+view::WebServerOptions make_server_options(const ViewOptions& options) {
     if (options.port < 0 || options.port > kLastPort)
         throw UsageError(
             fmt::format("--port: found {}; expected a number from 0 to {}, where 0 selects a free port",
                         options.port, kLastPort));
-    view::ServerOptions server;
+    view::WebServerOptions server;
     server.address = options.address;
     server.port = options.port;
     server.assets = view::list_page_assets();
-    view::check_address(options.address);
-    if (!is_loopback(options.address)) server.token = view::make_random_token();
+    view::check_ip_address(options.address);
+    if (!is_loopback_host(options.address)) server.token = view::make_random_token();
     return server;
 }
 
-void run_view(const ViewOptions& options) {
-    raise_descriptor_limit();
+void run_view_command(const ViewOptions& options) {
+    raise_file_descriptor_limit();
     // Checks the address of the server before the run is loaded, because loading takes a
     // long time.
-    const view::ServerOptions server_settings = make_server_options(options);
-    check_setting_names(options.sets, list_rendering_settings(), "view");
-    Run run = load_run(options.run);
+    const view::WebServerOptions server_settings = make_server_options(options);
+    check_settings_have_effect(options.sets, list_rendering_setting_names(), "view");
+    TrainedRun run = load_run(options.run);
     apply_setting_texts(run.config, options.sets);
-    run.config = use_farthest_return(std::move(run.config), run.sequence);
+    run.config = resolve_max_range(std::move(run.config), run.sequence);
     if (options.channels) set_config_value(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;
     std::optional<OutputFolder> made;  // Removes the folder at exit if it is still empty.
     if (!options.save_to.empty()) made.emplace(options.save_to);
-    const std::filesystem::path folder = save_folder(options, run);
+    const std::filesystem::path folder = get_save_folder(options, run);
     Device device(make_device_options(options.device));
     // Server that sends the results of the session to the browser. The server also calls
     // the session and the player, so it must be destroyed before them.
-    view::Server* out = nullptr;
-    view::Session session(
+    view::WebServer* out = nullptr;
+    view::ViewerSession session(
         std::move(run), load_other_runs(options.inserts), device, folder,
         {[&](view::TabId tab, std::string text) { out->send_text(tab, std::move(text)); },
-         [&](view::TabId tab, std::string frame) { out->send_newest(tab, std::move(frame)); }});
+         [&](view::TabId tab, std::string frame) { out->send_newest_scan(tab, std::move(frame)); }});
     view::FoxglovePlayer foxglove(
-        session.run(), device,
+        session.get_run(), device,
         {[&](view::ClientId client, std::string text) { out->send_text(client, std::move(text)); },
          [&](view::ClientId client, std::vector<std::string> scan) {
              out->send_if_idle(client, std::move(scan));
          }});
-    view::Server server(server_settings, {[&](view::ClientId tab) { session.open(tab); },
-                                          [&](view::ClientId client, std::string text) {
-                                              if (!foxglove.receive(client, text))
-                                                  session.receive(client, text);
-                                          },
-                                          [&](view::ClientId client) {
-                                              foxglove.close(client);
-                                              session.close(client);
-                                          },
-                                          [&](view::ClientId client) { foxglove.open(client); }});
+    view::WebServer server(server_settings, {[&](view::ClientId tab) { session.open_tab(tab); },
+                                             [&](view::ClientId client, std::string text) {
+                                                 if (!foxglove.handle_client_message(client, text))
+                                                     session.handle_tab_message(client, text);
+                                             },
+                                             [&](view::ClientId client) {
+                                                 foxglove.remove_client(client);
+                                                 session.close_tab(client);
+                                             },
+                                             [&](view::ClientId client) { foxglove.add_client(client); }});
     out = &server;
-    catch_interrupts();
-    print(server.url() + "\n");
+    install_interrupt_handlers();
+    print(server.get_page_url() + "\n");
     std::fflush(stdout);
     const char* who = server_settings.token.empty() ? "open this address in a browser"
                                                     : "only clients that know this address have access";
-    if (!options.quiet) note(fmt::format("{}; Ctrl-C ends it", who));
-    if (options.open) open_in_browser(server.url());
-    while (!is_interrupted()) session.work(foxglove.play(kViewPatience));
-    session.finish();
-    server.close(kGoodbye);
+    if (!options.quiet) print_note(fmt::format("{}; Ctrl-C ends it", who));
+    if (options.open) open_in_browser(server.get_page_url());
+    while (!is_interrupted()) session.run_next_job(foxglove.send_next_scan_if_due(kViewPatience));
+    session.finish_pending_jobs();
+    server.close_gracefully(kGoodbye);
 }
 
 constexpr const char* kViewHelp =
@@ -142,7 +142,7 @@ Examples:
 
 }  // namespace
 
-void add_view(CLI::App& app, Call& call) {
+void add_view_command(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand("view", "show a run in the browser and drive the sensor");
     const auto options = std::make_shared<ViewOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train` or `relidar edit`")->required();
@@ -165,13 +165,14 @@ void add_view(CLI::App& app, Call& call) {
         ->allow_extra_args(false);
     command->add_flag("--open", options->open, "open a browser");
     add_channels_option(*command, options->channels);
-    add_set_option(*command, options->sets);
+    add_setting_override_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine,
                       "use the ray-drop of the surfels, without the run's network");
     command->add_flag("--quiet", options->quiet, "print the address and errors only");
     command->footer(kViewHelp);
-    command->callback([&call, options] { call.run = [options] { run_view(*options); }; });
+    command->callback(
+        [&selected_command, options] { selected_command.run = [options] { run_view_command(*options); }; });
 }
 
 }  // namespace relidar::cli

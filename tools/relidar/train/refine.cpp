@@ -21,10 +21,10 @@
 namespace relidar::cli {
 namespace {
 
-struct RefineOptions {
+struct RefineCommandOptions {
     std::string run;
     std::vector<std::string> sets;
-    DeviceChoice device;
+    DeviceCommandOptions device;
     bool resume = false;
     bool no_eval = false;
     bool quiet = false;
@@ -32,39 +32,42 @@ struct RefineOptions {
 
 /// Loads the checkpoint from which training resumes.
 /// @return no value if training starts from the beginning
-std::optional<Checkpoint> load_resume_checkpoint(const RefineOptions& options) {
+std::optional<Checkpoint> load_resume_checkpoint(const RefineCommandOptions& options) {
     const std::filesystem::path folder = get_network_checkpoint_folder(options.run);
     if (!options.resume) {
         if (!list_checkpoints(folder).empty())
-            note(fmt::format(
+            print_note(fmt::format(
                 "{} contains a checkpoint of an unfinished network training, which is discarded; use "
                 "--resume to continue such a training",
                 options.run));
         return std::nullopt;
     }
-    std::optional<Checkpoint> start = load_newest_checkpoint(folder, note);
+    std::optional<Checkpoint> start = load_newest_checkpoint(folder, print_note);
     if (!start)
-        note(fmt::format(
+        print_note(fmt::format(
             "{} has no checkpoint of its network training, which therefore starts from the beginning",
             options.run));
     return start;
 }
 
 /// Returns the command line that resumes this training.
-std::string make_resume_command(const RefineOptions& options) {
-    std::string command = "relidar refine --resume " + quote_shell_word(options.run);
+std::string make_resume_command(const RefineCommandOptions& options) {
+    std::string command = "relidar refine --resume " + quote_word_for_shell(options.run);
     for (const std::string& word : make_device_arguments(options.device)) command += " " + word;
     return command;
 }
 
 /// Trains the ray-drop network and saves it. If the user interrupts the training, throws
 /// an error whose message contains the command that resumes the training.
-void train_network(Device& device, Run& run, const RefineOptions& options, const Checkpoint* start) {
-    if (start && !options.quiet) print(fmt::format("resume  from step {}\n", start->iteration));
+void train_and_save_drop_network(Device& device, TrainedRun& run, const RefineCommandOptions& options,
+                                 const Checkpoint* start_checkpoint) {
+    if (start_checkpoint && !options.quiet)
+        print(fmt::format("resume  from step {}\n", start_checkpoint->iteration));
     const std::filesystem::path checkpoints = get_network_checkpoint_folder(run.folder);
-    catch_interrupts();
-    if (refine_with_progress(device, run, options.quiet, {.checkpoints = checkpoints, .start = start}) ==
-        TrainingEnd::stopped) {
+    install_interrupt_handlers();
+    if (train_drop_network_with_progress(device, run, options.quiet,
+                                         {.checkpoints = checkpoints, .start = start_checkpoint}) ==
+        TrainingEndReason::stopped) {
         const bool can_go_on = !list_checkpoints(checkpoints).empty();
         throw Error(ExitCode::interrupted,
                     fmt::format("interrupted: the network of {} is unchanged{}", run.folder.string(),
@@ -74,49 +77,51 @@ void train_network(Device& device, Run& run, const RefineOptions& options, const
 }
 
 /// Renders and scores the held-out frames of a run.
-/// @param refined if true, applies the ray-drop network
-Evaluation score_held_out_frames(Device& device, Run run, bool refined, bool quiet) {
-    run.config.refine.enabled = refined;
+/// @param use_drop_network if true, applies the ray-drop network
+EvaluationResult score_held_out_frames(Device& device, TrainedRun run, bool use_drop_network, bool quiet) {
+    run.config.refine.enabled = use_drop_network;
     ScanRenderer renderer(device, run);
-    Progress progress(quiet);
-    return evaluate_frames(renderer, run.config, run.sequence, run.split.test, stop_on_interrupt(progress));
+    TerminalProgress progress(quiet);
+    return evaluate_frames(renderer, run.config, run.sequence, run.split.test,
+                           make_interruptible_callback(progress));
 }
 
 /// Scores the run without and with the ray-drop network. Prints both scores and writes
 /// the scores with the network to metrics.json.
-void score_with_and_without_network(Device& device, const Run& run, const RefineOptions& options) {
-    const Evaluation before = score_held_out_frames(device, run, false, options.quiet),
-                     after = score_held_out_frames(device, run, true, options.quiet);
+void score_with_and_without_network(Device& device, const TrainedRun& run,
+                                    const RefineCommandOptions& options) {
+    const EvaluationResult before = score_held_out_frames(device, run, false, options.quiet),
+                           after = score_held_out_frames(device, run, true, options.quiet);
     end_progress_line();
-    write_text(run.folder / "metrics.json",
-               make_metrics_json(
-                   after, run.config,
-                   {make_absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), 0.0}));
+    write_text_file(run.folder / "metrics.json",
+                    make_metrics_json(after, run.config,
+                                      {make_absolute_path(run.folder.string()), device.info().name,
+                                       device.peak_allocated_bytes(), 0.0}));
     if (!options.quiet)
-        print(format_metric_table(after, &before) + "\nThe column \"baseline\" is without the network.\n");
+        print(format_metric_tables(after, &before) + "\nThe column \"baseline\" is without the network.\n");
 }
 
-void run_refine(const RefineOptions& options) {
+void run_refine_command(const RefineCommandOptions& options) {
     std::optional<FolderLock> lock;
-    if (is_run(options.run)) lock.emplace(options.run);
-    Run run = load_run(options.run);
+    if (is_run_folder(options.run)) lock.emplace(options.run);
+    TrainedRun run = load_run(options.run);
     const std::optional<Checkpoint> start = load_resume_checkpoint(options);
-    if (start) restore_refine_settings(*start, run.config);
-    std::vector<std::string> used = list_rendering_settings();
+    if (start) restore_network_settings(*start, run.config);
+    std::vector<std::string> used = list_rendering_setting_names();
     used.insert(used.end(), {"dataset.", "refine.", "train.seed", "train.checkpoint_minutes"});
-    check_setting_names(options.sets, used, "refine");
+    check_settings_have_effect(options.sets, used, "refine");
     apply_setting_texts(run.config, options.sets);
-    run.config = use_farthest_return(std::move(run.config), run.sequence);
+    run.config = resolve_max_range(std::move(run.config), run.sequence);
     run.config.refine.enabled = true;
     check_writable(run.folder);
     Device device(make_device_options(options.device));
-    const Sequence log = load_dataset(run.config, options.quiet);
-    attach_scans(run, run.split.train, log);
-    if (!options.no_eval) attach_scans(run, run.split.test, log);
-    if (start) check_refine_resumable(*start, run);
+    const LidarSequence log = load_dataset(run.config, options.quiet);
+    copy_scans_into_run(run, run.split.train, log);
+    if (!options.no_eval) copy_scans_into_run(run, run.split.test, log);
+    if (start) check_network_training_resumable(*start, run);
     else remove_network_checkpoints(run.folder);
 
-    train_network(device, run, options, start ? &*start : nullptr);
+    train_and_save_drop_network(device, run, options, start ? &*start : nullptr);
     if (!options.no_eval && !run.split.test.empty()) score_with_and_without_network(device, run, options);
     // The checkpoints are removed last, so that --resume can use them if the process is
     // killed earlier.
@@ -136,19 +141,20 @@ Examples:
 
 }  // namespace
 
-void add_refine(CLI::App& app, Call& call) {
+void add_refine_command(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand("refine", "train the network that corrects the ray-drop of a run");
-    const auto options = std::make_shared<RefineOptions>();
+    const auto options = std::make_shared<RefineCommandOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train`")->required();
     command->add_flag("--resume", options->resume,
                       "continue an interrupted training, with its settings, from its newest checkpoint");
-    add_set_option(*command, options->sets);
+    add_setting_override_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-eval", options->no_eval,
                       "do not score the held-out frames with and without the network");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(kRefineHelp);
-    command->callback([&call, options] { call.run = [options] { run_refine(*options); }; });
+    command->callback(
+        [&selected_command, options] { selected_command.run = [options] { run_refine_command(*options); }; });
 }
 
 }  // namespace relidar::cli

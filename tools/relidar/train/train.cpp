@@ -32,9 +32,9 @@ namespace fs = std::filesystem;
 struct TrainOptions {
     std::string dataset;
     std::string out;
-    LogPart part;
-    Settings settings;
-    DeviceChoice device;
+    LogSelection part;
+    SettingsCommandOptions settings;
+    DeviceCommandOptions device;
     std::string seed;
     std::string blocks;         ///< Length of the blocks into which the log is divided, such as "60m".
     std::string resume_folder;  ///< Argument of --resume.
@@ -56,7 +56,7 @@ bool is_file(const fs::path& path) {
 
 /// Decides which argument is the log and which is the output folder, because the option
 /// --resume can precede either of them.
-TrainOptions resolve_options(TrainOptions options) {
+TrainOptions resolve_log_and_output_folder(TrainOptions options) {
     if (options.out.empty()) options.out = options.resume_folder;
     else if (options.dataset.empty())
         options.dataset = options.resume_folder == options.out ? "" : options.resume_folder;
@@ -75,16 +75,17 @@ TrainOptions resolve_options(TrainOptions options) {
 
 /// Returns the settings of a training. A resumed training uses its saved settings, unless
 /// --preset or --config is given.
-Config make_start_config(const TrainOptions& options) {
+Config make_initial_config(const TrainOptions& options) {
     const fs::path saved = fs::path(options.out) / kConfigFile;
-    if (!options.resume || options.from_preset || !is_file(saved)) return resolve_settings(options.settings);
+    if (!options.resume || options.from_preset || !is_file(saved))
+        return make_config_from_settings(options.settings);
     Config config = load_saved_config(saved);
     apply_setting_texts(config, options.settings.sets);
     return config;
 }
 
 Config make_training_config(const TrainOptions& options) {
-    Config config = make_start_config(options);
+    Config config = make_initial_config(options);
     if (const fs::path saved = fs::path(options.out) / kConfigFile;
         options.resume && config.dataset.max_range_m == 0.0 && is_file(saved))
         // A maximum range of 0 means automatic. The resumed training uses the range that
@@ -95,7 +96,7 @@ Config make_training_config(const TrainOptions& options) {
             fmt::format("cannot train on {}: it is a run, expected a log; `relidar train --resume RUN` "
                         "continues the training of a run",
                         options.dataset));
-    if (!options.dataset.empty()) config.dataset.path = make_dataset_absolute(options.dataset);
+    if (!options.dataset.empty()) config.dataset.path = make_dataset_path_absolute(options.dataset);
     if (config.dataset.poses != kNoPoses) config.dataset.poses = make_absolute_path(config.dataset.poses);
     apply_log_part(config, options.part);
     if (std::string length = options.blocks; !length.empty()) {
@@ -108,44 +109,44 @@ Config make_training_config(const TrainOptions& options) {
 
 /// Returns true if the training of a run is finished. The run must have a scene, a
 /// report, and at least the requested number of iterations.
-bool is_finished(const fs::path& folder, const Config& config) {
-    return is_file(folder / "scene.json") && is_file(folder / "report.html") &&
-           read_last_logged_iteration(folder) >= config.train.iterations;
+bool is_training_finished(const fs::path& run_folder, const Config& config) {
+    return is_file(run_folder / "scene.json") && is_file(run_folder / "report.html") &&
+           read_last_logged_iteration(run_folder) >= config.train.iterations;
 }
 
 /// Returns true if two configurations have equal values for all settings of a group.
-bool are_groups_equal(const Config& first, const Config& second, std::string_view group) {
+bool are_setting_groups_equal(const Config& first, const Config& second, std::string_view group_prefix) {
     const std::vector<ConfigKey> x = list_config_keys(first), y = list_config_keys(second);
     for (std::size_t i = 0; i < x.size(); ++i)
-        if (x[i].key.starts_with(group) && x[i].value != y[i].value) return false;
+        if (x[i].key.starts_with(group_prefix) && x[i].value != y[i].value) return false;
     return true;
 }
 
 /// Compares the current settings with the settings of a finished run.
 /// @throws UsageError if the run was trained with other settings
-void check_unchanged(const fs::path& folder, const Config& config) {
-    const Config trained = load_saved_config(folder / kConfigFile);
+void check_settings_unchanged(const fs::path& run_folder, const Config& config) {
+    const Config trained = load_saved_config(run_folder / kConfigFile);
     std::string key = find_differing_setting(trained, config);
     if (key.empty() && trained.dataset.path != config.dataset.path) key = "dataset.path";
     if (key.empty() && trained.dataset.sequence != config.dataset.sequence) key = "dataset.sequence";
     for (const char* group : {"refine.", "render."})
-        if (key.empty() && !are_groups_equal(trained, config, group)) key = std::string(group) + "*";
+        if (key.empty() && !are_setting_groups_equal(trained, config, group)) key = std::string(group) + "*";
     if (!key.empty())
         throw UsageError(fmt::format(
             "cannot resume {}: its finished training used another value of the setting {}; expected "
             "the same value; --force trains again from the start, and `relidar refine` trains only "
             "the ray-drop network",
-            folder.string(), key));
+            run_folder.string(), key));
 }
 
 /// Returns true if the scene of a run is trained with these settings, but later steps are
 /// missing. Later steps are the placement of held-out scans, the intensity noise, the
 /// ray-drop network, the scores and the report.
-bool has_scene(const fs::path& folder, const Config& config) {
-    if (!is_file(folder / "scene.json") || is_file(folder / "report.html") ||
-        read_last_logged_iteration(folder) < config.train.iterations)
+bool has_scene_but_no_report(const fs::path& run_folder, const Config& config) {
+    if (!is_file(run_folder / "scene.json") || is_file(run_folder / "report.html") ||
+        read_last_logged_iteration(run_folder) < config.train.iterations)
         return false;
-    const Config trained = load_saved_config(folder / kConfigFile);
+    const Config trained = load_saved_config(run_folder / kConfigFile);
     const auto log_of = [](const DatasetConfig& d) { return std::tie(d.path, d.sequence, d.poses); };
     return log_of(trained.dataset) == log_of(config.dataset) &&
            find_differing_setting(trained, config).empty();
@@ -155,43 +156,48 @@ bool has_scene(const fs::path& folder, const Config& config) {
 /// @return no value if training starts from the beginning
 std::optional<Checkpoint> load_resume_checkpoint(const TrainOptions& options) {
     const fs::path folder = options.out;
-    std::optional<Checkpoint> start = load_newest_checkpoint(get_checkpoint_folder(folder), note);
+    std::optional<Checkpoint> start = load_newest_checkpoint(get_checkpoint_folder(folder), print_note);
     if (start) return start;
     if (is_file(folder / "report.html"))
         throw UsageError(
             fmt::format("cannot resume {}: its training has ended without a checkpoint; --force trains again "
                         "from the start",
                         folder.string()));
-    note(fmt::format("{} has no checkpoint, so training starts from the beginning", folder.string()));
+    print_note(fmt::format("{} has no checkpoint, so training starts from the beginning", folder.string()));
     return std::nullopt;
 }
 
-void report_training_start(const Sequence& sequence, const Split& split, const Device& device,
-                           const Checkpoint* start) {
-    print(fmt::format("log     {}: {} frames, {} for training, {} held out\ndevice  {} ({})\n", sequence.name,
-                      sequence.frames.size(), split.train.size(), split.test.size(), device.info().name,
-                      device.traversal() == Traversal::software ? "software traversal" : "ray query"));
+void print_training_start(const LidarSequence& sequence, const TrainTestSplit& split, const Device& device,
+                          const Checkpoint* start_checkpoint) {
+    print(
+        fmt::format("log     {}: {} frames, {} for training, {} held out\ndevice  {} ({})\n", sequence.name,
+                    sequence.frames.size(), split.train.size(), split.test.size(), device.info().name,
+                    device.traversal() == RayTracingBackend::software ? "software traversal" : "ray query"));
     for (const std::string& note : sequence.notes) print("note    " + note + "\n");
-    if (start) print(fmt::format("resume  from iteration {}\n", start->iteration));
+    if (start_checkpoint) print(fmt::format("resume  from iteration {}\n", start_checkpoint->iteration));
     std::fflush(stdout);
 }
 
 /// Returns the command line that resumes this training.
 std::string make_resume_command(const TrainOptions& options) {
-    std::string command = "relidar train --resume " + quote_shell_word(options.out);
+    std::string command = "relidar train --resume " + quote_word_for_shell(options.out);
     for (const std::string& word : make_device_arguments(options.device)) command += " " + word;
     return command;
 }
 
 /// Trains the scene. If the training fails, throws an error whose message names the last
 /// checkpoint and the command that resumes the training.
-TrainResult train_with_hint(Device& device, const Run& run, const TrainOptions& options,
-                            const Checkpoint* start, StageTimes& stages) {
+TrainResult train_with_resume_hint(Device& device, const TrainedRun& run, const TrainOptions& options,
+                                   const Checkpoint* start_checkpoint, StageTimes& stage_times) {
     const fs::path checkpoints = get_checkpoint_folder(run.folder);
     try {
-        return train_with_log(
-            device, run.sequence, run.split, run.config, run.folder, options.quiet,
-            {.checkpoints = checkpoints, .start = start, .stop = {}, .note = {}, .stages = &stages});
+        return train_scene_with_progress(device, run.sequence, run.split, run.config, run.folder,
+                                         options.quiet,
+                                         {.checkpoints = checkpoints,
+                                          .start = start_checkpoint,
+                                          .stop = {},
+                                          .note = {},
+                                          .stages = &stage_times});
     } catch (const Error& error) {
         const bool has_checkpoint = !list_checkpoints(checkpoints).empty();
         if (!has_checkpoint && error.code() != ExitCode::interrupted) throw;
@@ -203,49 +209,52 @@ TrainResult train_with_hint(Device& device, const Run& run, const TrainOptions& 
 }
 
 /// Returns the error message for a user who interrupts a step after the scene was saved.
-Error make_interruption_error(const char* description, const Run& run, const TrainOptions& options) {
+Error make_interruption_error(const char* step_description, const TrainedRun& run,
+                              const TrainOptions& options) {
     return Error(ExitCode::interrupted,
-                 fmt::format("interrupted while {}; the scene is saved in {}; continue with: {}", description,
-                             run.folder.string(), make_resume_command(options)));
+                 fmt::format("interrupted while {}; the scene is saved in {}; continue with: {}",
+                             step_description, run.folder.string(), make_resume_command(options)));
 }
 
 /// Runs the steps after the training of the scene and before the training of the ray-drop
 /// network. These steps align the held-out scans and learn the intensity noise.
-void complete_with_hint(Device& device, Run& run, const TrainOptions& options, StageTimes& stages) {
-    if (complete_scene_with_progress(device, run, options.quiet, stages) == TrainingEnd::stopped)
+void align_scans_and_learn_noise_or_throw(Device& device, TrainedRun& run, const TrainOptions& options,
+                                          StageTimes& stage_times) {
+    if (align_scans_and_learn_noise(device, run, options.quiet, stage_times) == TrainingEndReason::stopped)
         throw make_interruption_error("held-out scans were aligned and intensity scatter was learned", run,
                                       options);
 }
 
 /// Scores the held-out frames and writes the scores to metrics.json.
 /// @return an empty evaluation if the log has no held-out frames
-Evaluation score_held_out_frames(Device& device, const Run& run, const TrainOptions& options) {
+EvaluationResult score_held_out_frames(Device& device, const TrainedRun& run, const TrainOptions& options) {
     if (run.split.test.empty() || options.no_eval) return {};
     ScanRenderer renderer(device, run);
-    Progress progress(options.quiet);
+    TerminalProgress progress(options.quiet);
     const auto start = std::chrono::steady_clock::now();
-    Evaluation evaluation;
+    EvaluationResult evaluation;
     try {
-        evaluation =
-            evaluate_frames(renderer, run.config, run.sequence, run.split.test, stop_on_interrupt(progress));
+        evaluation = evaluate_frames(renderer, run.config, run.sequence, run.split.test,
+                                     make_interruptible_callback(progress));
     } catch (const Error& error) {
         if (error.code() != ExitCode::interrupted) throw;
         throw make_interruption_error("held-out frames were scored", run, options);
     }
     const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-    write_text(run.folder / "metrics.json",
-               make_metrics_json(evaluation, run.config,
-                                 {make_absolute_path(run.folder.string()), device.info().name,
-                                  device.peak_bytes(), seconds}));
+    write_text_file(run.folder / "metrics.json",
+                    make_metrics_json(evaluation, run.config,
+                                      {make_absolute_path(run.folder.string()), device.info().name,
+                                       device.peak_allocated_bytes(), seconds}));
     return evaluation;
 }
 
 /// Writes the report. If the training was not interrupted, also computes the scores and
 /// writes them.
-void finish_training(Device& device, const Run& run, const TrainResult& result, const TrainOptions& options,
-                     const std::string& command_line, StageTimes& stages) {
-    stages.begin("report");
-    Report report = make_report(run, result, device, command_line);
+void score_and_write_training_report(Device& device, const TrainedRun& run, const TrainResult& result,
+                                     const TrainOptions& options, const std::string& command_line,
+                                     StageTimes& stage_times) {
+    stage_times.start_stage("report");
+    Report report = make_training_report(run, result, device, command_line);
     if (result.interrupted) {
         write_report(run.folder / "report.html", report);
         throw Error(
@@ -256,59 +265,61 @@ void finish_training(Device& device, const Run& run, const TrainResult& result, 
                 result.iterations, run.config.train.iterations, run.folder.string(),
                 make_resume_command(options)));
     }
-    stages.begin("evaluate");
-    const Evaluation evaluation = score_held_out_frames(device, run, options);
-    stages.begin("report");
-    add_evaluation(report, evaluation, run, {"held out", "real"});
-    for (ReportFigure& strip : draw_worst_actor_strips(device, run, evaluation))
+    stage_times.start_stage("evaluate");
+    const EvaluationResult evaluation = score_held_out_frames(device, run, options);
+    stage_times.start_stage("report");
+    add_evaluation_to_report(report, evaluation, run, {"held out", "real"});
+    for (ReportFigure& strip : draw_worst_actor_figures(device, run, evaluation))
         report.figures.push_back(std::move(strip));
-    if (std::optional<ReportFigure> strip = draw_walking_strip(device, run))
+    if (std::optional<ReportFigure> strip = draw_walking_actor_figure(device, run))
         report.figures.push_back(std::move(*strip));
-    report.facts.emplace_back("Stages", format_stages(stages));
+    report.facts.emplace_back("Stages", format_stage_times(stage_times));
     write_report(run.folder / "report.html", report);
-    stages.end();
-    log_stages(run.folder, stages);
+    stage_times.end_running_stage();
+    append_stage_times_to_log(run.folder, stage_times);
     if (options.quiet) return;
     if (!evaluation.frames.empty())
         print(fmt::format("\n{}all scores: {}\n\n", format_score_summary(evaluation),
                           make_absolute_path((run.folder / "metrics.json").string())));
     print(fmt::format("{} surfels in {} of training, {} of device memory\nstages  {}\nreport  {}\n",
                       count_surfels(run.scene), format_duration(result.train_s),
-                      format_byte_size(result.peak_device_bytes), format_stages(stages),
+                      format_byte_size(result.peak_device_bytes), format_stage_times(stage_times),
                       make_absolute_path((run.folder / "report.html").string())));
 }
 
 /// Loads the checkpoint from which the training of the ray-drop network resumes. If the
 /// checkpoint belongs to another scene or other settings, prints a note and returns no
 /// value.
-std::optional<Checkpoint> find_network_start(const Run& run) {
+std::optional<Checkpoint> find_network_resume_checkpoint(const TrainedRun& run) {
     try {
         std::optional<Checkpoint> start =
-            load_newest_checkpoint(get_network_checkpoint_folder(run.folder), note);
-        if (start) check_refine_resumable(*start, run);
+            load_newest_checkpoint(get_network_checkpoint_folder(run.folder), print_note);
+        if (start) check_network_training_resumable(*start, run);
         return start;
     } catch (const Error& error) {
-        note(fmt::format("{}; the network is therefore trained from the beginning", error.what()));
+        print_note(fmt::format("{}; the network is therefore trained from the beginning", error.what()));
         return std::nullopt;
     }
 }
 
 /// Trains the ray-drop network of a saved scene and saves the network. Only prints a note
 /// if the log has no suitable training data, or if the device cannot run the network.
-void refine_with_hint(Device& device, Run& run, const TrainOptions& options, StageTimes& stages) {
-    const std::optional<Checkpoint> start = find_network_start(run);
+void refine_and_save_drop_network(Device& device, TrainedRun& run, const TrainOptions& options,
+                                  StageTimes& stage_times) {
+    const std::optional<Checkpoint> start = find_network_resume_checkpoint(run);
     if (!start) remove_network_checkpoints(run.folder);
     else if (!options.quiet)
         print(fmt::format("resume  the ray-drop network from step {}\n", start->iteration));
     const auto leave_out = [](const Error& error) {
         end_progress_line();
-        note(error.what());
+        print_note(error.what());
     };
     try {
-        const RefineSession session{.checkpoints = get_network_checkpoint_folder(run.folder),
-                                    .start = start ? &*start : nullptr,
-                                    .stages = &stages};
-        if (refine_with_progress(device, run, options.quiet, session) == TrainingEnd::stopped)
+        const RayDropTrainingSession session{.checkpoints = get_network_checkpoint_folder(run.folder),
+                                             .start = start ? &*start : nullptr,
+                                             .stages = &stage_times};
+        if (train_drop_network_with_progress(device, run, options.quiet, session) ==
+            TrainingEndReason::stopped)
             throw make_interruption_error("the ray-drop network was trained", run, options);
     } catch (const DataError& error) {
         // The checkpoints are useless, because a resumed training would fail with the
@@ -323,9 +334,9 @@ void refine_with_hint(Device& device, Run& run, const TrainOptions& options, Sta
 }
 
 /// Reads the result of an earlier training from the file log.jsonl of the run.
-TrainResult read_logged_result(const fs::path& folder) {
+TrainResult read_train_result_from_log(const fs::path& run_folder) {
     TrainResult result;
-    result.log = read_log(folder);
+    result.log = read_training_log_file(run_folder);
     if (result.log.empty()) return result;
     result.iterations = result.log.back().iteration;
     result.train_s = result.log.back().seconds;
@@ -334,59 +345,62 @@ TrainResult read_logged_result(const fs::path& folder) {
 
 /// Resumes a run whose scene is already trained. Runs only the missing steps, such as the
 /// ray-drop network and the scores.
-void finish_scene(const TrainOptions& options, const Config& config, const std::string& command_line) {
-    const RunFolder folder(options.out, Existing::keep);
-    Run run = load_run(options.out);
-    const bool has_network = !run.drop_network.empty() && are_groups_equal(run.config, config, "refine.");
+void run_missing_training_steps(const TrainOptions& options, const Config& config,
+                                const std::string& command_line) {
+    const RunOutputFolder folder(options.out, ExistingRunPolicy::keep);
+    TrainedRun run = load_run(options.out);
+    const bool has_network =
+        !run.drop_network.empty() && are_setting_groups_equal(run.config, config, "refine.");
     run.config = config;
     Device device(make_device_options(options.device));
     StageTimes stages;
-    stages.begin("read");
-    const Sequence log = load_dataset(config, options.quiet);
-    attach_scans(run, run.split.train, log);
-    attach_scans(run, run.split.test, log);
+    stages.start_stage("read");
+    const LidarSequence log = load_dataset(config, options.quiet);
+    copy_scans_into_run(run, run.split.train, log);
+    copy_scans_into_run(run, run.split.test, log);
     if (!options.quiet) {
-        report_training_start(run.sequence, run.split, device, nullptr);
+        print_training_start(run.sequence, run.split, device, nullptr);
         print("resume  after the last iteration\n");
     }
-    catch_interrupts();
-    if (!run.held_out_placed) complete_with_hint(device, run, options, stages);
+    install_interrupt_handlers();
+    if (!run.held_out_placed) align_scans_and_learn_noise_or_throw(device, run, options, stages);
     // The network is trained, so its checkpoints are obsolete. A process that was killed
     // may have left them.
     if (has_network) remove_network_checkpoints(run.folder);
-    else if (config.refine.enabled) refine_with_hint(device, run, options, stages);
-    TrainResult result = read_logged_result(run.folder);
-    result.peak_device_bytes = device.peak_bytes();
-    finish_training(device, run, result, options, command_line, stages);
+    else if (config.refine.enabled) refine_and_save_drop_network(device, run, options, stages);
+    TrainResult result = read_train_result_from_log(run.folder);
+    result.peak_device_bytes = device.peak_allocated_bytes();
+    score_and_write_training_report(device, run, result, options, command_line, stages);
 }
 
 /// Removes old files from the folder of a run before its training starts or resumes.
-void clear_folder(const fs::path& folder, const Config& config, bool keeps_blocks, bool keeps_checkpoints) {
-    remove_run_files(folder);
-    remove_network_checkpoints(folder);
-    if (!keeps_checkpoints) remove_checkpoints(get_checkpoint_folder(folder));
-    if (!keeps_blocks) remove_blocks(folder);
+void prepare_run_folder(const fs::path& run_folder, const Config& config, bool keep_blocks,
+                        bool keep_checkpoints) {
+    remove_run_result_files(run_folder);
+    remove_network_checkpoints(run_folder);
+    if (!keep_checkpoints) remove_checkpoints(get_checkpoint_folder(run_folder));
+    if (!keep_blocks) remove_block_folders(run_folder);
     // Saves the settings before the training starts. If the process is killed, the
     // training can be resumed with them.
-    write_text(folder / kConfigFile, to_toml(config));
+    write_text_file(run_folder / kConfigFile, to_toml(config));
 }
 
-void check_ranks(const Ranks& ranks, bool in_blocks) {
-    if (ranks.size() > 1 && !in_blocks)
+void require_blocks_for_multiple_ranks(const MpiProcessGroup& ranks, bool trains_in_blocks) {
+    if (ranks.size() > 1 && !trains_in_blocks)
         throw UsageError(fmt::format(
             "training with {} MPI processes needs --blocks, because the processes share the blocks "
             "of a log",
             ranks.size()));
 }
 
-void run_train(const TrainOptions& typed_options, const std::string& command_line) {
-    const Ranks ranks;
-    TrainOptions options = resolve_options(typed_options);
+void run_train_command(const TrainOptions& command_options, const std::string& command_line) {
+    const MpiProcessGroup ranks;
+    TrainOptions options = resolve_log_and_output_folder(command_options);
     options.quiet = options.quiet || !ranks.is_first();
-    options.device = ranks.device(options.device);
+    options.device = ranks.select_device_for_rank(options.device);
     Config config = make_training_config(options);
-    if (options.resume && !options.force && is_finished(options.out, config)) {
-        check_unchanged(options.out, config);
+    if (options.resume && !options.force && is_training_finished(options.out, config)) {
+        check_settings_unchanged(options.out, config);
         if (!options.quiet)
             print(
                 fmt::format("{} has already finished all {} iterations, so nothing is trained; increase "
@@ -396,46 +410,48 @@ void run_train(const TrainOptions& typed_options, const std::string& command_lin
     }
     const bool resume = options.resume && !options.force;
     if (!options.no_eval) check_lpips_weights();
-    if (resume && has_scene(options.out, config)) {
-        if (ranks.is_first()) finish_scene(options, config, command_line);
+    if (resume && has_scene_but_no_report(options.out, config)) {
+        if (ranks.is_first()) run_missing_training_steps(options, config, command_line);
         return;
     }
     const bool in_blocks = config.blocks.length_m > 0.0;
-    check_ranks(ranks, in_blocks);
-    std::optional<RunFolder> folder;
+    require_blocks_for_multiple_ranks(ranks, in_blocks);
+    std::optional<RunOutputFolder> folder;
     if (ranks.is_first())
-        folder.emplace(options.out, resume          ? Existing::keep
-                                    : options.force ? Existing::replace
-                                                    : Existing::refuse);
-    if (resume && in_blocks) check_trained_blocks(options.out, config);
+        folder.emplace(options.out, resume          ? ExistingRunPolicy::keep
+                                    : options.force ? ExistingRunPolicy::replace
+                                                    : ExistingRunPolicy::refuse);
+    if (resume && in_blocks) check_trained_block_settings(options.out, config);
     std::optional<Checkpoint> start = resume && !in_blocks ? load_resume_checkpoint(options) : std::nullopt;
     Device device(make_device_options(options.device));
     StageTimes stages;
-    stages.begin("read");
-    Sequence sequence = load_dataset(config, options.quiet);
-    config = use_farthest_return(std::move(config), sequence);
-    const Split split = split_frames(sequence, config.dataset.test_every, config.dataset.test_frames);
-    if (!options.quiet) report_training_start(sequence, split, device, start ? &*start : nullptr);
+    stages.start_stage("read");
+    LidarSequence sequence = load_dataset(config, options.quiet);
+    config = resolve_max_range(std::move(config), sequence);
+    const TrainTestSplit split =
+        split_frames(sequence, config.dataset.test_every, config.dataset.test_frames);
+    if (!options.quiet) print_training_start(sequence, split, device, start ? &*start : nullptr);
 
-    catch_interrupts();
-    prepare_log_with_progress(sequence, split, config, options.quiet, ranks.group(), &stages);
-    if (start) check_resumable(*start, sequence, split, config);
-    if (folder) clear_folder(folder->path(), config, resume && in_blocks, start.has_value());
-    ranks.wait_for_all();
-    Run run{options.out, config, std::move(sequence), split, {}, {}};
-    if (in_blocks) stages.begin("train");
-    TrainResult result = in_blocks
-                             ? train_blocks(device, run, {ranks, options.quiet, make_resume_command(options)})
-                             : train_with_hint(device, run, options, start ? &*start : nullptr, stages);
+    install_interrupt_handlers();
+    prepare_sequence_for_training(sequence, split, config, options.quiet, ranks.get_process_group(), &stages);
+    if (start) check_training_resumable(*start, sequence, split, config);
+    if (folder) prepare_run_folder(folder->path(), config, resume && in_blocks, start.has_value());
+    ranks.wait_for_all_ranks();
+    TrainedRun run{options.out, config, std::move(sequence), split, {}, {}};
+    if (in_blocks) stages.start_stage("train");
+    TrainResult result =
+        in_blocks ? train_blocks(device, run, {ranks, options.quiet, make_resume_command(options)})
+                  : train_with_resume_hint(device, run, options, start ? &*start : nullptr, stages);
     if (!ranks.is_first()) return;
     end_progress_line();
     start.reset();
     if (!in_blocks) move_result_into_run(run, result);
-    stages.begin("save");
+    stages.start_stage("save");
     save_run(run);
-    if (!result.interrupted) complete_with_hint(device, run, options, stages);
-    if (config.refine.enabled && !result.interrupted) refine_with_hint(device, run, options, stages);
-    finish_training(device, run, result, options, command_line, stages);
+    if (!result.interrupted) align_scans_and_learn_noise_or_throw(device, run, options, stages);
+    if (config.refine.enabled && !result.interrupted)
+        refine_and_save_drop_network(device, run, options, stages);
+    score_and_write_training_report(device, run, result, options, command_line, stages);
 }
 
 void add_resume_option(CLI::App& command, const std::shared_ptr<TrainOptions>& options) {
@@ -462,12 +478,12 @@ Examples:
 
 }  // namespace
 
-void add_train(CLI::App& app, Call& call) {
+void add_train_command(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand("train", "train a scene on a log");
     const auto options = std::make_shared<TrainOptions>();
     command->add_option("DATASET", options->dataset, "log: a path, whose format is recognised, or KIND:PATH");
     command->add_option("--out", options->out, "run folder to create")->type_name("RUN");
-    add_log_part_options(*command, options->part);
+    add_log_selection_options(*command, options->part);
     add_settings_options(*command, options->settings);
     command->add_option("--seed", options->seed, "seed of initialisation and training (default: 1)")
         ->type_name("S");
@@ -482,10 +498,12 @@ void add_train(CLI::App& app, Call& call) {
     command->add_flag("--no-eval", options->no_eval, "do not score the held-out frames at the end");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(kTrainHelp);
-    command->callback([&call, options, command] {
+    command->callback([&selected_command, options, command] {
         options->resume = command->count("--resume") > 0;
         options->from_preset = command->count("--preset") + command->count("--config") > 0;
-        call.run = [&call, options] { run_train(*options, call.command_line); };
+        selected_command.run = [&selected_command, options] {
+            run_train_command(*options, selected_command.command_line);
+        };
     });
 }
 

@@ -26,76 +26,77 @@ using Clock = std::chrono::steady_clock;
 
 /// Returns true if a setting may differ between the blocks of a scene, which are trained
 /// separately.
-bool is_free(const std::string& key) {
+bool can_differ_between_blocks(const std::string& setting_key) {
     // Actor settings may differ, because each block lists only its own actors.
     constexpr std::array kFree{"dataset.path",           "dataset.memory_mib", "train.log_every",
                                "train.frame_memory_mib", "init.actor_classes", "init.actor_tracks"};
     constexpr std::array kFreeGroups{"train.checkpoint_minutes", "render.", "refine.", "trace.", "blocks."};
-    return std::find(kFree.begin(), kFree.end(), key) != kFree.end() ||
+    return std::find(kFree.begin(), kFree.end(), setting_key) != kFree.end() ||
            std::any_of(kFreeGroups.begin(), kFreeGroups.end(),
-                       [&](const char* group) { return key.starts_with(group); });
+                       [&](const char* group) { return setting_key.starts_with(group); });
 }
 
 /// Compares the settings of a trained block with the current settings.
 /// @throws DataError if the block was trained with other settings
-void check_settings(const fs::path& block, const Config& trained, const Config& config) {
-    const std::vector<ConfigKey> was = list_config_keys(trained), is = list_config_keys(config);
+void check_block_settings(const fs::path& block_folder, const Config& block_config,
+                          const Config& current_config) {
+    const std::vector<ConfigKey> was = list_config_keys(block_config), is = list_config_keys(current_config);
     for (std::size_t i = 0; i < is.size(); ++i)
-        if (!is_free(is[i].key) && was[i].value != is[i].value)
+        if (!can_differ_between_blocks(is[i].key) && was[i].value != is[i].value)
             throw DataError(fmt::format(
                 "cannot resume: {} was trained with {} = {}, but now the value is {}; use the same "
                 "value, or --force to train all blocks again",
-                block.string(), is[i].key, was[i].value, is[i].value));
+                block_folder.string(), is[i].key, was[i].value, is[i].value));
 }
 
 /// Compares the frames of a trained block with the current frames.
 /// @throws DataError if the block was trained on other frames
-void check_frames(const Run& trained, const BlockLog& log) {
-    const auto is_same = [](const Frame& first, const Frame& second) {
+void check_block_frames(const TrainedRun& trained_block, const BlockTrainingLog& block_log) {
+    const auto is_same = [](const LidarFrame& first, const LidarFrame& second) {
         return first.index == second.index && first.lidar == second.lidar;
     };
-    const std::vector<Frame>&was = trained.sequence.frames, &is = log.sequence.frames;
-    if (trained.split.train != log.split.train ||
+    const std::vector<LidarFrame>&was = trained_block.sequence.frames, &is = block_log.sequence.frames;
+    if (trained_block.split.train != block_log.split.train ||
         !std::equal(was.begin(), was.end(), is.begin(), is.end(), is_same))
         throw DataError(fmt::format(
             "cannot resume: {} was trained on {} frames from {} to {}, but now it has {} frames from "
             "{} to {}; use the same frames, or --force to train all blocks again",
-            trained.folder.string(), was.size(), was.front().index, was.back().index, is.size(),
+            trained_block.folder.string(), was.size(), was.front().index, was.back().index, is.size(),
             is.front().index, is.back().index));
 }
 
 /// Combines the training results of all blocks of a scene. Sums up the times and averages
 /// the losses.
-class Total {
+class BlockTrainTotals {
 public:
-    void add(const std::vector<TrainProgress>& log) {
+    void add_block_log(const std::vector<TrainProgress>& training_log) {
         ++n_;
-        if (!log.empty()) seconds_ += log.back().seconds;
-        for (std::size_t i = 0; i < log.size(); ++i) {
+        if (!training_log.empty()) seconds_ += training_log.back().seconds;
+        for (std::size_t i = 0; i < training_log.size(); ++i) {
             if (i == sum_.log.size()) sum_.log.emplace_back();
             TrainProgress& line = sum_.log[i];
-            line.iteration = log[i].iteration;
-            line.loss += log[i].loss;
-            line.n_surfels += log[i].n_surfels;
-            line.seconds += log[i].seconds;
-            for (std::size_t k = 0; k < line.terms.size(); ++k) line.terms[k] += log[i].terms[k];
+            line.iteration = training_log[i].iteration;
+            line.loss += training_log[i].loss;
+            line.n_surfels += training_log[i].n_surfels;
+            line.seconds += training_log[i].seconds;
+            for (std::size_t k = 0; k < line.terms.size(); ++k) line.terms[k] += training_log[i].terms[k];
         }
     }
-    void add(const TrainResult& result) {
-        add(result.log);
+    void add_block_result(const TrainResult& result) {
+        add_block_log(result.log);
         sum_.initialise_s += result.initialise_s;
         sum_.peak_device_bytes = std::max(sum_.peak_device_bytes, result.peak_device_bytes);
-        sum_.times.add(result.times);
+        sum_.times.add_times(result.times);
     }
-    TrainResult take(int iterations) {
+    TrainResult compute_mean_block_result(int n_iterations) {
         for (TrainProgress& line : sum_.log) {
-            line.n_iterations = iterations;
+            line.n_iterations = n_iterations;
             line.loss /= double(n_);
             for (double& term : line.terms) term /= double(n_);
             line.iterations_per_second = double(line.iteration) * double(n_) / std::max(line.seconds, 1e-9);
         }
         sum_.train_s = seconds_;
-        sum_.iterations = iterations;
+        sum_.iterations = n_iterations;
         return std::move(sum_);
     }
 
@@ -108,13 +109,13 @@ private:
 /// Trains the blocks of a run one after the other.
 class BlockTrainer {
 public:
-    BlockTrainer(Device& device, Run& run, const BlockTraining& training)
+    BlockTrainer(Device& device, TrainedRun& run, const BlockTrainingOptions& training)
         : device_(device),
           run_(run),
           how_(training),
-          blocks_(plan_blocks(run.sequence, run.split, run.config.blocks)) {}
+          blocks_(plan_training_blocks(run.sequence, run.split, run.config.blocks)) {}
 
-    TrainResult train() {
+    TrainResult train_all_blocks() {
         if (!how_.quiet)
             print(fmt::format(
                 "blocks  {} blocks of {:.1f} m each; each block also uses the sweeps up to {:g} m "
@@ -129,136 +130,141 @@ public:
         std::vector<std::size_t> others;
         for (std::size_t k = 0; k < blocks_.size(); ++k) {
             folders.push_back(get_blocks_folder(run_.folder) / fmt::format("{:03}", k));
-            if (!train(k, folders.back())) others.push_back(k);
+            if (!try_train_block(k, folders.back())) others.push_back(k);
         }
-        how_.ranks.wait_for_all();
+        how_.ranks.wait_for_all_ranks();
         if (!how_.ranks.is_first()) return {};
-        for (const std::size_t k : others) total_.add(read_log(folders[k]));
-        join_blocks(run_, blocks_, folders);
-        train_actors();
-        TrainResult result = total_.take(run_.config.train.iterations);
-        write_log(run_.folder, result.log);
+        for (const std::size_t k : others) total_.add_block_log(read_training_log_file(folders[k]));
+        join_trained_blocks(run_, blocks_, folders);
+        train_actors_in_joined_scene();
+        TrainResult result = total_.compute_mean_block_result(run_.config.train.iterations);
+        write_training_log_file(run_.folder, result.log);
         return result;
     }
 
 private:
-    /// Trains block `index` in a folder. Does nothing if the block is already trained, or
-    /// if another MPI process trains it.
+    /// Trains block `block_index` in a folder. Does nothing if the block is already
+    /// trained, or if another MPI process trains it.
     /// @return true if this call has trained the block
-    bool train(std::size_t index, const fs::path& folder) {
+    bool try_train_block(std::size_t block_index, const fs::path& block_folder) {
         std::error_code failed;
         // Ignores the error here, because locking the folder reports the same error
         // below.
-        fs::create_directories(folder, failed);
-        const std::unique_ptr<FolderLock> lock = FolderLock::try_lock(folder);
+        fs::create_directories(block_folder, failed);
+        const std::unique_ptr<FolderLock> lock = FolderLock::try_lock(block_folder);
         if (!lock) return false;
-        BlockLog log = load_block_log(run_.sequence, run_.split, blocks_[index], run_.config);
-        if (fs::is_regular_file(folder / "scene.json", failed)) {
-            const Run trained = load_run(folder);
-            check_frames(trained, log);
+        BlockTrainingLog log =
+            extract_block_log(run_.sequence, run_.split, blocks_[block_index], run_.config);
+        if (fs::is_regular_file(block_folder / "scene.json", failed)) {
+            const TrainedRun trained = load_run(block_folder);
+            check_block_frames(trained, log);
             // Removes old checkpoints. They still exist if an earlier process was killed
             // before it removed them.
-            remove_checkpoints(get_checkpoint_folder(folder));
+            remove_checkpoints(get_checkpoint_folder(block_folder));
             return false;
         }
-        report_block(index, log);
+        print_block_start(block_index, log);
         const auto start = Clock::now();
         try {
-            TrainResult result = train(log, folder);
+            TrainResult result = train_or_resume_block(log, block_folder);
             end_progress_line();
-            total_.add(result);
-            save(index, std::move(log), folder, result);
+            total_.add_block_result(result);
+            save_trained_block(block_index, std::move(log), block_folder, result);
         } catch (const Error& error) {
-            throw Error(error.code(), add_resume_hint(fmt::format("{}: {}", get_name(index), error.what())));
+            throw Error(error.code(), append_resume_hint(fmt::format("{}: {}", format_block_name(block_index),
+                                                                     error.what())));
         }
         seconds_ += std::chrono::duration<double>(Clock::now() - start).count();
         ++trained_;
         return true;
     }
 
-    void train_actors() {
-        Progress progress(how_.quiet);
+    void train_actors_in_joined_scene() {
+        TerminalProgress progress(how_.quiet);
         const auto start = Clock::now();
         const auto show = [&](int step, int n_steps) {
             const double s = std::chrono::duration<double>(Clock::now() - start).count();
-            progress.show(
+            progress.show_progress_text(
                 fmt::format("actors in front of the joined background, step {}/{}  {:.2f} it/s  eta {}", step,
                             n_steps, step / s, format_duration(s / step * (n_steps - step))),
                 step == n_steps);
         };
         try {
-            if (relidar::train_actors(device_, run_, {show, is_interrupted}) == TrainingEnd::stopped)
+            if (relidar::train_actors(device_, run_, {show, is_interrupted}) == TrainingEndReason::stopped)
                 throw Error(ExitCode::interrupted,
                             "interrupted while actors were trained in front of the joined background");
         } catch (const Error& error) {
-            throw Error(error.code(), add_resume_hint(error.what()));
+            throw Error(error.code(), append_resume_hint(error.what()));
         }
         end_progress_line();
     }
 
     /// Appends the command that resumes the training to an error message.
-    std::string add_resume_hint(const std::string& description) const {
-        return fmt::format("{}; the trained blocks are kept; continue with: {}", description, how_.resume);
+    std::string append_resume_hint(const std::string& error_message) const {
+        return fmt::format("{}; the trained blocks are kept; continue with: {}", error_message, how_.resume);
     }
 
-    std::string get_name(std::size_t index) const {
-        return fmt::format("block {} of {}", index + 1, blocks_.size());
+    std::string format_block_name(std::size_t block_index) const {
+        return fmt::format("block {} of {}", block_index + 1, blocks_.size());
     }
 
-    void save(std::size_t index, BlockLog log, const fs::path& folder, TrainResult& result) const {
-        Run part{folder, log.config, std::move(log.sequence), log.split, {}, {}};
+    void save_trained_block(std::size_t block_index, BlockTrainingLog block_log, const fs::path& block_folder,
+                            TrainResult& result) const {
+        TrainedRun part{
+            block_folder, block_log.config, std::move(block_log.sequence), block_log.split, {}, {}};
         move_result_into_run(part, result);
-        remove_overlap_surfels(part.scene, run_.sequence, blocks_, index);
+        remove_surfels_of_other_blocks(part.scene, run_.sequence, blocks_, block_index);
         save_run(part);
-        remove_checkpoints(get_checkpoint_folder(folder));
+        remove_checkpoints(get_checkpoint_folder(block_folder));
     }
 
-    TrainResult train(const BlockLog& log, const fs::path& folder) const {
-        const fs::path checkpoints = get_checkpoint_folder(folder);
-        const std::optional<Checkpoint> start = load_newest_checkpoint(checkpoints, note);
+    TrainResult train_or_resume_block(const BlockTrainingLog& block_log, const fs::path& block_folder) const {
+        const fs::path checkpoints = get_checkpoint_folder(block_folder);
+        const std::optional<Checkpoint> start = load_newest_checkpoint(checkpoints, print_note);
         const TrainSession session{checkpoints, start ? &*start : nullptr, {}, {}};
-        TrainResult result =
-            train_with_log(device_, log.sequence, log.split, log.config, folder, how_.quiet, session);
+        TrainResult result = train_scene_with_progress(device_, block_log.sequence, block_log.split,
+                                                       block_log.config, block_folder, how_.quiet, session);
         if (!result.interrupted) return result;
         throw Error(ExitCode::interrupted, fmt::format("interrupted after iteration {} of {}",
-                                                       result.iterations, log.config.train.iterations));
+                                                       result.iterations, block_log.config.train.iterations));
     }
 
-    void report_block(std::size_t index, const BlockLog& log) const {
+    void print_block_start(std::size_t block_index, const BlockTrainingLog& block_log) const {
         if (how_.quiet) return;
         const double left_s =
-            trained_ > 0 ? seconds_ / double(trained_) * double(blocks_.size() - index) : 0.0;
+            trained_ > 0 ? seconds_ / double(trained_) * double(blocks_.size() - block_index) : 0.0;
         print(fmt::format("block   {} of {}, metres {:.0f} to {:.0f}: {} training frames, {} held out{}\n",
-                          index + 1, blocks_.size(), blocks_[index].begin_m, blocks_[index].end_m,
-                          log.split.train.size(), log.split.test.size(),
+                          block_index + 1, blocks_.size(), blocks_[block_index].begin_m,
+                          blocks_[block_index].end_m, block_log.split.train.size(),
+                          block_log.split.test.size(),
                           left_s > 0.0 ? fmt::format("; about {} left", format_duration(left_s)) : ""));
         std::fflush(stdout);
     }
 
     Device& device_;
-    Run& run_;
-    const BlockTraining how_;
-    const std::vector<Block> blocks_;
-    Total total_;
+    TrainedRun& run_;
+    const BlockTrainingOptions how_;
+    const std::vector<TrajectoryBlock> blocks_;
+    BlockTrainTotals total_;
     double seconds_ = 0.0;
     std::size_t trained_ = 0;
 };
 
 }  // namespace
 
-void check_trained_blocks(const fs::path& run, const Config& config) {
+void check_trained_block_settings(const fs::path& run_folder, const Config& config) {
     std::error_code failed;
     std::vector<fs::path> folders;
-    for (const auto& entry : fs::directory_iterator(get_blocks_folder(run), failed))
+    for (const auto& entry : fs::directory_iterator(get_blocks_folder(run_folder), failed))
         if (fs::is_regular_file(entry.path() / "scene.json", failed)) folders.push_back(entry.path());
     std::sort(folders.begin(), folders.end());
     for (const fs::path& folder : folders) {
-        check_settings(folder, load_saved_config(folder / "config.toml"), config);
+        check_block_settings(folder, load_saved_config(folder / "config.toml"), config);
     }
 }
 
-TrainResult train_blocks(Device& device, Run& run, const BlockTraining& training) {
-    return BlockTrainer(device, run, training).train();
+TrainResult train_blocks(Device& device, TrainedRun& run, const BlockTrainingOptions& block_options) {
+    return BlockTrainer(device, run, block_options).train_all_blocks();
 }
 
 }  // namespace relidar::cli

@@ -12,10 +12,10 @@
 namespace relidar::cli {
 
 /// Options for training in blocks.
-struct BlockTraining {
+struct BlockTrainingOptions {
     /// MPI processes that share the training. When a process has finished a block, it
     /// trains the next free block.
-    const Ranks& ranks;
+    const MpiProcessGroup& ranks;
     bool quiet = false;
     std::string resume;  ///< Command line that resumes the training. Error messages contain it.
 };
@@ -27,11 +27,11 @@ struct BlockTraining {
 /// and the largest memory peak
 /// @throws Error with exit code 130 after Ctrl-C
 /// @throws DataError if a block was trained with other settings or frames
-TrainResult train_blocks(Device& device, Run& run, const BlockTraining& training);
+TrainResult train_blocks(Device& device, TrainedRun& run, const BlockTrainingOptions& block_options);
 
 /// Checks that the trained blocks of a run match the current settings. Otherwise they
 /// could not be joined with blocks that are trained now.
 /// @throws DataError that names the first block with other settings
-void check_trained_blocks(const std::filesystem::path& run, const Config& config);
+void check_trained_block_settings(const std::filesystem::path& run_folder, const Config& config);
 
 }  // namespace relidar::cli

@@ -19,14 +19,14 @@ namespace {
 
 namespace fs = std::filesystem;
 
-std::string format_log_line(const TrainProgress& progress) {
+std::string format_progress_json_line(const TrainProgress& progress) {
     nlohmann::ordered_json json = {{"iteration", progress.iteration},
                                    {"seconds", progress.seconds},
                                    {"iterations_per_second", progress.iterations_per_second},
                                    {"loss", progress.loss}};
     for (std::size_t k = 0; k < progress.terms.size(); ++k) json[kLossTermNames[k]] = progress.terms[k];
     json["surfels"] = progress.n_surfels;
-    if (const DensifyReport& d = progress.densified; d.added || d.removed())
+    if (const DensifyReport& d = progress.densified; d.added || d.count_removed_surfels())
         json["densified"] = {{"added", d.added},     {"clones_wanted", d.clones}, {"splits_wanted", d.splits},
                              {"invalid", d.invalid}, {"faint", d.faint},          {"large", d.large},
                              {"outside", d.outside}};
@@ -34,34 +34,34 @@ std::string format_log_line(const TrainProgress& progress) {
     return json.dump() + "\n";
 }
 
-std::string log_text(const std::vector<TrainProgress>& lines) {
+std::string format_training_log(const std::vector<TrainProgress>& log_entries) {
     std::string text;
-    for (const TrainProgress& p : lines) text += format_log_line(p);
+    for (const TrainProgress& p : log_entries) text += format_progress_json_line(p);
     return text;
 }
 
 /// Writes the file log.jsonl during training. If the disk is full, prints a note only
-/// once. At the end, finish() tries to write the complete file again.
+/// once. At the end, rewrite_log_if_incomplete() tries to write the complete file again.
 class LogFile {
 public:
-    LogFile(fs::path path, const std::vector<TrainProgress>& before) : path_(std::move(path)) {
-        write_text(path_, log_text(before));
+    LogFile(fs::path path, const std::vector<TrainProgress>& earlier_entries) : path_(std::move(path)) {
+        write_text_file(path_, format_training_log(earlier_entries));
         file_.open(path_, std::ios::binary | std::ios::app);
     }
-    void add(const TrainProgress& progress) {
-        if (lost_ || (file_ << format_log_line(progress)).flush()) return;
+    void append_log_entry(const TrainProgress& progress) {
+        if (lost_ || (file_ << format_progress_json_line(progress)).flush()) return;
         lost_ = true;
-        note(fmt::format(
+        print_note(fmt::format(
             "cannot write {}, because the disk is full or the folder was removed; training continues "
             "without it",
             path_.string()));
     }
-    void finish(const std::vector<TrainProgress>& lines) {
+    void rewrite_log_if_incomplete(const std::vector<TrainProgress>& log_entries) {
         if (!lost_) return;
         try {
-            write_text(path_, log_text(lines));
+            write_text_file(path_, format_training_log(log_entries));
         } catch (const DataError& error) {
-            note(error.what());
+            print_note(error.what());
         }
     }
 
@@ -73,9 +73,10 @@ private:
 
 /// Aligns the held-out scans to the scene and shows the progress. Prints how far the
 /// scans moved. After Ctrl-C, the scans keep their previous poses.
-void place_with_progress(Device& device, Run& run, bool quiet) {
-    Progress progress(quiet);
-    const HeldOutPlacement placed = place_held_out(device, run, {make_progress(progress), is_interrupted});
+void align_held_out_scans_with_progress(Device& device, TrainedRun& run, bool quiet) {
+    TerminalProgress progress(quiet);
+    const HeldOutPoseReport placed =
+        place_held_out(device, run, {make_progress_callback(progress), is_interrupted});
     end_progress_line();
     if (quiet || placed.scans == 0) return;
     print(
@@ -87,41 +88,43 @@ void place_with_progress(Device& device, Run& run, bool quiet) {
 
 }  // namespace
 
-void prepare_log_with_progress(Sequence& sequence, const Split& split, const Config& config, bool quiet,
-                               const ProcessGroup& group, StageTimes* stages) {
-    Progress progress(quiet);
-    const auto tell = [&](const std::string& line) {
+void prepare_sequence_for_training(LidarSequence& sequence, const TrainTestSplit& split, const Config& config,
+                                   bool quiet, const ProcessGroup& process_group, StageTimes* stage_times) {
+    TerminalProgress progress(quiet);
+    const auto report_line = [&](const std::string& line) {
         if (quiet) return;
         end_progress_line();
         print(line + "\n");
         std::fflush(stdout);
     };
-    prepare_log(sequence, split, config, {tell, is_interrupted, make_progress(progress), stages, group});
+    prepare_log(sequence, split, config,
+                {report_line, is_interrupted, make_progress_callback(progress), stage_times, process_group});
 }
 
-TrainResult train_with_log(Device& device, const Sequence& sequence, const Split& split, const Config& config,
-                           const fs::path& folder, bool quiet, TrainSession session) {
-    release_freed_memory();
-    LogFile log(folder / "log.jsonl",
-                session.start ? read_resumed_log(*session.start, config) : std::vector<TrainProgress>{});
-    Progress progress(quiet);
-    session.progress = [show = make_progress(progress)](std::string_view description, double done) {
+TrainResult train_scene_with_progress(Device& device, const LidarSequence& sequence,
+                                      const TrainTestSplit& split, const Config& config,
+                                      const fs::path& run_folder, bool quiet, TrainSession session) {
+    return_freed_memory_to_system();
+    LogFile log(run_folder / "log.jsonl",
+                session.start ? read_training_log(*session.start, config) : std::vector<TrainProgress>{});
+    TerminalProgress progress(quiet);
+    session.progress = [show = make_progress_callback(progress)](std::string_view description, double done) {
         if (is_interrupted())
             throw Error(ExitCode::interrupted, "interrupted while the training was prepared");
         show(description, done);
     };
     session.stop = is_interrupted;
-    session.note = note;
+    session.note = print_note;
     const TrainResult result = train(
         device, sequence, split, config,
         [&](const TrainProgress& p) {
-            if (!p.densified.note.empty()) note(p.densified.note);
-            progress.show(format_progress(p), p.iteration == p.n_iterations);
-            log.add(p);
+            if (!p.densified.note.empty()) print_note(p.densified.note);
+            progress.show_progress_text(format_progress_line(p), p.iteration == p.n_iterations);
+            log.append_log_entry(p);
             return true;
         },
         session);
-    log.finish(result.log);
+    log.rewrite_log_if_incomplete(result.log);
     return result;
 }
 
@@ -129,80 +132,82 @@ namespace {
 
 /// Measures the noise of the LiDAR intensities and shows the progress. After Ctrl-C, the
 /// noise remains unknown.
-void learn_scatter_with_progress(Device& device, Run& run, bool quiet) {
-    Progress progress(quiet);
-    run.intensity_scatter = learn_scatter(device, run, {make_progress(progress), is_interrupted});
+void learn_intensity_noise(Device& device, TrainedRun& run, bool quiet) {
+    TerminalProgress progress(quiet);
+    run.intensity_scatter = learn_scatter(device, run, {make_progress_callback(progress), is_interrupted});
     end_progress_line();
 }
 
 }  // namespace
 
-TrainingEnd complete_scene_with_progress(Device& device, Run& run, bool quiet, StageTimes& stages) {
-    stages.begin("place");
-    place_with_progress(device, run, quiet);
-    stages.begin("scatter");
-    learn_scatter_with_progress(device, run, quiet);
-    if (is_interrupted()) return TrainingEnd::stopped;
-    stages.begin("save");
+TrainingEndReason align_scans_and_learn_noise(Device& device, TrainedRun& run, bool quiet,
+                                              StageTimes& stage_times) {
+    stage_times.start_stage("place");
+    align_held_out_scans_with_progress(device, run, quiet);
+    stage_times.start_stage("scatter");
+    learn_intensity_noise(device, run, quiet);
+    if (is_interrupted()) return TrainingEndReason::stopped;
+    stage_times.start_stage("save");
     save_run(run);
-    return TrainingEnd::finished;
+    return TrainingEndReason::finished;
 }
 
-TrainingEnd refine_with_progress(Device& device, Run& run, bool quiet, RefineSession session) {
-    Progress progress(quiet);
-    session.progress = make_progress(progress);
+TrainingEndReason train_drop_network_with_progress(Device& device, TrainedRun& run, bool quiet,
+                                                   RayDropTrainingSession session) {
+    TerminalProgress progress(quiet);
+    session.progress = make_progress_callback(progress);
     session.stop = is_interrupted;
-    session.note = note;
-    session.step = [&](const RefineProgress& p) {
+    session.note = print_note;
+    session.step = [&](const RayDropTrainProgress& p) {
         const double eta_s = p.seconds / p.step * (p.n_steps - p.step);
-        progress.show(
+        progress.show_progress_text(
             fmt::format(
                 "ray-drop network, epoch {}/{}  step {}/{}  {:.2f} it/s  eta {}  entropy {}  accuracy {:.4f}",
                 p.epoch, p.n_epochs, p.step, p.n_steps, p.step / p.seconds, format_duration(eta_s),
-                format_short_number(p.entropy), p.accuracy),
+                format_four_significant_digits(p.entropy), p.accuracy),
             p.step == p.n_steps);
     };
-    DropNetwork network = refine_drops(device, run, session);
+    RayDropNetwork network = refine_drops(device, run, session);
     end_progress_line();
-    if (network.empty()) return TrainingEnd::stopped;
+    if (network.empty()) return TrainingEndReason::stopped;
     run.drop_network = std::move(network);
-    return TrainingEnd::finished;
+    return TrainingEndReason::finished;
 }
 
-std::string format_progress(const TrainProgress& progress) {
+std::string format_progress_line(const TrainProgress& progress) {
     std::string terms;
     for (std::size_t k = 0; k < progress.terms.size(); ++k) {
         if (progress.terms[k] != 0.0)
             terms += fmt::format("{}{} {}", terms.empty() ? "" : " ", kLossTermNames[k],
-                                 format_short_number(progress.terms[k]));
+                                 format_four_significant_digits(progress.terms[k]));
     }
     return fmt::format("iteration {}/{}  {:.2f} it/s  eta {}  loss {} ({})", progress.iteration,
                        progress.n_iterations, progress.iterations_per_second, format_duration(progress.eta_s),
-                       format_short_number(progress.loss), terms);
+                       format_four_significant_digits(progress.loss), terms);
 }
 
-std::string format_stages(const StageTimes& times) {
+std::string format_stage_times(const StageTimes& stage_times) {
     std::vector<std::string> words;
-    for (const StageTimes::Stage& stage : times.stages())
+    for (const StageTimes::Stage& stage : stage_times.stages())
         if (stage.seconds >= 0.1) words.push_back(fmt::format("{} {:.1f} s", stage.name, stage.seconds));
     return fmt::format("{}", fmt::join(words, ", "));
 }
 
-void log_stages(const fs::path& folder, const StageTimes& times) {
+void append_stage_times_to_log(const fs::path& run_folder, const StageTimes& stage_times) {
     nlohmann::ordered_json seconds = nlohmann::ordered_json::object();
-    for (const StageTimes::Stage& stage : times.stages()) seconds[stage.name] = stage.seconds;
-    std::ofstream file(folder / "log.jsonl", std::ios::binary | std::ios::app);
+    for (const StageTimes::Stage& stage : stage_times.stages()) seconds[stage.name] = stage.seconds;
+    std::ofstream file(run_folder / "log.jsonl", std::ios::binary | std::ios::app);
     if (!(file << nlohmann::ordered_json{{"stages_s", seconds}}.dump() << "\n"))
-        note(fmt::format("cannot write the times of the training stages to {}",
-                         (folder / "log.jsonl").string()));
+        print_note(fmt::format("cannot write the times of the training stages to {}",
+                               (run_folder / "log.jsonl").string()));
 }
 
-void write_log(const fs::path& folder, const std::vector<TrainProgress>& lines) {
-    write_text(folder / "log.jsonl", log_text(lines));
+void write_training_log_file(const fs::path& run_folder, const std::vector<TrainProgress>& log_entries) {
+    write_text_file(run_folder / "log.jsonl", format_training_log(log_entries));
 }
 
-std::vector<TrainProgress> read_log(const fs::path& folder) {
-    std::ifstream file(folder / "log.jsonl", std::ios::binary);
+std::vector<TrainProgress> read_training_log_file(const fs::path& run_folder) {
+    std::ifstream file(run_folder / "log.jsonl", std::ios::binary);
     std::vector<TrainProgress> lines;
     for (std::string line; std::getline(file, line);) {
         const nlohmann::json json = nlohmann::json::parse(line, nullptr, false);
@@ -221,8 +226,8 @@ std::vector<TrainProgress> read_log(const fs::path& folder) {
     return lines;
 }
 
-int read_last_logged_iteration(const fs::path& folder) {
-    const std::vector<TrainProgress> lines = read_log(folder);
+int read_last_logged_iteration(const fs::path& run_folder) {
+    const std::vector<TrainProgress> lines = read_training_log_file(run_folder);
     return lines.empty() ? 0 : lines.back().iteration;
 }
 

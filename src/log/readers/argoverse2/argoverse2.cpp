@@ -42,7 +42,7 @@ struct SweepFile {
 
 std::vector<SweepFile> list_sweeps(const fs::path& folder) {
     std::vector<SweepFile> sweeps;
-    for (const fs::path& path : list_folder(folder)) {
+    for (const fs::path& path : list_folder_entries(folder)) {
         if (path.extension() != ".feather") continue;
         const std::string stem = path.stem().string();
         std::int64_t time_ns = 0;
@@ -73,14 +73,14 @@ std::vector<SweepFile> select_sweeps_in_range(const std::vector<SweepFile>& swee
 
 /// Reads one rigid transform from each row of a table: quaternion w x y z, and
 /// translation in metres.
-std::vector<Pose> read_poses_of_table(const Feather& table) {
+std::vector<Pose> read_pose_from_each_row(const Feather& table) {
     std::vector<double> q[4], t[3];
     const char* quaternion[] = {"qw", "qx", "qy", "qz"};
     const char* translation[] = {"tx_m", "ty_m", "tz_m"};
-    for (int i = 0; i < 4; ++i) q[i] = table.numbers(quaternion[i]);
-    for (int i = 0; i < 3; ++i) t[i] = table.numbers(translation[i]);
+    for (int i = 0; i < 4; ++i) q[i] = table.read_number_column(quaternion[i]);
+    for (int i = 0; i < 3; ++i) t[i] = table.read_number_column(translation[i]);
     std::vector<Pose> poses;
-    for (std::size_t i = 0; i < table.rows(); ++i) {
+    for (std::size_t i = 0; i < table.get_row_count(); ++i) {
         const glm::dquat rotation(q[0][i], q[1][i], q[2][i], q[3][i]);
         if (!(std::abs(glm::length(rotation) - 1.0) < 1e-3))
             throw DataError(fmt::format("{}, columns 'qw' to 'qz': row {} has length {}, expected 1",
@@ -91,10 +91,10 @@ std::vector<Pose> read_poses_of_table(const Feather& table) {
 }
 
 /// Reads the LiDARs of the log and their poses on the vehicle.
-std::vector<Lidar> read_lidars(const fs::path& file) {
-    const Feather table(file);
-    const std::vector<std::string> names = table.texts("sensor_name");
-    const std::vector<Pose> poses = read_poses_of_table(table);
+std::vector<Lidar> read_lidars(const fs::path& calibration_file) {
+    const Feather table(calibration_file);
+    const std::vector<std::string> names = table.read_text_column("sensor_name");
+    const std::vector<Pose> poses = read_pose_from_each_row(table);
     std::vector<Lidar> lidars;
     for (const char* name : kLidarNames) {
         const auto row = std::find(names.begin(), names.end(), name);
@@ -105,47 +105,52 @@ std::vector<Lidar> read_lidars(const fs::path& file) {
         // Both LiDARs rotate clockwise, seen from above. The lower one is mounted upside
         // down, so its rotation is counterclockwise in its own frame.
         const bool upright = (mounted.rotation * glm::dvec3(0, 0, 1)).z > 0.0;
-        lidars.push_back({name, make_vlp32c(upright), mounted});
+        lidars.push_back({name, make_vlp32c_sensor(upright), mounted});
     }
     return lidars;
 }
 
-double seconds(std::int64_t time_ns, std::int64_t origin_ns) { return double(time_ns - origin_ns) * 1e-9; }
+double to_seconds_since(std::int64_t time_ns, std::int64_t origin_ns) {
+    return double(time_ns - origin_ns) * 1e-9;
+}
 
 /// Reads vehicle poses in the city frame, and interpolates them at the times of the
 /// sweeps.
-PoseTrack read_ego_poses(const fs::path& file, const std::vector<SweepFile>& sweeps, std::int64_t origin_ns) {
-    const Feather table(file);
-    const std::vector<std::int64_t> times_ns = table.integers("timestamp_ns");
-    PoseTrack way{{}, read_poses_of_table(table)};
+PoseTrack read_poses_at_sweeps(const fs::path& pose_file, const std::vector<SweepFile>& sweeps,
+                               std::int64_t origin_ns) {
+    const Feather table(pose_file);
+    const std::vector<std::int64_t> times_ns = table.read_integer_column("timestamp_ns");
+    PoseTrack trajectory{{}, read_pose_from_each_row(table)};
     for (std::size_t i = 0; i < times_ns.size(); ++i) {
         if (i > 0 && times_ns[i] <= times_ns[i - 1])
             throw DataError(
                 fmt::format("{}, column 'timestamp_ns': row {} is {} after {}, expected increasing times",
                             table.name(), i, times_ns[i], times_ns[i - 1]));
-        way.time_s.push_back(seconds(times_ns[i], origin_ns));
+        trajectory.time_s.push_back(to_seconds_since(times_ns[i], origin_ns));
     }
     PoseTrack at_sweeps;
     for (const SweepFile& sweep : sweeps) {
-        const double time_s = seconds(sweep.time_ns, origin_ns);
-        if (!way.covers(time_s))
+        const double time_s = to_seconds_since(sweep.time_ns, origin_ns);
+        if (!trajectory.contains_time(time_s))
             throw DataError(
                 fmt::format("{}, column 'timestamp_ns': no pose at {}, which is the time of a sweep",
                             table.name(), sweep.time_ns));
         at_sweeps.time_s.push_back(time_s);
-        at_sweeps.pose.push_back(way.at(time_s));
+        at_sweeps.pose.push_back(trajectory.interpolate_pose(time_s));
     }
     return at_sweeps;
 }
 
 RawSweep read_sweep(const fs::path& file) {
     const Feather table(file);
-    if (table.rows() == 0) throw DataError(table.name() + ": the file has no points, expected a sweep");
+    if (table.get_row_count() == 0)
+        throw DataError(table.name() + ": the file has no points, expected a sweep");
     RawSweep sweep;
-    const std::vector<double> x = table.numbers("x"), y = table.numbers("y"), z = table.numbers("z");
-    sweep.intensity = table.numbers("intensity");
-    sweep.laser = table.integers("laser_number");
-    sweep.offset_ns = table.integers("offset_ns");
+    const std::vector<double> x = table.read_number_column("x"), y = table.read_number_column("y"),
+                              z = table.read_number_column("z");
+    sweep.intensity = table.read_number_column("intensity");
+    sweep.laser = table.read_integer_column("laser_number");
+    sweep.offset_ns = table.read_integer_column("offset_ns");
     for (std::size_t i = 0; i < x.size(); ++i) {
         sweep.point_m.emplace_back(x[i], y[i], z[i]);
         if (!(glm::length(sweep.point_m[i]) < kFarthestHit_m))
@@ -164,24 +169,27 @@ RawSweep read_sweep(const fs::path& file) {
 }
 
 /// [sweeps] points of both LiDARs in each sweep
-using SweepPairs = std::vector<std::array<LidarSweep, 2>>;
+using LidarSweepPairs = std::vector<std::array<LidarSweepPoints, 2>>;
 
-SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Lidar>& lidars,
-                       const PoseTrack& track, const Progress& progress, BrokenScans& broken) {
+LidarSweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Lidar>& lidars,
+                            const PoseTrack& vehicle_track, const ProgressReporter& progress,
+                            ScanErrorCollector& broken_scans) {
     std::optional<std::array<int, 2>> halves;
     for (std::size_t at = 0; at < files.size() && !halves; ++at)
-        broken.attempt(at, [&] {
-            halves = find_laser_halves(read_sweep(files[at].path),
-                                       {lidars[0].vehicle_from_sensor, lidars[1].vehicle_from_sensor});
+        broken_scans.read_or_mark_broken(at, [&] {
+            halves = match_lidars_to_laser_groups(
+                read_sweep(files[at].path), {lidars[0].vehicle_from_sensor, lidars[1].vehicle_from_sensor});
         });
     std::array<PoseTrack, 2> ways;
-    for (std::size_t l = 0; l < 2; ++l) ways[l] = mount_on_track(track, lidars[l].vehicle_from_sensor);
-    SweepPairs sweeps(files.size());
-    for_each_with_progress(files.size(), progress, "reading sweeps", [&](std::size_t at) {
-        broken.attempt(at, [&] {
+    for (std::size_t l = 0; l < 2; ++l)
+        ways[l] = compute_mounted_track(vehicle_track, lidars[l].vehicle_from_sensor);
+    LidarSweepPairs sweeps(files.size());
+    parallel_for_with_progress(files.size(), progress, "reading sweeps", [&](std::size_t at) {
+        broken_scans.read_or_mark_broken(at, [&] {
             const RawSweep raw = read_sweep(files[at].path);
             for (std::size_t l = 0; l < 2; ++l)
-                sweeps[at][l] = make_lidar_sweep(raw, halves->at(l), lidars[l], ways[l], track.time_s[at]);
+                sweeps[at][l] =
+                    extract_lidar_sweep(raw, halves->at(l), lidars[l], ways[l], vehicle_track.time_s[at]);
         });
     });
     return sweeps;
@@ -189,20 +197,22 @@ SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Li
 
 /// For each sweep and LiDAR, adds a frame with its scan, unless the LiDAR has no points
 /// in the sweep.
-void add_sweeps(Sequence& sequence, const std::vector<SweepFile>& files, const PoseTrack& poses,
-                SweepPairs sweeps, const Progress& progress, const BrokenScans& broken) {
-    broken.add_broken_scan_notes(sequence, files.size());
-    std::vector<LidarSweep*> of_frame;
+void append_sweeps_as_frames(LidarSequence& sequence, const std::vector<SweepFile>& sweep_files,
+                             const PoseTrack& vehicle_poses, LidarSweepPairs sweeps,
+                             const ProgressReporter& progress, const ScanErrorCollector& broken_scans) {
+    broken_scans.add_broken_scan_notes(sequence, sweep_files.size());
+    std::vector<LidarSweepPoints*> of_frame;
     std::size_t missing = 0;
-    for (std::size_t at = 0; at < files.size(); ++at) {
-        if (broken.has(at)) continue;
+    for (std::size_t at = 0; at < sweep_files.size(); ++at) {
+        if (broken_scans.is_scan_broken(at)) continue;
         for (std::size_t l = 0; l < 2; ++l) {
-            LidarSweep& found = sweeps[at][l];
+            LidarSweepPoints& lidar_sweep = sweeps[at][l];
             SpinningSensor& sensor = sequence.lidars[l].sensor;
-            if (found.points.size() == 0 && ++missing) continue;
-            sensor.columns = std::max(sensor.columns, int(found.sweep.firings.size()));
-            add_frame(sequence, files[at].number, poses.time_s[at], poses.pose[at], int(l));
-            of_frame.push_back(&found);
+            if (lidar_sweep.points.size() == 0 && ++missing) continue;
+            sensor.columns = std::max(sensor.columns, int(lidar_sweep.sweep.firings.size()));
+            add_frame(sequence, sweep_files[at].number, vehicle_poses.time_s[at], vehicle_poses.pose[at],
+                      int(l));
+            of_frame.push_back(&lidar_sweep);
         }
     }
     for (Lidar& lidar : sequence.lidars) {
@@ -214,9 +224,9 @@ void add_sweeps(Sequence& sequence, const std::vector<SweepFile>& files, const P
     if (missing > 0)
         sequence.notes.push_back(fmt::format(
             "{} frames are skipped, because their sweep has no points of one of the LiDARs", missing));
-    for_each_with_progress(
+    parallel_for_with_progress(
         of_frame.size(), progress, "assigning points to the fired rays", [&](std::size_t index) {
-            Frame& frame = sequence.frames[index];
+            LidarFrame& frame = sequence.frames[index];
             frame.scan = make_spinning_scan(of_frame[index]->points, sequence.get_lidar(frame).sensor,
                                             of_frame[index]->sweep);
             *of_frame[index] = {};
@@ -225,18 +235,21 @@ void add_sweeps(Sequence& sequence, const std::vector<SweepFile>& files, const P
 
 /// Reads the box labels of the loaded sweeps. In the file, boxes are in the vehicle frame
 /// at the time of their sweep.
-std::vector<BoxTrack> read_boxes(const fs::path& file, const std::vector<SweepFile>& sweeps,
-                                 const PoseTrack& poses) {
-    const Feather table(file);
-    const std::vector<std::int64_t> times_ns = table.integers("timestamp_ns");
-    const std::vector<std::string> ids = table.texts("track_uuid"), categories = table.texts("category");
-    const std::vector<double> length = table.numbers("length_m"), width = table.numbers("width_m"),
-                              height = table.numbers("height_m");
-    const std::vector<Pose> vehicle_from_box = read_poses_of_table(table);
+std::vector<BoxTrack> read_box_tracks_at_sweeps(const fs::path& annotation_file,
+                                                const std::vector<SweepFile>& sweeps,
+                                                const PoseTrack& vehicle_poses) {
+    const Feather table(annotation_file);
+    const std::vector<std::int64_t> times_ns = table.read_integer_column("timestamp_ns");
+    const std::vector<std::string> ids = table.read_text_column("track_uuid"),
+                                   categories = table.read_text_column("category");
+    const std::vector<double> length = table.read_number_column("length_m"),
+                              width = table.read_number_column("width_m"),
+                              height = table.read_number_column("height_m");
+    const std::vector<Pose> vehicle_from_box = read_pose_from_each_row(table);
     std::map<std::int64_t, std::size_t> sweep_at;
     for (std::size_t i = 0; i < sweeps.size(); ++i) sweep_at[sweeps[i].time_ns] = i;
     std::vector<BoxLabel> labels;
-    for (std::size_t i = 0; i < table.rows(); ++i) {
+    for (std::size_t i = 0; i < table.get_row_count(); ++i) {
         const glm::dvec3 size_m(length[i], width[i], height[i]);
         if (!(std::min({size_m.x, size_m.y, size_m.z}) > 0.0))
             throw DataError(fmt::format(
@@ -245,8 +258,8 @@ std::vector<BoxTrack> read_boxes(const fs::path& file, const std::vector<SweepFi
         const auto sweep = sweep_at.find(times_ns[i]);
         if (sweep == sweep_at.end()) continue;
         const std::size_t at = sweep->second;
-        labels.push_back(
-            {ids[i], categories[i], size_m, poses.time_s[at], poses.pose[at] * vehicle_from_box[i]});
+        labels.push_back({ids[i], categories[i], size_m, vehicle_poses.time_s[at],
+                          vehicle_poses.pose[at] * vehicle_from_box[i]});
     }
     std::stable_sort(labels.begin(), labels.end(), [](const BoxLabel& first, const BoxLabel& second) {
         return first.time_s < second.time_s;
@@ -256,14 +269,14 @@ std::vector<BoxTrack> read_boxes(const fs::path& file, const std::vector<SweepFi
 
 }  // namespace
 
-Sequence load_argoverse2(const fs::path& log_folder, const DatasetOptions& options) {
-    check_folder(log_folder, "an Argoverse 2 log (sensors/lidar/, city_SE3_egovehicle.feather)");
+LidarSequence load_argoverse2(const fs::path& log_folder, const DatasetOptions& options) {
+    check_is_folder(log_folder, "an Argoverse 2 log (sensors/lidar/, city_SE3_egovehicle.feather)");
     const fs::path folder = fs::canonical(log_folder);
     const std::vector<SweepFile> all = list_sweeps(folder / "sensors" / "lidar"),
                                  sweeps = select_sweeps_in_range(all, options.frames);
     const PoseTrack vehicle_track =
-        read_ego_poses(folder / "city_SE3_egovehicle.feather", sweeps, all[0].time_ns);
-    Sequence sequence;
+        read_poses_at_sweeps(folder / "city_SE3_egovehicle.feather", sweeps, all[0].time_ns);
+    LidarSequence sequence;
     sequence.name = "Argoverse 2 " + folder.filename().string();
     sequence.source = log_folder.string();
     sequence.conventions =
@@ -273,12 +286,12 @@ Sequence load_argoverse2(const fs::path& log_folder, const DatasetOptions& optio
     sequence.lidars = read_lidars(folder / "calibration" / "egovehicle_SE3_sensor.feather");
     for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;
     if (does_path_exist(folder / "annotations.feather"))
-        sequence.boxes = read_boxes(folder / "annotations.feather", sweeps, vehicle_track);
+        sequence.boxes = read_box_tracks_at_sweeps(folder / "annotations.feather", sweeps, vehicle_track);
     else sequence.notes.push_back("annotations.feather is missing, so this log has no labels");
-    BrokenScans broken(options.skip_broken);
-    SweepPairs read = read_sweeps(sweeps, sequence.lidars, vehicle_track, options.progress, broken);
-    add_sweeps(sequence, sweeps, vehicle_track, std::move(read), options.progress, broken);
-    kitti::use_pose_file(sequence, options.poses_file);
+    ScanErrorCollector broken(options.skip_broken);
+    LidarSweepPairs read = read_sweeps(sweeps, sequence.lidars, vehicle_track, options.progress, broken);
+    append_sweeps_as_frames(sequence, sweeps, vehicle_track, std::move(read), options.progress, broken);
+    kitti::replace_vehicle_poses_from_file(sequence, options.poses_file);
     recentre_sequence(sequence);
     return sequence;
 }

@@ -15,6 +15,6 @@ namespace relidar {
 /// city frame.
 /// @throws DataError with file and column
 /// @throws UsageError if no sweep is in the requested frame range
-Sequence load_argoverse2(const std::filesystem::path& folder, const DatasetOptions& options);
+LidarSequence load_argoverse2(const std::filesystem::path& folder, const DatasetOptions& options);
 
 }  // namespace relidar

@@ -27,38 +27,39 @@ constexpr std::array<int, kLasers> kNumbers = {31, 13, 1,  17, 29, 9, 3,  21, 27
 
 double to_radians(double degrees) { return degrees * kPi / 180.0; }
 
-std::vector<Beam> make_nominal_beams() {
+std::vector<Beam> make_nominal_vlp32c_beams() {
     return std::get<SpinningSensor>(find_built_in_sensor(kName, 1, kRate_hz)->pattern).beams;
 }
 
 /// Row in the range image, firing delay, and elevation of a laser.
-struct LaserPlace {
+struct LaserRowTiming {
     std::uint16_t row = 0;
     double after_first_ns = 0.0;
     double elevation_rad = 0.0;
 };
-std::array<LaserPlace, kLasers> make_laser_table() {
-    std::array<LaserPlace, kLasers> places;
+std::array<LaserRowTiming, kLasers> make_vlp32c_laser_table() {
+    std::array<LaserRowTiming, kLasers> laser_table;
     const std::vector<BeamFiring> firings = get_beam_firings(kName);
-    const std::vector<Beam> beams = make_nominal_beams();
+    const std::vector<Beam> beams = make_nominal_vlp32c_beams();
     for (std::size_t row = 0; row < firings.size(); ++row)
-        places[std::size_t(kNumbers[std::size_t(firings[row].channel)])] = {
+        laser_table[std::size_t(kNumbers[std::size_t(firings[row].channel)])] = {
             std::uint16_t(row), 1e3 * firings[row].offset_us, beams[row].elevation_rad};
-    return places;
+    return laser_table;
 }
 
 /// Returns the mean absolute difference between the elevations of points and of their
 /// lasers. Clamps each difference to one degree, so that outliers have little influence.
-double compute_misfit(const RawSweep& sweep, int half, const Pose& vehicle_from_lidar) {
-    const std::array<LaserPlace, kLasers> places = make_laser_table();
+double compute_mean_elevation_error(const RawSweep& sweep, int laser_group, const Pose& vehicle_from_lidar) {
+    const std::array<LaserRowTiming, kLasers> laser_table = make_vlp32c_laser_table();
     const Pose lidar_from_vehicle = inverse(vehicle_from_lidar);
     double sum = 0.0, n = 0.0;
     for (std::size_t i = 0; i < sweep.point_m.size(); ++i) {
-        if (sweep.laser[i] / kLasers != half) continue;
+        if (sweep.laser[i] / kLasers != laser_group) continue;
         const glm::dvec3 p = lidar_from_vehicle * sweep.point_m[i];
         const double elevation = std::atan2(p.z, std::hypot(p.x, p.y));
-        sum += std::min(std::abs(elevation - places[std::size_t(sweep.laser[i] % kLasers)].elevation_rad),
-                        to_radians(1.0));
+        sum +=
+            std::min(std::abs(elevation - laser_table[std::size_t(sweep.laser[i] % kLasers)].elevation_rad),
+                     to_radians(1.0));
         n += 1.0;
     }
     return n > 0.0 ? sum / n : 0.0;
@@ -67,57 +68,59 @@ double compute_misfit(const RawSweep& sweep, int half, const Pose& vehicle_from_
 /// Returns for each point the number of its firing cycle, counted from the time stamp of
 /// the sweep. The stamp is not the start of a cycle, so the phase of the cycles is
 /// estimated from all points.
-std::vector<int> compute_firing_numbers(const std::vector<double>& first_pair_ns) {
+std::vector<int> compute_firing_cycle_numbers(const std::vector<double>& cycle_start_times_ns) {
     std::complex<double> sum = 0.0;
-    for (const double t : first_pair_ns) sum += std::polar(1.0, 2.0 * kPi * t / kCycle_ns);
+    for (const double t : cycle_start_times_ns) sum += std::polar(1.0, 2.0 * kPi * t / kCycle_ns);
     const double phase_ns = std::arg(sum) / (2.0 * kPi) * kCycle_ns;
     std::vector<int> numbers;
-    for (const double t : first_pair_ns) numbers.push_back(int(std::lround((t - phase_ns) / kCycle_ns)));
+    for (const double t : cycle_start_times_ns)
+        numbers.push_back(int(std::lround((t - phase_ns) / kCycle_ns)));
     return numbers;
 }
 
 }  // namespace
 
-SpinningSensor make_vlp32c(bool clockwise) {
+SpinningSensor make_vlp32c_sensor(bool clockwise) {
     SpinningSensor sensor;
     sensor.name = "VLP-32C";
     sensor.clockwise = clockwise;
     sensor.period_s = 1.0 / kRate_hz;
-    sensor.beams = make_nominal_beams();  // of a head that rotates clockwise
+    sensor.beams = make_nominal_vlp32c_beams();  // of a head that rotates clockwise
     const std::vector<BeamFiring> firings = get_beam_firings(kName);
     for (std::size_t row = 0; row < firings.size() && !clockwise; ++row)
         sensor.beams[row].azimuth_offset_rad += 2.0 * 2.0 * kPi * kRate_hz * 1e-6 * firings[row].offset_us;
     return sensor;
 }
 
-std::array<int, 2> find_laser_halves(const RawSweep& sweep, const std::array<Pose, 2>& vehicle_from_lidar) {
-    const double straight =
-        compute_misfit(sweep, 0, vehicle_from_lidar[0]) + compute_misfit(sweep, 1, vehicle_from_lidar[1]);
-    const double crossed =
-        compute_misfit(sweep, 1, vehicle_from_lidar[0]) + compute_misfit(sweep, 0, vehicle_from_lidar[1]);
+std::array<int, 2> match_lidars_to_laser_groups(const RawSweep& sweep,
+                                                const std::array<Pose, 2>& vehicle_from_lidar) {
+    const double straight = compute_mean_elevation_error(sweep, 0, vehicle_from_lidar[0]) +
+                            compute_mean_elevation_error(sweep, 1, vehicle_from_lidar[1]);
+    const double crossed = compute_mean_elevation_error(sweep, 1, vehicle_from_lidar[0]) +
+                           compute_mean_elevation_error(sweep, 0, vehicle_from_lidar[1]);
     return straight <= crossed ? std::array{0, 1} : std::array{1, 0};
 }
 
-LidarSweep make_lidar_sweep(const RawSweep& raw, int half, const Lidar& lidar,
-                            const PoseTrack& world_from_sensor, double time_s) {
-    const std::array<LaserPlace, kLasers> places = make_laser_table();
+LidarSweepPoints extract_lidar_sweep(const RawSweep& raw_sweep, int laser_group, const Lidar& lidar,
+                                     const PoseTrack& world_from_sensor, double sweep_time_s) {
+    const std::array<LaserRowTiming, kLasers> laser_table = make_vlp32c_laser_table();
     const Pose lidar_from_vehicle = inverse(lidar.vehicle_from_sensor);
-    LidarSweep result;
+    LidarSweepPoints result;
     std::vector<double> first_pair_ns;
-    for (std::size_t i = 0; i < raw.point_m.size(); ++i) {
-        if (raw.laser[i] / kLasers != half) continue;
-        const LaserPlace& laser = places[std::size_t(raw.laser[i] % kLasers)];
-        result.points.position_m.emplace_back(lidar_from_vehicle * raw.point_m[i]);
-        result.points.intensity.push_back(float(raw.intensity[i] / 255.0));
+    for (std::size_t i = 0; i < raw_sweep.point_m.size(); ++i) {
+        if (raw_sweep.laser[i] / kLasers != laser_group) continue;
+        const LaserRowTiming& laser = laser_table[std::size_t(raw_sweep.laser[i] % kLasers)];
+        result.points.position_m.emplace_back(lidar_from_vehicle * raw_sweep.point_m[i]);
+        result.points.intensity.push_back(float(raw_sweep.intensity[i] / 255.0));
         result.points.ring.push_back(laser.row);
-        result.points.time_offset_s.push_back(float(double(raw.offset_ns[i]) * 1e-9));
-        first_pair_ns.push_back(double(raw.offset_ns[i]) - laser.after_first_ns);
+        result.points.time_offset_s.push_back(float(double(raw_sweep.offset_ns[i]) * 1e-9));
+        first_pair_ns.push_back(double(raw_sweep.offset_ns[i]) - laser.after_first_ns);
     }
     if (result.points.size() == 0) return result;
-    undo_motion_compensation(result.points, world_from_sensor, time_s);
+    undo_motion_compensation(result.points, world_from_sensor, sweep_time_s);
     const double step_rad = (lidar.sensor.clockwise ? -2.0 : 2.0) * kPi * kRate_hz * kCycle_ns * 1e-9;
-    result.sweep =
-        arrange_firings(result.points, compute_firing_numbers(first_pair_ns), lidar.sensor, step_rad);
+    result.sweep = assign_points_to_firings(result.points, compute_firing_cycle_numbers(first_pair_ns),
+                                            lidar.sensor, step_rad);
     return result;
 }
 

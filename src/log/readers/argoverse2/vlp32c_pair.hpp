@@ -24,26 +24,27 @@ struct RawSweep {
 
 /// Returns a VLP-32C with the beam angles of the data sheet, highest beam first.
 /// @param clockwise  true if the head rotates clockwise in the sensor frame, seen from +z
-SpinningSensor make_vlp32c(bool clockwise);
+SpinningSensor make_vlp32c_sensor(bool clockwise);
 
 /// Finds out which LiDAR has the laser numbers 0 to 31. Returns {0, 1} for the first
 /// LiDAR and {1, 0} for the second. Compares the elevations of points with those of the
 /// lasers in both cases.
-std::array<int, 2> find_laser_halves(const RawSweep& sweep, const std::array<Pose, 2>& vehicle_from_lidar);
+std::array<int, 2> match_lidars_to_laser_groups(const RawSweep& sweep,
+                                                const std::array<Pose, 2>& vehicle_from_lidar);
 
 /// The points that one LiDAR measured in a sweep.
-struct LidarSweep {
+struct LidarSweepPoints {
     /// points in the frame of the moving LiDAR at the time of each point, with rings,
     /// times and firings
-    Points points;
-    Sweep sweep;
+    LidarPoints points;
+    SweepFirings sweep;
 };
 /// Returns the points of one LiDAR in a sweep. Selects the points by the half of the
 /// laser numbers. Lasers fire in 16 pairs, so the time and the laser of a point give its
 /// firing. Keeps firings without points, for example where the vehicle blocks all beams.
 /// @param world_from_sensor  poses with which the dataset moved the points to the time of
 /// the sweep
-LidarSweep make_lidar_sweep(const RawSweep& raw, int half, const Lidar& lidar,
-                            const PoseTrack& world_from_sensor, double time_s);
+LidarSweepPoints extract_lidar_sweep(const RawSweep& raw_sweep, int laser_group, const Lidar& lidar,
+                                     const PoseTrack& world_from_sensor, double sweep_time_s);
 
 }  // namespace relidar::argoverse2

@@ -22,34 +22,36 @@ namespace {
 constexpr const char* kNoCategory = "unknown";
 
 /// Computes the pose of a coordinate frame of the bag in the world frame at a given time.
-class WorldFrames {
+class WorldPoseLookup {
 public:
-    explicit WorldFrames(const BoxPlaces& places) : places_(places) {}
+    explicit WorldPoseLookup(const BoxTransformContext& places) : transform_context_(places) {}
 
     /// Returns the pose of a coordinate frame in the world frame, or nothing if the bag
     /// does not contain this pose at the time.
-    std::optional<Pose> at(const std::string& frame, double t_s) {
-        if (places_.is_world_of_poses && frame == places_.poses.world) return Pose{};
-        auto known = apart_.find(frame);
-        if (known == apart_.end())
-            known =
+    std::optional<Pose> find_frame_pose_in_world(const std::string& frame_id, double t_s) {
+        if (transform_context_.is_world_of_poses && frame_id == transform_context_.poses.world) return Pose{};
+        auto cached_entry = apart_.find(frame_id);
+        if (cached_entry == apart_.end())
+            cached_entry =
                 apart_
-                    .emplace(frame, places_.frames.find_relative_poses(
-                                        places_.vehicle, frame, places_.poses.clock, places_.poses.zero_ns))
+                    .emplace(frame_id, transform_context_.frames.find_relative_poses(
+                                           transform_context_.vehicle, frame_id,
+                                           transform_context_.poses.clock, transform_context_.poses.zero_ns))
                     .first;
-        if (!known->second || !known->second->covers(t_s)) return std::nullopt;
-        if (places_.is_world_of_poses && !places_.poses.path->covers(t_s)) return std::nullopt;
-        return places_.world_from_vehicle(t_s) * known->second->at(t_s);
+        if (!cached_entry->second || !cached_entry->second->covers_time(t_s)) return std::nullopt;
+        if (transform_context_.is_world_of_poses && !transform_context_.poses.path->covers_time(t_s))
+            return std::nullopt;
+        return transform_context_.world_from_vehicle(t_s) * cached_entry->second->compute_pose_at(t_s);
     }
 
 private:
-    const BoxPlaces& places_;
-    std::map<std::string, std::optional<FramesApart>> apart_;
+    const BoxTransformContext& transform_context_;
+    std::map<std::string, std::optional<RelativeFramePose>> apart_;
 };
 
 /// Sorts box labels by time. Removes repeated labels of an object at the same time.
 /// @return number of removed labels
-std::size_t sort_unique_labels(std::vector<BoxLabel>& labels) {
+std::size_t sort_and_deduplicate_labels(std::vector<BoxLabel>& labels) {
     std::ranges::stable_sort(labels, {}, &BoxLabel::time_s);
     std::map<std::string, double> last_s;
     return std::erase_if(labels, [&](const BoxLabel& label) {
@@ -60,7 +62,7 @@ std::size_t sort_unique_labels(std::vector<BoxLabel>& labels) {
 
 /// Gives all labels of an object its most frequent category and its median size, because
 /// object trackers change both over time.
-void unify_label_properties(std::vector<BoxLabel>& labels) {
+void unify_category_and_size_by_id(std::vector<BoxLabel>& labels) {
     std::map<std::string, std::vector<const BoxLabel*>> things;
     for (const BoxLabel& label : labels) things[label.id].push_back(&label);
     std::map<std::string, std::pair<glm::dvec3, std::string>> settled;
@@ -82,22 +84,24 @@ void unify_label_properties(std::vector<BoxLabel>& labels) {
 }
 
 /// Reads the box messages of a topic and converts the boxes to the world frame.
-class LabelReader {
+class BoxMessageReader {
 public:
-    LabelReader(const BoxPlaces& places, double first_s, double last_s)
-        : places_(places), frames_(places), first_s_(first_s), last_s_(last_s) {}
+    BoxMessageReader(const BoxTransformContext& places, double first_s, double last_s)
+        : transform_context_(places), frames_(places), first_s_(first_s), last_s_(last_s) {}
 
-    bool is_wanted(double t_s) const { return t_s >= first_s_ && t_s <= last_s_; }
-    double seconds(std::int64_t stamp_ns, std::int64_t log_ns) const {
-        const bool is_recorded = places_.poses.clock == Clock::recorder || stamp_ns == 0;
-        return 1e-9 * double((is_recorded ? log_ns : stamp_ns) - places_.poses.zero_ns);
+    bool is_in_time_range(double t_s) const { return t_s >= first_s_ && t_s <= last_s_; }
+    double compute_time_since_start_s(std::int64_t header_stamp_ns, std::int64_t recording_time_ns) const {
+        const bool is_recorded = transform_context_.poses.clock == LogClock::recorder || header_stamp_ns == 0;
+        return 1e-9 *
+               double((is_recorded ? recording_time_ns : header_stamp_ns) - transform_context_.poses.zero_ns);
     }
 
-    void add_box_list(const BoxList& list, std::int64_t log_ns) {
-        for (const Box& box : list.boxes) {
-            const double t_s = seconds(box.header.stamp_ns, log_ns);
-            if (box.id.empty() || !is_wanted(t_s)) continue;
-            const std::optional<Pose> world_from_frame = frames_.at(box.header.frame, t_s);
+    void add_labels_in_world_frame(const BoxListMessage& box_list, std::int64_t recording_time_ns) {
+        for (const BoxMessage& box : box_list.boxes) {
+            const double t_s = compute_time_since_start_s(box.header.stamp_ns, recording_time_ns);
+            if (box.id.empty() || !is_in_time_range(t_s)) continue;
+            const std::optional<Pose> world_from_frame =
+                frames_.find_frame_pose_in_world(box.header.frame, t_s);
             if (!world_from_frame) {
                 ++n_unplaced_;
                 unplaced_.insert(box.header.frame);
@@ -108,26 +112,26 @@ public:
         }
     }
 
-    BoxTracks tracks() {
-        BoxTracks result;
+    LoadedBoxTracks make_box_tracks() {
+        LoadedBoxTracks result;
         if (n_unplaced_ > 0)
             result.notes.push_back(fmt::format(
                 "{} boxes are skipped, because the pose of the frame '{}' in the frame '{}' is unknown at "
                 "their times",
-                n_unplaced_, make_excerpt(*unplaced_.begin()), places_.vehicle));
-        if (const std::size_t n = sort_unique_labels(labels_); n > 0)
+                n_unplaced_, shorten_for_error_message(*unplaced_.begin()), transform_context_.vehicle));
+        if (const std::size_t n = sort_and_deduplicate_labels(labels_); n > 0)
             result.notes.push_back(
                 fmt::format("{} boxes are skipped, because another box has the same track id and the same "
                             "time",
                             n));
-        unify_label_properties(labels_);
+        unify_category_and_size_by_id(labels_);
         result.tracks = build_tracks(labels_);
         return result;
     }
 
 private:
-    const BoxPlaces& places_;
-    WorldFrames frames_;
+    const BoxTransformContext& transform_context_;
+    WorldPoseLookup frames_;
     double first_s_, last_s_;
     std::vector<BoxLabel> labels_;
     std::set<std::string> unplaced_;  ///< frames without a known pose
@@ -136,15 +140,18 @@ private:
 
 }  // namespace
 
-BoxTracks read_tracks(const Bag& bag, const BoxTopic& boxes, const BoxPlaces& places,
-                      const std::vector<double>& times_s) {
-    const double step_s = compute_median_step_s(times_s);
-    LabelReader reader(places, times_s.front() - step_s, times_s.back() + step_s);
-    for (const BoxEntry& entry : boxes.lists)
-        if (reader.is_wanted(reader.seconds(entry.stamp_ns, entry.log_ns)))
-            reader.add_box_list(read_boxes(bag.topics()[boxes.topic], bag.read(entry.place).bytes),
-                                entry.log_ns);
-    return reader.tracks();
+LoadedBoxTracks read_box_tracks_from_bag(const BagRecording& bag, const BoxTopic& box_topic,
+                                         const BoxTransformContext& world_transforms,
+                                         const std::vector<double>& frame_times_s) {
+    const double step_s = compute_median_interval_s(frame_times_s);
+    BoxMessageReader reader(world_transforms, frame_times_s.front() - step_s, frame_times_s.back() + step_s);
+    for (const BoxIndexEntry& entry : box_topic.lists)
+        if (reader.is_in_time_range(reader.compute_time_since_start_s(entry.stamp_ns, entry.log_ns)))
+            reader.add_labels_in_world_frame(
+                read_boxes_of_message(bag.topics()[box_topic.topic],
+                                      bag.read_message_bytes(entry.message_position).bytes),
+                entry.log_ns);
+    return reader.make_box_tracks();
 }
 
 }  // namespace relidar::bag

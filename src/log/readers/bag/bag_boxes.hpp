@@ -16,10 +16,10 @@
 namespace relidar::bag {
 
 /// Transforms and vehicle poses that are needed to convert boxes to the world frame.
-struct BoxPlaces {
+struct BoxTransformContext {
     const FrameTree& frames;
     /// vehicle poses, name of the world frame, and clock of the log
-    const PoseChoice& poses;
+    const SelectedPoseSource& poses;
     std::string vehicle;  ///< frame whose poses are known
     std::function<Pose(double)> world_from_vehicle;
     /// True if the vehicle poses come from the bag. Boxes in the world frame of the bag
@@ -27,14 +27,15 @@ struct BoxPlaces {
     bool is_world_of_poses = false;
 };
 
-struct BoxTracks {
+struct LoadedBoxTracks {
     std::vector<BoxTrack> tracks;
     std::vector<std::string> notes;
 };
 /// Reads the boxes of a topic and joins the boxes of each object to a track. Ignores
 /// boxes more than one time step outside the time of the log.
-/// @param times_s  times of the frames of the log in seconds, ascending
-BoxTracks read_tracks(const Bag& bag, const BoxTopic& boxes, const BoxPlaces& places,
-                      const std::vector<double>& times_s);
+/// @param frame_times_s  times of the frames of the log in seconds, ascending
+LoadedBoxTracks read_box_tracks_from_bag(const BagRecording& bag, const BoxTopic& box_topic,
+                                         const BoxTransformContext& world_transforms,
+                                         const std::vector<double>& frame_times_s);
 
 }  // namespace relidar::bag

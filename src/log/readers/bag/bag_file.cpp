@@ -20,18 +20,18 @@ constexpr const char* kMetadata = "metadata.yaml";
 constexpr std::int64_t kLatest_ns = 4294967296000000000;  // latest time stamp that ROS 1 can represent
 constexpr std::array kEndings = {".mcap", ".db3", ".bag"};
 
-bool is_capture_file(const fs::path& file) {
-    const std::string ending = get_unpacked_name(file).extension().string();
+bool is_pcap_file(const fs::path& file) {
+    const std::string ending = remove_gz_extension(file).extension().string();
     return ending == ".pcap" || ending == ".pcapng";
 }
 
-bool is_part(const fs::path& file) {
-    return is_capture_file(file) || std::ranges::find(kEndings, file.extension().string()) != kEndings.end();
+bool is_bag_or_pcap_file(const fs::path& file) {
+    return is_pcap_file(file) || std::ranges::find(kEndings, file.extension().string()) != kEndings.end();
 }
 
 /// The fields of rosbag2's metadata.yaml that describe the files. The parser reads line
 /// by line and accepts only the layout that rosbag2 writes.
-struct Metadata {
+struct RosbagMetadata {
     std::vector<std::string> files;
     /// compression ("zstd") and what it is applied to ("file" or "message"), in lower
     /// case
@@ -45,10 +45,10 @@ std::string remove_quotes(std::string_view text) {
     return std::string(text);
 }
 
-Metadata read_metadata(const fs::path& file) {
-    Metadata metadata;
+RosbagMetadata read_rosbag2_metadata(const fs::path& file) {
+    RosbagMetadata metadata;
     bool in_files = false;
-    for (const std::string& line : split_lines(read_text(file))) {
+    for (const std::string& line : split_lines(read_text_file(file))) {
         const std::string_view text = trim_spaces(line);
         const auto value_of = [&](std::string_view key) { return remove_quotes(text.substr(key.size())); };
         if (text.starts_with("relative_file_paths:")) in_files = true;
@@ -64,44 +64,44 @@ Metadata read_metadata(const fs::path& file) {
 
 /// Returns the bag files of a folder without metadata.yaml. Sorts numbers in names by
 /// value, so NAME_2 precedes NAME_10.
-std::vector<fs::path> sort_parts_by_name(const fs::path& folder) {
+std::vector<fs::path> list_recording_files(const fs::path& folder) {
     std::vector<fs::path> parts;
-    for (const fs::path& file : list_folder(folder))
-        if (is_part(file)) parts.push_back(file);
+    for (const fs::path& file : list_folder_entries(folder))
+        if (is_bag_or_pcap_file(file)) parts.push_back(file);
     std::ranges::stable_sort(parts, {}, [](const fs::path& file) { return file.filename().string().size(); });
     return parts;
 }
 
 }  // namespace
 
-std::size_t TopicTable::number_of(Topic topic) {
+std::size_t TopicTable::find_or_add_topic_index(BagTopic topic) {
     if (const std::size_t at = topic.type.find("/msg/"); at != std::string::npos) topic.type.erase(at, 4);
-    const auto known = std::ranges::find_if(topics_, [&](const Topic& t) {
+    const auto existing_topic = std::ranges::find_if(topics_, [&](const BagTopic& t) {
         return t.name == topic.name && t.type == topic.type && t.encoding == topic.encoding;
     });
-    if (known != topics_.end()) return std::size_t(known - topics_.begin());
+    if (existing_topic != topics_.end()) return std::size_t(existing_topic - topics_.begin());
     topics_.push_back(std::move(topic));
     return topics_.size() - 1;
 }
 
-Bag::Bag(const fs::path& path, bool skip_broken) {
-    Metadata metadata;
+BagRecording::BagRecording(const fs::path& path, bool skip_broken) {
+    RosbagMetadata metadata;
     if (!fs::is_directory(path)) {
         paths_ = {path};
         if (does_path_exist(path.parent_path() / kMetadata))
-            metadata = read_metadata(path.parent_path() / kMetadata);
+            metadata = read_rosbag2_metadata(path.parent_path() / kMetadata);
     } else if (does_path_exist(path / kMetadata)) {
-        metadata = read_metadata(path / kMetadata);
+        metadata = read_rosbag2_metadata(path / kMetadata);
         for (const std::string& name : metadata.files) {
             // The folder may have been renamed, so only the file name is used.
             const fs::path file = path / fs::path(name).filename();
             if (does_path_exist(file)) paths_.push_back(file);
             else
-                note(fmt::format("{}: this file of the recording is listed in {} but missing", file.string(),
-                                 kMetadata));
+                add_note_once(fmt::format("{}: this file of the recording is listed in {} but missing",
+                                          file.string(), kMetadata));
         }
     }
-    if (paths_.empty()) paths_ = sort_parts_by_name(path);
+    if (paths_.empty()) paths_ = list_recording_files(path);
     if (paths_.empty())
         throw DataError(fmt::format(
             "{}: found no file of a recording, expected .mcap, .db3, .bag, .pcap or .pcapng", path.string()));
@@ -112,50 +112,52 @@ Bag::Bag(const fs::path& path, bool skip_broken) {
                 fmt::format("{}: rosbag2 has compressed this file; unpack it with `zstd -d {}` and remove "
                             ".zstd from its name in {}",
                             file.string(), file.filename().string(), kMetadata));
-        if (is_capture_file(file)) files_.push_back(open_pcap(file));
-        else if (ending == ".bag") files_.push_back(open_ros1(file, skip_broken));
+        if (is_pcap_file(file)) files_.push_back(open_pcap_file(file));
+        else if (ending == ".bag") files_.push_back(open_ros1_bag(file, skip_broken));
         else if (ending == ".db3")
-            files_.push_back(open_sqlite(file, metadata.mode == "message" && metadata.compression == "zstd"));
-        else files_.push_back(open_mcap(file, skip_broken));
+            files_.push_back(
+                open_rosbag2_sqlite(file, metadata.mode == "message" && metadata.compression == "zstd"));
+        else files_.push_back(open_mcap_file(file, skip_broken));
     }
 }
 
-std::string Bag::points_in() const {
+std::string BagRecording::get_points_frame_name() const {
     for (const auto& file : files_)
-        if (std::string frame = file->points_in(); !frame.empty()) return frame;
+        if (std::string frame = file->get_points_frame_name(); !frame.empty()) return frame;
     return "";
 }
 
-void Bag::note(const std::string& text) {
+void BagRecording::add_note_once(const std::string& text) {
     if (std::ranges::find(notes_, text) == notes_.end()) notes_.push_back(text);
 }
 
-void Bag::for_each_message(const Wanted& filter, const Take& callback, const Progress& progress) {
+void BagRecording::for_each_message(const TopicFilter& filter, const MessageCallback& callback,
+                                    const ProgressReporter& progress) {
     for (std::size_t f = 0; f < files_.size(); ++f) {
-        double told = -1.0;
+        double last_reported_fraction = -1.0;
         const auto done = [&](double share) {
-            if (!progress || share < told + 0.01) return;
-            told = share;
+            if (!progress || share < last_reported_fraction + 0.01) return;
+            last_reported_fraction = share;
             progress("reading the recording", (double(f) + share) / double(files_.size()));
         };
-        const Take of_file = [&](Message message) {
+        const MessageCallback of_file = [&](BagMessage message) {
             if (message.log_ns < 0 || message.log_ns > kLatest_ns)
                 throw DataError(
                     fmt::format("found a message with the recording time {} ns, expected 0 to {} ns",
                                 message.log_ns, kLatest_ns));
-            message.place.file = std::uint32_t(f);
+            message.message_position.file = std::uint32_t(f);
             callback(message);
         };
-        files_[f]->for_each_message(topics_,
-                                    {filter, of_file, [&](const std::string& text) { note(text); }, done});
+        files_[f]->for_each_message(
+            topics_, {filter, of_file, [&](const std::string& text) { add_note_once(text); }, done});
     }
 }
 
-SharedBytes Bag::read(const Place& place) const {
+SharedBytes BagRecording::read_message_bytes(const MessagePosition& location) const {
     try {
-        return files_.at(place.file)->read(place);
+        return files_.at(location.file)->read_message_bytes(location);
     } catch (const DataError& error) {
-        throw DataError(fmt::format("{}: {}", paths_.at(place.file).string(), error.what()));
+        throw DataError(fmt::format("{}: {}", paths_.at(location.file).string(), error.what()));
     }
 }
 

@@ -21,7 +21,7 @@
 namespace relidar::bag {
 
 /// A topic of a bag. Two topics can have the same name but different message types.
-struct Topic {
+struct BagTopic {
     std::string name;
     /// message type without the "/msg/" of ROS 2, for example "sensor_msgs/PointCloud2"
     std::string type;
@@ -29,7 +29,7 @@ struct Topic {
 };
 
 /// Position of a message in a recording.
-struct Place {
+struct MessagePosition {
     static constexpr std::uint64_t kNoChunk = std::numeric_limits<std::uint64_t>::max();
 
     /// Byte offset of the chunk that contains the message, or of the message itself if it
@@ -38,31 +38,31 @@ struct Place {
     std::uint64_t in_chunk = kNoChunk;  ///< byte offset of the message's record in the unpacked chunk
     std::uint32_t file = 0;             ///< index of the file in the recording
 
-    auto operator<=>(const Place&) const = default;
+    auto operator<=>(const MessagePosition&) const = default;
 };
 
-struct Message {
+struct BagMessage {
     std::size_t topic = 0;    ///< index in Bag::topics()
     std::int64_t log_ns = 0;  ///< time of recording
     /// Bytes of the message, valid only during the callback. Empty if the caller did not
     /// request the messages of this topic.
     std::string_view bytes;
-    Place place;
+    MessagePosition message_position;
 };
 
 /// Filter that returns true for topics whose messages are read completely. For other
 /// topics, only the times of the messages are read.
-using Wanted = std::function<bool(const Topic&)>;
-using Take = std::function<void(const Message&)>;
+using TopicFilter = std::function<bool(const BagTopic&)>;
+using MessageCallback = std::function<void(const BagMessage&)>;
 
 /// The topics of all files of a bag, in the order in which they first occur.
 class TopicTable {
 public:
-    std::size_t number_of(Topic topic);
-    const std::vector<Topic>& topics() const { return topics_; }
+    std::size_t find_or_add_topic_index(BagTopic topic);
+    const std::vector<BagTopic>& topics() const { return topics_; }
 
 private:
-    std::vector<Topic> topics_;
+    std::vector<BagTopic> topics_;
 };
 
 /// One file of a recording.
@@ -70,52 +70,53 @@ class BagFile {
 public:
     virtual ~BagFile() = default;
     /// Callbacks of for_each_message().
-    struct Pass {
-        const Wanted& wanted;
-        const Take& take;
+    struct MessageReadCallbacks {
+        const TopicFilter& topic_filter;
+        const MessageCallback& message_callback;
         std::function<void(const std::string&)> note;  ///< receives problems of the file
         std::function<void(double)> done;  ///< receives the fraction of the file that has been read
     };
     /// Reads all messages in file order and passes each one to `pass.take`.
     /// @throws DataError with the problem and its byte offset
-    virtual void for_each_message(TopicTable& topics, const Pass& pass) = 0;
+    virtual void for_each_message(TopicTable& topics, const MessageReadCallbacks& callbacks) = 0;
     /// Reads the bytes of one message. Thread-safe.
-    virtual SharedBytes read(const Place& place) const = 0;
+    virtual SharedBytes read_message_bytes(const MessagePosition& location) const = 0;
     /// If relidar wrote the bag, returns the name of the coordinate frame of its points.
     /// Otherwise returns an empty string. Call for_each_message() first.
-    virtual std::string points_in() const { return ""; }
+    virtual std::string get_points_frame_name() const { return ""; }
 };
 
 /// Opens an MCAP file.
-/// @param skip_broken  if true, damaged chunks are skipped with a note; if false, they
-/// cause an error
-std::unique_ptr<BagFile> open_mcap(const std::filesystem::path& file, bool skip_broken);
-std::unique_ptr<BagFile> open_pcap(const std::filesystem::path& file);
-std::unique_ptr<BagFile> open_ros1(const std::filesystem::path& file, bool skip_broken);
+/// @param skip_damaged_chunks  if true, damaged chunks are skipped with a note; if false,
+/// they cause an error
+std::unique_ptr<BagFile> open_mcap_file(const std::filesystem::path& file, bool skip_damaged_chunks);
+std::unique_ptr<BagFile> open_pcap_file(const std::filesystem::path& file);
+std::unique_ptr<BagFile> open_ros1_bag(const std::filesystem::path& file, bool skip_damaged_chunks);
 /// Opens a rosbag2 file in SQLite format.
-/// @param packed  true if each message is compressed with zstd
-std::unique_ptr<BagFile> open_sqlite(const std::filesystem::path& file, bool packed);
+/// @param has_zstd_messages  true if each message is compressed with zstd
+std::unique_ptr<BagFile> open_rosbag2_sqlite(const std::filesystem::path& file, bool has_zstd_messages);
 
 /// A recording that consists of one or several files.
-class Bag {
+class BagRecording {
 public:
     /// Opens a recording: a ROS bag or a network capture.
     /// @param path  a file, or a folder of files with or without metadata.yaml
     /// @throws DataError with the file
-    Bag(const std::filesystem::path& path, bool skip_broken);
+    BagRecording(const std::filesystem::path& path, bool skip_broken);
 
     /// Returns the topics of all messages that were read so far.
-    const std::vector<Topic>& topics() const { return topics_.topics(); }
-    const std::vector<std::string>& notes() const { return notes_; }  ///< problems of the files
-    const std::vector<std::filesystem::path>& files() const { return paths_; }
+    const std::vector<BagTopic>& topics() const { return topics_.topics(); }
+    const std::vector<std::string>& get_file_problems() const { return notes_; }  ///< problems of the files
+    const std::vector<std::filesystem::path>& get_file_paths() const { return paths_; }
     /// If relidar wrote the bag, returns the name of the coordinate frame of its points.
     /// Otherwise returns an empty string. Call for_each_message() first.
-    std::string points_in() const;
+    std::string get_points_frame_name() const;
 
     /// Reads the messages of all files in order and passes each one to `callback`.
-    void for_each_message(const Wanted& filter, const Take& callback, const Progress& progress = {});
+    void for_each_message(const TopicFilter& filter, const MessageCallback& callback,
+                          const ProgressReporter& progress = {});
     /// Reads the bytes of one message. Thread-safe.
-    SharedBytes read(const Place& place) const;
+    SharedBytes read_message_bytes(const MessagePosition& location) const;
 
 private:
     std::vector<std::filesystem::path> paths_;
@@ -123,7 +124,7 @@ private:
     TopicTable topics_;
     std::vector<std::string> notes_;
 
-    void note(const std::string& text);
+    void add_note_once(const std::string& text);
 };
 
 }  // namespace relidar::bag

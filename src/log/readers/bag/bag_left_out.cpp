@@ -9,7 +9,7 @@
 
 namespace relidar {
 
-Sequence load_ros_bag(const std::filesystem::path& path, const DatasetOptions&) {
+LidarSequence load_ros_bag(const std::filesystem::path& path, const DatasetOptions&) {
     throw UsageError(
         fmt::format("{}: found a ROS bag, but this relidar was built without the reader of bags; install "
                     "libsqlite3-dev and libbz2-dev, and build relidar again with RELIDAR_BAGS=ON",

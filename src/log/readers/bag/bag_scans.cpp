@@ -16,42 +16,45 @@ namespace {
 constexpr std::size_t kSampleClouds = 6;
 
 /// Returns the earliest point time of a cloud, in the time unit of the file.
-double find_first_time_of_cloud(const folder::PointTable& table) {
+double find_earliest_point_time(const folder::PointTable& table) {
     double first = INFINITY;
-    if (const folder::FieldValues* times = table.find(folder::PointValue::time))
-        times->visit([&](const auto& time_at) {
+    if (const folder::PointFieldView* times = table.find_field(folder::PointAttribute::time))
+        times->visit_with_value_reader([&](const auto& time_at) {
             for (std::size_t i = 0; i < table.n; ++i)
                 if (const auto t = double(time_at(i)); std::isfinite(t)) first = std::min(first, t);
         });
     return std::isfinite(first) ? first : 0.0;
 }
 
-folder::PointTable read_table(const Bag& bag, const CloudTopic& clouds, const Place& place) {
-    const SharedBytes message = bag.read(place);
-    return make_point_table(read_cloud(bag.topics()[clouds.topic], message.bytes), message);
+folder::PointTable read_cloud_as_point_table(const BagRecording& bag, const CloudTopic& cloud_topic,
+                                             const MessagePosition& location) {
+    const SharedBytes message = bag.read_message_bytes(location);
+    return make_point_table(read_cloud_of_message(bag.topics()[cloud_topic.topic], message.bytes), message);
 }
 
 }  // namespace
 
-std::string BagScans::name(std::size_t frame) const {
-    const FrameCloud& cloud = clouds_[frame];
-    return fmt::format("{}: topic {}, cloud of frame {}", bag_.files().at(cloud.entry.place.file).string(),
+std::string BagScanProvider::get_frame_name(std::size_t frame_index) const {
+    const FrameCloudMessage& cloud = clouds_[frame_index];
+    return fmt::format("{}: topic {}, cloud of frame {}",
+                       bag_.get_file_paths().at(cloud.entry.message_position.file).string(),
                        bag_.topics()[lidars_[cloud.lidar].clouds->topic].name, cloud.number);
 }
 
-Points BagScans::points(std::size_t frame) const {
-    const FrameCloud& at = clouds_[frame];
-    if (at.entry.parts.empty()) return read_points_of_cloud(frame, at.entry, at.cloud_s);
-    Points all;
-    for (const TurnPart& part : at.entry.parts) {
-        const CloudEntry cloud{part.stamp_ns, part.log_ns, part.n_points, part.place};
-        Points points = read_points_of_cloud(
-            frame, cloud, at.cloud_s + 1e-9 * double(cloud.time_ns(clock_) - at.entry.time_ns(clock_)));
+LidarPoints BagScanProvider::read_points_of_frame(std::size_t frame_index) const {
+    const FrameCloudMessage& at = clouds_[frame_index];
+    if (at.entry.parts.empty()) return read_points_of_cloud(frame_index, at.entry, at.cloud_s);
+    LidarPoints all;
+    for (const RevolutionPart& part : at.entry.parts) {
+        const CloudIndexEntry cloud{part.stamp_ns, part.log_ns, part.n_points, part.message_position};
+        LidarPoints points = read_points_of_cloud(
+            frame_index, cloud,
+            at.cloud_s + 1e-9 * double(cloud.get_time_ns(clock_) - at.entry.get_time_ns(clock_)));
         if (points.time_offset_s.empty())
             throw DataError(fmt::format(
                 "{}: {}, and the points have no usable times, expected clouds of full turns, or times of "
                 "points",
-                name(frame), lidars_[at.lidar].clouds->parts_about));
+                get_frame_name(frame_index), lidars_[at.lidar].clouds->parts_about));
         const auto append = [](auto& to, const auto& from) { to.insert(to.end(), from.begin(), from.end()); };
         append(all.position_m, points.position_m), append(all.intensity, points.intensity),
             append(all.ring, points.ring);
@@ -62,38 +65,43 @@ Points BagScans::points(std::size_t frame) const {
         throw DataError(
             fmt::format("{}: some clouds of the turn have rings or return numbers and some have none, "
                         "expected the same fields in all of them",
-                        name(frame)));
+                        get_frame_name(frame_index)));
     return all;
 }
 
-folder::PointTable BagScans::read_table_of_cloud(std::size_t frame, const Place& place) const {
-    const LidarTopic& lidar = lidars_[clouds_[frame].lidar];
-    if (const auto known = lidar.samples.find(place); known != lidar.samples.end()) return known->second;
+folder::PointTable BagScanProvider::read_or_reuse_point_table(std::size_t frame_index,
+                                                              const MessagePosition& location) const {
+    const LidarTopic& lidar = lidars_[clouds_[frame_index].lidar];
+    if (const auto sample_entry = lidar.samples.find(location); sample_entry != lidar.samples.end())
+        return sample_entry->second;
     try {
-        return read_table(bag_, *lidar.clouds, place);
+        return read_cloud_as_point_table(bag_, *lidar.clouds, location);
     } catch (const DataError& error) {
-        throw DataError(fmt::format("{}: {}", name(frame), error.what()));
+        throw DataError(fmt::format("{}: {}", get_frame_name(frame_index), error.what()));
     }
 }
 
-Points BagScans::read_points_of_cloud(std::size_t frame, const CloudEntry& cloud, double cloud_s) const {
-    const FrameCloud& at = clouds_[frame];
-    const CloudUnits& units = lidars_[at.lidar].units;
-    folder::PointTable table = read_table_of_cloud(frame, cloud.place);
-    if (units.zero == TimeZero::none) table.remove(folder::PointValue::time);
+LidarPoints BagScanProvider::read_points_of_cloud(std::size_t frame_index, const CloudIndexEntry& cloud,
+                                                  double cloud_time_s) const {
+    const FrameCloudMessage& at = clouds_[frame_index];
+    const PointCloudUnits& units = lidars_[at.lidar].units;
+    folder::PointTable table = read_or_reuse_point_table(frame_index, cloud.message_position);
+    if (units.zero == PointTimeReference::none) table.remove_fields(folder::PointAttribute::time);
     // time on the clock of the points that corresponds to time 0 of the frame
-    double zero_s = at.time_s - cloud_s;
-    if (units.zero == TimeZero::epoch) zero_s += 1e-9 * double(cloud.stamp_ns);
-    if (units.zero == TimeZero::sensor_clock) zero_s += units.time_unit_s * find_first_time_of_cloud(table);
-    const folder::PointUnits point_units{.columns = {},
-                                         .intensity_max = units.meaning.scale.max,
-                                         .time_unit_s = units.time_unit_s,
-                                         .absolute_times = true,
-                                         .intensity_field = units.meaning.intensity_field,
-                                         .no_return = units.meaning.no_return};
-    Points points = folder::make_points(table, point_units, zero_s, name(frame));
+    double zero_s = at.time_s - cloud_time_s;
+    if (units.zero == PointTimeReference::epoch) zero_s += 1e-9 * double(cloud.stamp_ns);
+    if (units.zero == PointTimeReference::sensor_clock)
+        zero_s += units.time_unit_s * find_earliest_point_time(table);
+    const folder::PointFileUnits point_units{.columns = {},
+                                             .intensity_max = units.meaning.scale.max,
+                                             .time_unit_s = units.time_unit_s,
+                                             .absolute_times = true,
+                                             .intensity_field = units.meaning.intensity_field,
+                                             .no_return = units.meaning.no_return};
+    LidarPoints points =
+        folder::convert_table_to_points(table, point_units, zero_s, get_frame_name(frame_index));
     if (!deskewed_by_) return points;
-    const Pose world_from_cloud = deskewed_by_(at.lidar, cloud_s);
+    const Pose world_from_cloud = deskewed_by_(at.lidar, cloud_time_s);
     for (std::size_t i = 0; i < points.time_offset_s.size(); ++i) {
         const Pose world_from_firing = deskewed_by_(at.lidar, at.time_s + double(points.time_offset_s[i]));
         points.position_m[i] =
@@ -102,39 +110,42 @@ Points BagScans::read_points_of_cloud(std::size_t frame, const CloudEntry& cloud
     return points;
 }
 
-Scan BagScans::rays(std::size_t frame) const {
-    const FrameCloud& at = clouds_[frame];
+Scan BagScanProvider::read_rays_of_frame(std::size_t frame_index) const {
+    const FrameCloudMessage& at = clouds_[frame_index];
     const CloudTopic& clouds = *lidars_[at.lidar].clouds;
-    const packets::PacketTurn& turn = clouds.turns[at.entry.turn];
-    const std::vector<packets::PacketLog::Source> sources = clouds.packets.messages(turn);
+    const packets::PacketRevolution& revolution = clouds.revolutions[at.entry.revolution_index];
+    const std::vector<packets::PacketIndex::PacketMessageSource> sources =
+        clouds.packets.find_messages_of_revolution(revolution);
     std::vector<SharedBytes> messages;
-    for (const auto& source : sources) messages.push_back(bag_.read(source.place));
-    std::vector<std::vector<packets::PacketView>> packets;
-    Header header;
+    for (const auto& source : sources) messages.push_back(bag_.read_message_bytes(source.message_position));
+    std::vector<std::vector<packets::ReceivedPacket>> packets;
+    MessageHeader header;
     for (std::size_t m = 0; m < messages.size(); ++m)
-        packets.push_back(relidar::packets::read_packets(bag_.topics()[clouds.topic], messages[m].bytes,
-                                                         sources[m].log_ns, header));
+        packets.push_back(relidar::packets::read_packets_of_message(
+            bag_.topics()[clouds.topic], messages[m].bytes, sources[m].log_ns, header));
     const auto shift_ns = std::int64_t(std::llround(1e9 * (at.time_s - at.cloud_s)));
-    return clouds.packets.scan(turn, packets, lidars_[at.lidar].sensor, turn.forward_ns + shift_ns);
+    return clouds.packets.decode_revolution(revolution, packets, lidars_[at.lidar].sensor,
+                                            revolution.forward_ns + shift_ns);
 }
 
-LidarTopic sample_cloud_topic(const Bag& bag, const CloudTopic& clouds, double step_s) {
-    LidarTopic topic{&clouds};
-    if (!clouds.packets.empty()) return topic;
+LidarTopic make_lidar_topic_with_units(const BagRecording& bag, const CloudTopic& cloud_topic,
+                                       double cloud_period_s) {
+    LidarTopic topic{&cloud_topic};
+    if (!cloud_topic.packets.empty()) return topic;
     std::vector<folder::PointTable> samples;
     std::vector<double> stamps_s;
-    const std::size_t n = std::min(kSampleClouds, clouds.clouds.size());
+    const std::size_t n = std::min(kSampleClouds, cloud_topic.clouds.size());
     for (std::size_t k = 0; k < n; ++k) {
-        const CloudEntry& entry = clouds.clouds[k * clouds.clouds.size() / n];
+        const CloudIndexEntry& entry = cloud_topic.clouds[k * cloud_topic.clouds.size() / n];
         try {
-            samples.push_back(read_table(bag, clouds, entry.place));
+            samples.push_back(read_cloud_as_point_table(bag, cloud_topic, entry.message_position));
         } catch (const DataError&) {
             continue;  // the error is reported when the scan is read
         }
         stamps_s.push_back(1e-9 * double(entry.stamp_ns));
-        topic.samples.emplace(entry.place, samples.back());
+        topic.samples.emplace(entry.message_position, samples.back());
     }
-    topic.units = find_units(samples, stamps_s, step_s);
+    topic.units = estimate_cloud_units(samples, stamps_s, cloud_period_s);
     return topic;
 }
 

@@ -12,45 +12,50 @@
 namespace relidar::bag {
 
 /// The point cloud topics that are loaded.
-struct CloudChoice {
-    std::vector<std::size_t> lidars;  ///< indices in Survey::clouds; each LiDAR has a different frame
+struct SelectedCloudTopics {
+    std::vector<std::size_t> lidars;  ///< indices in BagIndex::clouds; each LiDAR has a different frame
     /// main LiDAR, as an index in `lidars`; each of its clouds starts a new frame of the
     /// log
     std::size_t main = 0;
     std::vector<std::string> notes;
 };
 /// Selects the point cloud topics to load.
-/// @param topics  names of the topics that the user requested; empty: automatic selection
+/// @param requested_topics  names of the topics that the user requested; empty: automatic
+/// selection
 /// @throws DataError if no topic contains clouds
 /// @throws UsageError if a requested topic contains no clouds
-CloudChoice choose_clouds(const Bag& bag, const Survey& survey, const std::vector<std::string>& topics);
+SelectedCloudTopics choose_cloud_topics(const BagRecording& bag, const BagIndex& survey,
+                                        const std::vector<std::string>& requested_topics);
 
 /// Which vehicle poses a bag provides, and the clock of its time stamps.
-struct PoseChoice {
-    Clock clock = Clock::stamps;
+struct SelectedPoseSource {
+    LogClock clock = LogClock::stamps;
     std::int64_t zero_ns = 0;  ///< time of the first cloud; it becomes 0 s in the log
     /// Pose of the vehicle in the world frame as a function of time. Empty if the bag has
     /// no poses.
-    std::optional<PosePath> path;
+    std::optional<TransformChain> path;
     std::string world;    ///< frame in which `path` is expressed
     std::string vehicle;  ///< frame of the vehicle, on which the LiDARs are mounted
     std::string about;    ///< description of the selection
     std::vector<std::string> notes;
 };
 /// Selects the vehicle poses of the log.
-/// @param main  clouds of the main LiDAR; poses must cover the times of these clouds
-/// @param pose_topic  name of a frame or of a pose topic; empty: automatic selection
-/// @throws UsageError if `pose_topic` is neither a frame nor a pose topic
-PoseChoice choose_poses(const Bag& bag, const Survey& survey, const CloudTopic& main,
-                        const std::string& pose_topic);
+/// @param main_lidar_clouds  clouds of the main LiDAR; poses must cover the times of
+/// these clouds
+/// @param requested_frame_or_topic  name of a frame or of a pose topic; empty: automatic
+/// selection
+/// @throws UsageError if `requested_frame_or_topic` is neither a frame nor a pose topic
+SelectedPoseSource choose_vehicle_poses(const BagRecording& bag, const BagIndex& survey,
+                                        const CloudTopic& main_lidar_clouds,
+                                        const std::string& requested_frame_or_topic);
 
 /// The selected topic of boxes.
-struct BoxChoice {
-    const BoxTopic* topic = nullptr;  ///< box topic in Survey::boxes, or null
+struct SelectedBoxTopic {
+    const BoxTopic* topic = nullptr;  ///< box topic in BagIndex::boxes, or null
     std::vector<std::string> notes;
 };
 /// Selects the topic with the most boxes that have a track id. If several topics have
 /// equally many, selects the first one by name.
-BoxChoice choose_box_topic(const Bag& bag, const Survey& survey);
+SelectedBoxTopic choose_box_topic(const BagRecording& bag, const BagIndex& survey);
 
 }  // namespace relidar::bag

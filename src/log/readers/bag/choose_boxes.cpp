@@ -9,8 +9,8 @@
 
 namespace relidar::bag {
 
-BoxChoice choose_box_topic(const Bag& bag, const Survey& survey) {
-    BoxChoice choice;
+SelectedBoxTopic choose_box_topic(const BagRecording& bag, const BagIndex& survey) {
+    SelectedBoxTopic choice;
     const auto get_name = [&](const BoxTopic& boxes) { return bag.topics()[boxes.topic].name; };
     const auto is_worse = [&](const BoxTopic& first, const BoxTopic& second) {
         return first.n_named != second.n_named ? first.n_named < second.n_named
@@ -19,7 +19,7 @@ BoxChoice choose_box_topic(const Bag& bag, const Survey& survey) {
     const auto best = std::ranges::max_element(survey.boxes, is_worse);
     if (best != survey.boxes.end() && best->n_named > 0) choice.topic = &*best;
     for (const BoxTopic& boxes : survey.boxes) {
-        const std::string name = make_excerpt(get_name(boxes));
+        const std::string name = shorten_for_error_message(get_name(boxes));
         if (&boxes == choice.topic)
             choice.notes.push_back(fmt::format("boxes are read from {}{}", name,
                                                boxes.n_named == boxes.n_boxes
@@ -29,17 +29,17 @@ BoxChoice choose_box_topic(const Bag& bag, const Survey& survey) {
         else if (boxes.n_named > 0)
             choice.notes.push_back(fmt::format(
                 "the boxes of {} are ignored: {} boxes have a track id, but {} boxes of {} have one", name,
-                boxes.n_named, choice.topic->n_named, make_excerpt(get_name(*choice.topic))));
+                boxes.n_named, choice.topic->n_named, shorten_for_error_message(get_name(*choice.topic))));
         else if (boxes.n_boxes > 0)
             choice.notes.push_back(
                 fmt::format("the boxes of {} are ignored, because none of the {} boxes has a track id", name,
                             boxes.n_boxes));
     }
-    for (const Topic& topic : bag.topics())
-        if (get_topic_use(topic) == Use::nameless_boxes)
+    for (const BagTopic& topic : bag.topics())
+        if (get_topic_use(topic) == MessagePurpose::nameless_boxes)
             choice.notes.push_back(
                 fmt::format("the boxes of {} are ignored, because messages of type {} have no track ids",
-                            make_excerpt(topic.name), make_excerpt(topic.type)));
+                            shorten_for_error_message(topic.name), shorten_for_error_message(topic.type)));
     return choice;
 }
 

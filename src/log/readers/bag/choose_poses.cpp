@@ -13,7 +13,7 @@ namespace relidar::bag {
 namespace {
 
 /// A possible source of vehicle poses: a pose topic, or a path in the tree of transforms.
-struct PoseSource {
+struct PoseSourceCandidate {
     /// reference frame of the poses: the frame of the topic, or an ancestor of the
     /// LiDAR's frame
     std::string outer;
@@ -23,142 +23,158 @@ struct PoseSource {
 };
 
 /// Returns the frame of the vehicle. It is the first frame on the path from the sensor to
-/// the frame `outer` that moves relative to its parent. If no frame moves, returns the
-/// sensor's frame.
-std::string find_vehicle_frame(const FrameTree& frames, const std::vector<std::string>& chain,
-                               const std::string& outer) {
-    for (const std::string& frame : chain) {
-        if (frame == outer) break;
-        if (frames.is_moving(frame)) return frame;
+/// the frame `ancestor_frame` that moves relative to its parent. If no frame moves,
+/// returns the sensor's frame.
+std::string find_vehicle_frame(const FrameTree& frame_tree, const std::vector<std::string>& frames_to_root,
+                               const std::string& ancestor_frame) {
+    for (const std::string& frame : frames_to_root) {
+        if (frame == ancestor_frame) break;
+        if (frame_tree.is_frame_moving(frame)) return frame;
     }
-    return chain.front();
+    return frames_to_root.front();
 }
 
-bool has_moving_transform_between(const FrameTree& frames, const std::vector<std::string>& chain,
-                                  const std::string& outer) {
-    const auto end = std::ranges::find(chain, outer);
-    return std::any_of(chain.begin(), end, [&](const std::string& frame) { return frames.is_moving(frame); });
+bool has_moving_transform_up_to(const FrameTree& frame_tree, const std::vector<std::string>& frames_to_root,
+                                const std::string& ancestor_frame) {
+    const auto end = std::ranges::find(frames_to_root, ancestor_frame);
+    return std::any_of(frames_to_root.begin(), end,
+                       [&](const std::string& frame) { return frame_tree.is_frame_moving(frame); });
 }
 
-PoseSource make_frame_source(const FrameTree& frames, const std::vector<std::string>& chain,
-                             const std::string& outer) {
-    PoseSource source{outer, nullptr, find_vehicle_frame(frames, chain, outer), {}};
+PoseSourceCandidate make_pose_source_from_tf(const FrameTree& frame_tree,
+                                             const std::vector<std::string>& frames_to_root,
+                                             const std::string& ancestor_frame) {
+    PoseSourceCandidate source{
+        ancestor_frame, nullptr, find_vehicle_frame(frame_tree, frames_to_root, ancestor_frame), {}};
     source.about = fmt::format("poses are those of the frame '{}' in the frame '{}' from /tf (path {}){}",
-                               source.vehicle, outer, fmt::join(chain, " < "),
-                               has_moving_transform_between(frames, chain, outer)
+                               source.vehicle, ancestor_frame, fmt::join(frames_to_root, " < "),
+                               has_moving_transform_up_to(frame_tree, frames_to_root, ancestor_frame)
                                    ? ""
                                    : "; they are constant, so the LiDAR does not move");
     return source;
 }
 
-PoseSource make_topic_source(const Bag& bag, const FrameTree& frames, const PoseTopic& topic,
-                             const std::string& lidar, std::vector<std::string>& notes) {
-    PoseSource source{topic.parent, &topic, topic.child.empty() ? "base_link" : topic.child, {}};
-    const std::string& name = bag.topics()[topic.topic].name;
-    if (!frames.find_constant_pose(source.vehicle, lidar)) {
+PoseSourceCandidate make_pose_source_from_topic(const BagRecording& bag, const FrameTree& frame_tree,
+                                                const PoseTopic& pose_topic, const std::string& lidar_frame,
+                                                std::vector<std::string>& notes) {
+    PoseSourceCandidate source{
+        pose_topic.parent, &pose_topic, pose_topic.child.empty() ? "base_link" : pose_topic.child, {}};
+    const std::string& name = bag.topics()[pose_topic.topic].name;
+    if (!frame_tree.find_constant_transform(source.vehicle, lidar_frame)) {
         notes.push_back(
             fmt::format("/tf_static has no transform between '{}' and '{}', so the poses of {} are used as "
                         "poses of the LiDAR",
-                        lidar, source.vehicle, name));
-        source.vehicle = lidar;
+                        lidar_frame, source.vehicle, name));
+        source.vehicle = lidar_frame;
     }
     source.about = fmt::format("poses are those of the frame '{}' in the frame '{}' from topic {}",
-                               source.vehicle, topic.parent, name);
+                               source.vehicle, pose_topic.parent, name);
     return source;
 }
 
 /// Returns the pose topic with the most messages. Odometry topics are preferred.
-const PoseTopic* find_densest_topic(const Bag& bag, const Survey& survey) {
+const PoseTopic* find_best_pose_topic(const BagRecording& bag, const BagIndex& survey) {
     const auto best = std::ranges::max_element(survey.poses, {}, [&](const PoseTopic& p) {
         return std::pair(bag.topics()[p.topic].type == "nav_msgs/Odometry", p.samples.size());
     });
     return best == survey.poses.end() || best->samples.size() < 2 ? nullptr : &*best;
 }
 
-std::optional<PoseSource> find_named_source(const Bag& bag, const Survey& survey,
-                                            const std::vector<std::string>& chain,
-                                            const std::string& pose_topic, std::vector<std::string>& notes) {
-    if (pose_topic.empty()) return std::nullopt;
-    if (std::find(chain.begin() + 1, chain.end(), pose_topic) != chain.end())
-        return make_frame_source(survey.frames, chain, pose_topic);
-    std::vector<std::string> known(chain.begin() + 1, chain.end());
+std::optional<PoseSourceCandidate> find_requested_pose_source(const BagRecording& bag, const BagIndex& survey,
+                                                              const std::vector<std::string>& frames_to_root,
+                                                              const std::string& requested_frame_or_topic,
+                                                              std::vector<std::string>& notes) {
+    if (requested_frame_or_topic.empty()) return std::nullopt;
+    if (std::find(frames_to_root.begin() + 1, frames_to_root.end(), requested_frame_or_topic) !=
+        frames_to_root.end())
+        return make_pose_source_from_tf(survey.frames, frames_to_root, requested_frame_or_topic);
+    std::vector<std::string> available_sources(frames_to_root.begin() + 1, frames_to_root.end());
     for (const PoseTopic& topic : survey.poses) {
-        if (bag.topics()[topic.topic].name == pose_topic)
-            return make_topic_source(bag, survey.frames, topic, chain.front(), notes);
-        known.push_back(bag.topics()[topic.topic].name);
+        if (bag.topics()[topic.topic].name == requested_frame_or_topic)
+            return make_pose_source_from_topic(bag, survey.frames, topic, frames_to_root.front(), notes);
+        available_sources.push_back(bag.topics()[topic.topic].name);
     }
-    throw UsageError(fmt::format(
-        "dataset.poses_from: found '{}', expected a parent frame of '{}' or a topic of poses: "
-        "{}",
-        make_excerpt(pose_topic), chain.front(),
-        known.empty() ? "the recording has no poses" : fmt::format("{}", fmt::join(known, ", "))));
+    throw UsageError(
+        fmt::format("dataset.poses_from: found '{}', expected a parent frame of '{}' or a topic of poses: "
+                    "{}",
+                    shorten_for_error_message(requested_frame_or_topic), frames_to_root.front(),
+                    available_sources.empty() ? "the recording has no poses"
+                                              : fmt::format("{}", fmt::join(available_sources, ", "))));
 }
 
-std::optional<PoseSource> select_pose_source(const Bag& bag, const Survey& survey,
-                                             const std::vector<std::string>& chain,
-                                             std::vector<std::string>& notes) {
-    const std::string outer = std::ranges::find(chain, "map") != chain.end() ? "map" : chain.back();
-    if (has_moving_transform_between(survey.frames, chain, outer))
-        return make_frame_source(survey.frames, chain, outer);
-    if (const PoseTopic* topic = find_densest_topic(bag, survey))
-        return make_topic_source(bag, survey.frames, *topic, chain.front(), notes);
+std::optional<PoseSourceCandidate> select_default_pose_source(const BagRecording& bag, const BagIndex& survey,
+                                                              const std::vector<std::string>& frames_to_root,
+                                                              std::vector<std::string>& notes) {
+    const std::string outer =
+        std::ranges::find(frames_to_root, "map") != frames_to_root.end() ? "map" : frames_to_root.back();
+    if (has_moving_transform_up_to(survey.frames, frames_to_root, outer))
+        return make_pose_source_from_tf(survey.frames, frames_to_root, outer);
+    if (const PoseTopic* topic = find_best_pose_topic(bag, survey))
+        return make_pose_source_from_topic(bag, survey.frames, *topic, frames_to_root.front(), notes);
     for (const char* world : {"map", "odom", "world", "earth"})
-        if (outer == world && chain.size() > 1) return make_frame_source(survey.frames, chain, outer);
+        if (outer == world && frames_to_root.size() > 1)
+            return make_pose_source_from_tf(survey.frames, frames_to_root, outer);
     return std::nullopt;
 }
 
-PosePath make_path(const Survey& survey, const PoseSource& source, Clock clock, std::int64_t zero_ns) {
-    if (!source.topic) return survey.frames.path(source.outer, source.vehicle, clock, zero_ns);
-    PosePath path;
-    path.add(source.topic->samples, clock, zero_ns);
+TransformChain make_pose_path(const BagIndex& survey, const PoseSourceCandidate& pose_source, LogClock clock,
+                              std::int64_t time_origin_ns) {
+    if (!pose_source.topic)
+        return survey.frames.compute_pose_path(pose_source.outer, pose_source.vehicle, clock, time_origin_ns);
+    TransformChain path;
+    path.append_moving_transform(pose_source.topic->samples, clock, time_origin_ns);
     return path;
 }
 
-std::size_t count_clouds_with_pose(const CloudTopic& clouds, const PosePath& path, Clock clock,
-                                   std::int64_t zero_ns) {
-    return std::size_t(std::ranges::count_if(clouds.clouds, [&](const CloudEntry& cloud) {
-        return path.covers(1e-9 * double(cloud.time_ns(clock) - zero_ns));
+std::size_t count_clouds_with_pose(const CloudTopic& clouds, const TransformChain& pose_path, LogClock clock,
+                                   std::int64_t time_origin_ns) {
+    return std::size_t(std::ranges::count_if(clouds.clouds, [&](const CloudIndexEntry& cloud) {
+        return pose_path.covers_time(1e-9 * double(cloud.get_time_ns(clock) - time_origin_ns));
     }));
 }
 
-std::int64_t get_first_time(const CloudTopic& clouds, Clock clock) {
-    std::int64_t first = clouds.clouds.front().time_ns(clock);
-    for (const CloudEntry& cloud : clouds.clouds) first = std::min(first, cloud.time_ns(clock));
+std::int64_t find_first_cloud_time_ns(const CloudTopic& clouds, LogClock clock) {
+    std::int64_t first = clouds.clouds.front().get_time_ns(clock);
+    for (const CloudIndexEntry& cloud : clouds.clouds) first = std::min(first, cloud.get_time_ns(clock));
     return first;
 }
 
 }  // namespace
 
-PoseChoice choose_poses(const Bag& bag, const Survey& survey, const CloudTopic& main,
-                        const std::string& pose_topic) {
-    PoseChoice choice;
-    const std::vector<std::string> way = survey.frames.find_path_to_root(main.frame);
-    std::optional<PoseSource> source = find_named_source(bag, survey, way, pose_topic, choice.notes);
-    if (!source) source = select_pose_source(bag, survey, way, choice.notes);
-    const bool has_stamps =
-        std::ranges::any_of(main.clouds, [](const CloudEntry& cloud) { return cloud.stamp_ns != 0; });
+SelectedPoseSource choose_vehicle_poses(const BagRecording& bag, const BagIndex& survey,
+                                        const CloudTopic& main_lidar_clouds,
+                                        const std::string& requested_frame_or_topic) {
+    SelectedPoseSource choice;
+    const std::vector<std::string> frame_chain = survey.frames.list_frames_to_root(main_lidar_clouds.frame);
+    std::optional<PoseSourceCandidate> source =
+        find_requested_pose_source(bag, survey, frame_chain, requested_frame_or_topic, choice.notes);
+    if (!source) source = select_default_pose_source(bag, survey, frame_chain, choice.notes);
+    const bool has_stamps = std::ranges::any_of(
+        main_lidar_clouds.clouds, [](const CloudIndexEntry& cloud) { return cloud.stamp_ns != 0; });
     if (!has_stamps) {
-        choice.clock = Clock::recorder;
+        choice.clock = LogClock::recorder;
         choice.notes.push_back("the clouds have no stamps, so their recording times are used");
     }
-    choice.zero_ns = get_first_time(main, choice.clock);
-    choice.vehicle = main.frame;
+    choice.zero_ns = find_first_cloud_time_ns(main_lidar_clouds, choice.clock);
+    choice.vehicle = main_lidar_clouds.frame;
     if (!source) return choice;
-    choice.path = make_path(survey, *source, choice.clock, choice.zero_ns);
+    choice.path = make_pose_path(survey, *source, choice.clock, choice.zero_ns);
     choice.world = source->outer;
     choice.vehicle = source->vehicle;
     choice.about = source->about;
-    const std::size_t n = count_clouds_with_pose(main, *choice.path, choice.clock, choice.zero_ns);
-    if (choice.clock == Clock::recorder || 2 * n >= main.clouds.size()) return choice;
-    const std::int64_t zero_ns = get_first_time(main, Clock::recorder);
-    PosePath recorded = make_path(survey, *source, Clock::recorder, zero_ns);
-    const std::size_t n_recorded = count_clouds_with_pose(main, recorded, Clock::recorder, zero_ns);
+    const std::size_t n =
+        count_clouds_with_pose(main_lidar_clouds, *choice.path, choice.clock, choice.zero_ns);
+    if (choice.clock == LogClock::recorder || 2 * n >= main_lidar_clouds.clouds.size()) return choice;
+    const std::int64_t zero_ns = find_first_cloud_time_ns(main_lidar_clouds, LogClock::recorder);
+    TransformChain recorded = make_pose_path(survey, *source, LogClock::recorder, zero_ns);
+    const std::size_t n_recorded =
+        count_clouds_with_pose(main_lidar_clouds, recorded, LogClock::recorder, zero_ns);
     if (n_recorded <= n) return choice;
     choice.notes.push_back(
         fmt::format("the stamps of clouds and poses come from different clocks (only {} of {} clouds have "
                     "a pose at their stamp), so the recording times of messages are used",
-                    n, main.clouds.size()));
-    choice.clock = Clock::recorder;
+                    n, main_lidar_clouds.clouds.size()));
+    choice.clock = LogClock::recorder;
     choice.zero_ns = zero_ns;
     choice.path = std::move(recorded);
     return choice;

@@ -15,20 +15,20 @@ namespace {
 
 /// Returns the memory layout of a point: its known fields, sorted by offset, with unused
 /// fields that fill the gaps.
-std::vector<folder::PointField> find_cloud_layout(const Cloud& cloud,
-                                                  const std::vector<Cloud::Field>& fields) {
+std::vector<folder::PointField> make_point_layout(
+    const CloudMessage& cloud, const std::vector<CloudMessage::CloudField>& sorted_fields) {
     std::vector<folder::PointField> layout;
     std::size_t at = 0;
     const auto skip_to = [&](std::size_t offset) {
         if (offset > at) layout.push_back({std::string(folder::kPadding), 'U', 1, offset - at});
         at = offset;
     };
-    for (const Cloud::Field& field : fields) {
+    for (const CloudMessage::CloudField& field : sorted_fields) {
         if (field.offset < at)
             throw DataError(fmt::format(
                 "the field '{}' starts at byte {} of a point and overlaps another field, expected byte {} "
                 "or more",
-                make_excerpt(field.name), field.offset, at));
+                shorten_for_error_message(field.name), field.offset, at));
         skip_to(field.offset);
         layout.push_back({field.name, field.kind, field.size, field.count});
         at += field.size * field.count;
@@ -39,7 +39,8 @@ std::vector<folder::PointField> find_cloud_layout(const Cloud& cloud,
 
 /// Copies all points of a cloud. Removes the padding between rows, and converts the
 /// values to the byte order of this computer.
-std::string pack_points(const Cloud& cloud, const std::vector<Cloud::Field>& fields) {
+std::string copy_points_as_packed_bytes(const CloudMessage& cloud,
+                                        const std::vector<CloudMessage::CloudField>& fields) {
     const std::size_t row = cloud.width * cloud.point_step;
     std::string points;
     points.reserve(cloud.height * row);
@@ -49,7 +50,7 @@ std::string pack_points(const Cloud& cloud, const std::vector<Cloud::Field>& fie
     points.resize(cloud.height * row, '\0');
     if (!cloud.is_big_endian) return points;
     for (std::size_t i = 0; i < cloud.size(); ++i)
-        for (const Cloud::Field& field : fields)
+        for (const CloudMessage::CloudField& field : fields)
             std::reverse(points.begin() + std::ptrdiff_t(i * cloud.point_step + field.offset),
                          points.begin() + std::ptrdiff_t(i * cloud.point_step + field.offset + field.size));
     return points;
@@ -57,22 +58,24 @@ std::string pack_points(const Cloud& cloud, const std::vector<Cloud::Field>& fie
 
 }  // namespace
 
-folder::PointTable make_point_table(const Cloud& cloud, const SharedBytes& message) {
+folder::PointTable make_point_table(const CloudMessage& cloud, const SharedBytes& message_bytes) {
     if (cloud.size() == 0) throw DataError("the cloud has no points, expected at least one");
-    std::vector<Cloud::Field> known;
-    std::ranges::copy_if(cloud.fields, std::back_inserter(known),
-                         [](const Cloud::Field& f) { return folder::is_point_field(f.name); });
-    std::ranges::sort(known, {}, &Cloud::Field::offset);
+    std::vector<CloudMessage::CloudField> point_fields;
+    std::ranges::copy_if(
+        cloud.fields, std::back_inserter(point_fields),
+        [](const CloudMessage::CloudField& f) { return folder::is_known_point_field(f.name); });
+    std::ranges::sort(point_fields, {}, &CloudMessage::CloudField::offset);
     const std::size_t n_bytes = cloud.size() * cloud.point_step;
     const bool is_packed = !cloud.is_big_endian && cloud.data.size() >= n_bytes &&
                            (cloud.height <= 1 || cloud.row_step == cloud.width * cloud.point_step);
-    const std::vector<folder::PointField> layout = find_cloud_layout(cloud, known);
-    const SharedBytes points =
-        is_packed ? message.with(cloud.data.substr(0, n_bytes)) : share_bytes(pack_points(cloud, known));
-    folder::PointTable table =
-        folder::read_packed(points, layout, cloud.size(), folder::Packing::by_point, "points");
-    for (const Cloud::Field& field : cloud.fields)
-        if (!folder::is_point_field(field.name)) table.unread.push_back(field.name);
+    const std::vector<folder::PointField> layout = make_point_layout(cloud, point_fields);
+    const SharedBytes points = is_packed
+                                   ? message_bytes.make_shared_subview(cloud.data.substr(0, n_bytes))
+                                   : move_to_shared_bytes(copy_points_as_packed_bytes(cloud, point_fields));
+    folder::PointTable table = folder::make_table_of_binary_points(
+        points, layout, cloud.size(), folder::PointMemoryLayout::by_point, "points");
+    for (const CloudMessage::CloudField& field : cloud.fields)
+        if (!folder::is_known_point_field(field.name)) table.unread.push_back(field.name);
     return table;
 }
 

@@ -24,7 +24,7 @@ constexpr auto kBytes = pbf_wire_type::length_delimited, kFixed32 = pbf_wire_typ
 std::string_view to_string_view(const protozero::data_view& view) { return {view.data(), view.size()}; }
 
 /// Reads the coordinates x, y, z and w of a protobuf message. Missing coordinates are 0.
-glm::dvec4 read_vector(pbf_reader reader) {
+glm::dvec4 read_xyzw(pbf_reader reader) {
     glm::dvec4 v(0.0);
     while (reader.next()) {
         // Reads the tag before the value, because reading the value resets the tag.
@@ -35,7 +35,7 @@ glm::dvec4 read_vector(pbf_reader reader) {
     return v;
 }
 
-std::int64_t read_timestamp(pbf_reader reader) {
+std::int64_t read_timestamp_ns(pbf_reader reader) {
     std::int64_t seconds = 0, nanoseconds = 0;
     while (reader.next()) {
         if (reader.tag_and_type() == tag_and_type(1, kVarint)) seconds = reader.get_int64();
@@ -48,9 +48,9 @@ std::int64_t read_timestamp(pbf_reader reader) {
     return seconds * 1000000000 + nanoseconds;
 }
 
-Pose make_checked_pose(const glm::dvec4& position, const glm::dvec4& rotation) {
-    const glm::dquat q(rotation.w, rotation.x, rotation.y, rotation.z);
-    const glm::dvec3 t(position);
+Pose make_checked_pose(const glm::dvec4& position_m, const glm::dvec4& quaternion_xyzw) {
+    const glm::dquat q(quaternion_xyzw.w, quaternion_xyzw.x, quaternion_xyzw.y, quaternion_xyzw.z);
+    const glm::dvec3 t(position_m);
     if (!(std::abs(glm::length(q) - 1.0) <= 1e-2) || !std::isfinite(t.x + t.y + t.z))
         throw DataError(
             fmt::format("found a pose at ({}, {}, {}) with a quaternion of length {}, expected finite "
@@ -59,7 +59,7 @@ Pose make_checked_pose(const glm::dvec4& position, const glm::dvec4& rotation) {
     return {glm::normalize(q), t};
 }
 
-Cloud::Field read_element_field(pbf_reader reader) {
+CloudMessage::CloudField read_foxglove_point_field(pbf_reader reader) {
     struct Type {
         char kind;
         std::size_t size;
@@ -68,7 +68,7 @@ Cloud::Field read_element_field(pbf_reader reader) {
     // to 8.
     static constexpr Type kTypes[] = {{'U', 1}, {'I', 1}, {'U', 2}, {'I', 2},
                                       {'U', 4}, {'I', 4}, {'F', 4}, {'F', 8}};
-    Cloud::Field field;
+    CloudMessage::CloudField field;
     std::int32_t type = 0;
     while (reader.next()) {
         if (reader.tag_and_type() == tag_and_type(1, kBytes)) field.name = reader.get_string();
@@ -77,8 +77,8 @@ Cloud::Field read_element_field(pbf_reader reader) {
         else reader.skip();
     }
     if (type < 1 || type > 8)
-        throw DataError(
-            fmt::format("the field '{}' has the type {}, expected 1 to 8", make_excerpt(field.name), type));
+        throw DataError(fmt::format("the field '{}' has the type {}, expected 1 to 8",
+                                    shorten_for_error_message(field.name), type));
     field.kind = kTypes[type - 1].kind;
     field.size = kTypes[type - 1].size;
     return field;
@@ -86,14 +86,14 @@ Cloud::Field read_element_field(pbf_reader reader) {
 
 /// Throws if a cloud has a pose other than the identity, which the reader does not
 /// support.
-void check_identity(pbf_reader reader) {
+void check_pose_is_identity(pbf_reader reader) {
     while (reader.next()) {
         if (reader.tag() > 2 || reader.wire_type() != kBytes) {
             reader.skip();
             continue;
         }
         const bool turns = reader.tag() == 2;
-        const glm::dvec4 v = read_vector(reader.get_message());
+        const glm::dvec4 v = read_xyzw(reader.get_message());
         if (!(glm::length(glm::dvec3(v)) <= 1e-9))
             throw DataError(
                 fmt::format("the cloud is {} by a pose, expected points in the frame of the message",
@@ -101,25 +101,25 @@ void check_identity(pbf_reader reader) {
     }
 }
 
-Cloud read_cloud_message(std::string_view bytes) {
-    Cloud cloud;
+CloudMessage read_cloud_message(std::string_view bytes) {
+    CloudMessage cloud;
     pbf_reader reader(bytes.data(), bytes.size());
     while (reader.next()) {
         switch (reader.tag_and_type()) {
             case tag_and_type(1, kBytes):
-                cloud.header.stamp_ns = read_timestamp(reader.get_message());
+                cloud.header.stamp_ns = read_timestamp_ns(reader.get_message());
                 break;
             case tag_and_type(2, kBytes):
                 cloud.header.frame = reader.get_string();
                 break;
             case tag_and_type(3, kBytes):
-                check_identity(reader.get_message());
+                check_pose_is_identity(reader.get_message());
                 break;
             case tag_and_type(4, kFixed32):
                 cloud.point_step = reader.get_fixed32();
                 break;
             case tag_and_type(5, kBytes):
-                cloud.fields.push_back(read_element_field(reader.get_message()));
+                cloud.fields.push_back(read_foxglove_point_field(reader.get_message()));
                 break;
             case tag_and_type(6, kBytes):
                 cloud.data = to_string_view(reader.get_view());
@@ -134,13 +134,13 @@ Cloud read_cloud_message(std::string_view bytes) {
     return cloud;
 }
 
-Transform read_frame_transform(pbf_reader reader) {
-    Transform transform;
+TransformMessage read_frame_transform(pbf_reader reader) {
+    TransformMessage transform;
     glm::dvec4 translation(0.0), rotation(0.0, 0.0, 0.0, 1.0);
     while (reader.next()) {
         switch (reader.tag_and_type()) {
             case tag_and_type(1, kBytes):
-                transform.header.stamp_ns = read_timestamp(reader.get_message());
+                transform.header.stamp_ns = read_timestamp_ns(reader.get_message());
                 break;
             case tag_and_type(2, kBytes):
                 transform.header.frame = reader.get_string();
@@ -149,10 +149,10 @@ Transform read_frame_transform(pbf_reader reader) {
                 transform.child = reader.get_string();
                 break;
             case tag_and_type(4, kBytes):
-                translation = read_vector(reader.get_message());
+                translation = read_xyzw(reader.get_message());
                 break;
             case tag_and_type(5, kBytes):
-                rotation = read_vector(reader.get_message());
+                rotation = read_xyzw(reader.get_message());
                 break;
             default:
                 reader.skip();
@@ -163,25 +163,25 @@ Transform read_frame_transform(pbf_reader reader) {
 }
 
 /// Pose and size of a foxglove.CubePrimitive.
-struct Cube {
+struct FoxgloveCube {
     glm::dvec4 position{0.0}, rotation{0.0, 0.0, 0.0, 1.0};
     glm::dvec3 size_m{0.0};
 };
 
-Cube read_cube(pbf_reader reader) {
-    Cube cube;
+FoxgloveCube read_cube(pbf_reader reader) {
+    FoxgloveCube cube;
     while (reader.next()) {
         if (reader.tag_and_type() == tag_and_type(1, kBytes)) {
             pbf_reader pose = reader.get_message();
             while (pose.next()) {
                 if (pose.tag_and_type() == tag_and_type(1, kBytes))
-                    cube.position = read_vector(pose.get_message());
+                    cube.position = read_xyzw(pose.get_message());
                 else if (pose.tag_and_type() == tag_and_type(2, kBytes))
-                    cube.rotation = read_vector(pose.get_message());
+                    cube.rotation = read_xyzw(pose.get_message());
                 else pose.skip();
             }
         } else if (reader.tag_and_type() == tag_and_type(2, kBytes)) {
-            cube.size_m = read_vector(reader.get_message());
+            cube.size_m = read_xyzw(reader.get_message());
         } else {
             reader.skip();
         }
@@ -191,25 +191,25 @@ Cube read_cube(pbf_reader reader) {
 
 /// Reads a foxglove.KeyValuePair. Returns its value, or an empty string if it has another
 /// key.
-std::string read_value_of_key(pbf_reader reader, std::string_view wanted_key) {
+std::string read_value_if_key_matches(pbf_reader reader, std::string_view expected_key) {
     std::string key, value;
     while (reader.next()) {
         if (reader.tag_and_type() == tag_and_type(1, kBytes)) key = reader.get_string();
         else if (reader.tag_and_type() == tag_and_type(2, kBytes)) value = reader.get_string();
         else reader.skip();
     }
-    return key == wanted_key ? value : "";
+    return key == expected_key ? value : "";
 }
 
 /// Reads a scene entity. If it consists of exactly one cube, adds it to the list as a
 /// box.
-void add_entity(BoxList& list, pbf_reader reader) {
-    Box box;
-    std::vector<Cube> cubes;
+void add_box_from_scene_entity(BoxListMessage& box_list, pbf_reader reader) {
+    BoxMessage box;
+    std::vector<FoxgloveCube> cubes;
     while (reader.next()) {
         switch (reader.tag_and_type()) {
             case tag_and_type(1, kBytes):
-                box.header.stamp_ns = read_timestamp(reader.get_message());
+                box.header.stamp_ns = read_timestamp_ns(reader.get_message());
                 break;
             case tag_and_type(2, kBytes):
                 box.header.frame = reader.get_string();
@@ -218,7 +218,7 @@ void add_entity(BoxList& list, pbf_reader reader) {
                 box.id = reader.get_string();
                 break;
             case tag_and_type(6, kBytes):
-                if (const std::string category = read_value_of_key(reader.get_message(), "category");
+                if (const std::string category = read_value_if_key_matches(reader.get_message(), "category");
                     !category.empty())
                     box.category = category;
                 break;
@@ -229,33 +229,33 @@ void add_entity(BoxList& list, pbf_reader reader) {
                 reader.skip();
         }
     }
-    if (list.header.frame.empty()) list.header = box.header;
+    if (box_list.header.frame.empty()) box_list.header = box.header;
     if (cubes.empty()) return;
     const glm::dvec3& size = cubes.front().size_m;
     const bool is_box = cubes.size() == 1 && std::isfinite(size.x + size.y + size.z) && size.x > 0.0 &&
                         size.y > 0.0 && size.z > 0.0;
-    list.n_left_out += !is_box;
+    box_list.n_left_out += !is_box;
     if (!is_box) return;
     box.size_m = size;
     box.frame_from_box = make_checked_pose(cubes.front().position, cubes.front().rotation);
-    list.boxes.push_back(std::move(box));
+    box_list.boxes.push_back(std::move(box));
 }
 
 }  // namespace
 
-BoxList read_foxglove_boxes(std::string_view bytes) {
+BoxListMessage read_foxglove_boxes(std::string_view bytes) {
     try {
-        BoxList list;
+        BoxListMessage list;
         pbf_reader reader(bytes.data(), bytes.size());
         while (reader.next(2, protozero::pbf_wire_type::length_delimited))
-            add_entity(list, reader.get_message());
+            add_box_from_scene_entity(list, reader.get_message());
         return list;
     } catch (const protozero::exception& error) {
         throw DataError(fmt::format("{}, expected foxglove.SceneUpdate in protobuf", error.what()));
     }
 }
 
-Cloud read_foxglove_cloud(std::string_view bytes) {
+CloudMessage read_foxglove_cloud(std::string_view bytes) {
     try {
         return read_cloud_message(bytes);
     } catch (const protozero::exception& error) {
@@ -263,9 +263,9 @@ Cloud read_foxglove_cloud(std::string_view bytes) {
     }
 }
 
-std::vector<Transform> read_foxglove_transforms(std::string_view bytes) {
+std::vector<TransformMessage> read_foxglove_transforms(std::string_view bytes) {
     try {
-        std::vector<Transform> transforms;
+        std::vector<TransformMessage> transforms;
         pbf_reader reader(bytes.data(), bytes.size());
         while (reader.next(1, protozero::pbf_wire_type::length_delimited))
             transforms.push_back(read_frame_transform(reader.get_message()));

@@ -31,14 +31,14 @@ constexpr double kLeastStep_s = 2e-3;  // minimum time between sweeps
 // the main LiDAR's sweep period.
 constexpr double kBeside = 0.6;
 
-class BagLog {
+class BagLogLoader {
 public:
-    BagLog(const std::filesystem::path& path, const DatasetOptions& options)
+    BagLogLoader(const std::filesystem::path& path, const DatasetOptions& options)
         : options_(options),
           bag_(path, options.skip_broken),
-          survey_(survey_bag(bag_, options.progress)),
-          clouds_(choose_clouds(bag_, survey_, options.lidars)),
-          poses_(choose_poses(bag_, survey_, main(), options.bag.poses_from)),
+          survey_(index_bag_messages(bag_, options.progress)),
+          clouds_(choose_cloud_topics(bag_, survey_, options.lidars)),
+          poses_(choose_vehicle_poses(bag_, survey_, get_main_cloud_topic(), options.bag.poses_from)),
           boxes_(choose_box_topic(bag_, survey_)) {
         sequence_.name = path.lexically_normal().filename().empty()
                              ? path.lexically_normal().parent_path().filename().string()
@@ -46,14 +46,14 @@ public:
         sequence_.source = path.string();
     }
 
-    Sequence load() {
+    LidarSequence load_recording() {
         has_poses_ = options_.poses_file.empty() && poses_.path;
-        is_deskewed_ = bag_.points_in() == "sensor at the stamp";
-        note_topics();
-        find_frames();
-        add_lidars();
-        add_frames();
-        folder::Head head;
+        is_deskewed_ = bag_.get_points_frame_name() == "sensor at the stamp";
+        add_topic_notes();
+        assign_clouds_to_frames();
+        add_lidars_to_sequence();
+        add_frames_to_sequence();
+        folder::SequenceHeader head;
         head.name = sequence_.name;
         for (std::size_t l = 0; l < sequence_.lidars.size(); ++l) {
             head.lidars.emplace_back().lidar = sequence_.lidars[l];
@@ -64,76 +64,81 @@ public:
         }
         DatasetOptions options = options_;
         if (!sequence_.has_poses) options.poses_file = kNoPoses;
-        LidarPose deskewed_by;
+        LidarPoseFunction deskewed_by;
         if (is_deskewed_ && has_poses_)
             deskewed_by = [&](std::size_t lidar, double t_s) { return compute_lidar_pose(lidar, t_s); };
-        folder::read_scans(sequence_, head, BagScans(bag_, lidars_, frames_, poses_.clock, deskewed_by),
-                           options);
+        folder::read_scans(sequence_, head,
+                           BagScanProvider(bag_, lidars_, frames_, poses_.clock, deskewed_by), options);
         if (has_poses_)
-            note(correct_ray_motion(sequence_, [&](double t_s) { return compute_recentred_pose(t_s); }));
+            add_note_if_not_empty(correct_rays_for_vehicle_motion(
+                sequence_, [&](double t_s) { return compute_recentred_vehicle_pose(t_s); }));
         return std::move(sequence_);
     }
 
 private:
     const DatasetOptions& options_;
-    Bag bag_;
-    Survey survey_;
-    CloudChoice clouds_;
-    PoseChoice poses_;
-    BoxChoice boxes_;
-    Sequence sequence_;
-    std::vector<LidarTopic> lidars_;  ///< topic of each LiDAR
-    std::vector<FrameCloud> frames_;  ///< cloud of each frame
-    bool has_poses_ = false;          ///< the recording has poses
+    BagRecording bag_;
+    BagIndex survey_;
+    SelectedCloudTopics clouds_;
+    SelectedPoseSource poses_;
+    SelectedBoxTopic boxes_;
+    LidarSequence sequence_;
+    std::vector<LidarTopic> lidars_;         ///< topic of each LiDAR
+    std::vector<FrameCloudMessage> frames_;  ///< cloud of each frame
+    bool has_poses_ = false;                 ///< the recording has poses
     /// True if relidar wrote the bag with motion-compensated points. All points of a
     /// cloud are then in the sensor frame at the time of its stamp.
     bool is_deskewed_ = false;
 
-    const CloudTopic& get_topic(std::size_t lidar) const { return survey_.clouds[clouds_.lidars[lidar]]; }
-    const CloudTopic& main() const { return get_topic(clouds_.main); }
-    template <class AnyTopic>
-    const std::string& get_name(const AnyTopic& any) const {
-        return bag_.topics()[any.topic].name;
+    const CloudTopic& get_cloud_topic(std::size_t lidar_index) const {
+        return survey_.clouds[clouds_.lidars[lidar_index]];
     }
-    double seconds(const CloudEntry& entry) const {
-        return 1e-9 * double(entry.time_ns(poses_.clock) - poses_.zero_ns);
+    const CloudTopic& get_main_cloud_topic() const { return get_cloud_topic(clouds_.main); }
+    template <class AnyTopic>
+    const std::string& get_topic_name(const AnyTopic& topic_entry) const {
+        return bag_.topics()[topic_entry.topic].name;
+    }
+    double compute_cloud_time_s(const CloudIndexEntry& entry) const {
+        return 1e-9 * double(entry.get_time_ns(poses_.clock) - poses_.zero_ns);
     }
 
-    void note(const std::string& text) {
+    void add_note_if_not_empty(const std::string& text) {
         if (!text.empty()) sequence_.notes.push_back(text);
     }
 
-    void note_topics() {
+    void add_topic_notes() {
         std::vector<bool> used(bag_.topics().size(), false);
         for (const std::size_t c : clouds_.lidars) used[survey_.clouds[c].topic] = true;
         for (std::size_t t = 0; t < used.size(); ++t)
             if (has_poses_ && !used[t])
-                used[t] = get_topic_use(bag_.topics()[t]) == Use::transforms ||
+                used[t] = get_topic_use(bag_.topics()[t]) == MessagePurpose::transforms ||
                           poses_.about.ends_with(" " + bag_.topics()[t].name);
         if (boxes_.topic) used[boxes_.topic->topic] = true;
-        for (const std::string& text : bag_.notes()) note(text);
-        for (const std::string& text : list_topic_lines(bag_, survey_, used)) note(text);
-        for (const std::string& text : clouds_.notes) note(text);
-        for (const std::string& text : poses_.notes) note(text);
-        for (const std::string& text : boxes_.notes) note(text);
-        if (has_poses_) note(poses_.about + "; use dataset.poses_from to select another frame or topic");
-        for (const std::string& frame : survey_.frames.list_disputed_frames())
-            note(
+        for (const std::string& text : bag_.get_file_problems()) add_note_if_not_empty(text);
+        for (const std::string& text : format_line_per_topic(bag_, survey_, used))
+            add_note_if_not_empty(text);
+        for (const std::string& text : clouds_.notes) add_note_if_not_empty(text);
+        for (const std::string& text : poses_.notes) add_note_if_not_empty(text);
+        for (const std::string& text : boxes_.notes) add_note_if_not_empty(text);
+        if (has_poses_)
+            add_note_if_not_empty(poses_.about + "; use dataset.poses_from to select another frame or topic");
+        for (const std::string& frame : survey_.frames.list_frames_with_several_parents())
+            add_note_if_not_empty(
                 fmt::format("the frame '{}' has several parents in /tf; the parent with the most "
                             "transforms is used",
                             frame));
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l)
-            if (const std::string text = describe_time_jumps(get_topic(l)); !text.empty())
-                note(get_name(get_topic(l)) + ": " + text);
+            if (const std::string text = describe_time_jumps(get_cloud_topic(l)); !text.empty())
+                add_note_if_not_empty(get_topic_name(get_cloud_topic(l)) + ": " + text);
     }
 
     /// Lists the frames of the log. Each cloud of the main LiDAR starts a frame. Clouds
     /// of other LiDARs belong to the frame with the nearest time.
-    void find_frames() {
-        std::vector<FrameCloud> sweeps;
+    void assign_clouds_to_frames() {
+        std::vector<FrameCloudMessage> sweeps;
         std::size_t n_late = 0;
-        for (const CloudEntry& entry : main().clouds) {
-            const double t_s = seconds(entry);
+        for (const CloudIndexEntry& entry : get_main_cloud_topic().clouds) {
+            const double t_s = compute_cloud_time_s(entry);
             if (!sweeps.empty() && t_s < sweeps.back().time_s + kLeastStep_s) {
                 ++n_late;
                 continue;
@@ -141,48 +146,51 @@ private:
             sweeps.push_back({int(sweeps.size()), t_s, t_s, clouds_.main, entry});
         }
         if (n_late > 0)
-            note(fmt::format("{} clouds are skipped, because they are not later than the previous cloud",
-                             n_late));
+            add_note_if_not_empty(fmt::format(
+                "{} clouds are skipped, because they are not later than the previous cloud", n_late));
         std::vector<double> times_s;
-        for (const FrameCloud& sweep : sweeps) times_s.push_back(sweep.time_s);
-        const double step_s = compute_median_step_s(times_s);
-        note(describe_gaps(times_s, step_s));
-        std::vector<FrameCloud> all = sweeps;
+        for (const FrameCloudMessage& sweep : sweeps) times_s.push_back(sweep.time_s);
+        const double step_s = compute_median_interval_s(times_s);
+        add_note_if_not_empty(describe_missing_sweeps(times_s, step_s));
+        std::vector<FrameCloudMessage> all = sweeps;
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l)
-            if (l != clouds_.main) add_nearby_scans(all, sweeps, l, kBeside * step_s);
-        std::ranges::stable_sort(all, [](const FrameCloud& first, const FrameCloud& second) {
+            if (l != clouds_.main) append_nearest_clouds_of_lidar(all, sweeps, l, kBeside * step_s);
+        std::ranges::stable_sort(all, [](const FrameCloudMessage& first, const FrameCloudMessage& second) {
             return first.number != second.number ? first.number < second.number : first.lidar < second.lidar;
         });
-        remove_unselected_clouds(all);
+        select_requested_clouds(all);
         estimate_point_units(step_s);
     }
 
-    void add_nearby_scans(std::vector<FrameCloud>& all_clouds, const std::vector<FrameCloud>& sweeps,
-                          std::size_t lidar, double max_difference_s) {
-        const std::vector<CloudEntry>& clouds = get_topic(lidar).clouds;
+    void append_nearest_clouds_of_lidar(std::vector<FrameCloudMessage>& all_clouds,
+                                        const std::vector<FrameCloudMessage>& main_sweeps,
+                                        std::size_t lidar_index, double max_time_difference_s) {
+        const std::vector<CloudIndexEntry>& clouds = get_cloud_topic(lidar_index).clouds;
         std::vector<double> main_s, other_s;
-        for (const FrameCloud& sweep : sweeps) main_s.push_back(sweep.time_s);
-        for (const CloudEntry& entry : clouds) other_s.push_back(seconds(entry));
-        const auto beside = match_sweeps(main_s, other_s, max_difference_s);
+        for (const FrameCloudMessage& sweep : main_sweeps) main_s.push_back(sweep.time_s);
+        for (const CloudIndexEntry& entry : clouds) other_s.push_back(compute_cloud_time_s(entry));
+        const auto beside = match_sweeps_by_time(main_s, other_s, max_time_difference_s);
         std::size_t n_left = clouds.size();
-        for (std::size_t k = 0; k < sweeps.size(); ++k) {
+        for (std::size_t k = 0; k < main_sweeps.size(); ++k) {
             if (!beside[k]) continue;
             all_clouds.push_back(
-                {sweeps[k].number, main_s[k], other_s[*beside[k]], lidar, clouds[*beside[k]]});
+                {main_sweeps[k].number, main_s[k], other_s[*beside[k]], lidar_index, clouds[*beside[k]]});
             --n_left;
         }
         if (n_left > 0)
-            note(fmt::format("{}: {} clouds are skipped, because {} has no cloud near their times",
-                             get_name(get_topic(lidar)), n_left, get_name(main())));
+            add_note_if_not_empty(
+                fmt::format("{}: {} clouds are skipped, because {} has no cloud near their times",
+                            get_topic_name(get_cloud_topic(lidar_index)), n_left,
+                            get_topic_name(get_main_cloud_topic())));
     }
 
-    void remove_unselected_clouds(const std::vector<FrameCloud>& all_clouds) {
+    void select_requested_clouds(const std::vector<FrameCloudMessage>& all_clouds) {
         std::size_t n_unplaced = 0;
-        for (const FrameCloud& cloud : all_clouds) {
+        for (const FrameCloudMessage& cloud : all_clouds) {
             if (cloud.number < options_.frames.begin ||
                 (options_.frames.end >= 0 && cloud.number >= options_.frames.end))
                 continue;
-            if (has_poses_ && !poses_.path->covers(cloud.time_s)) ++n_unplaced;
+            if (has_poses_ && !poses_.path->covers_time(cloud.time_s)) ++n_unplaced;
             else frames_.push_back(cloud);
         }
         if (frames_.empty() && n_unplaced > 0)
@@ -192,75 +200,80 @@ private:
                             "estimate the poses from the scans",
                             sequence_.source, poses_.about, n_unplaced));
         if (frames_.empty())
-            throw UsageError(fmt::format(
-                "frames {}:{} select no cloud of {}; frames are numbered from 0", options_.frames.begin,
-                options_.frames.end < 0 ? "" : std::to_string(options_.frames.end), get_name(main())));
+            throw UsageError(fmt::format("frames {}:{} select no cloud of {}; frames are numbered from 0",
+                                         options_.frames.begin,
+                                         options_.frames.end < 0 ? "" : std::to_string(options_.frames.end),
+                                         get_topic_name(get_main_cloud_topic())));
         if (n_unplaced > 0)
-            note(fmt::format("{} clouds are skipped, because there are no poses at their times", n_unplaced));
+            add_note_if_not_empty(
+                fmt::format("{} clouds are skipped, because there are no poses at their times", n_unplaced));
     }
 
-    void estimate_point_units(double step_s) {
+    void estimate_point_units(double sweep_period_s) {
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l) {
-            const CloudTopic& clouds = get_topic(l);
+            const CloudTopic& clouds = get_cloud_topic(l);
             const std::size_t n_parts =
                 clouds.clouds.empty() ? 1 : std::max<std::size_t>(clouds.clouds[0].parts.size(), 1);
-            lidars_.push_back(sample_cloud_topic(bag_, clouds, step_s / double(n_parts)));
-            if (!clouds.packets.empty()) lidars_.back().sensor = clouds.packets.sensor();
-            if (!clouds.parts_about.empty()) note(get_name(clouds) + ": " + clouds.parts_about);
+            lidars_.push_back(make_lidar_topic_with_units(bag_, clouds, sweep_period_s / double(n_parts)));
+            if (!clouds.packets.empty()) lidars_.back().sensor = clouds.packets.make_spinning_sensor_model();
+            if (!clouds.parts_about.empty())
+                add_note_if_not_empty(get_topic_name(clouds) + ": " + clouds.parts_about);
             if (!lidars_.back().units.about.empty())
-                note(get_name(get_topic(l)) + ": " + lidars_.back().units.about);
+                add_note_if_not_empty(get_topic_name(get_cloud_topic(l)) + ": " + lidars_.back().units.about);
             for (const std::string& text : lidars_.back().units.meaning.notes)
-                note(get_name(get_topic(l)) + ": " + text);
-            if (is_deskewed_ && has_poses_ && lidars_.back().units.zero != TimeZero::none)
-                note(get_name(clouds) +
-                     ": the points were deskewed to the stamp by relidar; they are converted back to the "
-                     "sensor's frame at their own times");
+                add_note_if_not_empty(get_topic_name(get_cloud_topic(l)) + ": " + text);
+            if (is_deskewed_ && has_poses_ && lidars_.back().units.zero != PointTimeReference::none)
+                add_note_if_not_empty(
+                    get_topic_name(clouds) +
+                    ": the points were deskewed to the stamp by relidar; they are converted back to the "
+                    "sensor's frame at their own times");
         }
     }
 
     /// Adds the LiDARs to the log. The frame of a single LiDAR is the vehicle frame.
     /// Several LiDARs have mounting poses on the vehicle.
-    void add_lidars() {
+    void add_lidars_to_sequence() {
         const bool is_one = clouds_.lidars.size() == 1;
         sequence_.lidars.clear();
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l) {
             Lidar lidar;
             lidar.sensor = lidars_[l].sensor;
-            if (lidar.sensor.beams.empty()) lidar.sensor.name = get_name(get_topic(l));
+            if (lidar.sensor.beams.empty()) lidar.sensor.name = get_topic_name(get_cloud_topic(l));
             if (lidar.sensor.beams.empty()) lidar.sensor.max_range_m = options_.max_range_m;
-            if (!is_one || !options_.lidars.empty()) lidar.name = get_name(get_topic(l));
+            if (!is_one || !options_.lidars.empty()) lidar.name = get_topic_name(get_cloud_topic(l));
             if (!is_one)
                 lidar.vehicle_from_sensor =
-                    *survey_.frames.find_constant_pose(poses_.vehicle, get_topic(l).frame);
+                    *survey_.frames.find_constant_transform(poses_.vehicle, get_cloud_topic(l).frame);
             sequence_.lidars.push_back(std::move(lidar));
         }
     }
 
-    Pose read_pose_from_bag(double t_s) const {
-        const Pose world_from_vehicle = poses_.path->at(t_s);
+    Pose compute_vehicle_pose_from_bag(double t_s) const {
+        const Pose world_from_vehicle = poses_.path->compute_pose_at(t_s);
         if (clouds_.lidars.size() > 1) return world_from_vehicle;
-        return world_from_vehicle * *survey_.frames.find_constant_pose(poses_.vehicle, main().frame);
+        return world_from_vehicle *
+               *survey_.frames.find_constant_transform(poses_.vehicle, get_main_cloud_topic().frame);
     }
 
-    Pose compute_lidar_pose(std::size_t lidar, double t_s) const {
-        const Pose pose = read_pose_from_bag(t_s);
-        return clouds_.lidars.size() > 1 ? pose * sequence_.lidars[lidar].vehicle_from_sensor : pose;
+    Pose compute_lidar_pose(std::size_t lidar_index, double t_s) const {
+        const Pose pose = compute_vehicle_pose_from_bag(t_s);
+        return clouds_.lidars.size() > 1 ? pose * sequence_.lidars[lidar_index].vehicle_from_sensor : pose;
     }
 
-    std::optional<Pose> compute_recentred_pose(double t_s) const {
-        if (!poses_.path->covers(t_s)) return std::nullopt;
-        Pose pose = read_pose_from_bag(t_s);
+    std::optional<Pose> compute_recentred_vehicle_pose(double t_s) const {
+        if (!poses_.path->covers_time(t_s)) return std::nullopt;
+        Pose pose = compute_vehicle_pose_from_bag(t_s);
         pose.translation -= sequence_.world_offset_m;
         return pose;
     }
 
     /// Reads vehicle poses from a file of the user, which lists them by frame number or
     /// by time.
-    std::vector<Pose> list_poses_at_scans() {
-        std::vector<folder::HeadFrame> frames;
-        for (const FrameCloud& frame : frames_)
+    std::vector<Pose> read_user_poses_at_scans() {
+        std::vector<folder::SequenceHeaderFrame> frames;
+        for (const FrameCloudMessage& frame : frames_)
             frames.push_back({frame.number, frame.time_s + 1e-9 * double(poses_.zero_ns), 0, {}});
-        const auto poses = folder::read_poses(options_.poses_file, frames, nullptr, sequence_.notes);
+        const auto poses = folder::read_frame_poses(options_.poses_file, frames, nullptr, sequence_.notes);
         if (!poses)
             throw DataError(fmt::format("{}: no such file, expected poses (dataset.poses)",
                                         options_.poses_file.string()));
@@ -269,50 +282,54 @@ private:
 
     /// Adds the boxes of the bag to the log. If vehicle poses come from a file of the
     /// user, boxes keep their positions relative to the vehicle.
-    void add_boxes() {
+    void add_boxes_to_sequence() {
         if (!boxes_.topic) return;
-        BoxPlaces places{survey_.frames, poses_, {}, {}, has_poses_};
-        places.vehicle = has_poses_ || clouds_.lidars.size() > 1 ? poses_.vehicle : main().frame;
-        places.world_from_vehicle = [&](double t_s) {
-            return has_poses_            ? poses_.path->at(t_s)
-                   : sequence_.has_poses ? sequence_.world_from_vehicle.at(t_s)
+        BoxTransformContext transform_context{survey_.frames, poses_, {}, {}, has_poses_};
+        transform_context.vehicle =
+            has_poses_ || clouds_.lidars.size() > 1 ? poses_.vehicle : get_main_cloud_topic().frame;
+        transform_context.world_from_vehicle = [&](double t_s) {
+            return has_poses_            ? poses_.path->compute_pose_at(t_s)
+                   : sequence_.has_poses ? sequence_.world_from_vehicle.interpolate_pose(t_s)
                                          : Pose{};
         };
-        const BoxTracks tracks =
-            read_tracks(bag_, *boxes_.topic, places, sequence_.world_from_vehicle.time_s);
+        const LoadedBoxTracks tracks = read_box_tracks_from_bag(bag_, *boxes_.topic, transform_context,
+                                                                sequence_.world_from_vehicle.time_s);
         sequence_.boxes = tracks.tracks;
-        for (const std::string& text : tracks.notes) note(get_name(*boxes_.topic) + ": " + text);
+        for (const std::string& text : tracks.notes)
+            add_note_if_not_empty(get_topic_name(*boxes_.topic) + ": " + text);
     }
 
-    void add_frames() {
-        std::vector<Pose> given;
-        if (!options_.poses_file.empty() && options_.poses_file != kNoPoses) given = list_poses_at_scans();
-        sequence_.has_poses = has_poses_ || !given.empty();
+    void add_frames_to_sequence() {
+        std::vector<Pose> file_poses;
+        if (!options_.poses_file.empty() && options_.poses_file != kNoPoses)
+            file_poses = read_user_poses_at_scans();
+        sequence_.has_poses = has_poses_ || !file_poses.empty();
         for (std::size_t i = 0; i < frames_.size(); ++i)
             add_frame(sequence_, frames_[i].number, frames_[i].time_s,
-                      !given.empty() ? given[i]
-                      : has_poses_   ? read_pose_from_bag(frames_[i].time_s)
-                                     : Pose{},
+                      !file_poses.empty() ? file_poses[i]
+                      : has_poses_        ? compute_vehicle_pose_from_bag(frames_[i].time_s)
+                                          : Pose{},
                       int(frames_[i].lidar));
-        if (options_.poses_file == kNoPoses) note(kitti::kNoPosesNote);
+        if (options_.poses_file == kNoPoses) add_note_if_not_empty(kitti::kNoPosesNote);
         else if (!sequence_.has_poses)
-            note(
+            add_note_if_not_empty(
                 "the recording has no poses; they must be estimated from the scans, like with "
                 "dataset.poses=none");
         sequence_.conventions = fmt::format(
             "ROS frames: x forward, y left, z up, in metres. The time 0 s is {}.{:09} s of the {}. Frames "
             "are numbered by the clouds of {}.",
             poses_.zero_ns / kSecond_ns, std::abs(poses_.zero_ns % kSecond_ns),
-            poses_.clock == Clock::stamps ? "stamps" : "recorder's clock", get_name(main()));
-        add_boxes();
+            poses_.clock == LogClock::stamps ? "stamps" : "recorder's clock",
+            get_topic_name(get_main_cloud_topic()));
+        add_boxes_to_sequence();
         recentre_sequence(sequence_);
     }
 };
 
 }  // namespace
 
-Sequence load_ros_bag(const std::filesystem::path& path, const DatasetOptions& options) {
-    return BagLog(path, options).load();
+LidarSequence load_ros_bag(const std::filesystem::path& path, const DatasetOptions& options) {
+    return BagLogLoader(path, options).load_recording();
 }
 
 }  // namespace relidar

@@ -35,8 +35,8 @@ struct McapRecord {
 };
 
 McapRecord read_next_record(ByteReader& reader) {
-    const auto code = reader.number<std::uint8_t>();
-    return {code, reader.take(reader.number<std::uint64_t>())};
+    const auto code = reader.read_number<std::uint8_t>();
+    return {code, reader.read_bytes(reader.read_number<std::uint64_t>())};
 }
 
 struct McapMessage {
@@ -47,21 +47,21 @@ struct McapMessage {
 
 McapMessage parse_message(std::string_view body) {
     ByteReader reader(body);
-    const auto channel = reader.number<std::uint16_t>();
-    reader.number<std::uint32_t>();  // skips the sequence number of the message
-    const auto log_ns = reader.number<std::uint64_t>();
-    reader.number<std::uint64_t>();  // skips the publication time
-    return {channel, std::int64_t(log_ns), reader.rest()};
+    const auto channel = reader.read_number<std::uint16_t>();
+    reader.read_number<std::uint32_t>();  // skips the sequence number of the message
+    const auto log_ns = reader.read_number<std::uint64_t>();
+    reader.read_number<std::uint64_t>();  // skips the publication time
+    return {channel, std::int64_t(log_ns), reader.read_remaining_bytes()};
 }
 
 SharedBytes unpack_records_of_chunk(const SharedBytes& chunk) {
     ByteReader reader(chunk.bytes);
-    reader.take(16);  // skips the times of the first and the last message
-    const auto n = reader.number<std::uint64_t>();
-    const auto sum = reader.number<std::uint32_t>();
-    const std::string_view compression = reader.read_sized_string();
-    SharedBytes records =
-        unpack_chunk(compression, chunk.with(reader.take(reader.number<std::uint64_t>())), n);
+    reader.read_bytes(16);  // skips the times of the first and the last message
+    const auto n = reader.read_number<std::uint64_t>();
+    const auto sum = reader.read_number<std::uint32_t>();
+    const std::string_view compression = reader.read_length_prefixed_string();
+    SharedBytes records = unpack_chunk(
+        compression, chunk.make_shared_subview(reader.read_bytes(reader.read_number<std::uint64_t>())), n);
     if (sum != 0 &&
         crc32_z(0, reinterpret_cast<const Bytef*>(records.bytes.data()), records.bytes.size()) != sum)
         throw DataError("the checksum of the data is wrong, so the data is damaged");
@@ -71,52 +71,52 @@ SharedBytes unpack_records_of_chunk(const SharedBytes& chunk) {
 class McapFile : public BagFile {
 public:
     McapFile(const std::filesystem::path& path, bool skip_broken) : file_(path), skip_broken_(skip_broken) {
-        if (file_.size() < kMcapMagic.size() || file_.part(0, kMcapMagic.size()).bytes != kMcapMagic)
+        if (file_.size() < kMcapMagic.size() || file_.read_bytes_at(0, kMcapMagic.size()).bytes != kMcapMagic)
             throw DataError(fmt::format("{}: the file does not begin like an MCAP file", file_.name()));
     }
 
-    void for_each_message(TopicTable& topics, const Pass& pass) override {
+    void for_each_message(TopicTable& topics, const MessageReadCallbacks& callbacks) override {
         schemas_.clear(), channels_.clear();
         points_in_.clear();
         std::uint64_t at = kMcapMagic.size();
         for (;;) {
             if (file_.size() - at < kRecordHead) break;
-            const SharedBytes head = file_.part(at, kRecordHead);
+            const SharedBytes head = file_.read_bytes_at(at, kRecordHead);
             ByteReader reader(head.bytes);
-            const auto code = reader.number<std::uint8_t>();
-            const auto length = reader.number<std::uint64_t>();
+            const auto code = reader.read_number<std::uint8_t>();
+            const auto length = reader.read_number<std::uint64_t>();
             if (code == kMcapDataEnd || code == kMcapFooter) return;
             if (length > file_.size() - at - kRecordHead) break;
-            pass.done(double(at) / double(file_.size()));
+            callbacks.done(double(at) / double(file_.size()));
             try {
-                read_record(code, at, length, topics, pass);
+                process_record_at_offset(code, at, length, topics, callbacks);
             } catch (const DataError& error) {
                 const std::string text = fmt::format("{}: the record at byte {} cannot be read: {}",
                                                      file_.name(), at, error.what());
                 if (!skip_broken_) throw DataError(text + "; use dataset.skip_broken=true to skip it");
-                pass.note("skipped: " + text);
+                callbacks.note("skipped: " + text);
             }
             at += kRecordHead + length;
         }
-        pass.note(fmt::format("{}: the file is truncated at byte {} of {}; later messages are missing",
-                              file_.name(), at, file_.size()));
+        callbacks.note(fmt::format("{}: the file is truncated at byte {} of {}; later messages are missing",
+                                   file_.name(), at, file_.size()));
     }
 
-    SharedBytes read(const Place& place) const override {
-        if (place.in_chunk == Place::kNoChunk) {
-            const SharedBytes body = read_body(place.at);
-            return body.with(parse_message(body.bytes).bytes);
+    SharedBytes read_message_bytes(const MessagePosition& place) const override {
+        if (place.in_chunk == MessagePosition::kNoChunk) {
+            const SharedBytes body = read_record_body(place.at);
+            return body.make_shared_subview(parse_message(body.bytes).bytes);
         }
-        const SharedBytes records =
-            chunks_.get(place.at, [&] { return unpack_records_of_chunk(read_body(place.at)); });
+        const SharedBytes records = chunks_.get_or_unpack_chunk(
+            place.at, [&] { return unpack_records_of_chunk(read_record_body(place.at)); });
         ByteReader reader(records.bytes.substr(std::size_t(place.in_chunk)));
-        return records.with(parse_message(read_next_record(reader).body).bytes);
+        return records.make_shared_subview(parse_message(read_next_record(reader).body).bytes);
     }
 
-    std::string points_in() const override { return points_in_; }
+    std::string get_points_frame_name() const override { return points_in_; }
 
 private:
-    PartFile file_;
+    RandomAccessFile file_;
     const bool skip_broken_;
     std::string points_in_;
     ChunkCache chunks_;
@@ -126,52 +126,56 @@ private:
     std::map<std::uint16_t, Schema> schemas_;
     std::map<std::uint16_t, std::size_t> channels_;  ///< topic of each channel
 
-    SharedBytes read_body(std::uint64_t offset) const {
-        const SharedBytes head = file_.part(offset, kRecordHead);
-        return file_.part(offset + kRecordHead, ByteReader(head.bytes.substr(1)).number<std::uint64_t>());
+    SharedBytes read_record_body(std::uint64_t record_offset) const {
+        const SharedBytes head = file_.read_bytes_at(record_offset, kRecordHead);
+        return file_.read_bytes_at(record_offset + kRecordHead,
+                                   ByteReader(head.bytes.substr(1)).read_number<std::uint64_t>());
     }
 
-    void read_record(std::uint8_t code, std::uint64_t offset, std::uint64_t length, TopicTable& topics,
-                     const Pass& pass) {
+    void process_record_at_offset(std::uint8_t record_code, std::uint64_t offset, std::uint64_t body_length,
+                                  TopicTable& topics, const MessageReadCallbacks& callbacks) {
         constexpr std::array kRead = {kMcapSchema, kMcapChannel, kMcapMessage, kMcapChunk, kMcapMetadata};
-        if (std::ranges::find(kRead, code) == kRead.end()) return;
-        SharedBytes body = file_.part(offset + kRecordHead, length);
-        if (code != kMcapChunk)
-            return process_mcap_record({code, body.bytes}, {offset, Place::kNoChunk}, topics, pass);
+        if (std::ranges::find(kRead, record_code) == kRead.end()) return;
+        SharedBytes body = file_.read_bytes_at(offset + kRecordHead, body_length);
+        if (record_code != kMcapChunk)
+            return process_mcap_record({record_code, body.bytes}, {offset, MessagePosition::kNoChunk}, topics,
+                                       callbacks);
         const SharedBytes records = unpack_records_of_chunk(body);
         body = {};
         ByteReader reader(records.bytes);
-        while (reader.left() > 0) {
-            const std::uint64_t in_chunk = reader.at();
-            process_mcap_record(read_next_record(reader), {offset, in_chunk}, topics, pass);
+        while (reader.count_remaining_bytes() > 0) {
+            const std::uint64_t in_chunk = reader.get_position();
+            process_mcap_record(read_next_record(reader), {offset, in_chunk}, topics, callbacks);
         }
     }
 
     /// Reads the metadata record that only relidar writes. Ignores other metadata
     /// records.
-    void read_metadata(ByteReader reader) {
-        if (reader.read_sized_string() != "relidar") return;
-        for (ByteReader pairs(reader.read_sized_string()); pairs.left() > 0;) {
-            const std::string_view key = pairs.read_sized_string(), value = pairs.read_sized_string();
+    void read_relidar_metadata(ByteReader reader) {
+        if (reader.read_length_prefixed_string() != "relidar") return;
+        for (ByteReader pairs(reader.read_length_prefixed_string()); pairs.count_remaining_bytes() > 0;) {
+            const std::string_view key = pairs.read_length_prefixed_string(),
+                                   value = pairs.read_length_prefixed_string();
             if (key == "points_in") points_in_ = value;
         }
     }
 
-    void process_mcap_record(const McapRecord& record, const Place& place, TopicTable& topics,
-                             const Pass& pass) {
+    void process_mcap_record(const McapRecord& record, const MessagePosition& location, TopicTable& topics,
+                             const MessageReadCallbacks& callbacks) {
         ByteReader reader(record.body);
         if (record.code == kMcapSchema) {
-            const auto id = reader.number<std::uint16_t>();
-            const std::string name(reader.read_sized_string());
-            schemas_[id] = {name, std::string(reader.read_sized_string())};
+            const auto id = reader.read_number<std::uint16_t>();
+            const std::string name(reader.read_length_prefixed_string());
+            schemas_[id] = {name, std::string(reader.read_length_prefixed_string())};
         } else if (record.code == kMcapChannel) {
-            const auto id = reader.number<std::uint16_t>(), schema = reader.number<std::uint16_t>();
-            const std::string name(reader.read_sized_string()), encoding(reader.read_sized_string());
-            const auto known = schemas_.find(schema);
-            channels_[id] =
-                topics.number_of({name, known == schemas_.end() ? "" : known->second.name, encoding});
+            const auto id = reader.read_number<std::uint16_t>(), schema = reader.read_number<std::uint16_t>();
+            const std::string name(reader.read_length_prefixed_string()),
+                encoding(reader.read_length_prefixed_string());
+            const auto schema_entry = schemas_.find(schema);
+            channels_[id] = topics.find_or_add_topic_index(
+                {name, schema_entry == schemas_.end() ? "" : schema_entry->second.name, encoding});
         } else if (record.code == kMcapMetadata) {
-            read_metadata(reader);
+            read_relidar_metadata(reader);
         } else if (record.code == kMcapMessage) {
             const McapMessage message = parse_message(record.body);
             const auto channel = channels_.find(message.channel);
@@ -180,16 +184,17 @@ private:
                     fmt::format("a message belongs to channel {}, but no earlier record "
                                 "describes this channel",
                                 message.channel));
-            const bool wanted = pass.wanted(topics.topics()[channel->second]);
-            pass.take({channel->second, message.log_ns, wanted ? message.bytes : std::string_view(), place});
+            const bool is_requested = callbacks.topic_filter(topics.topics()[channel->second]);
+            callbacks.message_callback({channel->second, message.log_ns,
+                                        is_requested ? message.bytes : std::string_view(), location});
         }
     }
 };
 
 }  // namespace
 
-std::unique_ptr<BagFile> open_mcap(const std::filesystem::path& file, bool skip_broken) {
-    return std::make_unique<McapFile>(file, skip_broken);
+std::unique_ptr<BagFile> open_mcap_file(const std::filesystem::path& file, bool skip_damaged_chunks) {
+    return std::make_unique<McapFile>(file, skip_damaged_chunks);
 }
 
 }  // namespace relidar::bag

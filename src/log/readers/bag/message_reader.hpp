@@ -38,54 +38,54 @@ public:
     }
 
     bool is_ros1() const { return is_ros1_; }
-    bool is_swapped() const { return swapped_; }
+    bool is_byte_order_swapped() const { return swapped_; }
 
     template <class T>
-    T number() {
-        if (!is_ros1_) align(std::min(sizeof(T), widest_));
+    T read_number() {
+        if (!is_ros1_) skip_alignment_padding(std::min(sizeof(T), widest_));
         char raw[sizeof(T)];
-        std::memcpy(raw, take(sizeof(T)).data(), sizeof(T));
+        std::memcpy(raw, read_bytes(sizeof(T)).data(), sizeof(T));
         if (swapped_) std::reverse(raw, raw + sizeof(T));
         T value;
         std::memcpy(&value, raw, sizeof(T));
         return value;
     }
     /// Reads a string, without the terminating 0 that CDR counts in the length.
-    std::string_view text() {
-        std::string_view text = take(number<std::uint32_t>());
+    std::string_view read_string() {
+        std::string_view text = read_bytes(read_number<std::uint32_t>());
         if (!is_ros1_ && !text.empty() && text.back() == '\0') text.remove_suffix(1);
         return text;
     }
     /// Reads the length of a list.
-    /// @param min_bytes  minimum size of a list entry in bytes
+    /// @param min_entry_bytes  minimum size of a list entry in bytes
     /// @throws DataError if the rest of the message is too short for so many entries
-    std::size_t length(std::size_t min_bytes) {
-        const auto n = number<std::uint32_t>();
-        if (n > (bytes_.size() - at_) / min_bytes)
+    std::size_t read_list_length(std::size_t min_entry_bytes) {
+        const auto n = read_number<std::uint32_t>();
+        if (n > (bytes_.size() - at_) / min_entry_bytes)
             throw DataError(
                 fmt::format("the message has a list of {} entries in {} bytes, expected at "
                             "most {} entries",
-                            n, bytes_.size() - at_, (bytes_.size() - at_) / min_bytes));
+                            n, bytes_.size() - at_, (bytes_.size() - at_) / min_entry_bytes));
         return n;
     }
-    std::string_view take(std::size_t count) {
-        if (count > bytes_.size() - at_)
+    std::string_view read_bytes(std::size_t n_bytes) {
+        if (n_bytes > bytes_.size() - at_)
             throw DataError(fmt::format("the message is truncated: it has {} more bytes, expected {}",
-                                        bytes_.size() - at_, count));
-        at_ += count;
-        return bytes_.substr(at_ - count, count);
+                                        bytes_.size() - at_, n_bytes));
+        at_ += n_bytes;
+        return bytes_.substr(at_ - n_bytes, n_bytes);
     }
-    std::size_t at() const { return at_; }
-    std::size_t left() const { return bytes_.size() - at_; }
+    std::size_t get_byte_offset() const { return at_; }
+    std::size_t count_remaining_bytes() const { return bytes_.size() - at_; }
 
 private:
     std::string_view bytes_;
     std::size_t at_ = 0, widest_ = 8;
     bool is_ros1_ = false, swapped_ = false;
 
-    void align(std::size_t count) {
-        const std::size_t beyond = at_ % count;
-        if (beyond != 0) take(count - beyond);
+    void skip_alignment_padding(std::size_t alignment_bytes) {
+        const std::size_t beyond = at_ % alignment_bytes;
+        if (beyond != 0) read_bytes(alignment_bytes - beyond);
     }
 };
 

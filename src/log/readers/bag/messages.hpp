@@ -17,22 +17,22 @@
 namespace relidar::bag {
 
 /// std_msgs/Header.
-struct Header {
+struct MessageHeader {
     std::int64_t stamp_ns = 0;
     std::string frame;
 };
 
 /// A point cloud from sensor_msgs/PointCloud2 or a similar message.
-struct Cloud {
-    Header header;
+struct CloudMessage {
+    MessageHeader header;
     std::uint32_t height = 0, width = 0;
-    struct Field {
+    struct CloudField {
         std::string name;
         std::size_t offset = 0;  ///< byte offset in a point
         char kind = 'F';         ///< 'F' means float, 'I' signed integer, 'U' unsigned integer
         std::size_t size = 4, count = 1;
     };
-    std::vector<Field> fields;
+    std::vector<CloudField> fields;
     bool is_big_endian = false;
     std::size_t point_step = 0, row_step = 0;
     std::string_view data;  ///< view into the message
@@ -41,68 +41,69 @@ struct Cloud {
 };
 
 /// The pose of a child frame in its parent frame at a time.
-struct Transform {
-    Header header;      ///< header.frame is the parent frame
-    std::string child;  ///< name of the child frame; empty if the message does not contain it
+struct TransformMessage {
+    MessageHeader header;  ///< header.frame is the parent frame
+    std::string child;     ///< name of the child frame; empty if the message does not contain it
     Pose parent_from_child;
 };
 
 /// A box in a message that contains a list of boxes.
-struct Box {
-    Header header;
+struct BoxMessage {
+    MessageHeader header;
     std::string id;          ///< track id of the object; empty if the message has none
     std::string category;    ///< category as written in the message; may be empty
     glm::dvec3 size_m{0.0};  ///< length, width and height; all are greater than 0
     Pose frame_from_box;     ///< pose of the box's centre
 };
-struct BoxList {
-    Header header;
-    std::vector<Box> boxes;
+struct BoxListMessage {
+    MessageHeader header;
+    std::vector<BoxMessage> boxes;
     /// number of boxes that are ignored because their size or their pose is invalid
     std::size_t n_left_out = 0;
 };
 
 /// What the messages of a topic are used for. Boxes without a track id (nameless_boxes)
 /// are not loaded, because they cannot be joined to tracks.
-enum class Use { nothing, cloud, packets, metadata, transforms, pose, boxes, nameless_boxes };
-Use get_topic_use(const Topic& topic);
+enum class MessagePurpose { nothing, cloud, packets, metadata, transforms, pose, boxes, nameless_boxes };
+MessagePurpose get_topic_use(const BagTopic& topic);
 
 class MessageReader;
 /// Reads a ROS time and converts it to nanoseconds.
-std::int64_t read_time(MessageReader& reader);
-Header read_header(MessageReader& reader);
+std::int64_t read_ros_time_ns(MessageReader& reader);
+MessageHeader read_header(MessageReader& reader);
 /// Seven numbers of a pose: position x y z and quaternion x y z w.
-using PoseNumbers = std::array<double, 7>;
-PoseNumbers read_pose_numbers(MessageReader& reader);
+using PoseComponents = std::array<double, 7>;
+PoseComponents read_position_and_quaternion(MessageReader& reader);
 /// Converts a position and a quaternion to a pose.
 /// @throws DataError if the quaternion is zero or a number is not finite
-Pose make_pose(const PoseNumbers& numbers);
-Cloud read_point_cloud(MessageReader& reader);
+Pose make_pose(const PoseComponents& position_and_quaternion);
+CloudMessage read_point_cloud(MessageReader& reader);
 
 /// Reads a point cloud message of any supported type.
 /// @throws DataError with the name of the invalid field
-Cloud read_cloud(const Topic& topic, std::string_view bytes);
+CloudMessage read_cloud_of_message(const BagTopic& topic, std::string_view message_bytes);
 /// Converts a cloud to a table of points with relidar's field names. Values keep the
 /// units of the message.
-/// @param message  message from which the cloud was read
-folder::PointTable make_point_table(const Cloud& cloud, const SharedBytes& message);
+/// @param message_bytes  message from which the cloud was read
+folder::PointTable make_point_table(const CloudMessage& cloud, const SharedBytes& message_bytes);
 
 /// Reads the transforms of a tf2_msgs/TFMessage or tf/tfMessage. Messages with a pose,
 /// such as nav_msgs/Odometry and geometry_msgs/PoseStamped, give one transform.
 /// @throws DataError if a quaternion is zero
-std::vector<Transform> read_transforms(const Topic& topic, std::string_view bytes);
+std::vector<TransformMessage> read_transforms_of_message(const BagTopic& topic,
+                                                         std::string_view message_bytes);
 
 /// Reads a Foxglove PointCloud message. Does not check the offsets of its fields.
-Cloud read_foxglove_cloud(std::string_view bytes);
-std::vector<Transform> read_foxglove_transforms(std::string_view bytes);
+CloudMessage read_foxglove_cloud(std::string_view bytes);
+std::vector<TransformMessage> read_foxglove_transforms(std::string_view bytes);
 
 /// Reads the boxes of vision_msgs/Detection3DArray, Autoware's TrackedObjects or
 /// foxglove.SceneUpdate.
 /// @throws DataError if the message is invalid
-BoxList read_boxes(const Topic& topic, std::string_view bytes);
+BoxListMessage read_boxes_of_message(const BagTopic& topic, std::string_view message_bytes);
 /// Reads a foxglove.SceneUpdate message. Each entity that consists of exactly one cube
 /// becomes a box.
 /// @throws DataError if the message is invalid
-BoxList read_foxglove_boxes(std::string_view bytes);
+BoxListMessage read_foxglove_boxes(std::string_view bytes);
 
 }  // namespace relidar::bag

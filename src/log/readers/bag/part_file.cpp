@@ -41,7 +41,7 @@ std::string get_system_error_text() { return std::error_code(errno, std::generic
 
 }  // namespace
 
-PartFile::PartFile(const std::filesystem::path& path) : name_(path.string()) {
+RandomAccessFile::RandomAccessFile(const std::filesystem::path& path) : name_(path.string()) {
     handle_ = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
     if (handle_ < 0)
         throw DataError(fmt::format("{}: cannot open the file: {}", name_, get_system_error_text()));
@@ -53,64 +53,68 @@ PartFile::PartFile(const std::filesystem::path& path) : name_(path.string()) {
     size_ = std::uint64_t(status.st_size);
 }
 
-PartFile::~PartFile() { ::close(handle_); }
+RandomAccessFile::~RandomAccessFile() { ::close(handle_); }
 
-SharedBytes PartFile::part(std::uint64_t offset, std::uint64_t count) const {
-    if (offset > size_ || count > size_ - offset)
+SharedBytes RandomAccessFile::read_bytes_at(std::uint64_t offset, std::uint64_t n_bytes) const {
+    if (offset > size_ || n_bytes > size_ - offset)
         throw DataError(
             fmt::format("the file is truncated: it has {} bytes after byte {}, expected {} "
                         "bytes",
-                        size_ - std::min(offset, size_), offset, count));
-    return make_shared_bytes(std::size_t(count), [&](std::span<char> bytes) {
+                        size_ - std::min(offset, size_), offset, n_bytes));
+    return allocate_shared_bytes(std::size_t(n_bytes), [&](std::span<char> bytes) {
         for (std::size_t got = 0; got < bytes.size();) {
             const ssize_t k = ::pread(handle_, bytes.data() + got, bytes.size() - got, off_t(offset + got));
             if (k < 0 && errno == EINTR) continue;
             if (k <= 0)
-                throw DataError(fmt::format("cannot read {} bytes from byte {} on: {}", count, offset,
+                throw DataError(fmt::format("cannot read {} bytes from byte {} on: {}", n_bytes, offset,
                                             k < 0 ? get_system_error_text() : "the file ends before them"));
             got += std::size_t(k);
         }
     });
 }
 
-SharedBytes ChunkCache::get(std::uint64_t offset, const std::function<SharedBytes()>& unpack) const {
-    const auto kept = [&] {
+SharedBytes ChunkCache::get_or_unpack_chunk(std::uint64_t chunk_offset,
+                                            const std::function<SharedBytes()>& unpack) const {
+    const auto find_cached_chunk = [&] {
         return std::find_if(chunks_.begin(), chunks_.end(),
-                            [&](const auto& chunk) { return chunk.first == offset; });
+                            [&](const auto& chunk) { return chunk.first == chunk_offset; });
     };
     {
         const std::lock_guard guard(lock_);
-        if (const auto known = kept(); known != chunks_.end()) return known->second;
+        if (const auto cached_chunk = find_cached_chunk(); cached_chunk != chunks_.end())
+            return cached_chunk->second;
     }
     const SharedBytes chunk = unpack();
     const std::lock_guard guard(lock_);
-    if (kept() == chunks_.end()) chunks_.emplace_back(offset, chunk);
-    if (chunks_.size() > kKept) chunks_.pop_front();
+    if (find_cached_chunk() == chunks_.end()) chunks_.emplace_back(chunk_offset, chunk);
+    if (chunks_.size() > kMaxCachedChunks) chunks_.pop_front();
     return chunk;
 }
 
-SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& chunk, std::uint64_t count) {
-    const std::string_view bytes = chunk.bytes;
+SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& compressed_chunk,
+                         std::uint64_t unpacked_size) {
+    const std::string_view bytes = compressed_chunk.bytes;
     if (compression.empty() || compression == "none") {
-        if (count != bytes.size())
+        if (unpacked_size != bytes.size())
             throw DataError(
-                fmt::format("found {} bytes of uncompressed data, expected {}", bytes.size(), count));
-        return chunk;
+                fmt::format("found {} bytes of uncompressed data, expected {}", bytes.size(), unpacked_size));
+        return compressed_chunk;
     }
-    const auto unpack = compression == "lz4"    ? unpack_lz4
-                        : compression == "zstd" ? unpack_zstd
+    const auto unpack = compression == "lz4"    ? decompress_lz4
+                        : compression == "zstd" ? decompress_zstd
                         : compression == "bz2"  ? unpack_bz2
                                                 : nullptr;
     if (!unpack)
         throw DataError(fmt::format("found the compression '{}', expected none, lz4, zstd or bz2",
-                                    make_excerpt(compression)));
-    if (count > UINT_MAX || (count > kAlwaysUnpacked && count / kMostUnpacked > bytes.size()))
+                                    shorten_for_error_message(compression)));
+    if (unpacked_size > UINT_MAX ||
+        (unpacked_size > kAlwaysUnpacked && unpacked_size / kMostUnpacked > bytes.size()))
         throw DataError(
             fmt::format("found {} bytes that unpack to {} bytes, expected at most {} times as "
                         "many",
-                        bytes.size(), count, kMostUnpacked));
-    return make_shared_bytes(std::size_t(count), [&](std::span<char> target) {
-        if (count > 0 || !bytes.empty()) unpack(bytes, target);
+                        bytes.size(), unpacked_size, kMostUnpacked));
+    return allocate_shared_bytes(std::size_t(unpacked_size), [&](std::span<char> target) {
+        if (unpacked_size > 0 || !bytes.empty()) unpack(bytes, target);
     });
 }
 

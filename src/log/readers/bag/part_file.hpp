@@ -17,20 +17,20 @@
 namespace relidar::bag {
 
 /// A file that is open for reading. Several threads can read it at the same time.
-class PartFile {
+class RandomAccessFile {
 public:
     /// Opens a file for reading.
     /// @throws DataError if the file cannot be opened
-    explicit PartFile(const std::filesystem::path& path);
-    ~PartFile();
-    PartFile(const PartFile&) = delete;
-    PartFile& operator=(const PartFile&) = delete;
+    explicit RandomAccessFile(const std::filesystem::path& path);
+    ~RandomAccessFile();
+    RandomAccessFile(const RandomAccessFile&) = delete;
+    RandomAccessFile& operator=(const RandomAccessFile&) = delete;
 
     std::uint64_t size() const { return size_; }
     const std::string& name() const { return name_; }
-    /// Reads `count` bytes at a byte offset of the file.
+    /// Reads `n_bytes` bytes at a byte offset of the file.
     /// @throws DataError if the file is too short
-    SharedBytes part(std::uint64_t offset, std::uint64_t count) const;
+    SharedBytes read_bytes_at(std::uint64_t offset, std::uint64_t n_bytes) const;
 
 private:
     std::string name_;
@@ -42,19 +42,21 @@ private:
 /// messages of a chunk are usually read one after another.
 class ChunkCache {
 public:
-    SharedBytes get(std::uint64_t offset, const std::function<SharedBytes()>& unpack) const;
+    SharedBytes get_or_unpack_chunk(std::uint64_t chunk_offset,
+                                    const std::function<SharedBytes()>& unpack) const;
 
 private:
-    static constexpr std::size_t kKept = 2;
+    static constexpr std::size_t kMaxCachedChunks = 2;
     mutable std::mutex lock_;
     mutable std::deque<std::pair<std::uint64_t, SharedBytes>> chunks_;
 };
 
 /// Unpacks a chunk. The compression is "", "none", "lz4", "zstd" or "bz2". Uncompressed
 /// chunks are not copied.
-/// @param count unpacked size according to the file; impossible sizes are rejected before
-/// memory is allocated
+/// @param unpacked_size unpacked size according to the file; impossible sizes are
+/// rejected before memory is allocated
 /// @throws DataError if the chunk is damaged
-SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& chunk, std::uint64_t count);
+SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& compressed_chunk,
+                         std::uint64_t unpacked_size);
 
 }  // namespace relidar::bag

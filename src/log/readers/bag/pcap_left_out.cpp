@@ -8,7 +8,7 @@
 
 namespace relidar::bag {
 
-std::unique_ptr<BagFile> open_pcap(const std::filesystem::path& file) {
+std::unique_ptr<BagFile> open_pcap_file(const std::filesystem::path& file) {
     throw UsageError(
         fmt::format("{}: found a capture of packets, but this relidar was built without the reader of "
                     "captures; install libpcap-dev, and build relidar again with RELIDAR_PCAP=ON",

@@ -20,32 +20,35 @@ constexpr double kGap = 1.6;
 // than this.
 constexpr double kJump_s = 0.5;
 
-std::string format_clouds(const CloudTopic& clouds) {
+std::string format_cloud_topic_note(const CloudTopic& clouds) {
     if (!clouds.packets.empty()) {
         std::size_t n_missing = 0;
-        for (const packets::PacketTurn& turn : clouds.turns) n_missing += turn.n_missing;
-        const std::string problems = clouds.packets.problems();
+        for (const packets::PacketRevolution& revolution : clouds.revolutions)
+            n_missing += revolution.n_missing;
+        const std::string problems = clouds.packets.describe_problems();
         return fmt::format(
-            ", frame '{}', {} packets of a {}: {} full turns{}{}{}", make_excerpt(clouds.frame),
-            clouds.packets.size(), clouds.packets.about(), clouds.turns.size(),
+            ", frame '{}', {} packets of a {}: {} full turns{}{}{}", shorten_for_error_message(clouds.frame),
+            clouds.packets.size(), clouds.packets.describe_lidar_product(), clouds.revolutions.size(),
             n_missing == 0 ? ""
                            : fmt::format("; {} packets are missing, and their rays are left out", n_missing),
             problems.empty() ? "" : "; ", problems);
     }
     std::vector<std::string> names;
-    for (const Cloud::Field& field : clouds.fields)
-        names.push_back(fmt::format("{} {}{}", make_excerpt(field.name), field.kind, 8 * field.size));
-    return fmt::format(", frame '{}', {} points, fields {}", make_excerpt(clouds.frame),
-                       clouds.compute_median_points(), fmt::join(names, " "));
+    for (const CloudMessage::CloudField& field : clouds.fields)
+        names.push_back(
+            fmt::format("{} {}{}", shorten_for_error_message(field.name), field.kind, 8 * field.size));
+    return fmt::format(", frame '{}', {} points, fields {}", shorten_for_error_message(clouds.frame),
+                       clouds.compute_median_point_count(), fmt::join(names, " "));
 }
 
-std::string format_poses(const PoseTopic& poses) {
-    return fmt::format(", frame '{}' in '{}'", poses.child.empty() ? "unknown" : make_excerpt(poses.child),
-                       make_excerpt(poses.parent));
+std::string format_pose_topic_note(const PoseTopic& poses) {
+    return fmt::format(", frame '{}' in '{}'",
+                       poses.child.empty() ? "unknown" : shorten_for_error_message(poses.child),
+                       shorten_for_error_message(poses.parent));
 }
 
-std::string format_boxes(const BoxTopic& boxes) {
-    return fmt::format(", frame '{}', {} boxes, {} with a track id{}", make_excerpt(boxes.frame),
+std::string format_box_topic_note(const BoxTopic& boxes) {
+    return fmt::format(", frame '{}', {} boxes, {} with a track id{}", shorten_for_error_message(boxes.frame),
                        boxes.n_boxes, boxes.n_named,
                        boxes.n_left_out == 0
                            ? ""
@@ -54,48 +57,50 @@ std::string format_boxes(const BoxTopic& boxes) {
 
 }  // namespace
 
-std::vector<std::string> list_topic_lines(const Bag& bag, const Survey& survey,
-                                          const std::vector<bool>& used) {
+std::vector<std::string> format_line_per_topic(const BagRecording& bag, const BagIndex& survey,
+                                               const std::vector<bool>& is_topic_used) {
     std::vector<std::string> lines;
     for (std::size_t t = 0; t < bag.topics().size() && lines.size() < kMostLines; ++t) {
-        const Topic& topic = bag.topics()[t];
-        const TopicFacts& facts = survey.facts[t];
-        std::string line = fmt::format("topic {}: {}", make_excerpt(topic.name), make_excerpt(topic.type));
+        const BagTopic& topic = bag.topics()[t];
+        const TopicStatistics& facts = survey.facts[t];
+        std::string line = fmt::format("topic {}: {}", shorten_for_error_message(topic.name),
+                                       shorten_for_error_message(topic.type));
         // For a network capture, the reader itself groups packets into messages, so the
         // number and rate of messages mean nothing.
         const bool is_run = topic.type == packets::kDatagrams;
         if (!is_run) line += fmt::format(", {} messages", facts.n);
-        if (!is_run && facts.rate_hz() > 0.0) line += fmt::format(", {:.1f} Hz", facts.rate_hz());
+        if (!is_run && facts.compute_message_rate_hz() > 0.0)
+            line += fmt::format(", {:.1f} Hz", facts.compute_message_rate_hz());
         if (const auto clouds = std::ranges::find(survey.clouds, t, &CloudTopic::topic);
             clouds != survey.clouds.end()) {
-            line += format_clouds(*clouds);
+            line += format_cloud_topic_note(*clouds);
             if (clouds->n_empty > 0) line += fmt::format(", {} clouds without points", clouds->n_empty);
         }
         if (const auto poses = std::ranges::find(survey.poses, t, &PoseTopic::topic);
             poses != survey.poses.end())
-            line += format_poses(*poses);
+            line += format_pose_topic_note(*poses);
         if (const auto boxes = std::ranges::find(survey.boxes, t, &BoxTopic::topic);
             boxes != survey.boxes.end())
-            line += format_boxes(*boxes);
+            line += format_box_topic_note(*boxes);
         if (facts.n_broken > 0)
             line += fmt::format(", {} messages cannot be read (the first error: {})", facts.n_broken,
                                 facts.broken);
-        lines.push_back(line + (used[t] ? ": used" : ""));
+        lines.push_back(line + (is_topic_used[t] ? ": used" : ""));
     }
     if (bag.topics().size() > kMostLines)
         lines.push_back(fmt::format("{} more topics", bag.topics().size() - kMostLines));
     return lines;
 }
 
-std::string describe_gaps(const std::vector<double>& times_s, double step_s) {
+std::string describe_missing_sweeps(const std::vector<double>& sweep_times_s, double sweep_period_s) {
     std::size_t n = 0;
     double missing = 0.0, longest_s = 0.0, at_s = 0.0;
-    for (std::size_t i = 1; i < times_s.size(); ++i) {
-        const double gap_s = times_s[i] - times_s[i - 1];
-        if (gap_s < kGap * step_s) continue;
+    for (std::size_t i = 1; i < sweep_times_s.size(); ++i) {
+        const double gap_s = sweep_times_s[i] - sweep_times_s[i - 1];
+        if (gap_s < kGap * sweep_period_s) continue;
         ++n;
-        missing += std::round(gap_s / step_s) - 1.0;
-        if (gap_s > longest_s) longest_s = gap_s, at_s = times_s[i - 1];
+        missing += std::round(gap_s / sweep_period_s) - 1.0;
+        if (gap_s > longest_s) longest_s = gap_s, at_s = sweep_times_s[i - 1];
     }
     return n == 0 ? ""
                   : fmt::format(
@@ -108,7 +113,7 @@ std::string describe_time_jumps(const CloudTopic& clouds) {
     std::size_t n_falls = 0, n_jumps = 0;
     double largest_s = 0.0;
     for (std::size_t i = 1; i < clouds.clouds.size(); ++i) {
-        const CloudEntry &before = clouds.clouds[i - 1], &entry = clouds.clouds[i];
+        const CloudIndexEntry &before = clouds.clouds[i - 1], &entry = clouds.clouds[i];
         n_falls += entry.stamp_ns <= before.stamp_ns;
         const double jump_s =
             1e-9 * (double(entry.stamp_ns - before.stamp_ns) - double(entry.log_ns - before.log_ns));

@@ -12,13 +12,13 @@ namespace relidar::bag {
 
 /// Returns one line per topic: name, type, number of messages, rate, and whether the
 /// topic is loaded. For clouds, the line also contains the frame and the fields.
-/// @param used  [topics] true if the topic is loaded
-std::vector<std::string> list_topic_lines(const Bag& bag, const Survey& survey,
-                                          const std::vector<bool>& used);
+/// @param is_topic_used  [topics] true if the topic is loaded
+std::vector<std::string> format_line_per_topic(const BagRecording& bag, const BagIndex& survey,
+                                               const std::vector<bool>& is_topic_used);
 
 /// Describes missing sweeps, which cause time steps that are much longer than usual.
 /// Returns an empty string if no sweep is missing.
-std::string describe_gaps(const std::vector<double>& times_s, double step_s);
+std::string describe_missing_sweeps(const std::vector<double>& sweep_times_s, double sweep_period_s);
 /// Describes time stamps that decrease, or that jump relative to the recording times.
 /// Returns an empty string if there are none.
 std::string describe_time_jumps(const CloudTopic& clouds);

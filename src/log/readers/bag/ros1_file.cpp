@@ -25,23 +25,23 @@ class Ros1Header {
 public:
     explicit Ros1Header(std::string_view bytes) {
         ByteReader reader(bytes);
-        while (reader.left() > 0) {
-            const std::string_view field = reader.read_sized_string();
+        while (reader.count_remaining_bytes() > 0) {
+            const std::string_view field = reader.read_length_prefixed_string();
             const std::size_t equals = field.find('=');
             if (equals == std::string_view::npos)
-                throw DataError(
-                    fmt::format("found the header field '{}', expected name=value", make_excerpt(field)));
+                throw DataError(fmt::format("found the header field '{}', expected name=value",
+                                            shorten_for_error_message(field)));
             values_[field.substr(0, equals)] = field.substr(equals + 1);
         }
     }
-    std::string_view text(std::string_view name) const {
-        const auto at = values_.find(name);
-        if (at == values_.end()) throw DataError(fmt::format("the header has no field '{}'", name));
+    std::string_view get_text_field(std::string_view field_name) const {
+        const auto at = values_.find(field_name);
+        if (at == values_.end()) throw DataError(fmt::format("the header has no field '{}'", field_name));
         return at->second;
     }
     template <class T>
-    T number(std::string_view name) const {
-        return ByteReader(text(name)).number<T>();
+    T get_number_field(std::string_view field_name) const {
+        return ByteReader(get_text_field(field_name)).read_number<T>();
     }
 
 private:
@@ -53,123 +53,127 @@ struct Ros1Record {
 };
 
 Ros1Record read_next_ros1_record(ByteReader& reader) {
-    const std::string_view header = reader.read_sized_string();
-    return {header, reader.read_sized_string()};
+    const std::string_view header = reader.read_length_prefixed_string();
+    return {header, reader.read_length_prefixed_string()};
 }
 
 class Ros1File : public BagFile {
 public:
     Ros1File(const std::filesystem::path& path, bool skip_broken) : file_(path), skip_broken_(skip_broken) {
-        if (file_.size() < kRos1Magic.size() || file_.part(0, kRos1Magic.size()).bytes != kRos1Magic)
+        if (file_.size() < kRos1Magic.size() || file_.read_bytes_at(0, kRos1Magic.size()).bytes != kRos1Magic)
             throw DataError(
                 fmt::format("{}: the file does not begin like a ROS 1 bag of format 2.0", file_.name()));
     }
 
-    void for_each_message(TopicTable& topics, const Pass& pass) override {
+    void for_each_message(TopicTable& topics, const MessageReadCallbacks& callbacks) override {
         connections_.clear();
         std::uint64_t at = kRos1Magic.size();
         while (at < file_.size()) {
-            const std::optional<Extent> record = read_extent(at);
+            const std::optional<Ros1RecordExtent> record = find_record_extent(at);
             if (!record) {
-                pass.note(
+                callbacks.note(
                     fmt::format("{}: the file is truncated at byte {} of {}; later messages are "
                                 "missing",
                                 file_.name(), at, file_.size()));
                 return;
             }
-            pass.done(double(at) / double(file_.size()));
+            callbacks.done(double(at) / double(file_.size()));
             try {
-                read_record(at, *record, topics, pass);
+                process_record_at_offset(at, *record, topics, callbacks);
             } catch (const DataError& error) {
                 const std::string text = fmt::format("{}: the record at byte {} cannot be read: {}",
                                                      file_.name(), at, error.what());
                 if (!skip_broken_) throw DataError(text + "; use dataset.skip_broken=true to skip it");
-                pass.note("skipped: " + text);
+                callbacks.note("skipped: " + text);
             }
             at = record->data_at + record->data_bytes;
         }
     }
 
-    SharedBytes read(const Place& place) const override {
-        if (place.in_chunk == Place::kNoChunk) {
-            const std::optional<Extent> record = read_extent(place.at);
+    SharedBytes read_message_bytes(const MessagePosition& place) const override {
+        if (place.in_chunk == MessagePosition::kNoChunk) {
+            const std::optional<Ros1RecordExtent> record = find_record_extent(place.at);
             if (!record)
                 throw DataError(
                     fmt::format("{}: the message at byte {} is truncated", file_.name(), place.at));
-            return file_.part(record->data_at, record->data_bytes);
+            return file_.read_bytes_at(record->data_at, record->data_bytes);
         }
-        const SharedBytes records =
-            chunks_.get(place.at, [&] { return read_records_of(*read_extent(place.at)); });
+        const SharedBytes records = chunks_.get_or_unpack_chunk(
+            place.at, [&] { return read_records_in_chunk(*find_record_extent(place.at)); });
         ByteReader reader(records.bytes.substr(std::size_t(place.in_chunk)));
-        return records.with(read_next_ros1_record(reader).data);
+        return records.make_shared_subview(read_next_ros1_record(reader).data);
     }
 
 private:
     /// Header of a record in a ROS 1 bag, and the position of its data.
-    struct Extent {
+    struct Ros1RecordExtent {
         SharedBytes header;
         std::uint64_t data_at = 0;
         std::uint32_t data_bytes = 0;
     };
 
-    PartFile file_;
+    RandomAccessFile file_;
     const bool skip_broken_;
     ChunkCache chunks_;
     std::map<std::uint32_t, std::size_t> connections_;  ///< topic of each connection
 
     /// Returns the header of a record and the position of its data, or nothing if the
     /// file ends within the record.
-    std::optional<Extent> read_extent(std::uint64_t offset) const {
-        const auto length_at = [&](std::uint64_t place) -> std::optional<std::uint32_t> {
-            if (place > file_.size() || file_.size() - place < 4) return std::nullopt;
-            const SharedBytes length = file_.part(place, 4);
-            const auto n = ByteReader(length.bytes).number<std::uint32_t>();
-            return n > file_.size() - place - 4 ? std::nullopt : std::optional(n);
+    std::optional<Ros1RecordExtent> find_record_extent(std::uint64_t record_offset) const {
+        const auto length_at = [&](std::uint64_t length_offset) -> std::optional<std::uint32_t> {
+            if (length_offset > file_.size() || file_.size() - length_offset < 4) return std::nullopt;
+            const SharedBytes length = file_.read_bytes_at(length_offset, 4);
+            const auto n = ByteReader(length.bytes).read_number<std::uint32_t>();
+            return n > file_.size() - length_offset - 4 ? std::nullopt : std::optional(n);
         };
-        const auto header_bytes = length_at(offset);
+        const auto header_bytes = length_at(record_offset);
         if (!header_bytes) return std::nullopt;
         if (*header_bytes > kLongestHeader)
             throw DataError(
                 fmt::format("{}: the record at byte {} has a header of {} bytes, expected at most {}",
-                            file_.name(), offset, *header_bytes, kLongestHeader));
-        const std::uint64_t data = offset + 4 + *header_bytes;
+                            file_.name(), record_offset, *header_bytes, kLongestHeader));
+        const std::uint64_t data = record_offset + 4 + *header_bytes;
         const auto data_bytes = length_at(data);
         if (!data_bytes) return std::nullopt;
-        return Extent{file_.part(offset + 4, *header_bytes), data + 4, *data_bytes};
+        return Ros1RecordExtent{file_.read_bytes_at(record_offset + 4, *header_bytes), data + 4, *data_bytes};
     }
 
-    SharedBytes read_records_of(const Extent& chunk) const {
+    SharedBytes read_records_in_chunk(const Ros1RecordExtent& chunk) const {
         const Ros1Header header(chunk.header.bytes);
-        return unpack_chunk(header.text("compression"), file_.part(chunk.data_at, chunk.data_bytes),
-                            header.number<std::uint32_t>("size"));
+        return unpack_chunk(header.get_text_field("compression"),
+                            file_.read_bytes_at(chunk.data_at, chunk.data_bytes),
+                            header.get_number_field<std::uint32_t>("size"));
     }
 
-    void read_record(std::uint64_t offset, const Extent& record, TopicTable& topics, const Pass& pass) {
+    void process_record_at_offset(std::uint64_t offset, const Ros1RecordExtent& record, TopicTable& topics,
+                                  const MessageReadCallbacks& callbacks) {
         const Ros1Header header(record.header.bytes);
-        const auto op = header.number<std::uint8_t>("op");
+        const auto op = header.get_number_field<std::uint8_t>("op");
         if (op == kRos1Chunk) {
-            const SharedBytes records = read_records_of(record);
+            const SharedBytes records = read_records_in_chunk(record);
             ByteReader reader(records.bytes);
-            while (reader.left() > 0) {
-                const std::uint64_t in_chunk = reader.at();
+            while (reader.count_remaining_bytes() > 0) {
+                const std::uint64_t in_chunk = reader.get_position();
                 const Ros1Record part = read_next_ros1_record(reader);
-                process_ros1_record(Ros1Header(part.header), part.data, {offset, in_chunk}, topics, pass);
+                process_ros1_record(Ros1Header(part.header), part.data, {offset, in_chunk}, topics,
+                                    callbacks);
             }
         } else if (op == kRos1Connection || op == kRos1Message) {
-            process_ros1_record(header, file_.part(record.data_at, record.data_bytes).bytes,
-                                {offset, Place::kNoChunk}, topics, pass);
+            process_ros1_record(header, file_.read_bytes_at(record.data_at, record.data_bytes).bytes,
+                                {offset, MessagePosition::kNoChunk}, topics, callbacks);
         }
     }
 
-    void process_ros1_record(const Ros1Header& header, std::string_view data, const Place& place,
-                             TopicTable& topics, const Pass& pass) {
-        const auto op = header.number<std::uint8_t>("op");
+    void process_ros1_record(const Ros1Header& header, std::string_view data, const MessagePosition& location,
+                             TopicTable& topics, const MessageReadCallbacks& callbacks) {
+        const auto op = header.get_number_field<std::uint8_t>("op");
         if (op != kRos1Connection && op != kRos1Message) return;
-        const auto id = header.number<std::uint32_t>("conn");
+        const auto id = header.get_number_field<std::uint32_t>("conn");
         if (op == kRos1Connection) {
             const Ros1Header about(data);
-            connections_[id] = topics.number_of(
-                {std::string(header.text("topic")), std::string(about.text("type")), "ros1"});
+            connections_[id] =
+                topics.find_or_add_topic_index({std::string(header.get_text_field("topic")),
+                                                std::string(about.get_text_field("type")), "ros1"});
             return;
         }
         const auto connection = connections_.find(id);
@@ -178,18 +182,19 @@ private:
                 fmt::format("a message belongs to connection {}, but no earlier record describes this "
                             "connection",
                             id));
-        ByteReader time(header.text("time"));
-        const auto seconds = time.number<std::uint32_t>(), nanoseconds = time.number<std::uint32_t>();
-        const bool wanted = pass.wanted(topics.topics()[connection->second]);
-        pass.take({connection->second, std::int64_t(seconds) * 1000000000 + nanoseconds,
-                   wanted ? data : std::string_view(), place});
+        ByteReader time(header.get_text_field("time"));
+        const auto seconds = time.read_number<std::uint32_t>(),
+                   nanoseconds = time.read_number<std::uint32_t>();
+        const bool is_requested = callbacks.topic_filter(topics.topics()[connection->second]);
+        callbacks.message_callback({connection->second, std::int64_t(seconds) * 1000000000 + nanoseconds,
+                                    is_requested ? data : std::string_view(), location});
     }
 };
 
 }  // namespace
 
-std::unique_ptr<BagFile> open_ros1(const std::filesystem::path& file, bool skip_broken) {
-    return std::make_unique<Ros1File>(file, skip_broken);
+std::unique_ptr<BagFile> open_ros1_bag(const std::filesystem::path& file, bool skip_damaged_chunks) {
+    return std::make_unique<Ros1File>(file, skip_damaged_chunks);
 }
 
 }  // namespace relidar::bag

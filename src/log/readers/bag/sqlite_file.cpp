@@ -28,61 +28,61 @@ struct FinishStatement {
 using Statement = std::unique_ptr<sqlite3_stmt, FinishStatement>;
 
 /// Converts a path to a URI for SQLite and appends the options.
-std::string make_uri(const std::filesystem::path& path, const char* options) {
+std::string make_sqlite_uri(const std::filesystem::path& path, const char* uri_options) {
     std::string uri = "file:";
     for (const char c : std::filesystem::absolute(path).string()) {
         if (c == '?' || c == '#' || c == '%') uri += fmt::format("%{:02X}", static_cast<unsigned char>(c));
         else uri += c;
     }
-    return uri + options;
+    return uri + uri_options;
 }
 
-std::string get_text_column(sqlite3_stmt* row, int column) {
-    const auto* text = reinterpret_cast<const char*>(sqlite3_column_text(row, column));
-    return text ? std::string(text, std::size_t(sqlite3_column_bytes(row, column))) : std::string();
+std::string get_text_column(sqlite3_stmt* statement, int column) {
+    const auto* text = reinterpret_cast<const char*>(sqlite3_column_text(statement, column));
+    return text ? std::string(text, std::size_t(sqlite3_column_bytes(statement, column))) : std::string();
 }
 
-std::string_view get_bytes_column(sqlite3_stmt* row, int column) {
-    const auto* bytes = static_cast<const char*>(sqlite3_column_blob(row, column));
-    return bytes ? std::string_view(bytes, std::size_t(sqlite3_column_bytes(row, column)))
+std::string_view get_bytes_column(sqlite3_stmt* statement, int column) {
+    const auto* bytes = static_cast<const char*>(sqlite3_column_blob(statement, column));
+    return bytes ? std::string_view(bytes, std::size_t(sqlite3_column_bytes(statement, column)))
                  : std::string_view();
 }
 
 class SqliteFile : public BagFile {
 public:
     SqliteFile(const std::filesystem::path& path, bool packed)
-        : name_(path.string()), packed_(packed), bytes_(PartFile(path).size()) {
+        : name_(path.string()), packed_(packed), bytes_(RandomAccessFile(path).size()) {
         std::error_code failed;
         // A -wal file (write-ahead log) can contain the last messages. SQLite ignores it
         // in immutable mode, so this mode is used only without such a file.
         const bool is_open = std::filesystem::exists(path.string() + "-wal", failed);
         sqlite3* database = nullptr;
         const int code =
-            sqlite3_open_v2(make_uri(path, is_open ? "?mode=ro" : "?mode=ro&immutable=1").c_str(), &database,
-                            SQLITE_OPEN_READONLY | SQLITE_OPEN_URI | SQLITE_OPEN_NOMUTEX, nullptr);
+            sqlite3_open_v2(make_sqlite_uri(path, is_open ? "?mode=ro" : "?mode=ro&immutable=1").c_str(),
+                            &database, SQLITE_OPEN_READONLY | SQLITE_OPEN_URI | SQLITE_OPEN_NOMUTEX, nullptr);
         database_.reset(database);
-        if (code != SQLITE_OK) fail("opening it");
+        if (code != SQLITE_OK) throw_database_error("opening it");
         // No value can be larger than the file; 1 MiB is added as a margin.
         sqlite3_limit(database, SQLITE_LIMIT_LENGTH,
                       int(std::min<std::uint64_t>(bytes_ + (1 << 20), 1 << 30)));
         sqlite3_db_config(database, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
         sqlite3_db_config(database, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
-        for (const char* table : {"topics", "messages"}) check_table(table);
+        for (const char* table : {"topics", "messages"}) check_table_exists(table);
     }
 
-    void for_each_message(TopicTable& topics, const Pass& pass) override {
+    void for_each_message(TopicTable& topics, const MessageReadCallbacks& callbacks) override {
         const std::lock_guard guard(lock_);
         std::map<std::int64_t, std::size_t> topic_of;
         const Statement topic_rows =
             prepare_statement("SELECT id, name, type, serialization_format FROM topics");
-        while (step(topic_rows.get()))
-            topic_of[sqlite3_column_int64(topic_rows.get(), 0)] =
-                topics.number_of({get_text_column(topic_rows.get(), 1), get_text_column(topic_rows.get(), 2),
-                                  get_text_column(topic_rows.get(), 3)});
-        const std::int64_t last = get_last_row();
+        while (read_next_row(topic_rows.get()))
+            topic_of[sqlite3_column_int64(topic_rows.get(), 0)] = topics.find_or_add_topic_index(
+                {get_text_column(topic_rows.get(), 1), get_text_column(topic_rows.get(), 2),
+                 get_text_column(topic_rows.get(), 3)});
+        const std::int64_t last = get_last_row_id();
         const Statement rows =
             prepare_statement("SELECT rowid, topic_id, timestamp, data FROM messages ORDER BY rowid");
-        while (step(rows.get(), pass)) {
+        while (read_next_row_or_note_damage(rows.get(), callbacks)) {
             const std::int64_t row = sqlite3_column_int64(rows.get(), 0);
             const auto topic = topic_of.find(sqlite3_column_int64(rows.get(), 1));
             if (topic == topic_of.end())
@@ -90,30 +90,31 @@ public:
                     fmt::format("{}: the message in row {} belongs to a topic that the file "
                                 "does not list",
                                 name_, row));
-            pass.done(last > 0 ? double(row) / double(last) : 0.0);
-            Message message{topic->second, sqlite3_column_int64(rows.get(), 2), {}, {std::uint64_t(row)}};
+            callbacks.done(last > 0 ? double(row) / double(last) : 0.0);
+            BagMessage message{topic->second, sqlite3_column_int64(rows.get(), 2), {}, {std::uint64_t(row)}};
             SharedBytes unpacked;
             // Reads only the bytes of messages that the caller requested.
-            if (pass.wanted(topics.topics()[topic->second])) {
+            if (callbacks.topic_filter(topics.topics()[topic->second])) {
                 message.bytes = get_bytes_column(rows.get(), 3);
                 if (packed_) {
-                    unpacked = unpack_message(message.bytes, row);
+                    unpacked = unpack_zstd_message(message.bytes, row);
                     message.bytes = unpacked.bytes;
                 }
             }
-            pass.take(message);
+            callbacks.message_callback(message);
         }
     }
 
-    SharedBytes read(const Place& place) const override {
+    SharedBytes read_message_bytes(const MessagePosition& place) const override {
         const std::lock_guard guard(lock_);
         if (!one_) one_ = prepare_statement("SELECT data FROM messages WHERE rowid = ?");
         sqlite3_reset(one_.get());
         sqlite3_bind_int64(one_.get(), 1, std::int64_t(place.at));
-        if (!step(one_.get()))
+        if (!read_next_row(one_.get()))
             throw DataError(fmt::format("{}: the message in row {} no longer exists", name_, place.at));
         const std::string_view bytes = get_bytes_column(one_.get(), 0);
-        return packed_ ? unpack_message(bytes, std::int64_t(place.at)) : share_bytes(std::string(bytes));
+        return packed_ ? unpack_zstd_message(bytes, std::int64_t(place.at))
+                       : move_to_shared_bytes(std::string(bytes));
     }
 
 private:
@@ -124,73 +125,74 @@ private:
     mutable std::mutex lock_;  ///< only one thread may use the database at a time
     mutable Statement one_;
 
-    [[noreturn]] void fail(const char* action) const {
-        throw DataError(fmt::format("{}: {} failed: {}; expected messages of rosbag2 in SQLite", name_,
-                                    action,
-                                    make_excerpt(database_ ? sqlite3_errmsg(database_.get()) : "no memory")));
+    [[noreturn]] void throw_database_error(const char* action) const {
+        throw DataError(fmt::format(
+            "{}: {} failed: {}; expected messages of rosbag2 in SQLite", name_, action,
+            shorten_for_error_message(database_ ? sqlite3_errmsg(database_.get()) : "no memory")));
     }
 
-    Statement prepare_statement(const std::string& text) const {
+    Statement prepare_statement(const std::string& sql_text) const {
         sqlite3_stmt* statement = nullptr;
-        if (sqlite3_prepare_v2(database_.get(), text.c_str(), -1, &statement, nullptr) != SQLITE_OK)
-            fail("reading its tables");
+        if (sqlite3_prepare_v2(database_.get(), sql_text.c_str(), -1, &statement, nullptr) != SQLITE_OK)
+            throw_database_error("reading its tables");
         return Statement(statement);
     }
 
-    bool step(sqlite3_stmt* statement) const {
+    bool read_next_row(sqlite3_stmt* statement) const {
         const int code = sqlite3_step(statement);
-        if (code != SQLITE_ROW && code != SQLITE_DONE) fail("reading its messages");
+        if (code != SQLITE_ROW && code != SQLITE_DONE) throw_database_error("reading its messages");
         return code == SQLITE_ROW;
     }
     /// Reads the next row of a query. In a damaged file, ends the query with a note, so
     /// that earlier messages remain usable.
-    bool step(sqlite3_stmt* statement, const Pass& pass) const {
+    bool read_next_row_or_note_damage(sqlite3_stmt* statement, const MessageReadCallbacks& callbacks) const {
         const int code = sqlite3_step(statement);
         if (code != SQLITE_CORRUPT && (code & 0xFF) != SQLITE_IOERR) {
-            if (code != SQLITE_ROW && code != SQLITE_DONE) fail("reading its messages");
+            if (code != SQLITE_ROW && code != SQLITE_DONE) throw_database_error("reading its messages");
             return code == SQLITE_ROW;
         }
-        pass.note(fmt::format("{}: the file is damaged or truncated ({}); later messages are missing", name_,
-                              sqlite3_errmsg(database_.get())));
+        callbacks.note(fmt::format("{}: the file is damaged or truncated ({}); later messages are missing",
+                                   name_, sqlite3_errmsg(database_.get())));
         return false;
     }
 
-    std::int64_t get_last_row() const {
+    std::int64_t get_last_row_id() const {
         const Statement row = prepare_statement("SELECT max(rowid) FROM messages");
-        return step(row.get()) ? sqlite3_column_int64(row.get(), 0) : 0;
+        return read_next_row(row.get()) ? sqlite3_column_int64(row.get(), 0) : 0;
     }
 
     /// Checks that a name belongs to a real table. A view with this name could run an
     /// endless query.
-    void check_table(const char* table) const {
+    void check_table_exists(const char* table_name) const {
         const Statement row = prepare_statement(fmt::format(
             "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = '{}' AND sql NOT LIKE '%generated%' "
             "AND sql NOT LIKE '% as%(%)%' AND sql NOT LIKE 'create virtual%'",
-            table));
-        if (!step(row.get()))
-            throw DataError(
-                fmt::format("{}: the table '{}' is missing, expected a database of rosbag2", name_, table));
+            table_name));
+        if (!read_next_row(row.get()))
+            throw DataError(fmt::format("{}: the table '{}' is missing, expected a database of rosbag2",
+                                        name_, table_name));
     }
 
-    SharedBytes unpack_message(std::string_view bytes, std::int64_t row) const {
-        const unsigned long long n = ZSTD_getFrameContentSize(bytes.data(), bytes.size());
+    SharedBytes unpack_zstd_message(std::string_view compressed_bytes, std::int64_t row_id) const {
+        const unsigned long long n =
+            ZSTD_getFrameContentSize(compressed_bytes.data(), compressed_bytes.size());
         if (n == ZSTD_CONTENTSIZE_UNKNOWN || n == ZSTD_CONTENTSIZE_ERROR)
             throw DataError(fmt::format(
                 "{}: the message in row {} is not compressed with zstd, unlike metadata.yaml says", name_,
-                row));
+                row_id));
         try {
-            return unpack_chunk("zstd", {nullptr, bytes}, n);
+            return unpack_chunk("zstd", {nullptr, compressed_bytes}, n);
         } catch (const DataError& error) {
             throw DataError(
-                fmt::format("{}: cannot read the message in row {}: {}", name_, row, error.what()));
+                fmt::format("{}: cannot read the message in row {}: {}", name_, row_id, error.what()));
         }
     }
 };
 
 }  // namespace
 
-std::unique_ptr<BagFile> open_sqlite(const std::filesystem::path& file, bool packed) {
-    return std::make_unique<SqliteFile>(file, packed);
+std::unique_ptr<BagFile> open_rosbag2_sqlite(const std::filesystem::path& file, bool has_zstd_messages) {
+    return std::make_unique<SqliteFile>(file, has_zstd_messages);
 }
 
 }  // namespace relidar::bag

@@ -18,27 +18,27 @@
 
 namespace relidar::bag {
 
-struct TopicFacts {
+struct TopicStatistics {
     std::size_t n = 0;                       ///< number of messages
     std::int64_t first_ns = 0, last_ns = 0;  ///< recording times of the first and the last message
     std::size_t n_broken = 0;                ///< number of messages of the topic that could not be read
     std::string broken;                      ///< error message of the first message that could not be read
 
-    double rate_hz() const {
+    double compute_message_rate_hz() const {
         return n > 1 && last_ns > first_ns ? 1e9 * double(n - 1) / double(last_ns - first_ns) : 0.0;
     }
 };
 
-struct CloudEntry {
+struct CloudIndexEntry {
     std::int64_t stamp_ns = 0, log_ns = 0;
     std::uint32_t n_points = 0;
-    Place place;
-    std::size_t turn = 0;  ///< index in CloudTopic::turns; used only for a topic of packets
+    MessagePosition message_position;
+    std::size_t revolution_index = 0;  ///< index in CloudTopic::revolutions; used only for a topic of packets
     /// Clouds that are joined to this revolution. Empty if the cloud itself is a full
     /// revolution.
-    std::vector<TurnPart> parts = {};
+    std::vector<RevolutionPart> parts = {};
 
-    std::int64_t time_ns(Clock clock) const { return clock == Clock::stamps ? stamp_ns : log_ns; }
+    std::int64_t get_time_ns(LogClock clock) const { return clock == LogClock::stamps ? stamp_ns : log_ns; }
 };
 
 struct CloudTopic {
@@ -47,44 +47,45 @@ struct CloudTopic {
     /// For a topic of packets: frames in which drivers publish the clouds that they
     /// compute from these packets.
     std::vector<std::string> driver_frames;
-    std::vector<Cloud::Field> fields;  ///< fields of the first cloud
+    std::vector<CloudMessage::CloudField> fields;  ///< fields of the first cloud
     /// Clouds with points, in the order of the recording. Clouds that are parts of a
     /// revolution are joined to full revolutions.
-    std::vector<CloudEntry> clouds;
-    std::string parts_about;     ///< text about the joined clouds; empty if no clouds are joined
-    std::vector<TurnPart> arcs;  ///< used during the survey
+    std::vector<CloudIndexEntry> clouds;
+    std::string parts_about;           ///< text about the joined clouds; empty if no clouds are joined
+    std::vector<RevolutionPart> arcs;  ///< used during the survey
     std::size_t n_empty = 0;
     /// index of the packets, for a topic of packets; each revolution becomes a cloud
-    packets::PacketLog packets;
-    std::vector<packets::PacketTurn> turns;
+    packets::PacketIndex packets;
+    std::vector<packets::PacketRevolution> revolutions;
 
-    bool has_field(folder::PointValue value) const;
-    std::size_t compute_median_points() const;  ///< Returns the median number of points of a cloud.
+    bool has_point_field(folder::PointAttribute point_value) const;
+    std::size_t compute_median_point_count() const;  ///< Returns the median number of points of a cloud.
 };
 
 struct PoseTopic {
     std::size_t topic = 0;
     std::string parent, child;  ///< names of the parent and the child frame; the child may be empty
-    std::vector<PoseSample> samples;
+    std::vector<StampedPose> samples;
 };
 
 /// A message that contains at least one box.
-struct BoxEntry {
+struct BoxIndexEntry {
     std::int64_t stamp_ns = 0, log_ns = 0;
-    Place place;
+    MessagePosition message_position;
 };
 
 struct BoxTopic {
     std::size_t topic = 0;
     std::string frame;  ///< frame of the first box
-    std::vector<BoxEntry> lists;
+    std::vector<BoxIndexEntry> lists;
     std::size_t n_boxes = 0, n_named = 0;  ///< number of boxes, and number of boxes that have a track id
     /// number of boxes that are ignored because their size or their pose is invalid
     std::size_t n_left_out = 0;
 };
 
-struct Survey {
-    std::vector<TopicFacts> facts;  ///< message statistics of each topic, in the order of Bag::topics()
+struct BagIndex {
+    std::vector<TopicStatistics>
+        facts;  ///< message statistics of each topic, in the order of BagRecording::topics()
     std::vector<CloudTopic> clouds;
     std::vector<PoseTopic> poses;
     std::vector<BoxTopic> boxes;
@@ -94,6 +95,6 @@ struct Survey {
 /// Reads all messages of a recording once and lists its content. Counts invalid messages
 /// instead of throwing.
 /// @throws DataError if a file is damaged
-Survey survey_bag(Bag& bag, const Progress& progress);
+BagIndex index_bag_messages(BagRecording& bag, const ProgressReporter& progress);
 
 }  // namespace relidar::bag

@@ -31,10 +31,11 @@ constexpr double kPause = 1.6;
 constexpr double kDegrees = 180.0 / kPi;
 
 /// Returns the value of a float or double field of a point, in either byte order.
-double read_field_number(const Cloud& cloud, const Cloud::Field& field, std::size_t point) {
-    const std::size_t row = point / cloud.width * (cloud.height > 1 ? cloud.row_step : 0);
+double read_float_field_value(const CloudMessage& cloud, const CloudMessage::CloudField& field,
+                              std::size_t point_index) {
+    const std::size_t row = point_index / cloud.width * (cloud.height > 1 ? cloud.row_step : 0);
     char raw[8] = {};
-    std::memcpy(raw, cloud.data.data() + row + point % cloud.width * cloud.point_step + field.offset,
+    std::memcpy(raw, cloud.data.data() + row + point_index % cloud.width * cloud.point_step + field.offset,
                 field.size);
     if (cloud.is_big_endian) std::reverse(raw, raw + field.size);
     float narrow;
@@ -44,38 +45,39 @@ double read_field_number(const Cloud& cloud, const Cloud::Field& field, std::siz
     return field.size == sizeof narrow ? double(narrow) : wide;
 }
 
-const Cloud::Field* find_float_field(const Cloud& cloud, const char* name) {
-    const auto field = std::ranges::find(cloud.fields, name, &Cloud::Field::name);
+const CloudMessage::CloudField* find_float_field(const CloudMessage& cloud, const char* field_name) {
+    const auto field = std::ranges::find(cloud.fields, field_name, &CloudMessage::CloudField::name);
     return field == cloud.fields.end() || field->kind != 'F' ? nullptr : &*field;
 }
 
 /// Returns the azimuth range that contains points: the circle without its widest gap.
-std::optional<Arc> compute_arc_of_bins(const std::array<bool, kBins>& is_covered) {
+std::optional<AzimuthArc> find_occupied_azimuth_range(const std::array<bool, kBins>& is_bin_occupied) {
     std::size_t widest = 0, end = 0, run = 0;
     // Visits the bins twice, because a gap may cross the end of the circle.
     for (std::size_t b = 0; b < 2 * kBins; ++b) {
-        run = is_covered[b % kBins] ? 0 : run + 1;
+        run = is_bin_occupied[b % kBins] ? 0 : run + 1;
         if (run > widest) widest = run, end = b + 1;
     }
     if (widest >= kBins) return std::nullopt;
     const double bin = 2.0 * kPi / kBins, extent = 2.0 * kPi - bin * double(widest);
-    return Arc{float(std::remainder(bin * double(end) - kPi + 0.5 * extent, 2.0 * kPi)), float(extent)};
+    return AzimuthArc{float(std::remainder(bin * double(end) - kPi + 0.5 * extent, 2.0 * kPi)),
+                      float(extent)};
 }
 
-double compute_common_gap(const std::vector<TurnPart>& clouds) {
-    std::array<bool, kBins> seen{};
-    for (const TurnPart& cloud : clouds)
+double compute_widest_azimuth_gap_rad(const std::vector<RevolutionPart>& clouds) {
+    std::array<bool, kBins> is_bin_occupied{};
+    for (const RevolutionPart& cloud : clouds)
         for (double a = -0.5; a <= 0.5; a += 0.01) {
             const double azimuth =
                 std::remainder(double(cloud.arc.middle_rad) + a * double(cloud.arc.extent_rad), 2.0 * kPi);
-            seen[std::size_t((azimuth / (2.0 * kPi) + 0.5) * kBins) % kBins] = true;
+            is_bin_occupied[std::size_t((azimuth / (2.0 * kPi) + 0.5) * kBins) % kBins] = true;
         }
-    const std::optional<Arc> all = compute_arc_of_bins(seen);
+    const std::optional<AzimuthArc> all = find_occupied_azimuth_range(is_bin_occupied);
     return 2.0 * kPi - double(all ? all->extent_rad : 0.0f);
 }
 
 /// How clouds divide a revolution of the LiDAR into parts.
-struct Parts {
+struct RevolutionPartition {
     /// Median azimuth range of a part, and mean azimuth step to the next part. The step
     /// is negative for clockwise rotation, and for half revolutions, whose direction is
     /// unknown.
@@ -86,7 +88,7 @@ struct Parts {
     double cut_rad;
 };
 
-std::optional<Parts> select_turn_parts(const std::vector<TurnPart>& clouds) {
+std::optional<RevolutionPartition> estimate_revolution_parts(const std::vector<RevolutionPart>& clouds) {
     if (clouds.size() < 4) return std::nullopt;
     std::vector<float> extents;
     std::vector<std::int64_t> steps_ns;
@@ -100,55 +102,57 @@ std::optional<Parts> select_turn_parts(const std::vector<TurnPart>& clouds) {
     const double extent = compute_median(extents), step = std::abs(std::arg(sum));
     if (extent > kMostOfPart || std::abs(sum) < kTogether * double(clouds.size() - 1)) return std::nullopt;
     if (std::abs(step - std::min(extent, 2.0 * kPi - extent)) > kAbut * step ||
-        compute_common_gap(clouds) > kLeastGap_rad)
+        compute_widest_azimuth_gap_rad(clouds) > kLeastGap_rad)
         return std::nullopt;
     const double n = std::round(2.0 * kPi / step);
     std::complex<double> phase = 0.0;
-    for (const TurnPart& cloud : clouds) phase += std::polar(1.0, n * double(cloud.arc.middle_rad));
+    for (const RevolutionPart& cloud : clouds) phase += std::polar(1.0, n * double(cloud.arc.middle_rad));
     const double first_cut = (std::arg(phase) + kPi) / n, width = 2.0 * kPi / n;
     const double cut = first_cut + width * std::round((kPi - first_cut) / width);
-    return Parts{extent, n < 2.5 || std::arg(sum) < 0.0 ? -step : step, 1e-9 * compute_median(steps_ns), cut};
+    return RevolutionPartition{extent, n < 2.5 || std::arg(sum) < 0.0 ? -step : step,
+                               1e-9 * compute_median(steps_ns), cut};
 }
 
 }  // namespace
 
-std::optional<Arc> compute_azimuth_range(const Cloud& cloud) {
-    const Cloud::Field *x = find_float_field(cloud, "x"), *y = find_float_field(cloud, "y");
+std::optional<AzimuthArc> compute_azimuth_range(const CloudMessage& cloud) {
+    const CloudMessage::CloudField *x = find_float_field(cloud, "x"), *y = find_float_field(cloud, "y");
     if (!x || !y) return std::nullopt;
-    std::array<bool, kBins> seen{};
+    std::array<bool, kBins> is_bin_occupied{};
     const std::size_t n = std::min(kSamples, cloud.size());
     for (std::size_t k = 0; k < n; ++k) {
         const std::size_t point = k * cloud.size() / n;
-        const double px = read_field_number(cloud, *x, point), py = read_field_number(cloud, *y, point);
+        const double px = read_float_field_value(cloud, *x, point),
+                     py = read_float_field_value(cloud, *y, point);
         if (!std::isfinite(px) || !std::isfinite(py) || (px == 0.0 && py == 0.0)) continue;
-        seen[std::size_t((std::atan2(py, px) / (2.0 * kPi) + 0.5) * kBins) % kBins] = true;
+        is_bin_occupied[std::size_t((std::atan2(py, px) / (2.0 * kPi) + 0.5) * kBins) % kBins] = true;
     }
-    return compute_arc_of_bins(seen);
+    return find_occupied_azimuth_range(is_bin_occupied);
 }
 
-JoinedTurns join_turns(std::vector<TurnPart> clouds) {
-    std::ranges::stable_sort(clouds, {}, &TurnPart::stamp_ns);
-    const std::optional<Parts> parts = select_turn_parts(clouds);
-    JoinedTurns joined;
+JoinedRevolutions join_clouds_to_revolutions(std::vector<RevolutionPart> partial_clouds) {
+    std::ranges::stable_sort(partial_clouds, {}, &RevolutionPart::stamp_ns);
+    const std::optional<RevolutionPartition> parts = estimate_revolution_parts(partial_clouds);
+    JoinedRevolutions joined;
     if (!parts) return joined;
     // Returns the rotation from the start of the revolution to a part, 0 to 2 pi.
-    const auto turned = [&](const TurnPart& part) {
+    const auto turned = [&](const RevolutionPart& part) {
         const double angle =
             (parts->step_rad < 0.0 ? -1.0 : 1.0) * (double(part.arc.middle_rad) - parts->cut_rad);
         return angle - 2.0 * kPi * std::floor(angle / (2.0 * kPi));
     };
-    std::vector<std::vector<TurnPart>> turns;
-    for (std::size_t k = 0; k < clouds.size(); ++k) {
-        const bool is_first =
-            k == 0 || turned(clouds[k]) <= turned(clouds[k - 1]) ||
-            1e-9 * double(clouds[k].stamp_ns - clouds[k - 1].stamp_ns) > kPause * parts->step_s;
-        if (is_first) turns.emplace_back();
-        turns.back().push_back(clouds[k]);
+    std::vector<std::vector<RevolutionPart>> revolutions;
+    for (std::size_t k = 0; k < partial_clouds.size(); ++k) {
+        const bool is_first = k == 0 || turned(partial_clouds[k]) <= turned(partial_clouds[k - 1]) ||
+                              1e-9 * double(partial_clouds[k].stamp_ns - partial_clouds[k - 1].stamp_ns) >
+                                  kPause * parts->step_s;
+        if (is_first) revolutions.emplace_back();
+        revolutions.back().push_back(partial_clouds[k]);
     }
-    const auto n_whole = std::size_t(std::floor(2.0 * kPi / std::abs(parts->step_rad) + 0.1));
-    for (std::vector<TurnPart>& turn : turns) {
-        if (turn.size() >= n_whole) joined.turns.push_back(std::move(turn));
-        else joined.n_left_out += turn.size();
+    const auto clouds_per_revolution = std::size_t(std::floor(2.0 * kPi / std::abs(parts->step_rad) + 0.1));
+    for (std::vector<RevolutionPart>& revolution : revolutions) {
+        if (revolution.size() >= clouds_per_revolution) joined.revolutions.push_back(std::move(revolution));
+        else joined.n_left_out += revolution.size();
     }
     joined.about = fmt::format("each cloud covers only a part of a turn, about {:.0f} degrees",
                                parts->extent_rad * kDegrees);

@@ -13,30 +13,30 @@
 namespace relidar::bag {
 
 /// Range of azimuths about the z axis that contains a set of points.
-struct Arc {
+struct AzimuthArc {
     float middle_rad = 0.0f, extent_rad = 0.0f;
 };
 /// Computes the azimuth range of a cloud, in steps of 6 degrees, from about 256 of its
 /// points. Returns nothing if the cloud has no field x or y.
-std::optional<Arc> compute_azimuth_range(const Cloud& cloud);
+std::optional<AzimuthArc> compute_azimuth_range(const CloudMessage& cloud);
 
 /// A cloud that is a part of a revolution.
-struct TurnPart {
+struct RevolutionPart {
     std::int64_t stamp_ns = 0, log_ns = 0;
-    Place place;
+    MessagePosition message_position;
     std::uint32_t n_points = 0;
-    Arc arc;
+    AzimuthArc arc;
 };
 
-struct JoinedTurns {
+struct JoinedRevolutions {
     /// Clouds of each revolution, sorted by time. Empty if clouds need not be joined.
-    std::vector<std::vector<TurnPart>> turns;
+    std::vector<std::vector<RevolutionPart>> revolutions;
     std::size_t n_left_out = 0;  ///< parts of incomplete revolutions
     std::string about;
 };
 /// Joins clouds that are parts of a revolution. Joins nothing if the clouds are full
 /// revolutions, or if the LiDAR scans a window instead of rotating.
-/// @param clouds  all clouds of a topic
-JoinedTurns join_turns(std::vector<TurnPart> clouds);
+/// @param partial_clouds  all clouds of a topic
+JoinedRevolutions join_clouds_to_revolutions(std::vector<RevolutionPart> partial_clouds);
 
 }  // namespace relidar::bag

@@ -37,11 +37,11 @@ File open_temporary_file() {
 
 }  // namespace
 
-std::filesystem::path get_unpacked_name(const std::filesystem::path& file) {
+std::filesystem::path remove_gz_extension(const std::filesystem::path& file) {
     return file.extension() == ".gz" ? std::filesystem::path(file).replace_extension() : file;
 }
 
-UnpackedFile open_unpacked(const std::filesystem::path& path) {
+DecompressedFile open_file_and_unpack_gzip(const std::filesystem::path& path) {
     File packed(std::fopen(path.c_str(), "rb"));
     if (!packed) throw DataError(fmt::format("cannot read {}", path.string()));
     const int first = std::fgetc(packed.get()), second = std::fgetc(packed.get());

@@ -9,16 +9,16 @@
 namespace relidar::bag {
 
 /// Returns the path of a file without the extension ".gz" of a compressed file.
-std::filesystem::path get_unpacked_name(const std::filesystem::path& file);
+std::filesystem::path remove_gz_extension(const std::filesystem::path& file);
 
 /// A file that is open for reading. The caller must close it.
-struct UnpackedFile {
+struct DecompressedFile {
     std::FILE* file = nullptr;
     std::string problem;  ///< text about a truncated gzip file; empty if the file is complete
 };
 /// Opens a file. Unpacks a gzip file to a temporary file first, which the system deletes
 /// when it is closed.
 /// @throws DataError if the file cannot be read or unpacked
-UnpackedFile open_unpacked(const std::filesystem::path& file);
+DecompressedFile open_file_and_unpack_gzip(const std::filesystem::path& file);
 
 }  // namespace relidar::bag

@@ -39,118 +39,123 @@ constexpr std::size_t kFewestSteps = 50;
 constexpr double kBrightest = 255.0;
 
 /// Forward direction of the vehicle, in the frame of the LiDAR.
-struct Forward {
+struct ForwardDirection {
     glm::dvec3 direction{1.0, 0.0, 0.0};
     bool is_known = false;
 
-    double azimuth_rad() const { return std::atan2(direction.y, direction.x); }
+    double compute_forward_azimuth_rad() const { return std::atan2(direction.y, direction.x); }
 };
 
 /// Reads the forward direction of the vehicle from T_applanix_lidar.txt, the 4x4
 /// transform from the LiDAR to the Applanix frame (x right, y forward, z up). Without
 /// this file, the direction is unknown.
-Forward read_forward(const fs::path& file) {
-    if (!does_path_exist(file)) return {};
-    const auto m = parse_numbers(read_text(file));
+ForwardDirection read_forward_direction(const fs::path& calibration_file) {
+    if (!does_path_exist(calibration_file)) return {};
+    const auto m = parse_numbers(read_text_file(calibration_file));
     if (!m || m->size() != 16)
         throw DataError(
-            fmt::format("{}: found {}, expected 4 lines of 4 numbers", file.string(),
+            fmt::format("{}: found {}, expected 4 lines of 4 numbers", calibration_file.string(),
                         m ? fmt::format("{} numbers", m->size()) : "a word that is not a number"));
     const auto& at = *m;
     const glm::dmat3 rotation(at[0], at[4], at[8], at[1], at[5], at[9], at[2], at[6], at[10]);
-    const Pose applanix_from_lidar = make_rigid_pose(rotation, {at[3], at[7], at[11]}, file.string());
+    const Pose applanix_from_lidar =
+        make_rigid_pose(rotation, {at[3], at[7], at[11]}, calibration_file.string());
     return {inverse(applanix_from_lidar).rotation * glm::dvec3(0, 1, 0), true};
 }
 
 /// Convention of the angles in pose files: how roll, pitch and yaw give the rotation from
 /// the LiDAR to the world.
-struct AngleOrder {
+struct EulerAngleConvention {
     const char* name;
     double sign;     ///< sign of the angles
     bool yaw_first;  ///< if true, vectors are rotated by yaw first; if false, by roll first
 };
 // the documented convention
-constexpr AngleOrder kAngleOrders[] = {{"R_x(-roll) R_y(-pitch) R_z(-yaw)", -1.0, true},
-                                       {"R_z(yaw) R_y(pitch) R_x(roll)", 1.0, false},
-                                       {"R_z(-yaw) R_y(-pitch) R_x(-roll)", -1.0, false},
-                                       {"R_x(roll) R_y(pitch) R_z(yaw)", 1.0, true}};
+constexpr EulerAngleConvention kAngleOrders[] = {{"R_x(-roll) R_y(-pitch) R_z(-yaw)", -1.0, true},
+                                                 {"R_z(yaw) R_y(pitch) R_x(roll)", 1.0, false},
+                                                 {"R_z(-yaw) R_y(-pitch) R_x(-roll)", -1.0, false},
+                                                 {"R_x(roll) R_y(pitch) R_z(yaw)", 1.0, true}};
 
-glm::dquat make_enu_from_lidar(double roll, double pitch, double yaw, const AngleOrder& order) {
-    const double sign = order.sign;
-    return order.yaw_first ? glm::conjugate(make_rotation(-sign * yaw, -sign * pitch, -sign * roll))
-                           : make_rotation(sign * yaw, sign * pitch, sign * roll);
+glm::dquat make_enu_from_lidar_rotation(double roll_rad, double pitch_rad, double yaw_rad,
+                                        const EulerAngleConvention& angle_order) {
+    const double sign = angle_order.sign;
+    return angle_order.yaw_first
+               ? glm::conjugate(make_rotation(-sign * yaw_rad, -sign * pitch_rad, -sign * roll_rad))
+               : make_rotation(sign * yaw_rad, sign * pitch_rad, sign * roll_rad);
 }
 
-PoseTrack make_pose_track(const std::vector<stamped::StampedRow>& rows, const stamped::StampedLog& log,
-                          const AngleOrder& order) {
+PoseTrack make_lidar_pose_track(const std::vector<stamped::StampedPoseRow>& pose_rows,
+                                const stamped::StampedLog& log, const EulerAngleConvention& angle_order) {
     PoseTrack track;
-    for (const stamped::StampedRow& row : rows) {
+    for (const stamped::StampedPoseRow& row : pose_rows) {
         const std::vector<double>& v = row.values;
-        const double *place = v.data(), *angle = v.data() + kFirstAngle;
-        track.time_s.push_back(log.seconds(row.stamp));
-        track.pose.push_back(
-            {make_enu_from_lidar(angle[0], angle[1], angle[2], order), {place[0], place[1], place[2]}});
+        const double *position = v.data(), *angle = v.data() + kFirstAngle;
+        track.time_s.push_back(log.convert_stamp_to_seconds(row.stamp));
+        track.pose.push_back({make_enu_from_lidar_rotation(angle[0], angle[1], angle[2], angle_order),
+                              {position[0], position[1], position[2]}});
     }
     return track;
 }
 
 /// Returns how well the motion of the vehicle agrees with its forward direction, at most
 /// 1.
-double score_forward_direction(const stamped::Driving& driving, const Forward& forward) {
+double compute_forward_motion_score(const stamped::DrivingDirection& driving,
+                                    const ForwardDirection& forward) {
     return forward.is_known ? glm::dot(driving.mean, forward.direction) : glm::length(driving.mean);
 }
 
 /// Reads the poses of the LiDAR. Boreas documents an angle convention. Another convention
 /// is used only if the vehicle then clearly drives forward better.
-PoseTrack read_boreas_poses(const fs::path& file, const stamped::StampedLog& log, const Forward& forward,
-                            std::vector<std::string>& notes) {
-    const std::vector<stamped::StampedRow> rows = stamped::read_rows(file, kPoseNumbers);
-    const AngleOrder* taken = nullptr;
+PoseTrack read_boreas_poses(const fs::path& pose_file, const stamped::StampedLog& log,
+                            const ForwardDirection& forward_direction, std::vector<std::string>& notes) {
+    const std::vector<stamped::StampedPoseRow> rows = stamped::read_stamped_rows(pose_file, kPoseNumbers);
+    const EulerAngleConvention* best_order = nullptr;
     PoseTrack best;
-    stamped::Driving of_best;
-    for (const AngleOrder& order : kAngleOrders) {
-        PoseTrack track = make_pose_track(rows, log, order);
-        const stamped::Driving driving = stamped::estimate_driving_direction(track);
-        const double gain =
-            score_forward_direction(driving, forward) - score_forward_direction(of_best, forward);
+    stamped::DrivingDirection of_best;
+    for (const EulerAngleConvention& order : kAngleOrders) {
+        PoseTrack track = make_lidar_pose_track(rows, log, order);
+        const stamped::DrivingDirection driving = stamped::estimate_driving_direction(track);
+        const double gain = compute_forward_motion_score(driving, forward_direction) -
+                            compute_forward_motion_score(of_best, forward_direction);
         const bool is_leveler =
             driving.n_steps >= kFewestSteps && driving.rise_spread < kClearlyLevel * of_best.rise_spread;
-        if (taken && gain <= kClearlyForward && !(gain >= -kClearlyForward && is_leveler)) continue;
-        taken = &order, best = std::move(track), of_best = driving;
+        if (best_order && gain <= kClearlyForward && !(gain >= -kClearlyForward && is_leveler)) continue;
+        best_order = &order, best = std::move(track), of_best = driving;
     }
-    if (taken != &kAngleOrders[0])
+    if (best_order != &kAngleOrders[0])
         notes.push_back(
             fmt::format("the angles of poses are read as {}, which differs from the documentation of Boreas, "
                         "because only then the vehicle drives forward along the road",
-                        taken->name));
+                        best_order->name));
     if (of_best.n_steps > 0)
-        stamped::warn_unless_facing_forward(notes, score_forward_direction(of_best, forward));
+        stamped::add_note_unless_driving_forward(notes,
+                                                 compute_forward_motion_score(of_best, forward_direction));
     return best;
 }
 
 /// Rotates the sensor frame of all poses so that its x axis points forward.
-void rotate_x_axis_forward(PoseTrack& track, double forward_rad) {
-    const Pose lidar_from_turned{make_rotation(forward_rad, 0.0, 0.0), {}};
+void rotate_x_axis_forward(PoseTrack& track, double forward_azimuth_rad) {
+    const Pose lidar_from_turned{make_rotation(forward_azimuth_rad, 0.0, 0.0), {}};
     for (Pose& pose : track.pose) pose = pose * lidar_from_turned;
 }
 
 }  // namespace
 
-Sequence load_boreas(const fs::path& log_folder, const DatasetOptions& options) {
-    check_folder(log_folder, "a Boreas sequence (lidar/, applanix/, calib/)");
+LidarSequence load_boreas_dataset(const fs::path& log_folder, const DatasetOptions& options) {
+    check_is_folder(log_folder, "a Boreas sequence (lidar/, applanix/, calib/)");
     const fs::path folder = fs::canonical(log_folder);
-    Sequence sequence;
+    LidarSequence sequence;
     const std::string name = folder.filename().string();
     sequence.name = name.starts_with("boreas") ? name : "Boreas " + name;
     sequence.source = log_folder.string();
     sequence.notes = {"this log has no labels"};
     stamped::StampedLog log{kMicrosecond,
-                            stamped::list_scans(folder / "lidar"),
+                            stamped::list_stamped_scans(folder / "lidar"),
                             {},
                             folder / "applanix/lidar_poses.csv",
                             kMostGap_s};
-    stamped::check_poses(log.poses_file, options);
-    Forward forward = read_forward(folder / "calib/T_applanix_lidar.txt");
+    stamped::check_pose_file_exists(log.poses_file, options);
+    ForwardDirection forward = read_forward_direction(folder / "calib/T_applanix_lidar.txt");
     if (does_path_exist(log.poses_file)) {
         log.world_from_vehicle = read_boreas_poses(log.poses_file, log, forward, sequence.notes);
         const glm::dvec3 driven = stamped::estimate_driving_direction(log.world_from_vehicle).mean;
@@ -159,20 +164,20 @@ Sequence load_boreas(const fs::path& log_folder, const DatasetOptions& options) 
     if (!forward.is_known)
         sequence.notes.push_back(
             "the forward direction of the vehicle is unknown; the x axis of the LiDAR is used");
-    rotate_x_axis_forward(log.world_from_vehicle, forward.azimuth_rad());
+    rotate_x_axis_forward(log.world_from_vehicle, forward.compute_forward_azimuth_rad());
     sequence.conventions = fmt::format(
         "LiDAR frame: x forward, y left, z up, in metres (rotated about z by {:.2f} degrees relative to "
         "Boreas). Times are seconds after the first scan. The time of a frame is the middle of its sweep. "
         "Points are not motion-compensated. World frame: x east, y north, z up.",
-        -forward.azimuth_rad() * 180.0 / kPi);
+        -forward.compute_forward_azimuth_rad() * 180.0 / kPi);
     sequence.lidars[0].sensor.name = "VLS-128 fitted to " + sequence.name;
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
-    const std::vector<fs::path> files = stamped::add_frames(sequence, log, options);
-    stamped::PointFormat format;
+    const std::vector<fs::path> files = stamped::add_requested_frames(sequence, log, options);
+    stamped::PointFileFormat format;
     format.units.columns = {"x", "y", "z", "intensity", "ring", "time"};
     format.units.intensity_max = kBrightest;
-    format.turned_rad = -forward.azimuth_rad();
-    stamped::read_points(sequence, files, format, options);
+    format.turned_rad = -forward.compute_forward_azimuth_rad();
+    stamped::read_scans_of_frames(sequence, files, format, options);
     return sequence;
 }
 

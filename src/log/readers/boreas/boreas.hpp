@@ -14,6 +14,6 @@ namespace relidar {
 /// frame is East-North-Up.
 /// @throws DataError with file and line
 /// @throws UsageError if no scan is in the requested range
-Sequence load_boreas(const std::filesystem::path& folder, const DatasetOptions& options);
+LidarSequence load_boreas_dataset(const std::filesystem::path& folder, const DatasetOptions& options);
 
 }  // namespace relidar

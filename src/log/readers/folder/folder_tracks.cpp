@@ -34,38 +34,38 @@ std::string_view strip_comment(const std::string& line) {
     return trim_spaces(std::string_view(line).substr(0, line.find('#')));
 }
 
-std::vector<std::string_view> split_pose_words(std::string_view text) {
+std::vector<std::string_view> split_at_spaces(std::string_view line) {
     std::vector<std::string_view> words;
-    for (text = trim_spaces(text); !text.empty(); text = trim_spaces(text)) {
-        const std::size_t end = std::min(text.find_first_of(" \t"), text.size());
-        words.push_back(text.substr(0, end));
-        text.remove_prefix(end);
+    for (line = trim_spaces(line); !line.empty(); line = trim_spaces(line)) {
+        const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
+        words.push_back(line.substr(0, end));
+        line.remove_prefix(end);
     }
     return words;
 }
 
 /// Returns true for a line with column names: a comment that contains "qw", or a line
 /// whose first word is not a number.
-bool is_column_header(const std::string& line) {
+bool is_line_of_column_names(const std::string& line) {
     const std::vector<std::string_view> words =
-        split_pose_words(trim_spaces(line).substr(trim_spaces(line).starts_with('#') ? 1 : 0));
+        split_at_spaces(trim_spaces(line).substr(trim_spaces(line).starts_with('#') ? 1 : 0));
     if (strip_comment(line).empty()) return std::find(words.begin(), words.end(), "qw") != words.end();
     return !words.empty() && !parse_number(words[0]);
 }
 
 /// Parses a line with column names. Returns the column index of each name in kPoseNames.
 /// Also accepts the names of the TUM format for time and position.
-std::vector<int> find_pose_columns(const std::string& line, const std::string& location) {
+std::vector<int> find_pose_columns(const std::string& header_line, const std::string& error_location) {
     std::vector<std::string_view> words =
-        split_pose_words(trim_spaces(line).substr(trim_spaces(line).starts_with('#') ? 1 : 0));
+        split_at_spaces(trim_spaces(header_line).substr(trim_spaces(header_line).starts_with('#') ? 1 : 0));
     for (std::string_view& word : words) {
         if (word == "timestamp" || word == "time") word = "time_s";
         if (word == "tx" || word == "ty" || word == "tz") word.remove_prefix(1);
     }
-    const std::vector<int> at = find_columns(words, kPoseNames, location);
+    const std::vector<int> at = find_column_indices(words, kPoseNames, error_location);
     for (std::size_t c = 0; c < at.size(); ++c)
         if (at[c] < 0)
-            throw DataError(fmt::format("{}: the column '{}' is missing", location, kPoseNames[c]));
+            throw DataError(fmt::format("{}: the column '{}' is missing", error_location, kPoseNames[c]));
     return at;
 }
 
@@ -77,38 +77,39 @@ struct PoseRows {
 };
 
 /// Parses the numbers in a line.
-/// @param count  expected number of values; 0 means 7 or 8
-std::vector<double> parse_pose_row(const std::string& line, std::size_t count, const std::string& location) {
+/// @param expected_count  expected number of values; 0 means 7 or 8
+std::vector<double> parse_pose_row(const std::string& line, std::size_t expected_count,
+                                   const std::string& error_location) {
     const auto v = parse_numbers(strip_comment(line));
-    if (!v || (count > 0 ? v->size() != count : v->size() != 7 && v->size() != 8))
-        throw DataError(fmt::format("{}: found '{}', expected 8 numbers: time_s x y z qw qx qy qz", location,
-                                    make_excerpt(line)));
+    if (!v || (expected_count > 0 ? v->size() != expected_count : v->size() != 7 && v->size() != 8))
+        throw DataError(fmt::format("{}: found '{}', expected 8 numbers: time_s x y z qw qx qy qz",
+                                    error_location, shorten_for_error_message(line)));
     if (!std::all_of(v->begin(), v->end(), [](double value) { return std::abs(value) <= kLargestOfTrack; }))
-        throw DataError(fmt::format("{}: found '{}', expected finite numbers of at most {}", location,
-                                    make_excerpt(line), kLargestOfTrack));
+        throw DataError(fmt::format("{}: found '{}', expected finite numbers of at most {}", error_location,
+                                    shorten_for_error_message(line), kLargestOfTrack));
     return *v;
 }
 
 /// Rejects pose files without times. Their rows x y z and a quaternion would otherwise be
 /// read as a time, a position and three angles.
-void check_have_times(const PoseRows& rows, const std::string& file) {
+void check_poses_have_times(const PoseRows& pose_rows, const std::string& file_name) {
     const auto ends_with_quaternion = [](const std::vector<double>& row) {
         return row.size() == 7 &&
                std::abs(glm::length(glm::dquat(row[3], row[4], row[5], row[6])) - 1.0) <= kUnit;
     };
-    if (!rows.rows.empty() && std::ranges::all_of(rows.rows, ends_with_quaternion))
+    if (!pose_rows.rows.empty() && std::ranges::all_of(pose_rows.rows, ends_with_quaternion))
         throw DataError(fmt::format(
             "{}: the poses have no times, because each line has seven numbers and the last four are a "
             "quaternion; expected 8 numbers: time_s x y z qw qx qy qz",
-            file));
+            file_name));
 }
 
-PoseRows read_rows(const std::vector<std::string>& lines, const std::string& file) {
+PoseRows parse_pose_rows(const std::vector<std::string>& lines, const std::string& file_name) {
     PoseRows rows;
     std::vector<int> at;
     for (std::size_t i = 0; i < lines.size(); ++i) {
-        const std::string where = fmt::format("{} line {}", file, i + 1);
-        if (rows.rows.empty() && is_column_header(lines[i])) {
+        const std::string where = fmt::format("{} line {}", file_name, i + 1);
+        if (rows.rows.empty() && is_line_of_column_names(lines[i])) {
             at = find_pose_columns(lines[i], where);
             rows.has_names = true;
             continue;
@@ -132,16 +133,16 @@ PoseRows read_rows(const std::vector<std::string>& lines, const std::string& fil
         }
         rows.rows.push_back(std::move(row));
     }
-    check_have_times(rows, file);
+    check_poses_have_times(rows, file_name);
     return rows;
 }
 
 /// Converts the rows of a pose file to a track.
 /// @param rotation_of_row  function that returns the rotation in a row
 template <class RotationOf>
-PoseTrack make_pose_track_of_rows(const PoseRows& rows, const RotationOf& rotation_of_row) {
+PoseTrack make_pose_track_of_rows(const PoseRows& pose_rows, const RotationOf& rotation_of_row) {
     PoseTrack track;
-    for (const std::vector<double>& row : rows.rows) {
+    for (const std::vector<double>& row : pose_rows.rows) {
         track.time_s.push_back(row[0]);
         track.pose.push_back({glm::normalize(rotation_of_row(row)), {row[1], row[2], row[3]}});
     }
@@ -155,139 +156,148 @@ PoseTrack invert_track(PoseTrack track) {
 
 /// Adds the inverse poses to a list of possible interpretations, because a pose file may
 /// contain sensor-from-world poses.
-std::vector<PoseReading> add_inverse_readings(std::vector<PoseReading> readings) {
-    const std::size_t n = readings.size();
+std::vector<PoseInterpretation> append_inverse_interpretations(
+    std::vector<PoseInterpretation> interpretations) {
+    const std::size_t n = interpretations.size();
     for (std::size_t k = 0; k < n; ++k)
-        readings.push_back({readings[k].about + ", from the world to the sensor",
-                            invert_track(readings[k].world_from_vehicle), true});
-    return readings;
+        interpretations.push_back({interpretations[k].about + ", from the world to the sensor",
+                                   invert_track(interpretations[k].world_from_vehicle), true});
+    return interpretations;
 }
 
 /// Returns all possible interpretations of a pose file, for example with another order of
 /// the quaternion. The documented one is first.
-std::vector<PoseReading> list_pose_readings(const PoseRows& rows) {
+std::vector<PoseInterpretation> list_pose_interpretations(const PoseRows& pose_rows) {
     using Row = std::vector<double>;
     const auto angles = [](const Row& row, double unit) {
         return make_rotation(unit * row[6], unit * row[5], unit * row[4]);
     };
-    std::vector<PoseReading> readings;
-    if (rows.rows[0].size() == 8) {
+    std::vector<PoseInterpretation> readings;
+    if (pose_rows.rows[0].size() == 8) {
         const std::string named = "columns with the meaning of their names";
-        readings.push_back(
-            {rows.has_names ? named : "qw qx qy qz",
-             make_pose_track_of_rows(rows, [](const Row& r) { return glm::dquat(r[4], r[5], r[6], r[7]); })});
-        if (!rows.has_names)
-            readings.push_back({"qx qy qz qw", make_pose_track_of_rows(rows, [](const Row& r) {
+        readings.push_back({pose_rows.has_names ? named : "qw qx qy qz",
+                            make_pose_track_of_rows(
+                                pose_rows, [](const Row& r) { return glm::dquat(r[4], r[5], r[6], r[7]); })});
+        if (!pose_rows.has_names)
+            readings.push_back({"qx qy qz qw", make_pose_track_of_rows(pose_rows, [](const Row& r) {
                                     return glm::dquat(r[7], r[4], r[5], r[6]);
                                 })});
     } else {
-        readings.push_back({"roll, pitch and yaw in radians",
-                            make_pose_track_of_rows(rows, [&](const Row& r) { return angles(r, 1.0); })});
+        readings.push_back(
+            {"roll, pitch and yaw in radians",
+             make_pose_track_of_rows(pose_rows, [&](const Row& r) { return angles(r, 1.0); })});
         readings.push_back(
             {"roll, pitch and yaw in degrees",
-             make_pose_track_of_rows(rows, [&](const Row& r) { return angles(r, kPi / 180.0); })});
+             make_pose_track_of_rows(pose_rows, [&](const Row& r) { return angles(r, kPi / 180.0); })});
     }
-    return add_inverse_readings(std::move(readings));
+    return append_inverse_interpretations(std::move(readings));
 }
 
-std::vector<Pose> interpolate_track(const PoseTrack& track, const std::vector<HeadFrame>& frames,
-                                    const std::string& file) {
+std::vector<Pose> interpolate_poses_at_frames(const PoseTrack& track,
+                                              const std::vector<SequenceHeaderFrame>& frames,
+                                              const std::string& file_name) {
     std::vector<Pose> poses;
-    for (const HeadFrame& frame : frames) {
+    for (const SequenceHeaderFrame& frame : frames) {
         if (frame.time_s < track.time_s.front() - kMostBeyond_s ||
             frame.time_s > track.time_s.back() + kMostBeyond_s)
             throw DataError(fmt::format(
                 "{}: found poses from {} to {} s, but frame {} is at {} s, expected poses for all frames",
-                file, track.time_s.front(), track.time_s.back(), frame.number, frame.time_s));
-        poses.push_back(track.at(frame.time_s));
+                file_name, track.time_s.front(), track.time_s.back(), frame.number, frame.time_s));
+        poses.push_back(track.interpolate_pose(frame.time_s));
     }
     return poses;
 }
 
-double find_label_time(const JsonField& label, const std::vector<HeadFrame>& all_frames) {
-    if (label.has("time_s")) return label.at("time_s").number(-kLargestOfTrack, kLargestOfTrack);
-    const std::int64_t number = label.at("frame").integer(0, 99999999);
+double find_label_time_s(const JsonField& label, const std::vector<SequenceHeaderFrame>& all_frames) {
+    if (label.has_member("time_s")) return label.at("time_s").get_number(-kLargestOfTrack, kLargestOfTrack);
+    const std::int64_t number = label.at("frame").get_integer(0, 99999999);
     const auto frame = std::find_if(all_frames.begin(), all_frames.end(),
-                                    [&](const HeadFrame& f) { return f.number == number; });
+                                    [&](const SequenceHeaderFrame& f) { return f.number == number; });
     if (frame == all_frames.end())
-        label.at("frame").fail(fmt::format("found {}", number), "expected the number of a frame");
+        label.at("frame").throw_field_error(fmt::format("found {}", number),
+                                            "expected the number of a frame");
     return frame->time_s;
 }
 
 Pose read_label_pose(const JsonField& label) {
-    const auto p = label.at("position").numbers<3>();
+    const auto p = label.at("position").get_numbers<3>();
     const glm::dvec3 position(p[0], p[1], p[2]);
-    if (label.has("yaw_deg"))
-        return {glm::angleAxis(label.at("yaw_deg").number(-1e6, 1e6) * kPi / 180.0, glm::dvec3(0, 0, 1)),
+    if (label.has_member("yaw_deg"))
+        return {glm::angleAxis(label.at("yaw_deg").get_number(-1e6, 1e6) * kPi / 180.0, glm::dvec3(0, 0, 1)),
                 position};
-    const auto q = label.at("quaternion").numbers<4>();
+    const auto q = label.at("quaternion").get_numbers<4>();
     // check_sequence() checks the quaternion's length
     return {glm::dquat(q[0], q[1], q[2], q[3]), position};
 }
 
-BoxLabel read_label(const JsonField& label, const std::vector<HeadFrame>& all_frames) {
-    label.check_members(
+BoxLabel read_box_label(const JsonField& label, const std::vector<SequenceHeaderFrame>& all_frames) {
+    label.check_no_unknown_members(
         {"track", "category", "time_s", "frame", "size", "position", "yaw_deg", "quaternion"});
-    const auto size = label.at("size").numbers<3>();
-    return {label.at("track").text(kLongestName),
-            label.at("category").text(kLongestName),
+    const auto size = label.at("size").get_numbers<3>();
+    return {label.at("track").get_string(kLongestName),
+            label.at("category").get_string(kLongestName),
             {size[0], size[1], size[2]},
-            find_label_time(label, all_frames),
+            find_label_time_s(label, all_frames),
             read_label_pose(label)};
 }
 
 }  // namespace
 
-std::optional<std::vector<Pose>> read_poses(const fs::path& file, const std::vector<HeadFrame>& frames,
-                                            const ReadPairs& read_pairs, std::vector<std::string>& notes) {
-    if (!does_path_exist(file)) return std::nullopt;
-    const std::vector<std::string> lines = split_lines(read_text(file));
+std::optional<std::vector<Pose>> read_frame_poses(const fs::path& pose_file,
+                                                  const std::vector<SequenceHeaderFrame>& frames,
+                                                  const OverlapScanPairReader& read_scan_pairs,
+                                                  std::vector<std::string>& notes) {
+    if (!does_path_exist(pose_file)) return std::nullopt;
+    const std::vector<std::string> lines = split_lines(read_text_file(pose_file));
     const auto first = std::find_if(lines.begin(), lines.end(),
                                     [](const std::string& line) { return !strip_comment(line).empty(); });
     if (first == lines.end())
         throw DataError(
-            fmt::format("{}: the file has no pose, expected lines of 12 or 8 numbers", file.string()));
-    if (split_pose_words(strip_comment(*first)).size() != 12) {
-        const PoseRows rows = read_rows(lines, file.string());
+            fmt::format("{}: the file has no pose, expected lines of 12 or 8 numbers", pose_file.string()));
+    if (split_at_spaces(strip_comment(*first)).size() != 12) {
+        const PoseRows rows = parse_pose_rows(lines, pose_file.string());
         if (rows.rows.empty())
-            throw DataError(
-                fmt::format("{}: the file has no pose, expected lines of 12 or 8 numbers", file.string()));
-        const std::vector<PoseReading> readings = list_pose_readings(rows);
+            throw DataError(fmt::format("{}: the file has no pose, expected lines of 12 or 8 numbers",
+                                        pose_file.string()));
+        const std::vector<PoseInterpretation> readings = list_pose_interpretations(rows);
         // Only relidar writes these column names, so the meaning of the numbers is
         // certain.
         if (rows.has_names && lines[0].find(kPoseNames[0]) != std::string::npos)
-            return interpolate_track(readings[0].world_from_vehicle, frames, file.string());
-        const std::size_t k = choose_pose_reading(readings, read_pairs, file.string(), notes);
-        return interpolate_track(readings[k].world_from_vehicle, frames, file.string());
+            return interpolate_poses_at_frames(readings[0].world_from_vehicle, frames, pose_file.string());
+        const std::size_t k =
+            choose_pose_interpretation(readings, read_scan_pairs, pose_file.string(), notes);
+        return interpolate_poses_at_frames(readings[k].world_from_vehicle, frames, pose_file.string());
     }
     std::vector<int> numbers;
-    for (const HeadFrame& frame : frames) numbers.push_back(frame.number);
-    std::vector<Pose> poses = kitti::read_pose_file(file, numbers);
+    for (const SequenceHeaderFrame& frame : frames) numbers.push_back(frame.number);
+    std::vector<Pose> poses = kitti::read_pose_matrices(pose_file, numbers);
     PoseTrack track;  // one pose per time, because LiDARs of the same sweep share a pose
     for (std::size_t i = 0; i < frames.size(); ++i) {
         if (!track.time_s.empty() && frames[i].time_s == track.time_s.back()) continue;
         track.time_s.push_back(frames[i].time_s);
         track.pose.push_back(poses[i]);
     }
-    const std::vector<PoseReading> readings = add_inverse_readings({{"matrices", std::move(track)}});
-    if (choose_pose_reading(readings, read_pairs, file.string(), notes) > 0)
+    const std::vector<PoseInterpretation> readings =
+        append_inverse_interpretations({{"matrices", std::move(track)}});
+    if (choose_pose_interpretation(readings, read_scan_pairs, pose_file.string(), notes) > 0)
         for (Pose& pose : poses) pose = inverse(pose);
     return poses;
 }
 
-std::vector<BoxTrack> read_boxes(const fs::path& path, const std::vector<HeadFrame>& frames,
-                                 const std::vector<HeadFrame>& all_frames) {
+std::vector<BoxTrack> read_box_tracks(const fs::path& path,
+                                      const std::vector<SequenceHeaderFrame>& loaded_frames,
+                                      const std::vector<SequenceHeaderFrame>& all_frames) {
     if (!does_path_exist(path)) return {};
     const std::string file = path.string();
-    const nlohmann::json json = parse_json(read_text(file), file);
+    const nlohmann::json json = parse_json(read_text_file(file), file);
     const JsonField root(json, file, "");
-    root.check_members({"boxes"});
+    root.check_no_unknown_members({"boxes"});
     const JsonField boxes = root.at("boxes");
-    const double first_s = frames.front().time_s, last_s = frames.back().time_s;
+    const double first_s = loaded_frames.front().time_s, last_s = loaded_frames.back().time_s;
     const bool from_start = first_s == all_frames.front().time_s, to_end = last_s == all_frames.back().time_s;
     std::vector<BoxLabel> labels;
     for (std::size_t i = 0; i < boxes.size(); ++i) {
-        const BoxLabel label = read_label(boxes.at(i), all_frames);
+        const BoxLabel label = read_box_label(boxes.at(i), all_frames);
         if ((from_start || label.time_s >= first_s) && (to_end || label.time_s <= last_s))
             labels.push_back(label);
     }

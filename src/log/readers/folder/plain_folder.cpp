@@ -16,16 +16,17 @@ namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
-using folder::HeadFrame;
+using folder::SequenceHeaderFrame;
 
 /// Returns the frames in the requested range whose scan file exists.
 /// @throws DataError if a scan file is missing and missing scans are not allowed
 /// @throws UsageError if the range contains no scan file
-std::vector<HeadFrame> select_frames(const folder::Head& head, const DatasetOptions& options,
-                                     std::vector<std::string>& notes) {
-    std::vector<HeadFrame> frames;
+std::vector<SequenceHeaderFrame> select_requested_frames(const folder::SequenceHeader& head,
+                                                         const DatasetOptions& options,
+                                                         std::vector<std::string>& notes) {
+    std::vector<SequenceHeaderFrame> frames;
     std::size_t n_missing = 0;
-    for (const HeadFrame& frame : head.frames) {
+    for (const SequenceHeaderFrame& frame : head.frames) {
         if (frame.number < options.frames.begin ||
             (options.frames.end >= 0 && frame.number >= options.frames.end))
             continue;
@@ -47,19 +48,20 @@ std::vector<HeadFrame> select_frames(const folder::Head& head, const DatasetOpti
 
 /// Reads pairs of consecutive scans of the first LiDAR, evenly spread over the log. Skips
 /// image files and unreadable files.
-folder::ScanPairs read_pairs(const folder::Head& head, const std::vector<HeadFrame>& frames) {
+folder::OverlapScanPairs read_consecutive_scan_pairs(const folder::SequenceHeader& head,
+                                                     const std::vector<SequenceHeaderFrame>& frames) {
     constexpr std::size_t kPairs = 4;
-    folder::ScanPairs pairs;
-    std::vector<const HeadFrame*> of_first;
-    for (const HeadFrame& frame : frames)
+    folder::OverlapScanPairs pairs;
+    std::vector<const SequenceHeaderFrame*> of_first;
+    for (const SequenceHeaderFrame& frame : frames)
         if (frame.lidar == 0 && folder::is_point_file(frame.scan)) of_first.push_back(&frame);
     const Pose& mounting = head.lidars[0].lidar.vehicle_from_sensor;
-    const auto read = [&](const HeadFrame& frame) {
+    const auto read = [&](const SequenceHeaderFrame& frame) {
         const folder::PointTable table = folder::read_point_file(frame.scan, head.units.columns);
-        folder::PointUnits units = head.units;
+        folder::PointFileUnits units = head.units;
         units.intensity_max = 1.0;  // any scale works, because the intensities are not used here
         std::vector<glm::vec3> points =
-            folder::make_points(table, units, frame.time_s, frame.scan.string()).position_m;
+            folder::convert_table_to_points(table, units, frame.time_s, frame.scan.string()).position_m;
         for (glm::vec3& p : points) p = glm::vec3(mounting * glm::dvec3(p));
         return points;
     };
@@ -67,8 +69,8 @@ folder::ScanPairs read_pairs(const folder::Head& head, const std::vector<HeadFra
     for (std::size_t k = 0; k < n; ++k) {
         const std::size_t i = k * (of_first.size() - 1) / n;
         try {
-            pairs.add(of_first[i]->time_s, read(*of_first[i]), of_first[i + 1]->time_s,
-                      read(*of_first[i + 1]));
+            pairs.add_scan_pair(of_first[i]->time_s, read(*of_first[i]), of_first[i + 1]->time_s,
+                                read(*of_first[i + 1]));
         } catch (const DataError&) {
             continue;  // the error is reported when the scans are read
         }
@@ -78,12 +80,13 @@ folder::ScanPairs read_pairs(const folder::Head& head, const std::vector<HeadFra
 
 /// Reads the vehicle poses in poses.txt. Without this file, returns identity poses if the
 /// user selects another source of poses.
-std::vector<Pose> read_scan_poses(const fs::path& folder, const folder::Head& head,
-                                  const std::vector<HeadFrame>& frames, const DatasetOptions& options,
-                                  std::vector<std::string>& notes) {
+std::vector<Pose> read_vehicle_poses_of_frames(const fs::path& folder, const folder::SequenceHeader& head,
+                                               const std::vector<SequenceHeaderFrame>& frames,
+                                               const DatasetOptions& options,
+                                               std::vector<std::string>& notes) {
     const fs::path file = folder / folder::kPosesFile;
-    const auto pairs = [&] { return read_pairs(head, frames); };
-    if (const auto poses = folder::read_poses(file, frames, pairs, notes)) return *poses;
+    const auto pairs = [&] { return read_consecutive_scan_pairs(head, frames); };
+    if (const auto poses = folder::read_frame_poses(file, frames, pairs, notes)) return *poses;
     if (!options.poses_file.empty()) return std::vector<Pose>(frames.size());
     throw DataError(
         fmt::format("{}: no such file; expected poses of the vehicle; use dataset.poses=FILE to name "
@@ -93,21 +96,22 @@ std::vector<Pose> read_scan_poses(const fs::path& folder, const folder::Head& he
 
 /// Replaces the vehicle poses of the log by poses from a file. Boxes keep their positions
 /// relative to the vehicle.
-void replace_vehicle_poses(Sequence& sequence, const folder::Head& head, const std::vector<HeadFrame>& frames,
-                           const fs::path& file) {
+void replace_vehicle_poses(LidarSequence& sequence, const folder::SequenceHeader& head,
+                           const std::vector<SequenceHeaderFrame>& frames, const fs::path& pose_file) {
     PoseTrack track{sequence.world_from_vehicle.time_s, {}};
-    if (file == kNoPoses) {
+    if (pose_file == kNoPoses) {
         track.pose.resize(track.time_s.size());
         // A log that relidar has converted may already contain this note.
         const auto& notes = sequence.notes;
         if (std::find(notes.begin(), notes.end(), kitti::kNoPosesNote) == notes.end())
             sequence.notes.push_back(kitti::kNoPosesNote);
     } else {
-        const auto pairs = [&] { return read_pairs(head, frames); };
+        const auto pairs = [&] { return read_consecutive_scan_pairs(head, frames); };
         const std::optional<std::vector<Pose>> poses =
-            folder::read_poses(file, frames, pairs, sequence.notes);
+            folder::read_frame_poses(pose_file, frames, pairs, sequence.notes);
         if (!poses)
-            throw DataError(fmt::format("{}: no such file, expected poses (dataset.poses)", file.string()));
+            throw DataError(
+                fmt::format("{}: no such file, expected poses (dataset.poses)", pose_file.string()));
         for (std::size_t i = 0; i < frames.size(); ++i)
             if (i == 0 || frames[i].time_s != frames[i - 1].time_s) track.pose.push_back((*poses)[i]);
     }
@@ -116,25 +120,26 @@ void replace_vehicle_poses(Sequence& sequence, const folder::Head& head, const s
 
 }  // namespace
 
-Sequence load_plain_folder(const fs::path& log_folder, const DatasetOptions& options) {
-    check_folder(log_folder, "a folder with sequence.json");
+LidarSequence load_plain_folder(const fs::path& log_folder, const DatasetOptions& options) {
+    check_is_folder(log_folder, "a folder with sequence.json");
     const fs::path folder = fs::canonical(log_folder);
-    const folder::Head head = folder::read_head(folder, options.max_range_m);
-    Sequence sequence;
+    const folder::SequenceHeader head = folder::read_log_description(folder, options.max_range_m);
+    LidarSequence sequence;
     sequence.name = head.name;
     sequence.source = log_folder.string();
     sequence.conventions = head.conventions;
     sequence.notes = head.notes;
     sequence.lidars.clear();
-    for (const folder::HeadLidar& lidar : head.lidars) sequence.lidars.push_back(lidar.lidar);
-    const std::vector<HeadFrame> frames = select_frames(head, options, sequence.notes);
-    const std::vector<Pose> poses = read_scan_poses(folder, head, frames, options, sequence.notes);
+    for (const folder::SequenceHeaderLidar& lidar : head.lidars) sequence.lidars.push_back(lidar.lidar);
+    const std::vector<SequenceHeaderFrame> frames = select_requested_frames(head, options, sequence.notes);
+    const std::vector<Pose> poses =
+        read_vehicle_poses_of_frames(folder, head, frames, options, sequence.notes);
     std::vector<fs::path> files;
     for (std::size_t i = 0; i < frames.size(); ++i) {
         add_frame(sequence, frames[i].number, frames[i].time_s, poses[i], frames[i].lidar);
         files.push_back(frames[i].scan);
     }
-    sequence.boxes = folder::read_boxes(folder / folder::kBoxesFile, frames, head.frames);
+    sequence.boxes = folder::read_box_tracks(folder / folder::kBoxesFile, frames, head.frames);
     if (!options.poses_file.empty()) replace_vehicle_poses(sequence, head, frames, options.poses_file);
     if (head.world_offset_m && options.poses_file.empty()) recentre_sequence(sequence, *head.world_offset_m);
     else recentre_sequence(sequence);

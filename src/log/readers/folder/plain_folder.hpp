@@ -12,6 +12,6 @@ namespace relidar {
 
 /// Loads a plain folder as a log.
 /// @throws DataError with file and field
-Sequence load_plain_folder(const std::filesystem::path& folder, const DatasetOptions& options);
+LidarSequence load_plain_folder(const std::filesystem::path& folder, const DatasetOptions& options);
 
 }  // namespace relidar

@@ -30,13 +30,13 @@ constexpr double kMaxOffset_rad = 0.35;
 constexpr int kMinLasers = 4;
 
 /// Azimuth and inverse distance from the spin axis, for each point of one beam.
-struct Polar {
+struct BeamPolarPoints {
     std::vector<double> azimuth_rad, inverse_rho;
 };
 
-std::array<Polar, kRings> convert_to_polar_rings(const std::vector<const RawScan*>& scans) {
-    std::array<Polar, kRings> polar;
-    for (const RawScan* scan : scans) {
+std::array<BeamPolarPoints, kRings> convert_to_polar_rings(const std::vector<const ScanWithRings*>& scans) {
+    std::array<BeamPolarPoints, kRings> polar;
+    for (const ScanWithRings* scan : scans) {
         for (std::size_t i = 0; i < scan->points.size(); ++i) {
             const glm::dvec4 p(scan->points[i]);
             const double rho = std::hypot(p.x, p.y);
@@ -50,31 +50,34 @@ std::array<Polar, kRings> convert_to_polar_rings(const std::vector<const RawScan
     return polar;
 }
 
-std::complex<double> compute_mean_phase(const Polar& polar, double tick_rad, double left_m,
-                                        std::size_t stride) {
+std::complex<double> compute_mean_phase(const BeamPolarPoints& polar, double encoder_tick_rad,
+                                        double left_offset_m, std::size_t stride) {
     std::complex<double> sum = 0.0;
     std::size_t n = 0;
     for (std::size_t i = 0; i < polar.azimuth_rad.size(); i += stride, ++n) {
-        sum += std::polar(1.0, 2.0 * kPi * (polar.azimuth_rad[i] - left_m * polar.inverse_rho[i]) / tick_rad);
+        sum += std::polar(1.0, 2.0 * kPi * (polar.azimuth_rad[i] - left_offset_m * polar.inverse_rho[i]) /
+                                   encoder_tick_rad);
     }
     return n > 0 ? sum / static_cast<double>(n) : sum;
 }
 
-/// How the azimuths of one beam fit a grid of encoder ticks. left_m: distance of the beam
-/// from the spin axis. phase_rad: offset from the grid. concentration: 1 for a perfect
-/// fit.
-struct Phase {
+/// How the azimuths of one beam fit a grid of encoder ticks. left_offset_m: distance of
+/// the beam from the spin axis. phase_rad: offset from the grid. concentration: 1 for a
+/// perfect fit.
+struct TickGridPhase {
     double left_m = 0.0, phase_rad = 0.0, concentration = 0.0;
 };
 
 /// Improves the fit of a beam to the grid of encoder ticks by least squares: azimuth
 /// residual = phase + left / rho.
-void refine_phase(Phase& phase, const Polar& polar, double tick_rad) {
+void refine_phase_by_least_squares(TickGridPhase& phase, const BeamPolarPoints& polar,
+                                   double encoder_tick_rad) {
     double n = 0, su = 0, se = 0, suu = 0, sue = 0;
     for (std::size_t i = 0; i < polar.azimuth_rad.size(); ++i) {
         const double u = polar.inverse_rho[i];
-        const double e = std::remainder(polar.azimuth_rad[i] - phase.left_m * u - phase.phase_rad, tick_rad);
-        if (std::abs(e) > 0.25 * tick_rad) continue;
+        const double e =
+            std::remainder(polar.azimuth_rad[i] - phase.left_m * u - phase.phase_rad, encoder_tick_rad);
+        if (std::abs(e) > 0.25 * encoder_tick_rad) continue;
         n += 1, su += u, se += e, suu += u * u, sue += u * e;
     }
     const double spread = n * suu - su * su;
@@ -85,40 +88,41 @@ void refine_phase(Phase& phase, const Polar& polar, double tick_rad) {
     phase.phase_rad += (se - left * su) / n;
 }
 
-Phase find_azimuth_phase(const Polar& polar, double tick_rad) {
-    Phase best;
+TickGridPhase fit_azimuth_phase_of_beam(const BeamPolarPoints& polar, double encoder_tick_rad) {
+    TickGridPhase best;
     const std::size_t stride = std::max<std::size_t>(polar.azimuth_rad.size() / 500, 1);
     for (int mm = -60; mm <= 60; mm += 2) {
-        const std::complex<double> mean = compute_mean_phase(polar, tick_rad, mm * 1e-3, stride);
+        const std::complex<double> mean = compute_mean_phase(polar, encoder_tick_rad, mm * 1e-3, stride);
         const double gain = std::abs(mean) - best.concentration;
         // Selects the left offset with the highest concentration. The offset 0 is
         // preferred below unless another offset is clearly better.
         if (mm == -60 || gain > 0.0)
-            best = {mm * 1e-3, std::arg(mean) * tick_rad / (2.0 * kPi), std::abs(mean)};
+            best = {mm * 1e-3, std::arg(mean) * encoder_tick_rad / (2.0 * kPi), std::abs(mean)};
     }
-    const std::complex<double> none = compute_mean_phase(polar, tick_rad, 0.0, stride);
+    const std::complex<double> none = compute_mean_phase(polar, encoder_tick_rad, 0.0, stride);
     if (std::abs(none) > best.concentration - 0.02)
-        best = {0.0, std::arg(none) * tick_rad / (2.0 * kPi), std::abs(none)};
-    if (best.left_m != 0.0) refine_phase(best, polar, tick_rad);
+        best = {0.0, std::arg(none) * encoder_tick_rad / (2.0 * kPi), std::abs(none)};
+    if (best.left_m != 0.0) refine_phase_by_least_squares(best, polar, encoder_tick_rad);
     return best;
 }
 
-struct Phases {
-    std::array<Phase, kRings> ring;
+struct TickGridPhasesByRing {
+    std::array<TickGridPhase, kRings> ring;
     double concentration = 0.0;  ///< mean over the points
 };
 
-Phases find_phases(const std::array<Polar, kRings>& polar, double tick_rad) {
-    Phases phases;
+TickGridPhasesByRing fit_phases_of_all_rings(const std::array<BeamPolarPoints, kRings>& polar_rings,
+                                             double encoder_tick_rad) {
+    TickGridPhasesByRing phases;
     parallel_for(kRings, [&](int k) {
         const std::size_t at = static_cast<std::size_t>(k);
-        phases.ring[at] = find_azimuth_phase(polar[at], tick_rad);
+        phases.ring[at] = fit_azimuth_phase_of_beam(polar_rings[at], encoder_tick_rad);
     });
     double n = 0;
     for (std::size_t k = 0; k < kRings; ++k) {
-        n += static_cast<double>(polar[k].azimuth_rad.size());
+        n += static_cast<double>(polar_rings[k].azimuth_rad.size());
         phases.concentration +=
-            phases.ring[k].concentration * static_cast<double>(polar[k].azimuth_rad.size());
+            phases.ring[k].concentration * static_cast<double>(polar_rings[k].azimuth_rad.size());
     }
     phases.concentration /= std::max(n, 1.0);
     return phases;
@@ -127,9 +131,9 @@ Phases find_phases(const std::array<Polar, kRings>& polar, double tick_rad) {
 /// Estimates the firings per revolution from the mean azimuth step between consecutive
 /// points of a beam. Steps longer than 1.5 times the median cross dropped rays and are
 /// ignored.
-int estimate_mean_steps(const std::vector<const RawScan*>& scans) {
+int estimate_firings_per_revolution(const std::vector<const ScanWithRings*>& scans) {
     std::vector<double> steps;
-    for (const RawScan* scan : scans) {
+    for (const ScanWithRings* scan : scans) {
         for (std::size_t i = 1; i < scan->points.size(); ++i) {
             const glm::dvec4 a(scan->points[i - 1]), b(scan->points[i]);
             const double step = std::atan2(a.x * b.y - a.y * b.x, a.x * b.x + a.y * b.y);
@@ -147,35 +151,37 @@ int estimate_mean_steps(const std::vector<const RawScan*>& scans) {
 
 /// [beams] encoder ticks at which each beam has points in one scan, not yet corrected by
 /// the offset of the beam
-using Ticks = std::vector<std::vector<int>>;
+using EncoderTicksByBeam = std::vector<std::vector<int>>;
 
-Ticks compute_ticks(const RawScan& scan, const FiringLattice& lattice) {
-    Ticks ticks(kRings);
-    std::vector<BeamGeometry> beams;
+EncoderTicksByBeam compute_encoder_ticks_per_beam(const ScanWithRings& scan, const BeamFiringGrid& lattice) {
+    EncoderTicksByBeam ticks(kRings);
+    std::vector<BeamRayGenerator> beams;
     for (std::size_t k = 0; k < kRings; ++k)
         beams.emplace_back(
             Beam{.azimuth_offset_rad = lattice.offset_rad[k], .origin_left_m = lattice.left_m[k]});
     for (std::size_t i = 0; i < scan.points.size(); ++i) {
         const std::size_t k = scan.ring[i];
-        ticks[k].push_back(lattice.head.tick(beams[k].compute_head_azimuth(glm::dvec3(scan.points[i]))));
+        ticks[k].push_back(
+            lattice.head.find_nearest_tick(beams[k].compute_head_azimuth(glm::dvec3(scan.points[i]))));
     }
     return ticks;
 }
 
-/// Returns for each scan and each encoder tick whether at least `at_least` beams have a
+/// Returns for each scan and each encoder tick whether at least `min_beams` beams have a
 /// return there.
-/// @param shift  [beams] offset that is subtracted from the ticks of a beam
-std::vector<std::vector<char>> find_fired_ticks(const std::vector<Ticks>& ticks,
-                                                const std::vector<int>& shift, int n_ticks, int at_least) {
+/// @param beam_shifts  [beams] offset that is subtracted from the ticks of a beam
+std::vector<std::vector<char>> find_fired_ticks(const std::vector<EncoderTicksByBeam>& ticks_of_scans,
+                                                const std::vector<int>& beam_shifts, int n_ticks,
+                                                int min_beams) {
     std::vector<std::vector<char>> pattern;
-    for (const Ticks& scan : ticks) {
+    for (const EncoderTicksByBeam& scan : ticks_of_scans) {
         std::vector<int> count(static_cast<std::size_t>(n_ticks));
         for (std::size_t k = 0; k < kRings; ++k) {
             for (const int t : scan[k])
-                ++count[static_cast<std::size_t>(((t - shift[k]) % n_ticks + n_ticks) % n_ticks)];
+                ++count[static_cast<std::size_t>(((t - beam_shifts[k]) % n_ticks + n_ticks) % n_ticks)];
         }
         std::vector<char>& yes = pattern.emplace_back(static_cast<std::size_t>(n_ticks));
-        for (std::size_t t = 0; t < count.size(); ++t) yes[t] = count[t] >= at_least;
+        for (std::size_t t = 0; t < count.size(); ++t) yes[t] = count[t] >= min_beams;
     }
     return pattern;
 }
@@ -183,23 +189,23 @@ std::vector<std::vector<char>> find_fired_ticks(const std::vector<Ticks>& ticks,
 /// Returns the shift of a beam, in full ticks, for which most of its ticks are also ticks
 /// of other beams. Returns 0 unless another shift matches at least 1 % more of the ticks.
 /// If several shifts are equally good, returns the shift that is nearest to 0.
-/// @param pattern  [scans][ticks] true if other beams have returns at the tick
-int find_best_shift(const std::vector<Ticks>& ticks, std::size_t ring,
-                    const std::vector<std::vector<char>>& pattern, int n_ticks, int reach) {
+/// @param is_tick_fired  [scans][ticks] true if other beams have returns at the tick
+int find_best_tick_shift(const std::vector<EncoderTicksByBeam>& ticks_of_scans, std::size_t ring,
+                         const std::vector<std::vector<char>>& is_tick_fired, int n_ticks, int max_shift) {
     std::size_t n = 0;
-    for (const Ticks& scan : ticks) n += scan[ring].size();
+    for (const EncoderTicksByBeam& scan : ticks_of_scans) n += scan[ring].size();
     std::size_t most = 0, at_zero = 0;
     int best = 0;
-    for (int i = 0; i <= 2 * reach; ++i) {
+    for (int i = 0; i <= 2 * max_shift; ++i) {
         const int shift = i % 2 == 0 ? i / 2 : -(i + 1) / 2;
         std::size_t hits = 0;
-        for (std::size_t s = 0; s < ticks.size(); ++s) {
-            for (const int t : ticks[s][ring]) {
+        for (std::size_t s = 0; s < ticks_of_scans.size(); ++s) {
+            for (const int t : ticks_of_scans[s][ring]) {
                 const int moved = t - shift;
                 hits += static_cast<std::size_t>(
-                    pattern[s][static_cast<std::size_t>(moved < 0          ? moved + n_ticks
-                                                        : moved >= n_ticks ? moved - n_ticks
-                                                                           : moved)]);
+                    is_tick_fired[s][static_cast<std::size_t>(moved < 0          ? moved + n_ticks
+                                                              : moved >= n_ticks ? moved - n_ticks
+                                                                                 : moved)]);
             }
         }
         if (i == 0) at_zero = hits;
@@ -208,14 +214,15 @@ int find_best_shift(const std::vector<Ticks>& ticks, std::size_t ring,
     return most > at_zero + n / 100 ? best : 0;
 }
 
-std::vector<int> find_ring_shifts(const std::vector<Ticks>& ticks, int n_ticks) {
+std::vector<int> find_tick_shift_of_each_ring(const std::vector<EncoderTicksByBeam>& ticks_of_scans,
+                                              int n_ticks) {
     const int reach = std::min(static_cast<int>(kMaxOffset_rad / (2.0 * kPi) * n_ticks), n_ticks / 2 - 1);
     std::size_t fullest = 0;
     for (std::size_t k = 1; k < kRings; ++k) {
-        if (ticks[0][k].size() > ticks[0][fullest].size()) fullest = k;
+        if (ticks_of_scans[0][k].size() > ticks_of_scans[0][fullest].size()) fullest = k;
     }
-    std::vector<Ticks> reference = ticks;
-    for (Ticks& scan : reference) {
+    std::vector<EncoderTicksByBeam> reference = ticks_of_scans;
+    for (EncoderTicksByBeam& scan : reference) {
         for (std::size_t k = 0; k < kRings; ++k) {
             if (k != fullest) scan[k].clear();
         }
@@ -227,16 +234,16 @@ std::vector<int> find_ring_shifts(const std::vector<Ticks>& ticks, int n_ticks) 
     for (int pass = 0; pass < 2; ++pass) {
         parallel_for(kRings, [&](int k) {
             shift[static_cast<std::size_t>(k)] =
-                find_best_shift(ticks, static_cast<std::size_t>(k), pattern, n_ticks, reach);
+                find_best_tick_shift(ticks_of_scans, static_cast<std::size_t>(k), pattern, n_ticks, reach);
         });
-        pattern = find_fired_ticks(ticks, shift, n_ticks, kMinLasers);
+        pattern = find_fired_ticks(ticks_of_scans, shift, n_ticks, kMinLasers);
     }
     return shift;
 }
 
 /// Shifts the azimuth offsets of all beams so that their mean is 0. The head then faces
 /// the mean direction of the beams.
-void centre_azimuth_offsets(FiringLattice& lattice) {
+void centre_azimuth_offsets(BeamFiringGrid& lattice) {
     const double mean = std::accumulate(lattice.offset_rad.begin(), lattice.offset_rad.end(), 0.0) / kRings;
     for (double& offset : lattice.offset_rad) offset -= mean;
     lattice.head.zero_rad += mean;
@@ -244,7 +251,7 @@ void centre_azimuth_offsets(FiringLattice& lattice) {
 
 }  // namespace
 
-std::vector<Beam> FiringLattice::beams(const Cones& cones) const {
+std::vector<Beam> BeamFiringGrid::make_beams(const BeamCones& cones) const {
     std::vector<Beam> beams(kRings);
     for (std::size_t k = 0; k < kRings; ++k) {
         const double elevation = std::atan(cones[k].tan_el);
@@ -253,44 +260,46 @@ std::vector<Beam> FiringLattice::beams(const Cones& cones) const {
     return beams;
 }
 
-FiringLattice fit_lattice(const std::vector<const RawScan*>& scans) {
+BeamFiringGrid fit_firing_lattice(const std::vector<const ScanWithRings*>& scans) {
     // Minimum mean concentration of azimuths at the encoder ticks for a valid fit. It is
     // 0.98 on KITTI, and near 0 for evenly distributed azimuths.
-    constexpr double kFound = 0.8;
-    const std::array<Polar, kRings> polar = convert_to_polar_rings(scans);
-    FiringLattice lattice;
+    constexpr double kMinConcentration = 0.8;
+    const std::array<BeamPolarPoints, kRings> polar = convert_to_polar_rings(scans);
+    BeamFiringGrid lattice;
     lattice.head.n_ticks = kEncoderTicks;
-    Phases phases = find_phases(polar, 2.0 * kPi / kEncoderTicks);
-    if (phases.concentration < kFound) {
-        lattice.head.n_ticks = estimate_mean_steps(scans);
+    TickGridPhasesByRing phases = fit_phases_of_all_rings(polar, 2.0 * kPi / kEncoderTicks);
+    if (phases.concentration < kMinConcentration) {
+        lattice.head.n_ticks = estimate_firings_per_revolution(scans);
         lattice.every_tick = true;
-        phases = find_phases(polar, 2.0 * kPi / lattice.head.n_ticks);
+        phases = fit_phases_of_all_rings(polar, 2.0 * kPi / lattice.head.n_ticks);
     }
-    if (phases.concentration < kFound) return lattice;
+    if (phases.concentration < kMinConcentration) return lattice;
 
     for (std::size_t k = 0; k < kRings; ++k) {
         lattice.left_m[k] = phases.ring[k].left_m;
         lattice.offset_rad[k] = phases.ring[k].phase_rad;
     }
     if (!lattice.every_tick) {
-        std::vector<Ticks> ticks;
-        for (const RawScan* scan : scans) ticks.push_back(compute_ticks(*scan, lattice));
-        const std::vector<int> shift = find_ring_shifts(ticks, lattice.head.n_ticks);
-        for (std::size_t k = 0; k < kRings; ++k) lattice.offset_rad[k] += shift[k] * lattice.head.tick_rad();
+        std::vector<EncoderTicksByBeam> ticks;
+        for (const ScanWithRings* scan : scans)
+            ticks.push_back(compute_encoder_ticks_per_beam(*scan, lattice));
+        const std::vector<int> shift = find_tick_shift_of_each_ring(ticks, lattice.head.n_ticks);
+        for (std::size_t k = 0; k < kRings; ++k)
+            lattice.offset_rad[k] += shift[k] * lattice.head.compute_tick_step_rad();
     }
     centre_azimuth_offsets(lattice);
     return lattice;
 }
 
-std::vector<int> find_firings(const RawScan& scan, const FiringLattice& lattice) {
-    const auto pattern = find_fired_ticks({compute_ticks(scan, lattice)}, std::vector<int>(kRings, 0),
-                                          lattice.head.n_ticks, kMinLasers);
+std::vector<int> find_fired_encoder_ticks(const ScanWithRings& scan, const BeamFiringGrid& lattice) {
+    const auto pattern = find_fired_ticks({compute_encoder_ticks_per_beam(scan, lattice)},
+                                          std::vector<int>(kRings, 0), lattice.head.n_ticks, kMinLasers);
     std::vector<int> firings;
     for (int t = 0; t < lattice.head.n_ticks; ++t) {
         if (lattice.every_tick || pattern[0][static_cast<std::size_t>(t)]) firings.push_back(t);
     }
     std::sort(firings.begin(), firings.end(), [&](int first, int second) {
-        return lattice.head.compute_azimuth(first) > lattice.head.compute_azimuth(second);
+        return lattice.head.compute_tick_azimuth_rad(first) > lattice.head.compute_tick_azimuth_rad(second);
     });
     return firings;
 }

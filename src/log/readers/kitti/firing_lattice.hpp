@@ -20,8 +20,8 @@ namespace relidar::kitti {
 
 /// Possible azimuths of the LiDAR's head (a regular grid), and the offsets of each beam
 /// from the head.
-struct FiringLattice {
-    HeadLattice head;
+struct BeamFiringGrid {
+    EncoderTickGrid head;
     /// True if the azimuths show no ticks of a rotary encoder. The sensor is then assumed
     /// to fire at every step of the grid.
     bool every_tick = false;
@@ -32,15 +32,15 @@ struct FiringLattice {
 
     /// Returns the beams of the sensor, with elevations from the cones and offsets from
     /// this fit. Each beam starts z0 cos(elevation) above the origin of the sensor.
-    std::vector<Beam> beams(const Cones& cones) const;
+    std::vector<Beam> make_beams(const BeamCones& cones) const;
 };
 
 /// Fits the head azimuths and the beam offsets to a few scans. If the azimuths show no
 /// encoder ticks, as in a resampled log, returns even steps and zero offsets.
-FiringLattice fit_lattice(const std::vector<const RawScan*>& scans);
+BeamFiringGrid fit_firing_lattice(const std::vector<const ScanWithRings*>& scans);
 
 /// Returns the encoder ticks at which the sensor fired in a sweep, in order of time. The
 /// head rotates clockwise, so azimuths decrease from +pi.
-std::vector<int> find_firings(const RawScan& scan, const FiringLattice& lattice);
+std::vector<int> find_fired_encoder_ticks(const ScanWithRings& scan, const BeamFiringGrid& lattice);
 
 }  // namespace relidar::kitti

@@ -18,20 +18,21 @@
 namespace relidar::kitti {
 namespace {
 
-struct Sample {
+struct RhoHeightSample {
     double rho_m, z_m;
 };
 
-double compute_residual(const Cone& cone, const Sample& sample) {
+double compute_height_residual_m(const BeamCone& cone, const RhoHeightSample& sample) {
     return sample.z_m - cone.z0_m - sample.rho_m * cone.tan_el;
 }
 
-/// Fits a line z(rho) to points by least squares. Ignores points farther than limit_m
-/// from the line `previous`.
-Cone fit_line(const std::vector<Sample>& samples, const Cone& previous, double limit_m) {
+/// Fits a line z(rho) to points by least squares. Ignores points farther than
+/// max_residual_m from the line `previous_line`.
+BeamCone fit_line_to_inliers(const std::vector<RhoHeightSample>& samples, const BeamCone& previous_line,
+                             double max_residual_m) {
     double n = 0, sr = 0, sz = 0, srr = 0, srz = 0;
-    for (const Sample& s : samples) {
-        if (std::abs(compute_residual(previous, s)) > limit_m) continue;
+    for (const RhoHeightSample& s : samples) {
+        if (std::abs(compute_height_residual_m(previous_line, s)) > max_residual_m) continue;
         n += 1, sr += s.rho_m, sz += s.z_m, srr += s.rho_m * s.rho_m, srz += s.rho_m * s.z_m;
     }
     const double spread = n * srr - sr * sr;
@@ -42,34 +43,37 @@ Cone fit_line(const std::vector<Sample>& samples, const Cone& previous, double l
     return {(sz - slope * sr) / n, slope, static_cast<std::size_t>(n)};
 }
 
-Cone fit_cone(const std::vector<Sample>& samples) {
-    Cone cone = fit_line(samples, {}, INFINITY);
+BeamCone fit_cone(const std::vector<RhoHeightSample>& samples) {
+    BeamCone cone = fit_line_to_inliers(samples, {}, INFINITY);
     for (int pass = 0; pass < 4 && cone.n > 0; ++pass) {
         std::vector<double> error;
-        for (const Sample& s : samples) error.push_back(std::abs(compute_residual(cone, s)));
+        for (const RhoHeightSample& s : samples)
+            error.push_back(std::abs(compute_height_residual_m(cone, s)));
         // Converts the median absolute error to the standard deviation of a normal
         // distribution.
         const double sigma = 1.4826 * compute_median(std::move(error));
-        cone = fit_line(samples, cone, std::max(3.0 * sigma, 1e-3));
+        cone = fit_line_to_inliers(samples, cone, std::max(3.0 * sigma, 1e-3));
     }
     return cone;
 }
 
 /// Height of the lasers in a block of 32, as a linear function of the slope of the beam:
-/// z0 = mean_z0 + slope * (tan_el - mean_tan).
-struct BlockLine {
+/// z0 = mean_z0 + slope * (tan_elevation - mean_tan).
+struct LaserHeightFit {
     double mean_tan = 0.0, mean_z0 = 0.0, slope = 0.0;
-    double at(double tan_el) const { return mean_z0 + slope * (tan_el - mean_tan); }
+    double compute_height_m(double tan_elevation) const {
+        return mean_z0 + slope * (tan_elevation - mean_tan);
+    }
 };
 
-BlockLine fit_laser_block(const Cones& cones, const std::vector<std::size_t>& good) {
-    BlockLine line;
+LaserHeightFit fit_block_height_line(const BeamCones& cones, const std::vector<std::size_t>& fitted_rings) {
+    LaserHeightFit line;
     double tt = 0.0, tz = 0.0;
-    for (const std::size_t k : good) {
-        line.mean_tan += cones[k].tan_el / static_cast<double>(good.size());
-        line.mean_z0 += cones[k].z0_m / static_cast<double>(good.size());
+    for (const std::size_t k : fitted_rings) {
+        line.mean_tan += cones[k].tan_el / static_cast<double>(fitted_rings.size());
+        line.mean_z0 += cones[k].z0_m / static_cast<double>(fitted_rings.size());
     }
-    for (const std::size_t k : good) {
+    for (const std::size_t k : fitted_rings) {
         const double t = cones[k].tan_el - line.mean_tan;
         tt += t * t, tz += t * (cones[k].z0_m - line.mean_z0);
     }
@@ -80,30 +84,33 @@ BlockLine fit_laser_block(const Cones& cones, const std::vector<std::size_t>& go
 /// Estimates the slope of a beam whose points are at too similar distances to fit slope
 /// and height. The height follows from the other beams of its block. The slope is then
 /// the median over the points.
-double estimate_slope_at_height(const std::vector<Sample>& samples, const BlockLine& line, double tan_el) {
+double estimate_tan_elevation(const std::vector<RhoHeightSample>& samples, const LaserHeightFit& block_line,
+                              double initial_tan_elevation) {
     std::vector<double> slope(samples.size());
     for (int pass = 0; pass < 3; ++pass) {
         for (std::size_t i = 0; i < samples.size(); ++i)
-            slope[i] = (samples[i].z_m - line.at(tan_el)) / std::max(samples[i].rho_m, 0.1);
-        tan_el = compute_median(slope);
+            slope[i] = (samples[i].z_m - block_line.compute_height_m(initial_tan_elevation)) /
+                       std::max(samples[i].rho_m, 0.1);
+        initial_tan_elevation = compute_median(slope);
     }
-    return tan_el;
+    return initial_tan_elevation;
 }
 
 /// Estimates the slopes and heights of beams that could not be fitted from the fitted
 /// beams in the same block of 32.
-void fill_gaps(Cones& cones, const std::array<std::vector<Sample>, kRings>& samples,
-               const std::string& location) {
+void estimate_unfitted_cones(BeamCones& cones,
+                             const std::array<std::vector<RhoHeightSample>, kRings>& samples_of_rings,
+                             const std::string& error_location) {
     for (std::size_t first : {std::size_t{0}, std::size_t{kRings / 2}}) {
         std::vector<std::size_t> good;
         for (std::size_t k = first; k < first + kRings / 2; ++k) {
             if (cones[k].n > 0) good.push_back(k);
         }
         if (good.size() < 2) {
-            throw DataError(location +
+            throw DataError(error_location +
                             ": fewer than two of 32 beams have enough returns, expected a log of an HDL-64E");
         }
-        const BlockLine line = fit_laser_block(cones, good);
+        const LaserHeightFit line = fit_block_height_line(cones, good);
         for (std::size_t k = first; k < first + kRings / 2; ++k) {
             if (cones[k].n > 0) continue;
             const auto next = std::lower_bound(good.begin() + 1, good.end() - 1, k);
@@ -111,25 +118,26 @@ void fill_gaps(Cones& cones, const std::array<std::vector<Sample>, kRings>& samp
             const double along =
                 (static_cast<double>(k) - static_cast<double>(a)) / static_cast<double>(b - a);
             cones[k].tan_el = cones[a].tan_el + (cones[b].tan_el - cones[a].tan_el) * along;
-            if (samples[k].size() >= 16)
-                cones[k].tan_el = estimate_slope_at_height(samples[k], line, cones[k].tan_el);
-            cones[k].z0_m = line.at(cones[k].tan_el);
+            if (samples_of_rings[k].size() >= 16)
+                cones[k].tan_el = estimate_tan_elevation(samples_of_rings[k], line, cones[k].tan_el);
+            cones[k].z0_m = line.compute_height_m(cones[k].tan_el);
         }
     }
 }
 
 /// Returns the ring whose cone has the smallest median distance from a group of
 /// consecutive points.
-int find_nearest_ring(const RawScan& scan, std::size_t begin, std::size_t end, const Cones& cones) {
-    const std::size_t step = std::max<std::size_t>((end - begin) / 32, 1);
+int find_nearest_ring_of_points(const ScanWithRings& scan, std::size_t begin_point, std::size_t end_point,
+                                const BeamCones& cones) {
+    const std::size_t step = std::max<std::size_t>((end_point - begin_point) / 32, 1);
     int best = 0;
     double least = INFINITY;
     for (int k = 0; k < kRings; ++k) {
         std::vector<double> error;
-        for (std::size_t i = begin; i < end; i += step) {
+        for (std::size_t i = begin_point; i < end_point; i += step) {
             const glm::dvec4 p(scan.points[i]);
-            error.push_back(
-                std::abs(compute_residual(cones[static_cast<std::size_t>(k)], {std::hypot(p.x, p.y), p.z})));
+            error.push_back(std::abs(
+                compute_height_residual_m(cones[static_cast<std::size_t>(k)], {std::hypot(p.x, p.y), p.z})));
         }
         if (const double middle = compute_median(std::move(error)); middle < least) least = middle, best = k;
     }
@@ -138,8 +146,8 @@ int find_nearest_ring(const RawScan& scan, std::size_t begin, std::size_t end, c
 
 }  // namespace
 
-RawScan split_points_into_rings(std::vector<glm::vec4> points) {
-    RawScan scan;
+ScanWithRings split_points_into_rings(std::vector<glm::vec4> points) {
+    ScanWithRings scan;
     scan.points = std::move(points);
     scan.ring.resize(scan.points.size());
     int ring = 0;
@@ -154,10 +162,11 @@ RawScan split_points_into_rings(std::vector<glm::vec4> points) {
     return scan;
 }
 
-Cones fit_cones(const std::vector<const RawScan*>& scans, const std::string& location) {
-    std::array<std::vector<Sample>, kRings> samples;
+BeamCones fit_cone_of_each_ring(const std::vector<const ScanWithRings*>& scans,
+                                const std::string& error_location) {
+    std::array<std::vector<RhoHeightSample>, kRings> samples;
     int most = 0;
-    for (const RawScan* scan : scans) {
+    for (const ScanWithRings* scan : scans) {
         most = std::max(most, scan->n_rings);
         // Accepts 65 rings too, because a single stray point can look like the start of a
         // ring.
@@ -171,21 +180,21 @@ Cones fit_cones(const std::vector<const RawScan*>& scans, const std::string& loc
         throw DataError(
             fmt::format("{}: found {} rings in the order of the file, expected 64 rings of an "
                         "HDL-64E, stored one after another",
-                        location, most));
+                        error_location, most));
     }
-    Cones cones;
+    BeamCones cones;
     for (std::size_t k = 0; k < kRings; ++k) cones[k] = fit_cone(samples[k]);
-    fill_gaps(cones, samples, location);
+    estimate_unfitted_cones(cones, samples, error_location);
     return cones;
 }
 
-void correct_ring_numbers(RawScan& scan, const Cones& cones) {
+void correct_ring_numbers(ScanWithRings& scan, const BeamCones& cones) {
     const std::size_t n = scan.points.size();
     if (scan.n_rings != kRings && scan.n_rings != kRings + 1) {
         for (std::size_t begin = 0; begin < n;) {
             std::size_t end = begin + 1;
             while (end < n && scan.ring[end] == scan.ring[begin]) ++end;
-            const auto ring = static_cast<std::uint8_t>(find_nearest_ring(scan, begin, end, cones));
+            const auto ring = static_cast<std::uint8_t>(find_nearest_ring_of_points(scan, begin, end, cones));
             std::fill(scan.ring.begin() + static_cast<std::ptrdiff_t>(begin),
                       scan.ring.begin() + static_cast<std::ptrdiff_t>(end), ring);
             begin = end;
@@ -194,9 +203,9 @@ void correct_ring_numbers(RawScan& scan, const Cones& cones) {
     for (std::size_t i = 1; i < n; ++i) {
         const glm::dvec4 p(scan.points[i]);
         if (p.y != 0.0 || scan.ring[i] == scan.ring[i - 1]) continue;
-        const Sample s{std::hypot(p.x, p.y), p.z};
-        if (std::abs(compute_residual(cones[scan.ring[i - 1]], s)) <
-            std::abs(compute_residual(cones[scan.ring[i]], s)))
+        const RhoHeightSample s{std::hypot(p.x, p.y), p.z};
+        if (std::abs(compute_height_residual_m(cones[scan.ring[i - 1]], s)) <
+            std::abs(compute_height_residual_m(cones[scan.ring[i]], s)))
             scan.ring[i] = scan.ring[i - 1];
     }
 }

@@ -18,7 +18,7 @@ namespace relidar::kitti {
 constexpr int kRings = 64;
 
 /// The points of a scan in file order, and their beams. Beam 0 is the highest.
-struct RawScan {
+struct ScanWithRings {
     std::vector<glm::vec4> points;  ///< x, y, z in metres in the sensor frame, and reflectance
     std::vector<std::uint8_t> ring;
     int n_rings = 0;                    ///< number of rings in the file; 64 in a complete scan
@@ -27,26 +27,27 @@ struct RawScan {
 
 /// All points of a rotating beam lie on this cone: z = z0 + tan_el * distance from the
 /// spin axis.
-struct Cone {
+struct BeamCone {
     double z0_m = 0.0;  ///< height at which the beam crosses the spin axis
     double tan_el = 0.0;
     std::size_t n = 0;  ///< number of points in the fit; 0 if the cone was estimated from other beams
 };
-using Cones = std::array<Cone, kRings>;
+using BeamCones = std::array<BeamCone, kRings>;
 
 /// Splits the points of a KITTI scan into rings. The file stores ring after ring, and
 /// each ring starts at the forward direction. A new ring begins where the azimuth steps
 /// from the 4th to the 1st quadrant. Ring numbers are limited to 63.
-RawScan split_points_into_rings(std::vector<glm::vec4> points);
+ScanWithRings split_points_into_rings(std::vector<glm::vec4> points);
 
 /// Fits the cone of each ring to several scans by robust least squares.
-/// @param location  name of the log, for error messages
+/// @param error_location  name of the log, for error messages
 /// @throws DataError if no scan has 64 rings
-Cones fit_cones(const std::vector<const RawScan*>& scans, const std::string& location);
+BeamCones fit_cone_of_each_ring(const std::vector<const ScanWithRings*>& scans,
+                                const std::string& error_location);
 
 /// Corrects ring numbers by the distances of points from the cones. The order of the
 /// points gives wrong numbers if a beam has no returns. It also does so if the last point
 /// of a ring was rounded to azimuth 0.
-void correct_ring_numbers(RawScan& scan, const Cones& cones);
+void correct_ring_numbers(ScanWithRings& scan, const BeamCones& cones);
 
 }  // namespace relidar::kitti

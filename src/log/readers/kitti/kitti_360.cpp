@@ -28,16 +28,16 @@ namespace fs = std::filesystem;
 using namespace kitti;
 
 /// The requested drive and frames.
-struct Drive {
+struct RequestedDrive {
     std::string name;  ///< name of its folders
     FrameRange frames;
-    std::vector<int> test_frames = {};  ///< see ChosenSequence
+    std::vector<int> test_frames = {};  ///< see RequestedDriveFrames
     std::vector<std::string> notes = {};
 };
 
 std::vector<std::string> list_drives(const fs::path& folder) {
     std::vector<std::string> names;
-    for (const fs::path& drive : list_folder(folder))
+    for (const fs::path& drive : list_folder_entries(folder))
         if (does_path_exist(drive / "velodyne_points")) names.push_back(drive.filename().string());
     if (names.empty())
         throw DataError(fmt::format("{}: found no drive, expected folders *_drive_*_sync/velodyne_points",
@@ -45,11 +45,11 @@ std::vector<std::string> list_drives(const fs::path& folder) {
     return names;
 }
 
-Drive choose_drive(const fs::path& folder, const DatasetOptions& options) {
+RequestedDrive choose_drive(const fs::path& folder, const DatasetOptions& options) {
     const std::vector<std::string> drives = list_drives(folder);
-    const ChosenSequence part = choose_sequence(options, kKitti360Benchmark);
+    const RequestedDriveFrames part = resolve_benchmark_sequence(options, kKitti360Benchmark);
     if (part.drive.empty()) {
-        Drive drive{drives.front(), part.frames};
+        RequestedDrive drive{drives.front(), part.frames};
         if (drives.size() > 1)
             drive.notes = {fmt::format(
                 "the first of {} drives is read; use dataset.sequence to select another one", drives.size())};
@@ -61,53 +61,56 @@ Drive choose_drive(const fs::path& folder, const DatasetOptions& options) {
     throw UsageError(fmt::format(
         "dataset.sequence: found '{}', expected the name or number of a drive in {} ({}), or ks1 to ks4 or "
         "kd1 to kd6 for parts of drive 0000",
-        make_excerpt(options.sequence), folder.string(),
-        make_excerpt(fmt::format("{}", fmt::join(drives, ", ")))));
+        shorten_for_error_message(options.sequence), folder.string(),
+        shorten_for_error_message(fmt::format("{}", fmt::join(drives, ", ")))));
 }
 
 /// Returns the LiDAR poses in the world frame, by frame number. Some frames have no pose.
-std::map<int, Pose> read_velo_poses(const fs::path& folder, const std::string& drive) {
-    const fs::path calibration = folder / "calibration";
-    const Pose imu_from_cam0 = read_transform(calibration / "calib_cam_to_pose.txt", "image_00");
+std::map<int, Pose> read_lidar_pose_per_frame(const fs::path& dataset_folder, const std::string& drive_name) {
+    const fs::path calibration = dataset_folder / "calibration";
+    const Pose imu_from_cam0 = read_transform_of_key(calibration / "calib_cam_to_pose.txt", "image_00");
     // the file contains a single line of 12 numbers
-    const Pose velo_from_cam0 = read_pose_file(calibration / "calib_cam_to_velo.txt", {0}).front();
-    std::map<int, Pose> poses = read_numbered_poses(folder / "data_poses" / drive / "poses.txt");
+    const Pose velo_from_cam0 = read_pose_matrices(calibration / "calib_cam_to_velo.txt", {0}).front();
+    std::map<int, Pose> poses =
+        read_poses_by_frame_number(dataset_folder / "data_poses" / drive_name / "poses.txt");
     for (auto& [frame, pose] : poses) pose = pose * imu_from_cam0 * inverse(velo_from_cam0);
     return poses;
 }
 
 /// Returns the pose of a frame. A missing pose is interpolated if its neighbours are at
 /// most half a second apart, or if the car stands still. Otherwise returns nothing.
-std::optional<Pose> pose_at(const std::map<int, Pose>& poses, int frame) {
-    constexpr int kNearFrames = 5;
+std::optional<Pose> find_or_interpolate_pose(const std::map<int, Pose>& poses_by_frame, int frame_number) {
+    constexpr int kMaxFrameGap = 5;
     constexpr double kStanding_m = 0.2;
-    const auto after = poses.lower_bound(frame);
-    if (after == poses.end()) return std::nullopt;
-    if (after->first == frame) return after->second;
-    if (after == poses.begin()) return std::nullopt;
+    const auto after = poses_by_frame.lower_bound(frame_number);
+    if (after == poses_by_frame.end()) return std::nullopt;
+    if (after->first == frame_number) return after->second;
+    if (after == poses_by_frame.begin()) return std::nullopt;
     const auto before = std::prev(after);
     const int apart = after->first - before->first;
-    if (apart > kNearFrames &&
+    if (apart > kMaxFrameGap &&
         glm::distance(before->second.translation, after->second.translation) > kStanding_m)
         return std::nullopt;
-    return interpolate(before->second, after->second, double(frame - before->first) / apart);
+    return interpolate(before->second, after->second, double(frame_number - before->first) / apart);
 }
 
 /// Adds all frames with a pose to the log, and notes for the user about interpolated and
 /// missing poses.
-void add_posed_frames(Sequence& sequence, const std::vector<int>& frames, const std::vector<double>& time_s,
-                      const std::map<int, Pose>& poses) {
+void add_frames_with_pose(LidarSequence& sequence, const std::vector<int>& frame_numbers,
+                          const std::vector<double>& frame_times_s,
+                          const std::map<int, Pose>& poses_by_frame) {
     std::vector<int> between, without;
-    for (std::size_t i = 0; i < frames.size(); ++i) {
-        const std::optional<Pose> pose = pose_at(poses, frames[i]);
-        if (!pose) without.push_back(frames[i]);
-        else if (!poses.contains(frames[i])) between.push_back(frames[i]);
-        if (pose) add_frame(sequence, frames[i], time_s[i], *pose);
+    for (std::size_t i = 0; i < frame_numbers.size(); ++i) {
+        const std::optional<Pose> pose = find_or_interpolate_pose(poses_by_frame, frame_numbers[i]);
+        if (!pose) without.push_back(frame_numbers[i]);
+        else if (!poses_by_frame.contains(frame_numbers[i])) between.push_back(frame_numbers[i]);
+        if (pose) add_frame(sequence, frame_numbers[i], frame_times_s[i], *pose);
     }
     if (sequence.frames.empty())
-        throw DataError(fmt::format(
-            "{}: none of the frames {} to {} has a pose, expected frames between {} and {}", sequence.name,
-            frames.front(), frames.back(), poses.begin()->first, poses.rbegin()->first));
+        throw DataError(
+            fmt::format("{}: none of the frames {} to {} has a pose, expected frames between {} and {}",
+                        sequence.name, frame_numbers.front(), frame_numbers.back(),
+                        poses_by_frame.begin()->first, poses_by_frame.rbegin()->first));
     if (!between.empty())
         sequence.notes.push_back(fmt::format(
             "poses of these frames are interpolated, because data_poses does not contain them: {}",
@@ -120,9 +123,9 @@ void add_posed_frames(Sequence& sequence, const std::vector<int>& frames, const 
 /// Returns the file with the box labels of a drive. The folder train_full has priority
 /// over the smaller folder train.
 /// @return empty path if neither folder contains the file
-fs::path find_box_label_file(const fs::path& folder, const std::string& drive) {
+fs::path find_box_label_file(const fs::path& dataset_folder, const std::string& drive_name) {
     for (const char* set : {"train_full", "train"}) {
-        const fs::path file = folder / "data_3d_bboxes" / set / (drive + ".xml");
+        const fs::path file = dataset_folder / "data_3d_bboxes" / set / (drive_name + ".xml");
         if (does_path_exist(file)) return file;
     }
     return {};
@@ -130,34 +133,37 @@ fs::path find_box_label_file(const fs::path& folder, const std::string& drive) {
 
 /// Adds frames, poses and boxes to the log. The boxes are labelled in the dataset's world
 /// frame, so they are left out if the poses come from another file.
-void read_poses_and_boxes(Sequence& sequence, const fs::path& folder, const Drive& drive,
-                          const std::vector<int>& frames, const fs::path& poses_file) {
-    const std::vector<double> time_s =
-        read_times(folder / "data_3d_raw" / drive.name / "velodyne_points/timestamps.txt", frames);
-    if (poses_file.empty() || does_path_exist(folder / "data_poses" / drive.name)) {
-        add_posed_frames(sequence, frames, time_s, read_velo_poses(folder, drive.name));
-        const fs::path labels = find_box_label_file(folder, drive.name);
+void add_frames_and_boxes(LidarSequence& sequence, const fs::path& dataset_folder,
+                          const RequestedDrive& drive, const std::vector<int>& frame_numbers,
+                          const fs::path& user_pose_file) {
+    const std::vector<double> time_s = read_relative_frame_times_s(
+        dataset_folder / "data_3d_raw" / drive.name / "velodyne_points/timestamps.txt", frame_numbers);
+    if (user_pose_file.empty() || does_path_exist(dataset_folder / "data_poses" / drive.name)) {
+        add_frames_with_pose(sequence, frame_numbers, time_s,
+                             read_lidar_pose_per_frame(dataset_folder, drive.name));
+        const fs::path labels = find_box_label_file(dataset_folder, drive.name);
         if (labels.empty())
             sequence.notes.push_back(
                 "data_3d_bboxes is missing, so this drive has no "
                 "labels");
-        else sequence.boxes = read_360_boxes(labels, sequence.frames);
+        else sequence.boxes = read_kitti_360_boxes(labels, sequence.frames);
     } else {
-        for (std::size_t i = 0; i < frames.size(); ++i) add_frame(sequence, frames[i], time_s[i], {});
+        for (std::size_t i = 0; i < frame_numbers.size(); ++i)
+            add_frame(sequence, frame_numbers[i], time_s[i], {});
         sequence.notes.push_back("data_poses is missing, so the boxes are not read");
     }
 }
 
 }  // namespace
 
-Sequence load_kitti_360(const fs::path& log_folder, const DatasetOptions& options) {
-    check_folder(log_folder, "KITTI-360 (data_3d_raw/, data_poses/, calibration/)");
+LidarSequence load_kitti_360(const fs::path& log_folder, const DatasetOptions& options) {
+    check_is_folder(log_folder, "KITTI-360 (data_3d_raw/, data_poses/, calibration/)");
     const fs::path folder = fs::canonical(log_folder);
-    const Drive drive = choose_drive(folder / "data_3d_raw", options);
+    const RequestedDrive drive = choose_drive(folder / "data_3d_raw", options);
     const fs::path points = folder / "data_3d_raw" / drive.name / "velodyne_points";
-    const std::vector<int> frames = list_scans(points / "data", drive.frames.begin, drive.frames.end);
+    const std::vector<int> frames = list_scan_numbers(points / "data", drive.frames.begin, drive.frames.end);
 
-    Sequence sequence;
+    LidarSequence sequence;
     sequence.name = drive.name;
     sequence.source = log_folder.string();
     sequence.conventions =
@@ -166,16 +172,16 @@ Sequence load_kitti_360(const fs::path& log_folder, const DatasetOptions& option
         "(Mercator). Scans are not motion-compensated.";
     sequence.notes = drive.notes;
     sequence.test_frames = drive.test_frames;
-    const std::string gaps = format_frame_gaps(points / "data", frames, options.allow_missing_scans);
+    const std::string gaps = describe_missing_scans(points / "data", frames, options.allow_missing_scans);
     if (!gaps.empty()) sequence.notes.push_back(gaps);
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     sensor.name = "HDL-64E fitted to " + sequence.name;
-    sensor.period_s = read_step(points / "timestamps.txt");
+    sensor.period_s = read_median_time_step_s(points / "timestamps.txt");
     sensor.max_range_m = options.max_range_m;
-    read_poses_and_boxes(sequence, folder, drive, frames, options.poses_file);
-    use_pose_file(sequence, options.poses_file);
+    add_frames_and_boxes(sequence, folder, drive, frames, options.poses_file);
+    replace_vehicle_poses_from_file(sequence, options.poses_file);
     recentre_sequence(sequence);
-    read_sweeps(sequence, points / "data", 10, options);
+    read_hdl64_sweeps(sequence, points / "data", 10, options);
     return sequence;
 }
 

@@ -17,7 +17,7 @@ namespace relidar {
 /// @param folder  folder that contains data_3d_raw
 /// @throws DataError with file and field
 /// @throws UsageError if the drive is unknown or no scan is in the requested range
-Sequence load_kitti_360(const std::filesystem::path& folder, const DatasetOptions& options);
+LidarSequence load_kitti_360(const std::filesystem::path& folder, const DatasetOptions& options);
 
 namespace kitti {
 
@@ -26,7 +26,8 @@ namespace kitti {
 /// standing object has one pose, which is used for all frames of its part of the drive.
 /// @param frames  frames of the log for which boxes are read
 /// @throws DataError with object and field
-std::vector<BoxTrack> read_360_boxes(const std::filesystem::path& file, const std::vector<Frame>& frames);
+std::vector<BoxTrack> read_kitti_360_boxes(const std::filesystem::path& label_file,
+                                           const std::vector<LidarFrame>& frames);
 
 }  // namespace kitti
 }  // namespace relidar

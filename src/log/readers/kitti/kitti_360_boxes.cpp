@@ -38,40 +38,41 @@ constexpr MovableClass kMovable[] = {
 /// Reads an integer from an XML element, or returns `default_value` if the element does
 /// not exist.
 /// @throws DataError if the text is not an integer
-int read_integer_field(const pugi::xml_node& object, const char* field, std::optional<int> default_value,
-                       const std::string& location) {
+int read_integer_field(const pugi::xml_node& object, const char* field_name, std::optional<int> default_value,
+                       const std::string& error_location) {
     constexpr double kLargest = 1e8;
-    const std::string text = object.child_value(field);
+    const std::string text = object.child_value(field_name);
     if (text.empty() && default_value) return *default_value;
     const auto value = parse_number(trim_spaces(text));
     if (!value || !(std::abs(*value) < kLargest) || *value != std::floor(*value))
-        throw DataError(
-            fmt::format("{}: {} is '{}', expected a whole number", location, field, make_excerpt(text)));
+        throw DataError(fmt::format("{}: {} is '{}', expected a whole number", error_location, field_name,
+                                    shorten_for_error_message(text)));
     return static_cast<int>(*value);
 }
 
 /// Returns the class of an object, or null if it cannot move. In drive 0004, objects have
 /// text labels instead of class numbers.
-const MovableClass* find_movable_class(const pugi::xml_node& object, const std::string& location) {
+const MovableClass* find_movable_class(const pugi::xml_node& object, const std::string& error_location) {
     const bool has_number = !object.child("semanticId").empty();
-    const int id = has_number ? read_integer_field(object, "semanticId", {}, location) : 0;
+    const int id = has_number ? read_integer_field(object, "semanticId", {}, error_location) : 0;
     const std::string_view label = trim_spaces(object.child_value("label"));
-    for (const MovableClass& known : kMovable)
-        if (has_number ? id == known.id : label == known.name || label == known.label) return &known;
+    for (const MovableClass& movable_class : kMovable)
+        if (has_number ? id == movable_class.id : label == movable_class.name || label == movable_class.label)
+            return &movable_class;
     return nullptr;
 }
 
 /// Reads the 4x4 transform of an object from a unit box to the world. It contains the
 /// pose and the size of the object.
-glm::dmat4 read_box_transform(const pugi::xml_node& object, const std::string& location) {
+glm::dmat4 read_box_transform(const pugi::xml_node& object, const std::string& error_location) {
     const pugi::xml_node matrix = object.child("transform");
-    const int rows = read_integer_field(matrix, "rows", {}, location + ": transform"),
-              cols = read_integer_field(matrix, "cols", {}, location + ": transform");
+    const int rows = read_integer_field(matrix, "rows", {}, error_location + ": transform"),
+              cols = read_integer_field(matrix, "cols", {}, error_location + ": transform");
     const auto numbers = parse_numbers(matrix.child_value("data"));
     if (rows != 4 || cols != 4 || !numbers || numbers->size() != 16)
         throw DataError(fmt::format(
-            "{}: transform has {} x {} entries and {}, expected 4 x 4 entries and 16 numbers", location, rows,
-            cols, numbers ? fmt::format("{} numbers", numbers->size()) : "words that are not numbers"));
+            "{}: transform has {} x {} entries and {}, expected 4 x 4 entries and 16 numbers", error_location,
+            rows, cols, numbers ? fmt::format("{} numbers", numbers->size()) : "words that are not numbers"));
     constexpr double kLargest = 1e8;
     glm::dmat4 m;
     for (int i = 0; i < 16; ++i) {
@@ -80,7 +81,7 @@ glm::dmat4 read_box_transform(const pugi::xml_node& object, const std::string& l
             throw DataError(
                 fmt::format("{}: number {} of transform is {}, expected a number of at most "
                             "{:.0e}",
-                            location, i + 1, value, kLargest));
+                            error_location, i + 1, value, kLargest));
         m[i % 4][i / 4] = value;
     }
     return m;
@@ -89,51 +90,60 @@ glm::dmat4 read_box_transform(const pugi::xml_node& object, const std::string& l
 /// Computes the size and the pose of a box from its transform. A transform with a
 /// reflection is no pose, so the width axis is then flipped, which does not change the
 /// box.
-void set_label_pose(BoxLabel& label, const glm::dmat4& matrix, const std::string& location) {
-    glm::dmat3 axes(matrix);
+void set_label_size_and_pose(BoxLabel& label, const glm::dmat4& world_from_unit_box,
+                             const std::string& error_location) {
+    glm::dmat3 axes(world_from_unit_box);
     label.size_m = {glm::length(axes[0]), glm::length(axes[1]), glm::length(axes[2])};
     constexpr double kSmallest_m = 1e-3;
     if (!(std::min({label.size_m.x, label.size_m.y, label.size_m.z}) >= kSmallest_m))
         throw DataError(
             fmt::format("{}: transform gives the size {} x {} x {} m, expected three lengths "
                         "above 0",
-                        location, label.size_m.x, label.size_m.y, label.size_m.z));
+                        error_location, label.size_m.x, label.size_m.y, label.size_m.z));
     for (int c = 0; c < 3; ++c) axes[c] /= label.size_m[c];
     if (glm::determinant(axes) < 0.0) axes[1] = -axes[1];
-    label.world_from_box = make_rigid_pose(axes, glm::dvec3(matrix[3]), location + ": transform");
+    label.world_from_box =
+        make_rigid_pose(axes, glm::dvec3(world_from_unit_box[3]), error_location + ": transform");
 }
 
 /// Returns the track id of an object: semanticId * 1000 + instanceId. Objects of drive
 /// 0004 lack these numbers, so their id consists of class, "moving" and index.
-std::string get_kitti_track_id(const pugi::xml_node& object, const MovableClass& movable_class, bool moves,
-                               const std::string& location) {
+std::string make_kitti_track_id(const pugi::xml_node& object, const MovableClass& movable_class,
+                                bool is_moving, const std::string& error_location) {
     if (object.child("instanceId").empty())
-        return fmt::format("{}-{}{}", movable_class.name, moves ? "moving-" : "",
-                           read_integer_field(object, moves ? "dynamicSeq" : "index", {}, location));
-    return std::to_string(movable_class.id * 1000LL + read_integer_field(object, "instanceId", {}, location));
+        return fmt::format(
+            "{}-{}{}", movable_class.name, is_moving ? "moving-" : "",
+            read_integer_field(object, is_moving ? "dynamicSeq" : "index", {}, error_location));
+    return std::to_string(movable_class.id * 1000LL +
+                          read_integer_field(object, "instanceId", {}, error_location));
 }
 
 /// Labels of one object, by frame number.
-using Labels = std::map<int, BoxLabel>;
+using LabelsByFrame = std::map<int, BoxLabel>;
 
-void add_object(const pugi::xml_node& object, const std::vector<Frame>& frames,
-                std::map<std::string, Labels>& tracks, const std::string& location) {
-    const MovableClass* known = find_movable_class(object, location);
-    if (!known || object.child("transform").empty()) return;
-    const int at = read_integer_field(object, "timestamp", -1, location);
-    const int first = at < 0 ? read_integer_field(object, "start_frame", {}, location) : at;
-    const int last = at < 0 ? read_integer_field(object, "end_frame", {}, location) : at;
-    BoxLabel label{get_kitti_track_id(object, *known, at >= 0, location), known->name, {}, 0.0, {}};
-    set_label_pose(label, read_box_transform(object, location), location);
+void add_labels_of_object(const pugi::xml_node& object, const std::vector<LidarFrame>& frames,
+                          std::map<std::string, LabelsByFrame>& labels_by_track_id,
+                          const std::string& error_location) {
+    const MovableClass* movable_class = find_movable_class(object, error_location);
+    if (!movable_class || object.child("transform").empty()) return;
+    const int at = read_integer_field(object, "timestamp", -1, error_location);
+    const int first = at < 0 ? read_integer_field(object, "start_frame", {}, error_location) : at;
+    const int last = at < 0 ? read_integer_field(object, "end_frame", {}, error_location) : at;
+    BoxLabel label{make_kitti_track_id(object, *movable_class, at >= 0, error_location),
+                   movable_class->name,
+                   {},
+                   0.0,
+                   {}};
+    set_label_size_and_pose(label, read_box_transform(object, error_location), error_location);
     auto frame = std::lower_bound(frames.begin(), frames.end(), first,
-                                  [](const Frame& f, int number) { return f.index < number; });
+                                  [](const LidarFrame& f, int number) { return f.index < number; });
     for (; frame != frames.end() && frame->index <= last; ++frame) {
-        Labels& track = tracks[label.id];
+        LabelsByFrame& track = labels_by_track_id[label.id];
         if (!track.empty() && track.begin()->second.category != label.category)
             throw DataError(
                 fmt::format("{}: found class {} for track {}, which has class {} in another frame, "
                             "expected one class per track",
-                            location, label.category, label.id, track.begin()->second.category));
+                            error_location, label.category, label.id, track.begin()->second.category));
         label.time_s = frame->time_s;
         track.emplace(frame->index, label);
     }
@@ -141,20 +151,24 @@ void add_object(const pugi::xml_node& object, const std::vector<Frame>& frames,
 
 }  // namespace
 
-std::vector<BoxTrack> read_360_boxes(const std::filesystem::path& file, const std::vector<Frame>& frames) {
+std::vector<BoxTrack> read_kitti_360_boxes(const std::filesystem::path& label_file,
+                                           const std::vector<LidarFrame>& frames) {
     pugi::xml_document document;
-    const std::string text = read_text(file);
+    const std::string text = read_text_file(label_file);
     const pugi::xml_parse_result parsed = document.load_buffer(text.data(), text.size());
     if (!parsed)
-        throw DataError(fmt::format("{}: malformed XML at byte {}: {}", file.string(), parsed.offset,
+        throw DataError(fmt::format("{}: malformed XML at byte {}: {}", label_file.string(), parsed.offset,
                                     parsed.description()));
     const pugi::xml_node root = document.child("opencv_storage");
     if (!root)
-        throw DataError(fmt::format(
-            "{}: the element opencv_storage is missing, expected the boxes of KITTI-360", file.string()));
-    std::map<std::string, Labels> tracks;
+        throw DataError(
+            fmt::format("{}: the element opencv_storage is missing, expected the boxes of KITTI-360",
+                        label_file.string()));
+    std::map<std::string, LabelsByFrame> tracks;
     for (const pugi::xml_node& object : root.children())
-        add_object(object, frames, tracks, fmt::format("{}: {}", file.string(), make_excerpt(object.name())));
+        add_labels_of_object(
+            object, frames, tracks,
+            fmt::format("{}: {}", label_file.string(), shorten_for_error_message(object.name())));
     std::vector<BoxLabel> labels;
     for (const auto& [id, track] : tracks)
         for (const auto& [frame, label] : track) labels.push_back(label);

@@ -19,10 +19,10 @@ namespace {
 namespace fs = std::filesystem;
 
 /// Reads the times of frames in seconds. Line i of the file contains the time of frame i.
-std::vector<double> read_seconds(const fs::path& file, const std::vector<int>& frames) {
-    const std::vector<std::string> lines = split_lines(read_text(file));
+std::vector<double> read_frame_times_s(const fs::path& file, const std::vector<int>& frame_numbers) {
+    const std::vector<std::string> lines = split_lines(read_text_file(file));
     std::vector<double> time_s;
-    for (const int frame : frames) {
+    for (const int frame : frame_numbers) {
         const std::size_t line = static_cast<std::size_t>(frame);
         if (line >= lines.size())
             throw DataError(fmt::format("{}: found {} lines, but frame {} needs line {}", file.string(),
@@ -30,7 +30,7 @@ std::vector<double> read_seconds(const fs::path& file, const std::vector<int>& f
         const auto seconds = parse_number(trim_spaces(lines[line]));
         if (!seconds)
             throw DataError(fmt::format("{} line {}: found '{}', expected a time in seconds", file.string(),
-                                        line + 1, make_excerpt(lines[line])));
+                                        line + 1, shorten_for_error_message(lines[line])));
         time_s.push_back(*seconds);
     }
     return time_s;
@@ -38,9 +38,10 @@ std::vector<double> read_seconds(const fs::path& file, const std::vector<int>& f
 
 /// Returns the pose file of a sequence: poses.txt in its folder (SemanticKITTI), or
 /// ../../poses/NN.txt (KITTI). Sequences 11 to 21 have no published poses.
-fs::path find_odometry_pose_file(const fs::path& folder) {
-    const fs::path here = folder / "poses.txt", beside = folder.parent_path().parent_path() / "poses" /
-                                                         (folder.filename().string() + ".txt");
+fs::path find_odometry_pose_file(const fs::path& sequence_folder) {
+    const fs::path here = sequence_folder / "poses.txt",
+                   beside = sequence_folder.parent_path().parent_path() / "poses" /
+                            (sequence_folder.filename().string() + ".txt");
     if (does_path_exist(here)) return here;
     if (does_path_exist(beside)) return beside;
     throw DataError(
@@ -50,29 +51,31 @@ fs::path find_odometry_pose_file(const fs::path& folder) {
 }
 
 /// Reads the LiDAR poses in the world frame for some frames.
-std::vector<Pose> read_odometry_poses(const fs::path& folder, const std::vector<int>& frames,
-                                      const std::vector<double>& time_s, const fs::path& poses_file,
-                                      std::vector<std::string>& notes) {
-    if (poses_file == kNoPoses) return std::vector<Pose>(frames.size());
-    if (!poses_file.empty()) return kitti::read_user_poses(poses_file, frames, time_s, notes);
-    const Pose cam_from_velo = kitti::read_transform(folder / "calib.txt", "Tr");
-    std::vector<Pose> poses = kitti::read_pose_file(find_odometry_pose_file(folder), frames);
+std::vector<Pose> read_odometry_poses(const fs::path& sequence_folder, const std::vector<int>& frame_numbers,
+                                      const std::vector<double>& frame_times_s,
+                                      const fs::path& user_pose_file, std::vector<std::string>& notes) {
+    if (user_pose_file == kNoPoses) return std::vector<Pose>(frame_numbers.size());
+    if (!user_pose_file.empty())
+        return kitti::read_user_pose_file(user_pose_file, frame_numbers, frame_times_s, notes);
+    const Pose cam_from_velo = kitti::read_transform_of_key(sequence_folder / "calib.txt", "Tr");
+    std::vector<Pose> poses =
+        kitti::read_pose_matrices(find_odometry_pose_file(sequence_folder), frame_numbers);
     for (Pose& pose : poses) pose = inverse(cam_from_velo) * pose * cam_from_velo;
     return poses;
 }
 
 }  // namespace
 
-Sequence load_kitti_odometry(const fs::path& log_folder, const DatasetOptions& options) {
-    check_folder(log_folder, "a KITTI odometry sequence (velodyne/, calib.txt, times.txt)");
+LidarSequence load_kitti_odometry(const fs::path& log_folder, const DatasetOptions& options) {
+    check_is_folder(log_folder, "a KITTI odometry sequence (velodyne/, calib.txt, times.txt)");
     const fs::path folder = fs::canonical(log_folder);
     const std::vector<int> frames =
-        kitti::list_scans(folder / "velodyne", options.frames.begin, options.frames.end);
-    const std::vector<double> time_s = read_seconds(folder / "times.txt", frames);
+        kitti::list_scan_numbers(folder / "velodyne", options.frames.begin, options.frames.end);
+    const std::vector<double> time_s = read_frame_times_s(folder / "times.txt", frames);
     std::vector<std::string> pose_notes;
     const std::vector<Pose> poses =
         read_odometry_poses(folder, frames, time_s, options.poses_file, pose_notes);
-    Sequence sequence;
+    LidarSequence sequence;
     sequence.name = "KITTI odometry " + folder.filename().string();
     sequence.source = log_folder.string();
     sequence.conventions =
@@ -88,7 +91,7 @@ Sequence load_kitti_odometry(const fs::path& log_folder, const DatasetOptions& o
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
     for (std::size_t i = 0; i < frames.size(); ++i) add_frame(sequence, frames[i], time_s[i], poses[i]);
     recentre_sequence(sequence);
-    kitti::read_sweeps(sequence, folder / "velodyne", 6, options, folder / "labels");
+    kitti::read_hdl64_sweeps(sequence, folder / "velodyne", 6, options, folder / "labels");
     return sequence;
 }
 

@@ -14,6 +14,6 @@ namespace relidar {
 /// scan have the same pose. The world frame is the LiDAR frame in frame 0.
 /// @throws DataError with file and field
 /// @throws UsageError if no scan is in the requested frame range
-Sequence load_kitti_odometry(const std::filesystem::path& folder, const DatasetOptions& options);
+LidarSequence load_kitti_odometry(const std::filesystem::path& folder, const DatasetOptions& options);
 
 }  // namespace relidar

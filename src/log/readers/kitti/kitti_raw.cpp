@@ -17,30 +17,33 @@ namespace {
 namespace fs = std::filesystem;
 using namespace kitti;
 
-PoseTrack read_drive_poses(const fs::path& drive, const std::vector<int>& frames, const fs::path& poses_file,
-                           std::vector<std::string>& notes) {
-    PoseTrack track{read_times(drive / "velodyne_points/timestamps.txt", frames),
-                    std::vector<Pose>(frames.size())};
-    if (poses_file != kNoPoses)
-        track.pose = poses_file.empty() ? read_oxts_poses(drive, frames)
-                                        : read_user_poses(poses_file, frames, track.time_s, notes);
+PoseTrack read_drive_poses(const fs::path& drive_folder, const std::vector<int>& frame_numbers,
+                           const fs::path& user_pose_file, std::vector<std::string>& notes) {
+    PoseTrack track{
+        read_relative_frame_times_s(drive_folder / "velodyne_points/timestamps.txt", frame_numbers),
+        std::vector<Pose>(frame_numbers.size())};
+    if (user_pose_file != kNoPoses)
+        track.pose = user_pose_file.empty()
+                         ? read_oxts_poses(drive_folder, frame_numbers)
+                         : read_user_pose_file(user_pose_file, frame_numbers, track.time_s, notes);
     return track;
 }
 
-std::string describe_poses(const fs::path& poses_file) {
-    if (poses_file == kNoPoses) return "no poses, so the sensor is at the origin in every frame";
-    return "poses from " + (poses_file.empty() ? "OXTS (Mercator)" : poses_file.string());
+std::string describe_pose_source(const fs::path& user_pose_file) {
+    if (user_pose_file == kNoPoses) return "no poses, so the sensor is at the origin in every frame";
+    return "poses from " + (user_pose_file.empty() ? "OXTS (Mercator)" : user_pose_file.string());
 }
 
 /// Returns notes for the user about missing scans, labels and poses. For example, drive
 /// 0009 lacks four scans in the middle.
-std::vector<std::string> collect_notes(const fs::path& drive, const std::vector<int>& frames,
-                                       const DatasetOptions& options) {
+std::vector<std::string> list_missing_data_notes(const fs::path& drive_folder,
+                                                 const std::vector<int>& frame_numbers,
+                                                 const DatasetOptions& options) {
     std::vector<std::string> notes;
-    const std::string gaps =
-        format_frame_gaps(drive / "velodyne_points/data", frames, options.allow_missing_scans);
+    const std::string gaps = describe_missing_scans(drive_folder / "velodyne_points/data", frame_numbers,
+                                                    options.allow_missing_scans);
     if (!gaps.empty()) notes.push_back(gaps);
-    if (!does_path_exist(drive / "tracklet_labels.xml"))
+    if (!does_path_exist(drive_folder / "tracklet_labels.xml"))
         notes.push_back("tracklet_labels.xml is missing, so this drive has no labels");
     if (options.poses_file == kNoPoses) notes.push_back(kNoPosesNote);
     return notes;
@@ -48,10 +51,10 @@ std::vector<std::string> collect_notes(const fs::path& drive, const std::vector<
 
 }  // namespace
 
-Sequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
-    check_folder(folder, "a KITTI raw drive (velodyne_points/)");
+LidarSequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
+    check_is_folder(folder, "a KITTI raw drive (velodyne_points/)");
     if (!does_path_exist(folder / "velodyne_points")) {
-        const std::string stranger = describe_unknown_folder(folder, "velodyne_points");
+        const std::string stranger = suggest_dataset_folder(folder, "velodyne_points");
         if (!stranger.empty())
             throw DataError(fmt::format("{} is not a KITTI raw drive: {}", folder.string(), stranger));
     }
@@ -61,26 +64,26 @@ Sequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
                                     folder.string(), drive.parent_path().parent_path().string(),
                                     drive.filename().string()));
     const std::vector<int> frames =
-        list_scans(drive / "velodyne_points/data", options.frames.begin, options.frames.end);
+        list_scan_numbers(drive / "velodyne_points/data", options.frames.begin, options.frames.end);
 
-    Sequence sequence;
+    LidarSequence sequence;
     sequence.name = drive.filename().string();
     sequence.source = folder.string();
     sequence.conventions = fmt::format(
         "Sensor frame: x forward, y left, z up, in metres. Times are seconds after the first sweep of the "
         "log. At the time of a frame, the head faces forward. The log has {}. Scans are not "
         "motion-compensated. Boxes are labelled only in the view of the front camera.",
-        describe_poses(options.poses_file));
-    sequence.notes = collect_notes(drive, frames, options);
+        describe_pose_source(options.poses_file));
+    sequence.notes = list_missing_data_notes(drive, frames, options);
     sequence.lidars[0].sensor.name = "HDL-64E fitted to " + sequence.name;
-    sequence.lidars[0].sensor.period_s = read_period(drive);
+    sequence.lidars[0].sensor.period_s = read_median_sweep_duration_s(drive);
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
     const PoseTrack poses = read_drive_poses(drive, frames, options.poses_file, sequence.notes);
     for (std::size_t i = 0; i < frames.size(); ++i)
         add_frame(sequence, frames[i], poses.time_s[i], poses.pose[i]);
     recentre_sequence(sequence);
-    sequence.boxes = read_tracklets(drive / "tracklet_labels.xml", frames, sequence.world_from_vehicle);
-    read_sweeps(sequence, drive / "velodyne_points/data", 10, options);
+    sequence.boxes = read_tracklet_boxes(drive / "tracklet_labels.xml", frames, sequence.world_from_vehicle);
+    read_hdl64_sweeps(sequence, drive / "velodyne_points/data", 10, options);
     return sequence;
 }
 

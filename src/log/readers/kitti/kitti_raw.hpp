@@ -13,6 +13,6 @@ namespace relidar {
 /// @param drive  folder that contains velodyne_points
 /// @throws DataError with file and field
 /// @throws UsageError if no scan is in the requested frame range
-Sequence load_kitti_raw(const std::filesystem::path& drive, const DatasetOptions& options);
+LidarSequence load_kitti_raw(const std::filesystem::path& drive, const DatasetOptions& options);
 
 }  // namespace relidar

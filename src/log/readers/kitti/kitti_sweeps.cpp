@@ -26,34 +26,38 @@ namespace {
 // accurate than the coordinates in the files, which are rounded to millimetres.
 constexpr std::size_t kFitScans = 6, kLatticeScans = 3;
 
-std::vector<const RawScan*> select_evenly_spaced_scans(const std::vector<RawScan>& scans, std::size_t count) {
-    std::vector<const RawScan*> some;
+std::vector<const ScanWithRings*> select_evenly_spaced_scans(const std::vector<ScanWithRings>& scans,
+                                                             std::size_t count) {
+    std::vector<const ScanWithRings*> some;
     count = std::min(count, scans.size());
     for (std::size_t i = 0; i < count; ++i) some.push_back(&scans[i * scans.size() / count]);
     return some;
 }
 
 /// Reads a scan file and splits its points into rings.
-/// @param labels  folder of the label files; empty if the points have no labels
-RawScan read_raw_scan(const std::filesystem::path& file, const std::filesystem::path& labels) {
-    ScanPoints scan =
-        read_scan(file, labels.empty() ? labels : labels / file.filename().replace_extension(".label"));
-    RawScan raw = split_points_into_rings(std::move(scan.points));
+/// @param label_folder  folder of the label files; empty if the points have no labels
+ScanWithRings read_raw_scan(const std::filesystem::path& scan_file,
+                            const std::filesystem::path& label_folder) {
+    ScanPoints scan = read_kitti_scan_points(
+        scan_file, label_folder.empty() ? label_folder
+                                        : label_folder / scan_file.filename().replace_extension(".label"));
+    ScanWithRings raw = split_points_into_rings(std::move(scan.points));
     raw.classes = std::move(scan.classes);
     return raw;
 }
 
-Points make_points(const RawScan& raw) {
-    Points points;
-    for (const glm::vec4& p : raw.points) points.position_m.emplace_back(p), points.intensity.push_back(p.w);
-    points.ring.assign(raw.ring.begin(), raw.ring.end());
-    points.classes = raw.classes;
+LidarPoints convert_raw_scan_to_points(const ScanWithRings& raw_scan) {
+    LidarPoints points;
+    for (const glm::vec4& p : raw_scan.points)
+        points.position_m.emplace_back(p), points.intensity.push_back(p.w);
+    points.ring.assign(raw_scan.ring.begin(), raw_scan.ring.end());
+    points.classes = raw_scan.classes;
     return points;
 }
 
 /// Returns the azimuth of the last point of a scan, from 0 to 360 degrees. Azimuths
 /// increase from 0 in each ring, so a complete scan ends near 360.
-double get_last_azimuth_deg(const RawScan& scan) {
+double get_last_point_azimuth_deg(const ScanWithRings& scan) {
     if (scan.points.empty()) return 0.0;
     // The scan is complete: a stray point after its last ring has started another ring.
     if (scan.n_rings > kRings) return 360.0;
@@ -64,42 +68,42 @@ double get_last_azimuth_deg(const RawScan& scan) {
 
 /// Detects damaged files by comparing each scan with its neighbours. Otherwise, the
 /// missing points of a damaged file would be treated as dropped rays.
-class ScanSizes {
+class DamagedScanDetector {
 public:
-    explicit ScanSizes(const std::vector<RawScan>& raw) {
-        for (const RawScan& scan : raw) {
+    explicit DamagedScanDetector(const std::vector<ScanWithRings>& raw) {
+        for (const ScanWithRings& scan : raw) {
             n_points_.push_back(scan.points.size());
             n_rings_.push_back(scan.n_rings);
-            end_deg_.push_back(get_last_azimuth_deg(scan));
+            end_deg_.push_back(get_last_point_azimuth_deg(scan));
         }
     }
 
-    /// Returns why scan `index` is incomplete, or an empty string if it is complete. An
-    /// incomplete scan has far fewer points or rings than its neighbours, or its last
+    /// Returns why scan `scan_index` is incomplete, or an empty string if it is complete.
+    /// An incomplete scan has far fewer points or rings than its neighbours, or its last
     /// ring ends much earlier.
-    std::string explain_incomplete_scan(std::size_t index, const std::string& file) const {
+    std::string explain_incomplete_scan(std::size_t scan_index, const std::string& file_name) const {
         // A single missing ring is accepted, because one beam may have no returns.
         constexpr int kMissingRings = 2;
         // In complete scans, the azimuth at the end of the last ring varies by up to 20
         // degrees.
         constexpr double kEarly_deg = 60.0;
-        if (n_points_[index] == 0) return fmt::format("{}: the scan has no returns", file);
-        if (const std::size_t usual = compute_median_of_neighbours(n_points_, index);
-            2 * n_points_[index] < usual)
-            return fmt::format("{}: the scan has {} points, but the neighbouring scans have {}", file,
-                               n_points_[index], usual);
-        if (const int usual = compute_median_of_neighbours(n_rings_, index);
-            n_rings_[index] + kMissingRings <= usual)
+        if (n_points_[scan_index] == 0) return fmt::format("{}: the scan has no returns", file_name);
+        if (const std::size_t usual = compute_median_of_neighbours(n_points_, scan_index);
+            2 * n_points_[scan_index] < usual)
+            return fmt::format("{}: the scan has {} points, but the neighbouring scans have {}", file_name,
+                               n_points_[scan_index], usual);
+        if (const int usual = compute_median_of_neighbours(n_rings_, scan_index);
+            n_rings_[scan_index] + kMissingRings <= usual)
             return fmt::format(
                 "{}: the points of the scan end in ring {}, but those of the neighbouring scans end in "
                 "ring {}",
-                file, n_rings_[index], usual);
-        if (const double usual_deg = compute_median_of_neighbours(end_deg_, index);
-            end_deg_[index] + kEarly_deg <= usual_deg)
+                file_name, n_rings_[scan_index], usual);
+        if (const double usual_deg = compute_median_of_neighbours(end_deg_, scan_index);
+            end_deg_[scan_index] + kEarly_deg <= usual_deg)
             return fmt::format(
                 "{}: the last ring of the scan ends at azimuth {:.0f} degrees, but that of the "
                 "neighbouring scans ends at {:.0f} degrees",
-                file, end_deg_[index], usual_deg);
+                file_name, end_deg_[scan_index], usual_deg);
         return "";
     }
 
@@ -108,16 +112,16 @@ private:
     std::vector<int> n_rings_;
     std::vector<double> end_deg_;
 
-    /// Returns the median over up to five scans on each side of scan `index`.
+    /// Returns the median over up to five scans on each side of scan `scan_index`.
     template <class T>
-    static T compute_median_of_neighbours(const std::vector<T>& values, std::size_t index) {
+    static T compute_median_of_neighbours(const std::vector<T>& values_of_scans, std::size_t scan_index) {
         constexpr std::size_t kReach = 5;
-        const std::size_t begin = index < kReach ? 0 : index - kReach,
-                          end = std::min(values.size(), index + kReach + 1);
+        const std::size_t begin = scan_index < kReach ? 0 : scan_index - kReach,
+                          end = std::min(values_of_scans.size(), scan_index + kReach + 1);
         std::vector<T> neighbours;
         for (std::size_t k = begin; k < end; ++k)
-            if (k != index && values[k] > 0) neighbours.push_back(values[k]);
-        if (neighbours.empty()) return values[index];
+            if (k != scan_index && values_of_scans[k] > 0) neighbours.push_back(values_of_scans[k]);
+        if (neighbours.empty()) return values_of_scans[scan_index];
         std::ranges::sort(neighbours);
         return neighbours[neighbours.size() / 2];
     }
@@ -126,102 +130,107 @@ private:
 /// Scales intensities of 0 to 255 to the range 0 to 1.
 /// @return a note for the user; empty if the intensities are already in the range 0 to 1
 /// @throws DataError if the intensities are in neither range
-std::string normalise_intensities(std::vector<RawScan>& raw, const std::string& folder) {
+std::string normalise_intensities(std::vector<ScanWithRings>& raw_scans, const std::string& folder_name) {
     constexpr float kBytes = 255.0f;
     // Fractional intensities up to this value could be percentages, so they are rejected.
     constexpr float kPercent = 100.0f;
     float lowest = 0.0f, highest = 0.0f;
-    bool are_whole = true;
-    for (const RawScan& scan : raw)
+    bool are_integers = true;
+    for (const ScanWithRings& scan : raw_scans)
         for (const glm::vec4& p : scan.points) {
             lowest = std::min(lowest, p.w), highest = std::max(highest, p.w);
-            are_whole = are_whole && p.w == std::floor(p.w);
+            are_integers = are_integers && p.w == std::floor(p.w);
         }
     if (lowest >= 0.0f && highest <= 1.0f) return "";
-    if (lowest < 0.0f || highest > kBytes || (!are_whole && highest <= kPercent))
+    if (lowest < 0.0f || highest > kBytes || (!are_integers && highest <= kPercent))
         throw DataError(
             fmt::format("{}: found intensities from {} to {}, expected 0 to 1, or whole numbers up to 255",
-                        folder, lowest, highest));
-    for (RawScan& scan : raw)
+                        folder_name, lowest, highest));
+    for (ScanWithRings& scan : raw_scans)
         for (glm::vec4& p : scan.points) p.w /= kBytes;
     return fmt::format("intensities are {} up to {}, so they are divided by 255",
-                       are_whole ? "whole numbers" : "numbers", highest);
+                       are_integers ? "whole numbers" : "numbers", highest);
 }
 
 /// Checks the numbers of firings and rays before memory is allocated for the rays.
 /// @throws DataError if there are too many firings per sweep or rays per point
-void check_rays(const std::vector<RawScan>& raw, const FiringLattice& lattice, const std::string& location) {
+void check_firing_and_ray_counts(const std::vector<ScanWithRings>& raw_scans, const BeamFiringGrid& lattice,
+                                 const std::string& error_location) {
     constexpr int kMostFirings = 8192;            // an HDL-64E has up to 4170 firings per sweep
     constexpr std::size_t kMostRaysAPoint = 200;  // a complete sweep has about 1.1 rays per point
     if (lattice.head.n_ticks > kMostFirings)
         throw DataError(
             fmt::format("{}: azimuths of neighbouring points differ by 1/{} of a sweep, expected at most "
                         "{} firings per sweep of an HDL-64E",
-                        location, lattice.head.n_ticks, kMostFirings));
+                        error_location, lattice.head.n_ticks, kMostFirings));
     std::size_t n_points = 0;
-    for (const RawScan& scan : raw) n_points += scan.points.size();
+    for (const ScanWithRings& scan : raw_scans) n_points += scan.points.size();
     const std::size_t n_rays =
-        raw.size() * kRings * std::size_t(lattice.every_tick ? lattice.head.n_ticks : 1);
+        raw_scans.size() * kRings * std::size_t(lattice.every_tick ? lattice.head.n_ticks : 1);
     if (n_rays > kMostRaysAPoint * n_points)
         throw DataError(fmt::format("{}: found {} points in {} sweeps of {} rays, expected complete sweeps",
-                                    location, n_points, raw.size(), n_rays / raw.size()));
+                                    error_location, n_points, raw_scans.size(), n_rays / raw_scans.size()));
 }
 
 }  // namespace
 
-void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int digits,
-                 const DatasetOptions& options, const std::filesystem::path& labels) {
-    const Progress& progress = options.progress;
-    BrokenScans broken(options.skip_broken);
+void read_hdl64_sweeps(LidarSequence& sequence, const std::filesystem::path& scan_folder,
+                       int file_name_digits, const DatasetOptions& options,
+                       const std::filesystem::path& label_folder) {
+    const ProgressReporter& progress = options.progress;
+    ScanErrorCollector broken(options.skip_broken);
     const auto file_of = [&](std::size_t at) {
-        return folder / fmt::format("{:0{}d}.bin", sequence.frames[at].index, digits);
+        return scan_folder / fmt::format("{:0{}d}.bin", sequence.frames[at].index, file_name_digits);
     };
-    std::vector<RawScan> raw(sequence.frames.size());
-    for_each_with_progress(raw.size(), progress, "reading scans", [&](std::size_t at) {
-        broken.attempt(at, [&] { raw[at] = read_raw_scan(file_of(at), labels); });
+    std::vector<ScanWithRings> raw(sequence.frames.size());
+    parallel_for_with_progress(raw.size(), progress, "reading scans", [&](std::size_t at) {
+        broken.read_or_mark_broken(at, [&] { raw[at] = read_raw_scan(file_of(at), label_folder); });
     });
-    const ScanSizes scan_sizes(raw);
+    const DamagedScanDetector scan_sizes(raw);
     for (std::size_t at = 0; at < raw.size(); ++at)
         if (const std::string why =
-                broken.has(at) ? "" : scan_sizes.explain_incomplete_scan(at, file_of(at).string());
+                broken.is_scan_broken(at) ? "" : scan_sizes.explain_incomplete_scan(at, file_of(at).string());
             !why.empty())
-            broken.add(at, why + "; the file is probably truncated or damaged");
+            broken.add_broken_scan(at, why + "; the file is probably truncated or damaged");
     if (broken.size() == raw.size()) broken.add_broken_scan_notes(sequence, raw.size());
     for (std::size_t at = 0; at < raw.size(); ++at)
         // Removes the points of a broken scan, so that the fits below ignore it.
-        if (broken.has(at)) raw[at] = {};
-    if (std::string note = normalise_intensities(raw, folder.string()); !note.empty())
+        if (broken.is_scan_broken(at)) raw[at] = {};
+    if (std::string note = normalise_intensities(raw, scan_folder.string()); !note.empty())
         sequence.notes.push_back(std::move(note));
 
-    const Cones cones = fit_cones(select_evenly_spaced_scans(raw, kFitScans), folder.string());
+    const BeamCones cones =
+        fit_cone_of_each_ring(select_evenly_spaced_scans(raw, kFitScans), scan_folder.string());
     parallel_for(static_cast<int>(raw.size()),
                  [&](int index) { correct_ring_numbers(raw[static_cast<std::size_t>(index)], cones); });
-    const FiringLattice lattice = fit_lattice(select_evenly_spaced_scans(raw, kLatticeScans));
-    check_rays(raw, lattice, folder.string());
+    const BeamFiringGrid lattice = fit_firing_lattice(select_evenly_spaced_scans(raw, kLatticeScans));
+    check_firing_and_ray_counts(raw, lattice, scan_folder.string());
 
     std::vector<std::vector<int>> firings(raw.size());
-    for_each_with_progress(raw.size(), progress, "computing the firings of each sweep", [&](std::size_t at) {
-        broken.attempt(at, [&] {
-            firings[at] = find_firings(raw[at], lattice);
-            if (firings[at].empty())
-                throw DataError(
-                    fmt::format("{}: found {} points that do not share firings, expected a sweep of an "
-                                "HDL-64E",
-                                file_of(at).string(), raw[at].points.size()));
+    parallel_for_with_progress(
+        raw.size(), progress, "computing the firings of each sweep", [&](std::size_t at) {
+            broken.read_or_mark_broken(at, [&] {
+                firings[at] = find_fired_encoder_ticks(raw[at], lattice);
+                if (firings[at].empty())
+                    throw DataError(
+                        fmt::format("{}: found {} points that do not share firings, expected a sweep of an "
+                                    "HDL-64E",
+                                    file_of(at).string(), raw[at].points.size()));
+            });
         });
-    });
     SpinningSensor& sensor = sequence.lidars[0].sensor;
-    sensor.beams = lattice.beams(cones);
+    sensor.beams = lattice.make_beams(cones);
     for (const auto& sweep : firings)
         sensor.columns = std::max(sensor.columns, static_cast<int>(sweep.size()));
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
-    for_each_with_progress(raw.size(), progress, "assigning points to the fired rays", [&](std::size_t at) {
-        if (!broken.has(at))
-            sequence.frames[at].scan =
-                make_spinning_scan(make_points(raw[at]), sensor, {lattice.head, firings[at]});
-        raw[at] = {};
-    });
-    broken.leave_out(sequence);
+    parallel_for_with_progress(
+        raw.size(), progress, "assigning points to the fired rays", [&](std::size_t at) {
+            if (!broken.is_scan_broken(at))
+                sequence.frames[at].scan = make_spinning_scan(convert_raw_scan_to_points(raw[at]), sensor,
+                                                              {lattice.head, firings[at]});
+            raw[at] = {};
+        });
+    broken.remove_broken_frames(sequence);
 }
 
 }  // namespace relidar::kitti

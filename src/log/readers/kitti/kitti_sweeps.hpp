@@ -13,11 +13,13 @@ namespace relidar::kitti {
 /// Reads the scans of all frames in a log. Assigns the points of each scan to the rays
 /// that were fired. Also sets the beams and columns of the LiDAR.
 /// @param sequence  log with frame numbers, and with the period and range of its LiDAR
-/// @param folder  folder that contains one scan file per frame
-/// @param digits  number of digits in a file name, for example 10 in 0000000042.bin
-/// @param labels  folder of the label files; empty if the points have no labels
+/// @param scan_folder  folder that contains one scan file per frame
+/// @param file_name_digits  number of digits in a file name, for example 10 in
+/// 0000000042.bin
+/// @param label_folder  folder of the label files; empty if the points have no labels
 /// @throws DataError with the file
-void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int digits,
-                 const DatasetOptions& options, const std::filesystem::path& labels = {});
+void read_hdl64_sweeps(LidarSequence& sequence, const std::filesystem::path& scan_folder,
+                       int file_name_digits, const DatasetOptions& options,
+                       const std::filesystem::path& label_folder = {});
 
 }  // namespace relidar::kitti

@@ -22,7 +22,7 @@ namespace fs = std::filesystem;
 namespace {
 
 /// Returns the days from 1970-01-01 to a date in the Gregorian calendar.
-std::int64_t count_days(int year, int month, int day) {
+std::int64_t count_days_since_1970(int year, int month, int day) {
     static constexpr std::array<int, 12> kBefore{0, 31, 59, 90, 120, 151, 181, 212, 243, 273, 304, 334};
     const bool leap = year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
     const int y = year - 1;
@@ -34,7 +34,7 @@ std::int64_t count_days(int year, int month, int day) {
 
 /// Converts "YYYY-MM-DD HH:MM:SS.nnnnnnnnn" to nanoseconds since 1970. The result fits
 /// into 64 bits up to the year 2261.
-std::int64_t parse_timestamp(const std::string& line, const std::string& location) {
+std::int64_t parse_date_time_ns(const std::string& line, const std::string& error_location) {
     int year = 0, month = 0, day = 0, hour = 0, minute = 0, used = 0;
     const int n =
         std::sscanf(line.c_str(), "%4d-%2d-%2d %2d:%2d:%n", &year, &month, &day, &hour, &minute, &used);
@@ -48,20 +48,20 @@ std::int64_t parse_timestamp(const std::string& line, const std::string& locatio
         throw DataError(
             fmt::format("{}: found '{}', expected YYYY-MM-DD HH:MM:SS.nnnnnnnnn between the "
                         "years 1970 and 2199",
-                        location, make_excerpt(line)));
-    const std::int64_t minutes = (count_days(year, month, day) * 24 + hour) * 60 + minute;
+                        error_location, shorten_for_error_message(line)));
+    const std::int64_t minutes = (count_days_since_1970(year, month, day) * 24 + hour) * 60 + minute;
     return minutes * 60'000'000'000ll + std::llround(*second * 1e9);
 }
 
 /// Reads one time from each line. Returns nothing for an empty line.
 /// @throws DataError if no line contains a time
-std::vector<std::optional<std::int64_t>> parse_timestamps(const fs::path& file) {
-    const std::vector<std::string> lines = split_lines(read_text(file));
+std::vector<std::optional<std::int64_t>> read_timestamps_ns(const fs::path& file) {
+    const std::vector<std::string> lines = split_lines(read_text_file(file));
     std::vector<std::optional<std::int64_t>> time_ns(lines.size());
     bool any = false;
     for (std::size_t l = 0; l < lines.size(); ++l) {
         if (trim_spaces(lines[l]).empty()) continue;
-        time_ns[l] = parse_timestamp(lines[l], fmt::format("{} line {}", file.string(), l + 1));
+        time_ns[l] = parse_date_time_ns(lines[l], fmt::format("{} line {}", file.string(), l + 1));
         any = true;
     }
     if (!any)
@@ -71,27 +71,28 @@ std::vector<std::optional<std::int64_t>> parse_timestamps(const fs::path& file) 
 
 }  // namespace
 
-std::vector<double> read_times(const fs::path& file, const std::vector<int>& frames) {
-    const std::vector<std::optional<std::int64_t>> time_ns = parse_timestamps(file);
+std::vector<double> read_relative_frame_times_s(const fs::path& time_file,
+                                                const std::vector<int>& frame_numbers) {
+    const std::vector<std::optional<std::int64_t>> time_ns = read_timestamps_ns(time_file);
     const std::int64_t first_ns =
         **std::find_if(time_ns.begin(), time_ns.end(), [](const auto& t) { return t.has_value(); });
     std::vector<double> time_s;
-    for (std::size_t i = 0; i < frames.size(); ++i) {
-        const std::size_t line = static_cast<std::size_t>(frames[i]);
+    for (std::size_t i = 0; i < frame_numbers.size(); ++i) {
+        const std::size_t line = static_cast<std::size_t>(frame_numbers[i]);
         if (line >= time_ns.size())
-            throw DataError(fmt::format("{}: found {} lines, but frame {} needs line {}", file.string(),
-                                        time_ns.size(), frames[i], line + 1));
+            throw DataError(fmt::format("{}: found {} lines, but frame {} needs line {}", time_file.string(),
+                                        time_ns.size(), frame_numbers[i], line + 1));
         if (!time_ns[line])
             throw DataError(
                 fmt::format("{} line {}: the line is empty, expected the time of frame {}, because its "
                             "scan exists",
-                            file.string(), line + 1, frames[i]));
+                            time_file.string(), line + 1, frame_numbers[i]));
         time_s.push_back(static_cast<double>(*time_ns[line] - first_ns) * 1e-9);
         if (i > 0 && !(time_s[i] > time_s[i - 1]))
             throw DataError(
                 fmt::format("{} line {}: the time is not later than the time of frame {}, "
                             "expected increasing times",
-                            file.string(), line + 1, frames[i - 1]));
+                            time_file.string(), line + 1, frame_numbers[i - 1]));
     }
     return time_s;
 }
@@ -99,9 +100,9 @@ std::vector<double> read_times(const fs::path& file, const std::vector<int>& fra
 namespace {
 
 /// Returns the median duration of sweeps. Throws if it is not a plausible period.
-/// @param lasts_s  durations of sweeps in seconds
-double compute_median_period(std::vector<double> lasts_s, const fs::path& file) {
-    const double period_s = compute_median(std::move(lasts_s));
+/// @param sweep_durations_s  durations of sweeps in seconds
+double compute_sweep_period_s(std::vector<double> sweep_durations_s, const fs::path& file) {
+    const double period_s = compute_median(std::move(sweep_durations_s));
     if (!(period_s > 0.01 && period_s < 1.0)) {
         throw DataError(fmt::format("{}: a sweep lasts {:.6g} s from start to end, expected 0.01 to 1 s",
                                     file.string(), period_s));
@@ -111,10 +112,10 @@ double compute_median_period(std::vector<double> lasts_s, const fs::path& file) 
 
 }  // namespace
 
-double read_period(const fs::path& drive) {
-    const fs::path file = drive / "velodyne_points/timestamps_end.txt";
-    const auto start = parse_timestamps(drive / "velodyne_points/timestamps_start.txt"),
-               end = parse_timestamps(file);
+double read_median_sweep_duration_s(const fs::path& drive_folder) {
+    const fs::path file = drive_folder / "velodyne_points/timestamps_end.txt";
+    const auto start = read_timestamps_ns(drive_folder / "velodyne_points/timestamps_start.txt"),
+               end = read_timestamps_ns(file);
     std::vector<double> lasts_s;
     for (std::size_t i = 0; i < std::min(start.size(), end.size()); ++i) {
         if (start[i] && end[i]) lasts_s.push_back(static_cast<double>(*end[i] - *start[i]) * 1e-9);
@@ -124,11 +125,11 @@ double read_period(const fs::path& drive) {
             "{}: no line has a time in this file and in timestamps_start.txt, expected one time per sweep "
             "in both",
             file.string()));
-    return compute_median_period(std::move(lasts_s), file);
+    return compute_sweep_period_s(std::move(lasts_s), file);
 }
 
-double read_step(const fs::path& file) {
-    const auto time_ns = parse_timestamps(file);
+double read_median_time_step_s(const fs::path& time_file) {
+    const auto time_ns = read_timestamps_ns(time_file);
     std::vector<double> lasts_s;
     for (std::size_t i = 1; i < time_ns.size(); ++i) {
         if (time_ns[i - 1] && time_ns[i])
@@ -136,8 +137,8 @@ double read_step(const fs::path& file) {
     }
     if (lasts_s.empty())
         throw DataError(fmt::format("{}: no two consecutive lines have times, expected one time per sweep",
-                                    file.string()));
-    return compute_median_period(std::move(lasts_s), file);
+                                    time_file.string()));
+    return compute_sweep_period_s(std::move(lasts_s), time_file);
 }
 
 }  // namespace relidar::kitti

@@ -22,42 +22,46 @@ constexpr double kLargestOfLabel = 1e6;
 
 /// Reads a number from an XML element.
 /// @throws DataError with track and field if the number is missing or out of range
-double read_number_field(const pugi::xml_node& node, const char* field, const std::string& location) {
-    const std::string text = node.child_value(field);
+double read_number_field(const pugi::xml_node& node, const char* field_name,
+                         const std::string& error_location) {
+    const std::string text = node.child_value(field_name);
     const auto value = parse_number(trim_spaces(text));
     if (!value || !(std::abs(*value) <= kLargestOfLabel)) {
-        throw DataError(fmt::format("{}: {} is '{}', expected a finite number of at most {:.0e}", location,
-                                    field, make_excerpt(text), kLargestOfLabel));
+        throw DataError(fmt::format("{}: {} is '{}', expected a finite number of at most {:.0e}",
+                                    error_location, field_name, shorten_for_error_message(text),
+                                    kLargestOfLabel));
     }
     return *value;
 }
 
 /// Returns the pose of a box in the sensor frame.
-Pose read_sensor_from_box(const pugi::xml_node& item, double height_m, const std::string& location) {
-    const auto get = [&](const char* field) { return read_number_field(item, field, location); };
+Pose read_sensor_from_box(const pugi::xml_node& pose_item, double box_height_m,
+                          const std::string& error_location) {
+    const auto get = [&](const char* field) { return read_number_field(pose_item, field, error_location); };
     const glm::dquat rotation = make_rotation(get("rz"), get("ry"), get("rx"));
     return {rotation,
-            glm::dvec3(get("tx"), get("ty"), get("tz")) + rotation * glm::dvec3(0, 0, 0.5 * height_m)};
+            glm::dvec3(get("tx"), get("ty"), get("tz")) + rotation * glm::dvec3(0, 0, 0.5 * box_height_m)};
 }
 
-BoxTrack read_track(const pugi::xml_node& item, const std::vector<int>& frames,
-                    const PoseTrack& world_from_sensor, const std::string& location) {
+BoxTrack read_box_track(const pugi::xml_node& tracklet_item, const std::vector<int>& frame_numbers,
+                        const PoseTrack& world_from_sensor, const std::string& error_location) {
     BoxTrack track;
-    track.category = item.child_value("objectType");
-    track.size_m = {read_number_field(item, "l", location), read_number_field(item, "w", location),
-                    read_number_field(item, "h", location)};
+    track.category = tracklet_item.child_value("objectType");
+    track.size_m = {read_number_field(tracklet_item, "l", error_location),
+                    read_number_field(tracklet_item, "w", error_location),
+                    read_number_field(tracklet_item, "h", error_location)};
     if (!(std::min({track.size_m.x, track.size_m.y, track.size_m.z}) > 0.0)) {
         throw DataError(fmt::format("{}: the size is l {} w {} h {} m, expected three lengths above 0",
-                                    location, track.size_m.x, track.size_m.y, track.size_m.z));
+                                    error_location, track.size_m.x, track.size_m.y, track.size_m.z));
     }
-    int frame = static_cast<int>(read_number_field(item, "first_frame", location));
-    for (const pugi::xml_node& pose : item.child("poses").children("item")) {
-        const auto found = std::lower_bound(frames.begin(), frames.end(), frame);
+    int frame = static_cast<int>(read_number_field(tracklet_item, "first_frame", error_location));
+    for (const pugi::xml_node& pose : tracklet_item.child("poses").children("item")) {
+        const auto matching_frame = std::lower_bound(frame_numbers.begin(), frame_numbers.end(), frame);
         const Pose in_sensor =
-            read_sensor_from_box(pose, track.size_m.z, fmt::format("{} frame {}", location, frame));
+            read_sensor_from_box(pose, track.size_m.z, fmt::format("{} frame {}", error_location, frame));
         ++frame;
-        if (found == frames.end() || *found != frame - 1) continue;
-        const std::size_t at = static_cast<std::size_t>(found - frames.begin());
+        if (matching_frame == frame_numbers.end() || *matching_frame != frame - 1) continue;
+        const std::size_t at = static_cast<std::size_t>(matching_frame - frame_numbers.begin());
         track.world_from_box.time_s.push_back(world_from_sensor.time_s[at]);
         track.world_from_box.pose.push_back(world_from_sensor.pose[at] * in_sensor);
     }
@@ -66,28 +70,29 @@ BoxTrack read_track(const pugi::xml_node& item, const std::vector<int>& frames,
 
 }  // namespace
 
-std::vector<BoxTrack> read_tracklets(const std::filesystem::path& file, const std::vector<int>& frames,
-                                     const PoseTrack& world_from_sensor) {
-    if (!does_path_exist(file)) return {};
-    const std::string text = read_text(file);
+std::vector<BoxTrack> read_tracklet_boxes(const std::filesystem::path& tracklet_file,
+                                          const std::vector<int>& frame_numbers,
+                                          const PoseTrack& world_from_sensor) {
+    if (!does_path_exist(tracklet_file)) return {};
+    const std::string text = read_text_file(tracklet_file);
     pugi::xml_document document;
     const pugi::xml_parse_result parsed = document.load_buffer(text.data(), text.size());
     if (!parsed)
-        throw DataError(fmt::format("{}: malformed XML at byte {}: {}", file.string(), parsed.offset,
+        throw DataError(fmt::format("{}: malformed XML at byte {}: {}", tracklet_file.string(), parsed.offset,
                                     parsed.description()));
     const pugi::xml_node tracklets = document.child("boost_serialization").child("tracklets");
     if (!tracklets) {
         throw DataError(
             fmt::format("{}: the element boost_serialization/tracklets is missing, expected "
                         "KITTI tracklets",
-                        file.string()));
+                        tracklet_file.string()));
     }
     std::vector<BoxTrack> tracks;
     int number = 0;
     for (const pugi::xml_node& item : tracklets.children("item")) {
         const std::string id = std::to_string(number++);
-        BoxTrack track =
-            read_track(item, frames, world_from_sensor, fmt::format("{}: track {}", file.string(), id));
+        BoxTrack track = read_box_track(item, frame_numbers, world_from_sensor,
+                                        fmt::format("{}: track {}", tracklet_file.string(), id));
         track.id = id;
         if (!track.world_from_box.pose.empty()) tracks.push_back(std::move(track));
     }

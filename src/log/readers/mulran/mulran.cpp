@@ -21,7 +21,7 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr std::size_t kBeams = 64, kColumns = 1024;
-constexpr double kTurn_s = 0.1;
+constexpr double kRevolution_s = 0.1;
 constexpr double kNanosecond = 1e-9;
 // Poses farther apart in time than this are not interpolated. The dataset has 100 poses
 // per second.
@@ -38,23 +38,24 @@ constexpr double kForward = 0.9;
 
 /// Published pose of the LiDAR on the vehicle: position in metres; roll, pitch and yaw in
 /// degrees.
-constexpr double kPlace_m[3] = {1.7042, -0.021, 1.8047}, kAngles_deg[3] = {0.0001, 0.0003, 179.6654};
+constexpr double kLidarPosition_m[3] = {1.7042, -0.021, 1.8047}, kAngles_deg[3] = {0.0001, 0.0003, 179.6654};
 
 /// Order of the points in a file: one column after another, or one beam after another.
-enum class MulranOrder { by_column, by_beam };
+enum class MulranPointOrder { by_column, by_beam };
 
-std::size_t get_beam_at(std::size_t index, MulranOrder order) {
-    return order == MulranOrder::by_column ? index % kBeams : index / kColumns;
+std::size_t get_beam_of_point(std::size_t point_index, MulranPointOrder point_order) {
+    return point_order == MulranPointOrder::by_column ? point_index % kBeams : point_index / kColumns;
 }
-std::size_t get_column_at(std::size_t index, MulranOrder order) {
-    return order == MulranOrder::by_column ? index / kBeams : index % kColumns;
+std::size_t get_column_of_point(std::size_t point_index, MulranPointOrder point_order) {
+    return point_order == MulranPointOrder::by_column ? point_index / kBeams : point_index % kColumns;
 }
 
 /// Returns the standard deviation of the elevations within a beam, over all beams. It is
 /// small if the assumed order of the points is right. Returns infinity without points.
-double measure_beam_spread(const folder::PointTable& table, MulranOrder order) {
-    using enum folder::PointValue;
-    const folder::FieldValues &xs = *table.find(x), &ys = *table.find(y), &zs = *table.find(z);
+double compute_beam_elevation_spread_rad(const folder::PointTable& table, MulranPointOrder point_order) {
+    using enum folder::PointAttribute;
+    const folder::PointFieldView &xs = *table.find_field(x), &ys = *table.find_field(y),
+                                 &zs = *table.find_field(z);
     struct Sums {
         double n = 0.0, e = 0.0, ee = 0.0;
     };
@@ -63,7 +64,7 @@ double measure_beam_spread(const folder::PointTable& table, MulranOrder order) {
         const glm::dvec3 p(xs[i], ys[i], zs[i]);
         if (!(std::hypot(p.x, p.y, p.z) >= kLeastRange_m)) continue;
         const double e = std::atan2(p.z, std::hypot(p.x, p.y));
-        Sums& sums = of_beam[get_beam_at(i, order)];
+        Sums& sums = of_beam[get_beam_of_point(i, point_order)];
         sums.n += 1.0, sums.e += e, sums.ee += e * e;
     }
     double n = 0.0, squares = 0.0;
@@ -72,54 +73,55 @@ double measure_beam_spread(const folder::PointTable& table, MulranOrder order) {
     return n > 0.0 ? std::sqrt(std::max(squares, 0.0) / n) : INFINITY;
 }
 
-void check_points(const folder::PointTable& table, const std::string& location) {
+void check_point_count(const folder::PointTable& table, const std::string& error_location) {
     if (table.n != kBeams * kColumns)
         throw DataError(fmt::format("{} has {} points, expected {} x {}, with zeros for rays without return",
-                                    location, table.n, kBeams, kColumns));
+                                    error_location, table.n, kBeams, kColumns));
 }
 
 /// Detects the order of the points in the files from the first readable scan.
-MulranOrder detect_point_order(const std::vector<fs::path>& files) {
+MulranPointOrder detect_point_order(const std::vector<fs::path>& files) {
     for (const fs::path& file : files) {
         folder::PointTable table;
         try {
             table = folder::read_point_file(file, {});
-            check_points(table, file.string());
+            check_point_count(table, file.string());
         } catch (const DataError&) {
             continue;  // the error is reported when the scan is read
         }
-        const double by_column = measure_beam_spread(table, MulranOrder::by_column),
-                     by_beam = measure_beam_spread(table, MulranOrder::by_beam);
+        const double by_column = compute_beam_elevation_spread_rad(table, MulranPointOrder::by_column),
+                     by_beam = compute_beam_elevation_spread_rad(table, MulranPointOrder::by_beam);
         if (!(std::min(by_column, by_beam) <= kMostSpread_rad))
             throw DataError(fmt::format(
                 "{}: the points of a beam differ in elevation by {:.1f} degrees, expected less than "
                 "{:.0f}; the points must be sorted by column or by beam",
                 file.string(), std::min(by_column, by_beam) * 180.0 / kPi, kMostSpread_rad * 180.0 / kPi));
-        return by_column <= by_beam ? MulranOrder::by_column : MulranOrder::by_beam;
+        return by_column <= by_beam ? MulranPointOrder::by_column : MulranPointOrder::by_beam;
     }
-    return MulranOrder::by_column;
+    return MulranPointOrder::by_column;
 }
 
 /// Computes beam and time of each point from its index in the file. The time stamp of the
 /// file is the middle of the revolution.
-void add_beams_and_times(folder::PointTable& table, MulranOrder order, const std::string& location) {
-    check_points(table, location);
+void add_beams_and_times(folder::PointTable& table, MulranPointOrder point_order,
+                         const std::string& error_location) {
+    check_point_count(table, error_location);
     std::vector<std::uint16_t> ring(table.n);
     std::vector<double> time(table.n);
     for (std::size_t i = 0; i < table.n; ++i) {
-        ring[i] = std::uint16_t(get_beam_at(i, order));
-        time[i] = kTurn_s * (double(get_column_at(i, order)) / double(kColumns) - 0.5);
+        ring[i] = std::uint16_t(get_beam_of_point(i, point_order));
+        time[i] = kRevolution_s * (double(get_column_of_point(i, point_order)) / double(kColumns) - 0.5);
     }
-    table.add("ring", folder::NumberType::u2, std::move(ring), location);
-    table.add("time", folder::NumberType::f8, std::move(time), location);
+    table.add_value_field("ring", folder::ScalarType::u2, std::move(ring), error_location);
+    table.add_value_field("time", folder::ScalarType::f8, std::move(time), error_location);
 }
 
-PoseTrack read_mulran_poses(const fs::path& file, const stamped::StampedLog& log,
+PoseTrack read_mulran_poses(const fs::path& pose_file, const stamped::StampedLog& log,
                             std::vector<std::string>& notes) {
     PoseTrack track;
-    for (const stamped::StampedRow& row : stamped::read_rows(file, 12)) {
+    for (const stamped::StampedPoseRow& row : stamped::read_stamped_rows(pose_file, 12)) {
         const std::vector<double>& m = row.values;
-        track.time_s.push_back(log.seconds(row.stamp));
+        track.time_s.push_back(log.convert_stamp_to_seconds(row.stamp));
         track.pose.push_back(
             make_rigid_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
                             {m[3], m[7], m[11]}, row.where));
@@ -135,10 +137,10 @@ PoseTrack read_mulran_poses(const fs::path& file, const stamped::StampedLog& log
 
 /// Returns the pose of the LiDAR on the vehicle. Rotates the published LiDAR frame by 180
 /// degrees, so that x points forward.
-Pose compute_mounting() {
+Pose compute_mulran_lidar_mounting() {
     const auto rad = [](double degrees) { return degrees * kPi / 180.0; };
     const Pose base_from_ouster{make_rotation(rad(kAngles_deg[2]), rad(kAngles_deg[1]), rad(kAngles_deg[0])),
-                                {kPlace_m[0], kPlace_m[1], kPlace_m[2]}};
+                                {kLidarPosition_m[0], kLidarPosition_m[1], kLidarPosition_m[2]}};
     return base_from_ouster * Pose{make_rotation(kPi, 0.0, 0.0), {}};
 }
 
@@ -151,14 +153,15 @@ fs::path find_scans_folder(const fs::path& folder) {
                     folder.string()));
 }
 
-stamped::PointFormat format_of_points(Sequence& sequence, const std::vector<fs::path>& files) {
-    stamped::PointFormat format;
-    const stamped::Brightness brightness = stamped::find_brightness(files, {});
+stamped::PointFileFormat make_mulran_point_format(LidarSequence& sequence,
+                                                  const std::vector<fs::path>& files) {
+    stamped::PointFileFormat format;
+    const stamped::DatasetIntensityScale brightness = stamped::estimate_max_intensity(files, {});
     format.units.intensity_max = brightness.most;
     if (!brightness.about.empty()) sequence.notes.push_back(brightness.about);
-    format.turn_s = kTurn_s;
+    format.sweep_duration_s = kRevolution_s;
     format.turned_rad = kPi;
-    const MulranOrder order = detect_point_order(files);
+    const MulranPointOrder order = detect_point_order(files);
     sequence.notes.push_back(
         "the points have no times; they are computed from the position in the file, with the "
         "middle of the sweep at the stamp");
@@ -170,10 +173,10 @@ stamped::PointFormat format_of_points(Sequence& sequence, const std::vector<fs::
 
 }  // namespace
 
-Sequence load_mulran(const fs::path& log_folder, const DatasetOptions& options) {
-    check_folder(log_folder, "a MulRan sequence (Ouster/ or sensor_data/Ouster/, global_pose.csv)");
+LidarSequence load_mulran_dataset(const fs::path& log_folder, const DatasetOptions& options) {
+    check_is_folder(log_folder, "a MulRan sequence (Ouster/ or sensor_data/Ouster/, global_pose.csv)");
     const fs::path folder = fs::canonical(log_folder);
-    Sequence sequence;
+    LidarSequence sequence;
     sequence.name = "MulRan " + folder.filename().string();
     sequence.source = log_folder.string();
     sequence.notes = {"this log has no labels"};
@@ -181,23 +184,23 @@ Sequence load_mulran(const fs::path& log_folder, const DatasetOptions& options) 
         "Frames of vehicle and LiDAR: x forward, y left, z up, in metres (in MulRan's files, the LiDAR's x "
         "axis points backward). Times are seconds after the first scan. The time of a frame is the middle "
         "of its sweep. Points are not motion-compensated. The world frame is that of global_pose.csv.";
-    stamped::StampedLog log{kNanosecond, stamped::list_scans(find_scans_folder(folder)),
+    stamped::StampedLog log{kNanosecond, stamped::list_stamped_scans(find_scans_folder(folder)),
                             {},          folder / "global_pose.csv",
-                            kMostGap_s,  0.5 * kTurn_s};
-    stamped::check_poses(log.poses_file, options);
+                            kMostGap_s,  0.5 * kRevolution_s};
+    stamped::check_pose_file_exists(log.poses_file, options);
     if (options.poses_file.empty())
         log.world_from_vehicle = read_mulran_poses(log.poses_file, log, sequence.notes);
     Lidar& lidar = sequence.lidars[0];
-    lidar.vehicle_from_sensor = compute_mounting();
+    lidar.vehicle_from_sensor = compute_mulran_lidar_mounting();
     lidar.sensor.name = "OS1-64 fitted to " + sequence.name;
     lidar.sensor.max_range_m = options.max_range_m;
-    const std::vector<fs::path> files = stamped::add_frames(sequence, log, options);
-    stamped::read_points(sequence, files, format_of_points(sequence, files), options);
+    const std::vector<fs::path> files = stamped::add_requested_frames(sequence, log, options);
+    stamped::read_scans_of_frames(sequence, files, make_mulran_point_format(sequence, files), options);
     if (options.poses_file.empty()) {
         const PoseTrack track = shift_track(log.world_from_vehicle, -sequence.world_offset_m);
-        // add_frames() skips scans without a pose, so all these times have one.
-        const auto pose_at = [&](double t_s) { return std::optional(track.at(t_s)); };
-        if (std::string note = bag::correct_ray_motion(sequence, pose_at); !note.empty())
+        // add_requested_frames() skips scans without a pose, so all these times have one.
+        const auto pose_at = [&](double t_s) { return std::optional(track.interpolate_pose(t_s)); };
+        if (std::string note = bag::correct_rays_for_vehicle_motion(sequence, pose_at); !note.empty())
             sequence.notes.push_back(std::move(note));
     }
     return sequence;

@@ -13,6 +13,6 @@ namespace relidar {
 /// frame and the world frame are those of global_pose.csv.
 /// @throws DataError with file and line
 /// @throws UsageError if no scan is in the requested range
-Sequence load_mulran(const std::filesystem::path& folder, const DatasetOptions& options);
+LidarSequence load_mulran_dataset(const std::filesystem::path& folder, const DatasetOptions& options);
 
 }  // namespace relidar

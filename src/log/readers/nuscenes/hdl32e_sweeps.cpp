@@ -29,16 +29,16 @@ constexpr std::size_t kMostColumnsOfSweep = 8192;
 
 /// Points of a file with rings and columns. Each point is in the frame of the moving
 /// LiDAR at the time of the point.
-struct ReadSweep {
-    Points points;
-    Sweep sweep;
+struct SweepWithColumns {
+    LidarPoints points;
+    SweepFirings sweep;
 };
 
 /// Removes missing returns. The dataset stores them as points at the LiDAR, which motion
 /// compensation has moved a little.
 /// @param points  points in the frame of the LiDAR at the time of each point
-/// @param numbers  [points] column of each point
-void remove_unmeasured(Points& points, std::vector<int>& numbers) {
+/// @param column_of_point  [points] column of each point
+void remove_points_without_return(LidarPoints& points, std::vector<int>& column_of_point) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < points.size(); ++i) {
         if (double(glm::length(points.position_m[i])) < kNoReturn_m) continue;
@@ -47,15 +47,15 @@ void remove_unmeasured(Points& points, std::vector<int>& numbers) {
         points.ring[n] = points.ring[i];
         points.time_offset_s[n] = points.time_offset_s[i];
         if (!points.classes.empty()) points.classes[n] = points.classes[i];
-        numbers[n++] = numbers[i];
+        column_of_point[n++] = column_of_point[i];
     }
     points.position_m.resize(n), points.intensity.resize(n), points.ring.resize(n),
-        points.time_offset_s.resize(n), numbers.resize(n);
+        points.time_offset_s.resize(n), column_of_point.resize(n);
     if (!points.classes.empty()) points.classes.resize(n);
 }
 
 /// Reads the category index of each point of a sweep.
-std::string read_categories(const fs::path& file, std::size_t n_points) {
+std::string read_point_categories(const fs::path& file, std::size_t n_points) {
     std::string categories = read_file(file);
     if (categories.size() != n_points)
         throw DataError(fmt::format("{} has {} bytes, expected one for each of the {} points of the sweep",
@@ -63,9 +63,11 @@ std::string read_categories(const fs::path& file, std::size_t n_points) {
     return categories;
 }
 
-ReadSweep read_sweep(const SweepFiles& files, const std::array<SurfaceClass, 256>& classes,
-                     const SpinningSensor& sensor, const PoseTrack& world_from_sensor, double time_s) {
-    const fs::path& file = files.points;
+SweepWithColumns read_hdl32e_sweep(const SweepFiles& sweep_files,
+                                   const std::array<SurfaceClass, 256>& class_of_category,
+                                   const SpinningSensor& sensor, const PoseTrack& world_from_sensor,
+                                   double sweep_time_s) {
+    const fs::path& file = sweep_files.points;
     const std::string bytes = read_file(file);
     if (bytes.empty() || bytes.size() % (kBeams * kPointBytes) != 0 ||
         bytes.size() / (kBeams * kPointBytes) > kMostColumnsOfSweep)
@@ -73,8 +75,9 @@ ReadSweep read_sweep(const SweepFiles& files, const std::array<SurfaceClass, 256
             fmt::format("{} has {} bytes, expected columns of {} points with {} bytes each, 1 to {} columns",
                         file.string(), bytes.size(), kBeams, kPointBytes, kMostColumnsOfSweep));
     const std::size_t n = bytes.size() / kPointBytes, columns = n / kBeams;
-    const std::string categories = files.categories.empty() ? "" : read_categories(files.categories, n);
-    ReadSweep read;
+    const std::string categories =
+        sweep_files.categories.empty() ? "" : read_point_categories(sweep_files.categories, n);
+    SweepWithColumns read;
     std::vector<int> numbers;
     for (std::size_t i = 0; i < n; ++i) {
         float v[5];  // x to the right, y forward, z up, intensity, ring
@@ -95,21 +98,21 @@ ReadSweep read_sweep(const SweepFiles& files, const std::array<SurfaceClass, 256
         read.points.ring.push_back(std::uint16_t(kBeams - 1 - std::size_t(v[4])));
         read.points.time_offset_s.push_back(float(-kPeriod_s * (1.0 - double(column) / double(columns))));
         if (!categories.empty())
-            read.points.classes.push_back(classes[static_cast<unsigned char>(categories[i])]);
+            read.points.classes.push_back(class_of_category[static_cast<unsigned char>(categories[i])]);
         numbers.push_back(int(column));
     }
-    undo_motion_compensation(read.points, world_from_sensor, time_s);
-    remove_unmeasured(read.points, numbers);
+    undo_motion_compensation(read.points, world_from_sensor, sweep_time_s);
+    remove_points_without_return(read.points, numbers);
     if (read.points.size() == 0)
         throw DataError(
             fmt::format("{} has no points beyond {} m, expected at least one", file.string(), kNoReturn_m));
-    read.sweep = arrange_firings(read.points, numbers, sensor, -2.0 * kPi / double(columns));
+    read.sweep = assign_points_to_firings(read.points, numbers, sensor, -2.0 * kPi / double(columns));
     return read;
 }
 
 }  // namespace
 
-Lidar make_hdl32e(const Pose& ego_from_lidar) {
+Lidar make_hdl32e_lidar(const Pose& ego_from_lidar) {
     SpinningSensor sensor;
     sensor.name = "HDL-32E";
     sensor.period_s = kPeriod_s;
@@ -120,19 +123,20 @@ Lidar make_hdl32e(const Pose& ego_from_lidar) {
     return {"", sensor, ego_from_lidar * theirs_from_ours};
 }
 
-void read_hdl32e_sweeps(Sequence& sequence, const std::vector<SweepFiles>& files,
-                        const std::array<SurfaceClass, 256>& classes, const PoseTrack& vehicle_track,
-                        const DatasetOptions& options) {
-    BrokenScans broken(options.skip_broken);
+void read_hdl32e_sweeps(LidarSequence& sequence, const std::vector<SweepFiles>& sweep_files,
+                        const std::array<SurfaceClass, 256>& class_of_category,
+                        const PoseTrack& vehicle_track, const DatasetOptions& options) {
+    ScanErrorCollector broken(options.skip_broken);
     std::vector<PoseTrack> ways;  // [lidars] poses of each LiDAR over time
     for (const Lidar& lidar : sequence.lidars)
-        ways.push_back(mount_on_track(vehicle_track, lidar.vehicle_from_sensor));
-    std::vector<ReadSweep> sweeps(files.size());
-    for_each_with_progress(sweeps.size(), options.progress, "reading sweeps", [&](std::size_t at) {
-        const Frame& frame = sequence.frames[at];
-        broken.attempt(at, [&] {
-            sweeps[at] = read_sweep(files[at], classes, sequence.get_lidar(frame).sensor,
-                                    ways[std::size_t(frame.lidar)], frame.time_s);
+        ways.push_back(compute_mounted_track(vehicle_track, lidar.vehicle_from_sensor));
+    std::vector<SweepWithColumns> sweeps(sweep_files.size());
+    parallel_for_with_progress(sweeps.size(), options.progress, "reading sweeps", [&](std::size_t at) {
+        const LidarFrame& frame = sequence.frames[at];
+        broken.read_or_mark_broken(at, [&] {
+            sweeps[at] =
+                read_hdl32e_sweep(sweep_files[at], class_of_category, sequence.get_lidar(frame).sensor,
+                                  ways[std::size_t(frame.lidar)], frame.time_s);
         });
     });
     for (std::size_t at = 0; at < sweeps.size(); ++at) {
@@ -140,15 +144,15 @@ void read_hdl32e_sweeps(Sequence& sequence, const std::vector<SweepFiles>& files
         sensor.columns = std::max(sensor.columns, int(sweeps[at].sweep.firings.size()));
         sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     }
-    for_each_with_progress(
+    parallel_for_with_progress(
         sweeps.size(), options.progress, "assigning points to the fired rays", [&](std::size_t at) {
-            if (broken.has(at)) return;
-            Frame& frame = sequence.frames[at];
+            if (broken.is_scan_broken(at)) return;
+            LidarFrame& frame = sequence.frames[at];
             frame.scan =
                 make_spinning_scan(sweeps[at].points, sequence.get_lidar(frame).sensor, sweeps[at].sweep);
             sweeps[at] = {};
         });
-    broken.leave_out(sequence);
+    broken.remove_broken_frames(sequence);
 }
 
 }  // namespace relidar::nuscenes

@@ -15,7 +15,7 @@ namespace relidar::nuscenes {
 /// Returns the LiDAR of nuScenes, an HDL-32E. Rotates its pose by 90 degrees, because x
 /// points to the right in nuScenes and forward in relidar's sensor frame.
 /// @param ego_from_lidar  pose of the LiDAR in the convention of nuScenes
-Lidar make_hdl32e(const Pose& ego_from_lidar);
+Lidar make_hdl32e_lidar(const Pose& ego_from_lidar);
 
 /// Files of one sweep.
 struct SweepFiles {
@@ -27,13 +27,13 @@ struct SweepFiles {
 
 /// Reads the scans of all frames in sequence.frames. Also sets the properties of the
 /// sensors that can be computed from the scans.
-/// @param files  [frames] files of each frame
-/// @param classes  class of each category index
+/// @param sweep_files  [frames] files of each frame
+/// @param class_of_category  class of each category index
 /// @param vehicle_track vehicle poses of the dataset, with which the motion compensation
 /// is undone
 /// @throws DataError with file and point
-void read_hdl32e_sweeps(Sequence& sequence, const std::vector<SweepFiles>& files,
-                        const std::array<SurfaceClass, 256>& classes, const PoseTrack& vehicle_track,
-                        const DatasetOptions& options);
+void read_hdl32e_sweeps(LidarSequence& sequence, const std::vector<SweepFiles>& sweep_files,
+                        const std::array<SurfaceClass, 256>& class_of_category,
+                        const PoseTrack& vehicle_track, const DatasetOptions& options);
 
 }  // namespace relidar::nuscenes

@@ -14,7 +14,7 @@ namespace {
 
 constexpr std::size_t kBlock = 1 << 20, kLongestRecord = 1 << 20;
 // Up to this integer, a double represents all integers exactly.
-constexpr double kLargestWhole = 9007199254740992.0;
+constexpr double kMaxExactInteger = 9007199254740992.0;
 
 /// Splits a JSON table (an array of objects) into its objects. Reads the file in blocks,
 /// because tables can be large.
@@ -26,21 +26,21 @@ public:
         if (!in_) throw DataError(name_ + ": the file cannot be read");
     }
 
-    /// Reads the next object of the table into `record`.
+    /// Reads the next object of the table into `object_text`.
     /// @return false if the table has no more objects
-    bool next(std::string& record) {
-        record.clear();
+    bool read_next_object(std::string& object_text) {
+        object_text.clear();
         int depth = 0;
         bool quoted = false, escaped = false;
-        for (char c = 0; get(c);) {
+        for (char c = 0; read_next_character(c);) {
             if (depth == 0) {
                 if (!is_object_start(c)) continue;
                 depth = 1;
-                record = c;
+                object_text = c;
                 continue;
             }
-            record += c;
-            if (record.size() > kLongestRecord)
+            object_text += c;
+            if (object_text.size() > kLongestRecord)
                 throw DataError(fmt::format("{}: an object has more than {} bytes", name_, kLongestRecord));
             if (quoted) {
                 if (!escaped && c == '"') quoted = false;
@@ -61,7 +61,7 @@ private:
     std::size_t at_ = 0;
     bool opened_ = false, closed_ = false;
 
-    bool get(char& character) {
+    bool read_next_character(char& character) {
         if (at_ == block_.size()) {
             block_.resize(kBlock);
             in_.read(block_.data(), std::streamsize(block_.size()));
@@ -81,68 +81,69 @@ private:
         else if (character == ']' && opened_ && !closed_) closed_ = true;
         else if (!blank && !(character == ',' && opened_ && !closed_))
             throw DataError(fmt::format("{}: found '{}' between objects, expected an array of objects", name_,
-                                        make_excerpt({&character, 1})));
+                                        shorten_for_error_message({&character, 1})));
         return false;
     }
 };
 
 }  // namespace
 
-void JsonRecord::fail(std::string_view key, const char* expected) const {
-    throw DataError(fmt::format("{}, key '{}': expected {}", where_, key, expected));
+void JsonRecord::throw_wrong_value(std::string_view key, const char* expected_description) const {
+    throw DataError(fmt::format("{}, key '{}': expected {}", where_, key, expected_description));
 }
 
 template <class T>
-T JsonRecord::value(std::string_view key, const char* expected) const {
-    T found;
-    if (object_[key].get(found) != simdjson::SUCCESS) fail(key, expected);
-    return found;
+T JsonRecord::get_value(std::string_view key, const char* expected_description) const {
+    T result;
+    if (object_[key].get(result) != simdjson::SUCCESS) throw_wrong_value(key, expected_description);
+    return result;
 }
 
-void JsonRecord::numbers(std::string_view key, std::size_t count, double* out) const {
-    const auto list = value<simdjson::dom::array>(key, "numbers");
-    if (list.size() != count) fail(key, count == 3 ? "3 numbers" : "4 numbers");
+void JsonRecord::copy_numbers(std::string_view key, std::size_t count, double* out) const {
+    const auto list = get_value<simdjson::dom::array>(key, "numbers");
+    if (list.size() != count) throw_wrong_value(key, count == 3 ? "3 numbers" : "4 numbers");
     for (const simdjson::dom::element element : list)
         // No check for infinity or NaN is needed, because JSON cannot store them.
-        if (element.get(*out++) != simdjson::SUCCESS) fail(key, "numbers");
+        if (element.get(*out++) != simdjson::SUCCESS) throw_wrong_value(key, "numbers");
 }
 
-std::string JsonRecord::text(std::string_view key) const {
-    return std::string(value<std::string_view>(key, "text"));
+std::string JsonRecord::get_text(std::string_view key) const {
+    return std::string(get_value<std::string_view>(key, "text"));
 }
 
-std::int64_t JsonRecord::rounded(std::string_view key) const {
-    const double number = value<double>(key, "a number");
-    if (!(std::abs(number) < kLargestWhole)) fail(key, "a number below 2^53");
+std::int64_t JsonRecord::get_rounded_integer(std::string_view key) const {
+    const double number = get_value<double>(key, "a number");
+    if (!(std::abs(number) < kMaxExactInteger)) throw_wrong_value(key, "a number below 2^53");
     return std::llround(number);
 }
 
-bool JsonRecord::boolean(std::string_view key) const { return value<bool>(key, "true or false"); }
+bool JsonRecord::get_bool(std::string_view key) const { return get_value<bool>(key, "true or false"); }
 
-glm::dvec3 JsonRecord::vector(std::string_view key) const {
+glm::dvec3 JsonRecord::get_vec3(std::string_view key) const {
     glm::dvec3 v;
-    numbers(key, 3, &v.x);
+    copy_numbers(key, 3, &v.x);
     return v;
 }
 
-glm::dquat JsonRecord::quaternion(std::string_view key) const {
+glm::dquat JsonRecord::get_unit_quaternion(std::string_view key) const {
     double q[4];
-    numbers(key, 4, q);
+    copy_numbers(key, 4, q);
     const glm::dquat rotation(q[0], q[1], q[2], q[3]);
-    if (!(std::abs(glm::length(rotation) - 1.0) < 1e-3)) fail(key, "a quaternion of length 1");
+    if (!(std::abs(glm::length(rotation) - 1.0) < 1e-3)) throw_wrong_value(key, "a quaternion of length 1");
     return glm::normalize(rotation);
 }
 
-void for_each_record(const std::filesystem::path& file, const std::function<void(const JsonRecord&)>& read) {
+void for_each_json_record(const std::filesystem::path& file,
+                          const std::function<void(const JsonRecord&)>& callback) {
     RecordSplitter splitter(file);
     simdjson::dom::parser parser;
     std::string record;
-    for (std::size_t n = 0; splitter.next(record); ++n) {
+    for (std::size_t n = 0; splitter.read_next_object(record); ++n) {
         const std::string where = fmt::format("{}, record {}", file.string(), n);
         simdjson::dom::object object;
         if (const auto failed = parser.parse(record).get(object); failed != simdjson::SUCCESS)
             throw DataError(fmt::format("{}: {}", where, simdjson::error_message(failed)));
-        read(JsonRecord(where, object));
+        callback(JsonRecord(where, object));
     }
 }
 

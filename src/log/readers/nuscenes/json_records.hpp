@@ -19,33 +19,34 @@ namespace relidar {
 /// DataError with file, record and key if a value is missing or has another type.
 class JsonRecord {
 public:
-    JsonRecord(std::string location, simdjson::dom::object object)
-        : where_(std::move(location)), object_(object) {}
+    JsonRecord(std::string error_location, simdjson::dom::object object)
+        : where_(std::move(error_location)), object_(object) {}
 
-    std::string text(std::string_view key) const;
+    std::string get_text(std::string_view key) const;
     /// Returns a number as an integer. Rounds fractions, because some tables have
     /// fractional microseconds.
-    std::int64_t rounded(std::string_view key) const;
-    bool boolean(std::string_view key) const;
-    glm::dvec3 vector(std::string_view key) const;
+    std::int64_t get_rounded_integer(std::string_view key) const;
+    bool get_bool(std::string_view key) const;
+    glm::dvec3 get_vec3(std::string_view key) const;
     /// Returns a unit quaternion, which the table stores as w, x, y, z.
-    glm::dquat quaternion(std::string_view key) const;
+    glm::dquat get_unit_quaternion(std::string_view key) const;
     /// Returns the pose in the keys `translation` and `rotation`.
-    Pose pose() const { return {quaternion("rotation"), vector("translation")}; }
+    Pose get_pose() const { return {get_unit_quaternion("rotation"), get_vec3("translation")}; }
 
 private:
     std::string where_;
     simdjson::dom::object object_;
 
-    [[noreturn]] void fail(std::string_view key, const char* expected) const;
+    [[noreturn]] void throw_wrong_value(std::string_view key, const char* expected_description) const;
     template <class T>
-    T value(std::string_view key, const char* expected) const;
-    void numbers(std::string_view key, std::size_t count, double* out) const;
+    T get_value(std::string_view key, const char* expected_description) const;
+    void copy_numbers(std::string_view key, std::size_t count, double* out) const;
 };
 
-/// Calls `read` for every object of a JSON table.
+/// Calls `callback` for every object of a JSON table.
 /// @throws DataError if the file is not a valid array of objects, or if an object has
 /// more than 1 MB
-void for_each_record(const std::filesystem::path& file, const std::function<void(const JsonRecord&)>& read);
+void for_each_json_record(const std::filesystem::path& file,
+                          const std::function<void(const JsonRecord&)>& callback);
 
 }  // namespace relidar

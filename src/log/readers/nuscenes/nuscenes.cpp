@@ -34,14 +34,14 @@ constexpr double kBeyondLabels = 0.5;
 constexpr double kMostIntensity = 255.0;
 // Assumed duration of a revolution. The dataset has only five sweeps per second, but such
 // LiDARs rotate ten times per second.
-constexpr double kTurnOfLyft_s = 0.1;
+constexpr double kLyftRevolution_s = 0.1;
 // If points have no times, and LiDAR sweeps of a frame differ in time by more than this,
 // the user gets a note.
 constexpr double kStampsApart_s = 1e-3;
 
 /// File format of a nuScenes-like dataset, recognised by the extension of its LiDAR
 /// files.
-struct Format {
+struct NuscenesVariant {
     const char* ending;
     const char* dataset;
     const char* conventions;  ///< conventions of the dataset, except units and vehicle axes
@@ -50,7 +50,7 @@ struct Format {
     bool is_compensated;
     bool has_times;  ///< true: points have times
 };
-constexpr Format kFormats[] = {
+constexpr NuscenesVariant kFormats[] = {
     {".pcd.bin", "nuScenes",
      "LiDAR frame: x forward, y left, z up (in nuScenes' files, x points right and y forward). The time of "
      "a frame is the end of its sweep. The world frame is that of the map. The motion compensation of the "
@@ -68,7 +68,7 @@ constexpr Format kFormats[] = {
 
 /// Format of T4 datasets. Points are in the vehicle frame, and several LiDARs may be
 /// merged.
-constexpr Format kT4 = {
+constexpr NuscenesVariant kT4 = {
     ".pcd.bin", "T4",
     "Points are motion-compensated and in the frame of the vehicle. The time of a frame is the stamp of "
     "its sweep. The world frame is that of the map.",
@@ -76,54 +76,58 @@ constexpr Format kT4 = {
 constexpr const char* kTablesOfT4 = "annotation";  // name of the folder that contains the tables
 
 /// Name of a scene, and the folder of its JSON tables.
-struct SceneName {
+struct SceneTablesLocation {
     std::string name;
     fs::path tables;
 };
-std::vector<SceneName> list_scenes_of(const fs::path& folder) {
-    std::vector<SceneName> scenes;
-    for (const fs::path& tables : list_folder(folder)) {
+std::vector<SceneTablesLocation> list_scenes_of_dataset(const fs::path& dataset_folder) {
+    std::vector<SceneTablesLocation> scenes;
+    for (const fs::path& tables : list_folder_entries(dataset_folder)) {
         if (!does_path_exist(tables / "scene.json")) continue;
-        for (const std::string& name : list_scenes(tables)) scenes.push_back({name, tables});
+        for (const std::string& name : list_scene_names(tables)) scenes.push_back({name, tables});
     }
     if (scenes.empty())
-        throw DataError(
-            fmt::format("{} contains no scene, expected at least one in */scene.json", folder.string()));
+        throw DataError(fmt::format("{} contains no scene, expected at least one in */scene.json",
+                                    dataset_folder.string()));
     return scenes;
 }
 
 /// Returns the scene that the user requested by its name, by its nuScenes number, or by a
 /// unique beginning of its name.
-SceneName choose_scene(const std::vector<SceneName>& scenes, const std::string& scene_name) {
-    if (scene_name.empty()) return scenes[0];
-    const std::optional<int> number = parse_file_number(scene_name);
-    const std::string named = number ? fmt::format("scene-{:04}", *number) : scene_name;
+SceneTablesLocation choose_scene(const std::vector<SceneTablesLocation>& scenes,
+                                 const std::string& requested_name) {
+    if (requested_name.empty()) return scenes[0];
+    const std::optional<int> number = parse_file_stem_as_number(requested_name);
+    const std::string named = number ? fmt::format("scene-{:04}", *number) : requested_name;
     std::string names;
-    std::vector<const SceneName*> begin_so;
-    for (const SceneName& scene : scenes) {
+    std::vector<const SceneTablesLocation*> begin_so;
+    for (const SceneTablesLocation& scene : scenes) {
         if (scene.name == named) return scene;
-        if (scene.name.starts_with(scene_name) || scene.name.starts_with("scene-" + scene_name))
+        if (scene.name.starts_with(requested_name) || scene.name.starts_with("scene-" + requested_name))
             begin_so.push_back(&scene);
-        if (names.size() < 400) names += (names.empty() ? "" : ", ") + make_excerpt(scene.name);
+        if (names.size() < 400) names += (names.empty() ? "" : ", ") + shorten_for_error_message(scene.name);
     }
     if (begin_so.size() == 1) return *begin_so[0];
     throw UsageError(fmt::format(
-        "dataset.sequence '{}': {}, expected one of {} scenes: {}", make_excerpt(scene_name),
+        "dataset.sequence '{}': {}, expected one of {} scenes: {}", shorten_for_error_message(requested_name),
         begin_so.empty() ? "no such scene" : fmt::format("{} scenes begin with this name", begin_so.size()),
         scenes.size(), names));
 }
 
 /// Returns the boxes at the times of the frames, interpolated between labelled keyframes.
-std::vector<BoxTrack> select_boxes_at(const std::vector<BoxLabel>& labels, const std::vector<double>& times_s,
-                                      double beyond_s) {
+std::vector<BoxTrack> interpolate_boxes_at_frames(const std::vector<BoxLabel>& labels,
+                                                  const std::vector<double>& frame_times_s,
+                                                  double max_extrapolation_s) {
     std::vector<BoxTrack> boxes;
     for (const BoxTrack& labelled : build_tracks(labels)) {
         BoxTrack box{labelled.id, labelled.category, labelled.size_m, {}};
         const PoseTrack& track = labelled.world_from_box;
-        for (const double time_s : times_s) {
-            if (time_s < track.time_s.front() - beyond_s || time_s > track.time_s.back() + beyond_s) continue;
+        for (const double time_s : frame_times_s) {
+            if (time_s < track.time_s.front() - max_extrapolation_s ||
+                time_s > track.time_s.back() + max_extrapolation_s)
+                continue;
             box.world_from_box.time_s.push_back(time_s);
-            box.world_from_box.pose.push_back(track.at(time_s));
+            box.world_from_box.pose.push_back(track.interpolate_pose(time_s));
         }
         if (!box.world_from_box.pose.empty()) boxes.push_back(std::move(box));
     }
@@ -131,78 +135,79 @@ std::vector<BoxTrack> select_boxes_at(const std::vector<BoxLabel>& labels, const
 }
 
 /// A sweep of one LiDAR, with the number of its frame.
-struct NumberedSweep {
+struct FrameSweepRecord {
     int number = 0;         ///< number of the frame: index of the first LiDAR's sweep at the same time
     std::size_t lidar = 0;  ///< index in SceneTables::lidars
     const SweepRecord* record = nullptr;
 };
 
-class NuscenesLog {
+class NuscenesLogLoader {
 public:
-    NuscenesLog(const fs::path& folder, const DatasetOptions& options)
+    NuscenesLogLoader(const fs::path& folder, const DatasetOptions& options)
         : folder_(folder),
           options_(options),
-          chosen_(choose_scene(list_scenes_of(folder), options.sequence)),
-          scene_(read_scene(chosen_.tables, chosen_.name)),
+          chosen_(choose_scene(list_scenes_of_dataset(folder), options.sequence)),
+          scene_(read_scene_tables(chosen_.tables, chosen_.name)),
           format_(chosen_.tables.filename() == kTablesOfT4
                       ? kT4
-                      : get_sensor_format(scene_.lidars[0].sweeps[0].file)),
-          split_(find_nuscenes_split(chosen_.tables)) {
+                      : get_format_of_lidar_file(scene_.lidars[0].sweeps[0].file)),
+          split_(get_lyft_split_prefix(chosen_.tables)) {
         for (const SweepRecord& sweep : scene_.lidars[0].sweeps)
-            main_s_.push_back(scene_.seconds(sweep.time_us));
-        step_s_ = compute_median_step_s(main_s_);
+            main_s_.push_back(scene_.to_seconds_since_first_sweep(sweep.time_us));
+        step_s_ = compute_median_interval_s(main_s_);
     }
 
-    Sequence load() {
+    LidarSequence load_requested_scene() {
         sequence_.name = fmt::format("{} {}", format_.dataset, scene_.name);
         sequence_.source = folder_.string();
         sequence_.conventions = fmt::format(
             "Vehicle frame: x forward, y left, z up, in metres. Times are seconds after the first sweep of "
             "the scene. Boxes are interpolated between keyframes. {}",
             format_.conventions);
-        choose_lidars();
-        find_frames();
-        const PoseTrack vehicle_track = add_frames();
-        if (scene_.labels.empty()) note("this scene has no annotations, so it has no labels");
-        sequence_.boxes = select_boxes_at(scene_.labels, vehicle_track.time_s, kBeyondLabels * step_s_);
-        kitti::use_pose_file(sequence_, options_.poses_file);
+        select_requested_lidars();
+        select_frames_in_range();
+        const PoseTrack vehicle_track = add_frames_and_return_poses();
+        if (scene_.labels.empty()) add_note("this scene has no annotations, so it has no labels");
+        sequence_.boxes =
+            interpolate_boxes_at_frames(scene_.labels, vehicle_track.time_s, kBeyondLabels * step_s_);
+        kitti::replace_vehicle_poses_from_file(sequence_, options_.poses_file);
         recentre_sequence(sequence_);
         if (format_.is_compensated)
-            read_hdl32e_sweeps(sequence_, list_files(), scene_.classes, vehicle_track, options_);
-        else read_clouds();
+            read_hdl32e_sweeps(sequence_, list_files_of_frames(), scene_.classes, vehicle_track, options_);
+        else read_scans_of_point_files();
         return std::move(sequence_);
     }
 
 private:
     const fs::path& folder_;
     const DatasetOptions& options_;
-    const SceneName chosen_;
+    const SceneTablesLocation chosen_;
     const SceneTables scene_;
-    const Format& format_;
+    const NuscenesVariant& format_;
     /// Prefix of folder names in Lyft's dataset, for example "train_" in train_data
     /// (tables) and train_lidar (points).
     const std::string split_;
     std::vector<double> main_s_;       ///< times in seconds of the sweeps of the first LiDAR
     double step_s_ = 0.0;              ///< time between these sweeps
     std::vector<std::size_t> lidars_;  ///< [sequence_.lidars] index in scene_.lidars
-    std::vector<NumberedSweep> frames_;
-    Sequence sequence_;
+    std::vector<FrameSweepRecord> frames_;
+    LidarSequence sequence_;
 
-    static const Format& get_sensor_format(const std::string& file) {
+    static const NuscenesVariant& get_format_of_lidar_file(const std::string& lidar_file) {
         std::vector<std::string> endings;
-        for (const Format& format : kFormats) {
-            if (file.ends_with(format.ending)) return format;
+        for (const NuscenesVariant& format : kFormats) {
+            if (lidar_file.ends_with(format.ending)) return format;
             endings.emplace_back(format.ending);
         }
         throw DataError(fmt::format(
             "sample_data.json, key 'filename': found the LiDAR file '{}', expected a name that ends "
             "in {}",
-            make_excerpt(file), fmt::join(endings, ", ")));
+            shorten_for_error_message(lidar_file), fmt::join(endings, ", ")));
     }
 
-    void note(std::string text) { sequence_.notes.push_back(std::move(text)); }
-    static std::string find_nuscenes_split(const fs::path& tables) {
-        const std::string name = tables.filename().string();
+    void add_note(std::string text) { sequence_.notes.push_back(std::move(text)); }
+    static std::string get_lyft_split_prefix(const fs::path& table_folder) {
+        const std::string name = table_folder.filename().string();
         return name.ends_with("_data") ? name.substr(0, name.size() - 4) : "";
     }
     fs::path get_file_of_sweep(const SweepRecord& sweep) const {
@@ -212,13 +217,14 @@ private:
 
     /// Selects the LiDARs that the user requested, or all LiDARs if the user requested
     /// none.
-    void choose_lidars() {
+    void select_requested_lidars() {
         std::vector<std::string> channels, left_out;
         for (const SceneLidar& lidar : scene_.lidars) channels.push_back(lidar.channel);
         for (const std::string& name : options_.lidars)
             if (std::ranges::find(channels, name) == channels.end())
                 throw UsageError(fmt::format("dataset.lidars: {1} has no LiDAR '{0}', expected some of {2}",
-                                             make_excerpt(name), scene_.name, fmt::join(channels, ", ")));
+                                             shorten_for_error_message(name), scene_.name,
+                                             fmt::join(channels, ", ")));
         sequence_.lidars.clear();
         for (std::size_t l = 0; l < channels.size(); ++l) {
             if (!options_.lidars.empty() &&
@@ -230,7 +236,7 @@ private:
             Lidar lidar;
             lidar.vehicle_from_sensor = mounted;
             lidar.sensor.name = channels[l];
-            if (format_.is_compensated) lidar = make_hdl32e(mounted);
+            if (format_.is_compensated) lidar = make_hdl32e_lidar(mounted);
             if (channels.size() > 1 || !options_.lidars.empty()) lidar.name = channels[l];
             lidar.sensor.max_range_m = options_.max_range_m;
             sequence_.lidars.push_back(std::move(lidar));
@@ -241,18 +247,20 @@ private:
                 "{} has {} LiDARs with {} files, but only one LiDAR of this format can be read; select "
                 "it with dataset.lidars",
                 scene_.name, lidars_.size(), format_.ending));
-        if (!left_out.empty()) note(fmt::format("LiDARs that are not read: {}", fmt::join(left_out, ", ")));
+        if (!left_out.empty())
+            add_note(fmt::format("LiDARs that are not read: {}", fmt::join(left_out, ", ")));
     }
 
     /// Assigns a frame number to each sweep of the selected LiDARs. Returns the sweeps,
     /// sorted by frame number.
-    std::vector<NumberedSweep> number_sweeps() {
-        std::vector<NumberedSweep> sweeps;
+    std::vector<FrameSweepRecord> assign_frame_numbers_to_sweeps() {
+        std::vector<FrameSweepRecord> sweeps;
         for (const std::size_t l : lidars_) {
             const std::vector<SweepRecord>& records = scene_.lidars[l].sweeps;
             std::vector<double> times_s;
-            for (const SweepRecord& record : records) times_s.push_back(scene_.seconds(record.time_us));
-            const auto matches = match_sweeps(main_s_, times_s, kBeside * step_s_);
+            for (const SweepRecord& record : records)
+                times_s.push_back(scene_.to_seconds_since_first_sweep(record.time_us));
+            const auto matches = match_sweeps_by_time(main_s_, times_s, kBeside * step_s_);
             std::size_t n_left = records.size();
             double apart_s = 0.0;
             for (std::size_t k = 0; k < matches.size(); ++k) {
@@ -262,30 +270,30 @@ private:
                 --n_left;
             }
             if (!format_.has_times && apart_s > kStampsApart_s)
-                note(fmt::format(
+                add_note(fmt::format(
                     "{0}: its points have no times, so its sweeps use the times of the sweeps of {2}, which "
                     "differ by up to {1:.3f} s",
                     scene_.lidars[l].channel, apart_s, scene_.lidars[0].channel));
             if (n_left > 0)
-                note(fmt::format("{}: {} sweeps are skipped, because {} has no sweeps at similar times",
-                                 scene_.lidars[l].channel, n_left, scene_.lidars[0].channel));
+                add_note(fmt::format("{}: {} sweeps are skipped, because {} has no sweeps at similar times",
+                                     scene_.lidars[l].channel, n_left, scene_.lidars[0].channel));
         }
-        std::ranges::stable_sort(sweeps, {}, &NumberedSweep::number);
+        std::ranges::stable_sort(sweeps, {}, &FrameSweepRecord::number);
         return sweeps;
     }
 
     /// Selects the frames in the requested range. Selects only keyframes if no other
     /// sweep has a file, because the user has unpacked samples/ but not sweeps/.
-    void find_frames() {
-        const std::vector<NumberedSweep> sweeps = number_sweeps();
-        const auto is_between = [](const NumberedSweep& sweep) { return !sweep.record->is_keyframe; };
-        const auto is_no_file_between = [&](const NumberedSweep& sweep) {
+    void select_frames_in_range() {
+        const std::vector<FrameSweepRecord> sweeps = assign_frame_numbers_to_sweeps();
+        const auto is_between = [](const FrameSweepRecord& sweep) { return !sweep.record->is_keyframe; };
+        const auto is_no_file_between = [&](const FrameSweepRecord& sweep) {
             return !is_between(sweep) || !does_path_exist(get_file_of_sweep(*sweep.record));
         };
         const bool keyframes_alone =
             std::ranges::any_of(sweeps, is_between) && std::ranges::all_of(sweeps, is_no_file_between);
         const FrameRange& range = options_.frames;
-        for (const NumberedSweep& sweep : sweeps)
+        for (const FrameSweepRecord& sweep : sweeps)
             if (sweep.number >= range.begin && (range.end < 0 || sweep.number < range.end) &&
                 !(keyframes_alone && is_between(sweep)))
                 frames_.push_back(sweep);
@@ -294,14 +302,14 @@ private:
                                          range.begin, range.end, keyframes_alone ? "keyframe" : "sweep",
                                          scene_.name, main_s_.size() - 1));
         if (keyframes_alone)
-            note("the files between keyframes are missing, so only the keyframes of the scene are read");
+            add_note("the files between keyframes are missing, so only the keyframes of the scene are read");
     }
 
     /// Adds the selected frames to the log. Sweeps of all LiDARs in a frame get the time
     /// of the first LiDAR.
     /// @return vehicle poses of the dataset at the frames
-    PoseTrack add_frames() {
-        for (const NumberedSweep& frame : frames_) {
+    PoseTrack add_frames_and_return_poses() {
+        for (const FrameSweepRecord& frame : frames_) {
             const std::size_t k = std::size_t(frame.number);
             const auto lidar = std::ranges::find(lidars_, frame.lidar) - lidars_.begin();
             add_frame(sequence_, frame.number, main_s_[k], scene_.world_from_ego[k], int(lidar));
@@ -310,26 +318,27 @@ private:
     }
 
     /// Returns the files of each frame. Adds a note if files with categories are missing.
-    std::vector<SweepFiles> list_files() {
+    std::vector<SweepFiles> list_files_of_frames() {
         std::vector<SweepFiles> files;
         std::size_t n_missing = 0;
-        for (const NumberedSweep& frame : frames_) {
+        for (const FrameSweepRecord& frame : frames_) {
             const std::string& categories = frame.record->categories_file;
             const bool has_categories = !categories.empty() && does_path_exist(folder_ / categories);
             n_missing += !categories.empty() && !has_categories;
             files.push_back({get_file_of_sweep(*frame.record), has_categories ? folder_ / categories : ""});
         }
         if (n_missing > 0)
-            note(fmt::format("labels of points: {} of the files in lidarseg.json are missing", n_missing));
+            add_note(
+                fmt::format("labels of points: {} of the files in lidarseg.json are missing", n_missing));
         return files;
     }
 
     /// Reads the point files of datasets whose points have no rings and are not
     /// motion-compensated.
-    void read_clouds() {
+    void read_scans_of_point_files() {
         std::vector<fs::path> files;
-        for (const NumberedSweep& frame : frames_) files.push_back(get_file_of_sweep(*frame.record));
-        folder::Head head;
+        for (const FrameSweepRecord& frame : frames_) files.push_back(get_file_of_sweep(*frame.record));
+        folder::SequenceHeader head;
         head.name = sequence_.name;
         // The last column has no information: it is always 1 in Lyft's files and -1 in
         // T4's files.
@@ -339,10 +348,10 @@ private:
         head.units.absolute_times = true;
         head.units.time_zero = double(scene_.lidars[0].sweeps[0].time_us);
         for (const Lidar& lidar : sequence_.lidars) {
-            folder::HeadLidar& of_head = head.lidars.emplace_back();
+            folder::SequenceHeaderLidar& of_head = head.lidars.emplace_back();
             of_head.lidar = lidar;
             of_head.is_guessed = true;
-            of_head.turn_s = format_.has_times ? step_s_ : kTurnOfLyft_s;
+            of_head.sweep_duration_s = format_.has_times ? step_s_ : kLyftRevolution_s;
         }
         folder::read_scans(sequence_, head, files, options_);
     }
@@ -350,10 +359,10 @@ private:
 
 }  // namespace
 
-Sequence load_nuscenes(const fs::path& folder, const DatasetOptions& options) {
-    check_folder(folder,
-                 "nuScenes, TruckScenes, Lyft Level 5 or T4 (tables in v1.*/, *data/ or annotation/)");
-    return NuscenesLog(folder, options).load();
+LidarSequence load_nuscenes(const fs::path& folder, const DatasetOptions& options) {
+    check_is_folder(folder,
+                    "nuScenes, TruckScenes, Lyft Level 5 or T4 (tables in v1.*/, *data/ or annotation/)");
+    return NuscenesLogLoader(folder, options).load_requested_scene();
 }
 
 }  // namespace relidar

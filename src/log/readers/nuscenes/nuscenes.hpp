@@ -17,6 +17,6 @@ namespace relidar {
 /// @throws DataError with file, record and key
 /// @throws UsageError if the scene or LiDAR is unknown, or if no sweep is in the
 /// requested frame range
-Sequence load_nuscenes(const std::filesystem::path& folder, const DatasetOptions& options);
+LidarSequence load_nuscenes(const std::filesystem::path& folder, const DatasetOptions& options);
 
 }  // namespace relidar

@@ -50,17 +50,17 @@ struct SceneTables {
     std::array<SurfaceClass, 256> classes{};
 
     /// Converts a time stamp to seconds after the first sweep of the first LiDAR.
-    double seconds(std::int64_t time_us) const {
+    double to_seconds_since_first_sweep(std::int64_t time_us) const {
         return double(time_us - lidars[0].sweeps[0].time_us) * 1e-6;
     }
 };
 
 /// Returns the names of the scenes in the order of the table.
-std::vector<std::string> list_scenes(const std::filesystem::path& tables);
+std::vector<std::string> list_scene_names(const std::filesystem::path& table_folder);
 
 /// Reads the data of a scene, record by record, because tables can have a gigabyte.
-/// @param tables  folder that contains the tables
+/// @param table_folder  folder that contains the tables
 /// @throws DataError with file, record and key
-SceneTables read_scene(const std::filesystem::path& tables, const std::string& name);
+SceneTables read_scene_tables(const std::filesystem::path& table_folder, const std::string& scene_name);
 
 }  // namespace relidar::nuscenes

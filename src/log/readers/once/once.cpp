@@ -26,7 +26,7 @@ constexpr const char* kSensor = "Pandar40P";
 constexpr double kMillisecond = 1e-3;
 // Duration of a revolution. The LiDAR rotates ten times per second; the dataset contains
 // only every fifth revolution.
-constexpr double kTurn_s = 0.1;
+constexpr double kRevolution_s = 0.1;
 // rotation about z from ONCE's axes (x left, y back) to relidar's axes (x forward, y
 // left)
 constexpr double kTurned_rad = kPi / 2.0;
@@ -41,96 +41,101 @@ struct OncePose {
 
 /// Content of the JSON file of a sequence.
 struct OnceFile {
-    std::vector<stamped::StampedScan> scans;
+    std::vector<stamped::StampedScanFile> scans;
     std::vector<OncePose> poses;
     std::size_t n_missing = 0;  ///< frames without a file
     std::size_t n_boxes = 0, n_labelled = 0;
 };
 
-OncePose read_once_pose(const JsonField& field, std::int64_t stamp) {
-    const OncePose pose{stamp, field.numbers<7>()};
+OncePose read_pose_of_once_dataset(const JsonField& pose_field, std::int64_t stamp_ms) {
+    const OncePose pose{stamp_ms, pose_field.get_numbers<7>()};
     const auto& n = pose.numbers;
     const double length = std::sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2] + n[3] * n[3]);
     if (!(std::abs(length - 1.0) <= kUnitLength))
-        field.fail(fmt::format("found a quaternion of length {:.4g}", length), "expected 1");
+        pose_field.throw_field_error(fmt::format("found a quaternion of length {:.4g}", length),
+                                     "expected 1");
     for (std::size_t i = 4; i < 7; ++i)
         if (!(std::abs(n[i]) <= kLargestCoordinate_m))
-            field.fail(fmt::format("{}", n[i]),
-                       fmt::format("expected coordinates in metres of at most {:g}", kLargestCoordinate_m));
+            pose_field.throw_field_error(
+                fmt::format("{}", n[i]),
+                fmt::format("expected coordinates in metres of at most {:g}", kLargestCoordinate_m));
     return pose;
 }
 
-void count_boxes(const JsonField& frame, OnceFile& content) {
-    if (!frame.has("annos") || !frame.at("annos").has("boxes_3d")) return;
-    content.n_boxes += frame.at("annos").at("boxes_3d").size();
-    ++content.n_labelled;
+void add_box_count_of_frame(const JsonField& frame_json, OnceFile& dataset_content) {
+    if (!frame_json.has_member("annos") || !frame_json.at("annos").has_member("boxes_3d")) return;
+    dataset_content.n_boxes += frame_json.at("annos").at("boxes_3d").size();
+    ++dataset_content.n_labelled;
 }
 
-OnceFile read_once_dataset_file(const fs::path& file, const fs::path& lidar, bool needs_poses) {
-    const std::string where = file.string();
-    const nlohmann::json json = parse_json(read_text(file), where);
+OnceFile read_json_of_once_dataset(const fs::path& json_file, const fs::path& scan_folder, bool needs_poses) {
+    const std::string where = json_file.string();
+    const nlohmann::json json = parse_json(read_text_file(json_file), where);
     const JsonField frames = JsonField(json, where, "").at("frames");
     OnceFile content;
     for (std::size_t i = 0; i < frames.size(); ++i) {
         const JsonField frame = frames.at(i), id = frame.at("frame_id");
-        const std::string name = id.text(20);
-        const auto stamp = stamped::parse_timestamp_ns(name);
-        if (!stamp) id.fail(fmt::format("'{}'", make_excerpt(name)), "expected a time in milliseconds");
+        const std::string name = id.get_string(20);
+        const auto stamp = stamped::parse_integer_timestamp(name);
+        if (!stamp)
+            id.throw_field_error(fmt::format("'{}'", shorten_for_error_message(name)),
+                                 "expected a time in milliseconds");
         if (!content.scans.empty() && *stamp <= content.scans.back().stamp)
-            id.fail(fmt::format("found {} after {}", *stamp, content.scans.back().stamp),
-                    "expected increasing times");
-        content.scans.push_back({int(i), *stamp, lidar / (name + ".bin")});
-        if (needs_poses || frame.has("pose"))
-            content.poses.push_back(read_once_pose(frame.at("pose"), *stamp));
-        count_boxes(frame, content);
+            id.throw_field_error(fmt::format("found {} after {}", *stamp, content.scans.back().stamp),
+                                 "expected increasing times");
+        content.scans.push_back({int(i), *stamp, scan_folder / (name + ".bin")});
+        if (needs_poses || frame.has_member("pose"))
+            content.poses.push_back(read_pose_of_once_dataset(frame.at("pose"), *stamp));
+        add_box_count_of_frame(frame, content);
     }
     content.n_missing = std::erase_if(
-        content.scans, [](const stamped::StampedScan& scan) { return !does_path_exist(scan.file); });
+        content.scans, [](const stamped::StampedScanFile& scan) { return !does_path_exist(scan.file); });
     if (content.scans.empty())
         throw DataError(fmt::format(
             "{} lists {} frames, but none of their scans is in {}, expected files MILLISECONDS.bin", where,
-            frames.size(), lidar.string()));
+            frames.size(), scan_folder.string()));
     return content;
 }
 
 /// Returns the LiDAR poses over time in ONCE's axes (x left, y back).
-PoseTrack make_once_track(const std::vector<OncePose>& poses, const stamped::StampedLog& log,
-                          bool is_w_first) {
+PoseTrack make_pose_track_of_once_dataset(const std::vector<OncePose>& poses, const stamped::StampedLog& log,
+                                          bool is_quaternion_w_first) {
     PoseTrack track;
     for (const OncePose& pose : poses) {
         const auto& n = pose.numbers;
         const glm::dquat q =
-            is_w_first ? glm::dquat(n[0], n[1], n[2], n[3]) : glm::dquat(n[3], n[0], n[1], n[2]);
-        track.time_s.push_back(log.seconds(pose.stamp));
+            is_quaternion_w_first ? glm::dquat(n[0], n[1], n[2], n[3]) : glm::dquat(n[3], n[0], n[1], n[2]);
+        track.time_s.push_back(log.convert_stamp_to_seconds(pose.stamp));
         track.pose.push_back({glm::normalize(q), {n[4], n[5], n[6]}});
     }
     return track;
 }
 
 /// Returns the LiDAR poses over time in relidar's axes (x forward, y left).
-PoseTrack make_turned_track(const OnceFile& content, const stamped::StampedLog& log,
-                            std::vector<std::string>& notes) {
-    const PoseTrack w_last = make_once_track(content.poses, log, false),
-                    w_first = make_once_track(content.poses, log, true);
+PoseTrack make_forward_x_pose_track(const OnceFile& dataset_content, const stamped::StampedLog& log,
+                                    std::vector<std::string>& notes) {
+    const PoseTrack w_last = make_pose_track_of_once_dataset(dataset_content.poses, log, false),
+                    w_first = make_pose_track_of_once_dataset(dataset_content.poses, log, true);
     const double last = -stamped::estimate_driving_direction(w_last).mean.y,
                  first = -stamped::estimate_driving_direction(w_first).mean.y;
     const bool is_w_first = first > last;
     const double best = std::max(first, last);
-    if (best != 0.0) stamped::warn_unless_facing_forward(notes, best);
+    if (best != 0.0) stamped::add_note_unless_driving_forward(notes, best);
     if (is_w_first)
         notes.push_back(
             "the quaternions of poses are read with w first, unlike in the code of ONCE, because "
             "only then the vehicle drives forward");
-    return mount_on_track(is_w_first ? w_first : w_last, {make_rotation(-kTurned_rad, 0.0, 0.0), {}});
+    return compute_mounted_track(is_w_first ? w_first : w_last, {make_rotation(-kTurned_rad, 0.0, 0.0), {}});
 }
 
 }  // namespace
 
-Sequence load_once(const fs::path& log_folder, const DatasetOptions& options) {
-    check_folder(log_folder, "a ONCE sequence (lidar_roof/ and its JSON file)");
+LidarSequence load_once_dataset(const fs::path& log_folder, const DatasetOptions& options) {
+    check_is_folder(log_folder, "a ONCE sequence (lidar_roof/ and its JSON file)");
     const fs::path folder = fs::canonical(log_folder), json = folder / (folder.filename().string() + ".json");
-    const OnceFile content = read_once_dataset_file(json, folder / "lidar_roof", options.poses_file.empty());
-    Sequence sequence;
+    const OnceFile content =
+        read_json_of_once_dataset(json, folder / "lidar_roof", options.poses_file.empty());
+    LidarSequence sequence;
     sequence.name = "ONCE " + folder.filename().string();
     sequence.source = log_folder.string();
     sequence.conventions =
@@ -148,18 +153,19 @@ Sequence load_once(const fs::path& log_folder, const DatasetOptions& options) {
     if (content.n_missing > 0)
         sequence.notes.push_back(fmt::format("{} frames have no scan and are skipped", content.n_missing));
     stamped::StampedLog log{kMillisecond, content.scans, {}, json, 0.0};
-    if (options.poses_file.empty()) log.world_from_vehicle = make_turned_track(content, log, sequence.notes);
+    if (options.poses_file.empty())
+        log.world_from_vehicle = make_forward_x_pose_track(content, log, sequence.notes);
     sequence.lidars[0].sensor.name = fmt::format("{} fitted to {}", kSensor, sequence.name);
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
-    const std::vector<fs::path> files = stamped::add_frames(sequence, log, options);
-    stamped::PointFormat format;
-    const stamped::Brightness brightness = stamped::find_brightness(files, {});
+    const std::vector<fs::path> files = stamped::add_requested_frames(sequence, log, options);
+    stamped::PointFileFormat format;
+    const stamped::DatasetIntensityScale brightness = stamped::estimate_max_intensity(files, {});
     format.units.intensity_max = brightness.most;
     if (!brightness.about.empty()) sequence.notes.push_back(brightness.about);
-    format.turn_s = kTurn_s;
+    format.sweep_duration_s = kRevolution_s;
     format.turned_rad = kTurned_rad;
     format.beams = std::get<SpinningSensor>(find_built_in_sensor(kSensor)->pattern).beams;
-    stamped::read_points(sequence, files, format, options);
+    stamped::read_scans_of_frames(sequence, files, format, options);
     return sequence;
 }
 

@@ -15,6 +15,6 @@ namespace relidar {
 /// they have no track ids.
 /// @throws DataError with file and field
 /// @throws UsageError if no scan is in the requested range
-Sequence load_once(const std::filesystem::path& folder, const DatasetOptions& options);
+LidarSequence load_once_dataset(const std::filesystem::path& folder, const DatasetOptions& options);
 
 }  // namespace relidar

@@ -14,19 +14,20 @@ namespace {
 constexpr double kGolden_rad = 2.399963229728653;
 constexpr float kSeparation_m = 0.5f, kSecondShare = 0.1f, kDarkest = 1e-3f;
 
-struct Return {
+struct SubRayHit {
     float range_m = 0.0f, light = 0.0f;
 };
 
 /// Combines the hits of thin rays in the cone of a beam to returns, sorted by range.
-/// @param n_back  output: number of thin rays that hit a surface
-std::vector<Return> group_returns(const Scan& cone, std::size_t ray, int& n_back) {
+/// @param n_hits  output: number of thin rays that hit a surface
+std::vector<SubRayHit> group_cone_hits_to_returns(const Scan& cone_scan, std::size_t ray_index, int& n_hits) {
     std::vector<std::pair<float, float>> hits;
-    for (std::size_t i = ray * kConeRays; i < (ray + 1) * kConeRays; ++i)
-        if (cone.range_m[i] > 0.0f) hits.emplace_back(cone.range_m[i], std::max(cone.intensity[i], kDarkest));
-    n_back = static_cast<int>(hits.size());
+    for (std::size_t i = ray_index * kConeRays; i < (ray_index + 1) * kConeRays; ++i)
+        if (cone_scan.range_m[i] > 0.0f)
+            hits.emplace_back(cone_scan.range_m[i], std::max(cone_scan.intensity[i], kDarkest));
+    n_hits = static_cast<int>(hits.size());
     std::sort(hits.begin(), hits.end());
-    std::vector<Return> returns;
+    std::vector<SubRayHit> returns;
     float last_m = -1e9f;
     for (const auto& [range_m, light] : hits) {
         if (range_m - last_m >= kSeparation_m) returns.emplace_back();
@@ -34,24 +35,25 @@ std::vector<Return> group_returns(const Scan& cone, std::size_t ray, int& n_back
         returns.back().light += light;
         last_m = range_m;
     }
-    for (Return& r : returns) r.range_m /= r.light;
+    for (SubRayHit& r : returns) r.range_m /= r.light;
     return returns;
 }
 
-Return find_second_return(const std::vector<Return>& returns, std::vector<Return>::const_iterator strongest) {
-    Return second;
+SubRayHit find_second_return(const std::vector<SubRayHit>& returns,
+                             std::vector<SubRayHit>::const_iterator strongest) {
+    SubRayHit second;
     if (strongest + 1 != returns.end()) {
         second = returns.back();
     } else {
         for (auto r = returns.begin(); r != returns.end(); ++r)
             if (r != strongest && r->light > second.light) second = *r;
     }
-    return second.light >= kSecondShare * strongest->light ? second : Return{};
+    return second.light >= kSecondShare * strongest->light ? second : SubRayHit{};
 }
 
 }  // namespace
 
-RayTable make_cone_rays(const RayTable& rays) {
+RayTable make_rays_in_beam_cones(const RayTable& rays) {
     RayTable cone;
     cone.rows = rays.rows;
     cone.columns = rays.columns * kConeRays;
@@ -60,7 +62,7 @@ RayTable make_cone_rays(const RayTable& rays) {
             side = glm::normalize(
                 glm::cross(d, std::abs(d.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0)));
         for (int k = 0; k < kConeRays; ++k) {
-            const double angle = 0.5 * rays.compute_divergence(i) * std::sqrt((k + 0.5) / kConeRays);
+            const double angle = 0.5 * rays.get_beam_divergence_rad(i) * std::sqrt((k + 0.5) / kConeRays);
             const glm::dvec3 off = std::cos(1.0 + k * kGolden_rad) * side +
                                    std::sin(1.0 + k * kGolden_rad) * glm::cross(d, side);
             cone.direction.emplace_back(std::cos(angle) * d + std::sin(angle) * off);
@@ -72,16 +74,16 @@ RayTable make_cone_rays(const RayTable& rays) {
     return cone;
 }
 
-Scan combine_cone_returns(const RayTable& rays, const Scan& cone) {
+Scan combine_cone_returns(const RayTable& rays, const Scan& cone_scan) {
     Scan scan{rays, ScanArray<float>(rays.size()), ScanArray<float>(rays.size()), {}};
-    SecondReturn& echo = scan.second_returns.emplace_back(
-        SecondReturn{std::vector<float>(rays.size()), std::vector<float>(rays.size())});
+    AdditionalReturns& echo = scan.second_returns.emplace_back(
+        AdditionalReturns{std::vector<float>(rays.size()), std::vector<float>(rays.size())});
     for (std::size_t i = 0; i < rays.size(); ++i) {
         int n_back = 0;
-        const std::vector<Return> returns = group_returns(cone, i, n_back);
+        const std::vector<SubRayHit> returns = group_cone_hits_to_returns(cone_scan, i, n_back);
         if (2 * n_back <= kConeRays) continue;
-        const auto strongest = std::ranges::max_element(returns, {}, &Return::light);
-        const Return second = find_second_return(returns, strongest);
+        const auto strongest = std::ranges::max_element(returns, {}, &SubRayHit::light);
+        const SubRayHit second = find_second_return(returns, strongest);
         scan.range_m[i] = strongest->range_m;
         scan.intensity[i] = std::min(strongest->light / kConeRays, 1.0f);
         echo.range_m[i] = second.range_m;

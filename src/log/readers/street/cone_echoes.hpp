@@ -12,7 +12,7 @@ inline constexpr int kConeRays = 53;  ///< number of thin rays that represent th
 /// Replaces each ray by kConeRays thin rays, which form a spiral in the cone of its
 /// divergence.
 /// @param rays  rays with a divergence
-RayTable make_cone_rays(const RayTable& rays);
+RayTable make_rays_in_beam_cones(const RayTable& rays);
 
 /// Computes two returns per ray from the hits in the cone of the ray. Consecutive hits
 /// with a range difference below 0.5 m form one return. The range of this return is the
@@ -22,7 +22,7 @@ RayTable make_cone_rays(const RayTable& rays);
 /// strongest one if the strongest return is the last. It must have at least a tenth of
 /// the light of the strongest return. A ray is dropped if at most half of its cone has
 /// hits.
-/// @param cone  scan with the hits of the rays from make_cone_rays(rays)
-Scan combine_cone_returns(const RayTable& rays, const Scan& cone);
+/// @param cone_scan  scan with the hits of the rays from make_rays_in_beam_cones(rays)
+Scan combine_cone_returns(const RayTable& rays, const Scan& cone_scan);
 
 }  // namespace relidar::street

@@ -16,7 +16,7 @@
 namespace relidar::street {
 namespace {
 
-constexpr double kHalfLength_m = 80.0, kLongWay_m = 100.0, kBetweenCars_m = 120.0;
+constexpr double kHalfLength_m = 80.0, kLongDrive_m = 100.0, kBetweenCars_m = 120.0;
 // The sensor drives at y = 0, in the right-hand lane. The middle between the kerbs is at
 // y = 1.1.
 constexpr double kLeftKerb_m = 6.6, kRightKerb_m = -4.4;
@@ -28,57 +28,59 @@ constexpr double kBoxCentre_m = 0.5 * (kBoxBottom_m + kBoxTop_m);
 // Start and end of the yard along the street, left of the pavement.
 constexpr double kYardBegin_m = 6.0, kYardEnd_m = 32.0;
 
-double compute_middle_time_s(const SyntheticOptions& options) {
+double compute_middle_frame_time_s(const SyntheticOptions& options) {
     return compute_frame_time_s(options.n_frames / 2);
 }
 
-double compute_driven_length_m(const SyntheticOptions& options) {
+double compute_driven_distance_m(const SyntheticOptions& options) {
     return options.speed_mps * compute_frame_time_s(options.n_frames - 1);
 }
 
 /// Returns half the length of the street. The street is longer than the path of the
 /// sensor, so that it continues beyond both ends of a long log.
-double compute_half_length_m(const SyntheticOptions& options) {
-    const double way = compute_driven_length_m(options);
-    return way > kLongWay_m ? 0.5 * way + kHalfLength_m : kHalfLength_m;
+double compute_half_street_length_m(const SyntheticOptions& options) {
+    const double driven_length_m = compute_driven_distance_m(options);
+    return driven_length_m > kLongDrive_m ? 0.5 * driven_length_m + kHalfLength_m : kHalfLength_m;
 }
 
 /// One side of the street, left or right.
-struct Side {
+struct StreetSide {
     double left;  ///< sign of y on this side: 1 on the left, -1 on the right
     double kerb_m;
     double half_m;  ///< half of the length of the street
 };
 
 /// Adds house facades on one side of the street.
-/// @param yard  if true, leaves a gap for the yard
-void add_facades(Street& street, Random& random, const Side& street_side, bool yard) {
+/// @param leave_yard_gap  if true, leaves a gap for the yard
+void add_facades(SyntheticStreet& street, Random& random, const StreetSide& street_side,
+                 bool leave_yard_gap) {
     const auto& [side, kerb_m, half_m] = street_side;
     for (double x = -half_m; x < half_m;) {
-        const double width = random.uniform(8.0, 18.0), height = random.uniform(5.0, 14.0),
-                     depth = random.uniform(6.0, 10.0);
-        const double setback = random.uniform(2.5, 4.5);
+        const double width = random.draw_uniform(8.0, 18.0), height = random.draw_uniform(5.0, 14.0),
+                     depth = random.draw_uniform(6.0, 10.0);
+        const double setback = random.draw_uniform(2.5, 4.5);
         const double y = kerb_m + side * (setback + 0.5 * depth);
-        const double reflectance = random.uniform(0.3, 0.8);
-        if (!yard || x + width < kYardBegin_m || x > kYardEnd_m)
-            street.shapes.push_back({Shape::Kind::box,
+        const double reflectance = random.draw_uniform(0.3, 0.8);
+        if (!leave_yard_gap || x + width < kYardBegin_m || x > kYardEnd_m)
+            street.shapes.push_back({StreetShape::Kind::box,
                                      {x + 0.5 * width, y, 0.5 * height},
                                      0.5 * glm::dvec3(width, depth, height),
                                      0.0,
                                      Material::wall,
                                      reflectance});
-        x += width + (random.uniform() < 0.3 ? random.uniform(2.0, 5.0) : 0.0);
+        x += width + (random.draw_uniform() < 0.3 ? random.draw_uniform(2.0, 5.0) : 0.0);
     }
 }
 
-void add_poles_and_trees(Street& street, Random& random, const Side& street_side) {
+void add_poles_and_trees(SyntheticStreet& street, Random& random, const StreetSide& street_side) {
     const auto& [side, kerb_m, half_m] = street_side;
-    for (double x = -half_m + random.uniform(2.0, 8.0); x < half_m; x += random.uniform(9.0, 16.0)) {
-        const double y = kerb_m + side * random.uniform(0.5, 1.0);
-        const bool tree = random.uniform() < 0.4;
-        const double height = tree ? 3.0 : random.uniform(4.0, 7.0),
-                     radius = tree ? 0.18 : random.uniform(0.07, 0.13);
-        street.shapes.push_back({Shape::Kind::cylinder,
+    for (double x = -half_m + random.draw_uniform(2.0, 8.0); x < half_m;
+         x += random.draw_uniform(9.0, 16.0)) {
+        const double y = kerb_m + side * random.draw_uniform(0.5, 1.0);
+        const bool tree = random.draw_uniform() < 0.4;
+        const double height = tree ? 3.0 : random.draw_uniform(4.0, 7.0),
+                     radius = tree ? 0.18 : random.draw_uniform(0.07, 0.13);
+        street.shapes.push_back({StreetShape::Kind::cylinder,
                                  {x, y, 0.5 * height},
                                  {radius, radius, 0.5 * height},
                                  0.0,
@@ -86,11 +88,11 @@ void add_poles_and_trees(Street& street, Random& random, const Side& street_side
                                  tree ? 0.3 : 0.5,
                                  tree ? SurfaceClass::vegetation : SurfaceClass::pole});
         if (!tree) continue;
-        const double size = random.uniform(0.7, 1.2);
-        street.shapes.push_back({Shape::Kind::box,
+        const double size = random.draw_uniform(0.7, 1.2);
+        street.shapes.push_back({StreetShape::Kind::box,
                                  {x, y, 3.0 + size},
                                  glm::dvec3(size),
-                                 random.uniform(0.0, 1.5),
+                                 random.draw_uniform(0.0, 1.5),
                                  Material::leaves,
                                  0.4,
                                  SurfaceClass::vegetation});
@@ -99,84 +101,90 @@ void add_poles_and_trees(Street& street, Random& random, const Side& street_side
 
 /// Returns the shapes of a car in the frame of its box: a body at a height of 0.20 to
 /// 0.90 m, and a cabin at 0.90 to 1.45 m.
-std::vector<Shape> make_car_shapes(double paint) {
-    const Shape body{Shape::Kind::box,
-                     {0.0, 0.0, 0.55 - kBoxCentre_m},
-                     {0.5 * kCarLength_m, 0.5 * kCarWidth_m, 0.35},
-                     0.0,
-                     Material::paint,
-                     paint};
-    const Shape cabin{Shape::Kind::box,
-                      {-0.2, 0.0, 1.175 - kBoxCentre_m},
-                      {1.15, 0.5 * kCarWidth_m - 0.12, 0.275},
-                      0.0,
-                      Material::paint,
-                      0.6 * paint};
+std::vector<StreetShape> make_car_shapes(double paint_reflectance) {
+    const StreetShape body{StreetShape::Kind::box,
+                           {0.0, 0.0, 0.55 - kBoxCentre_m},
+                           {0.5 * kCarLength_m, 0.5 * kCarWidth_m, 0.35},
+                           0.0,
+                           Material::paint,
+                           paint_reflectance};
+    const StreetShape cabin{StreetShape::Kind::box,
+                            {-0.2, 0.0, 1.175 - kBoxCentre_m},
+                            {1.15, 0.5 * kCarWidth_m - 0.12, 0.275},
+                            0.0,
+                            Material::paint,
+                            0.6 * paint_reflectance};
     return {body, cabin};
 }
 
 /// Returns the shapes of a car with transparent windows. Its cabin has pillars, seats and
 /// a roof, but no walls.
-std::vector<Shape> make_glazed_car_shapes(double paint) {
-    const Shape body = make_car_shapes(paint)[0];
-    const Shape roof{Shape::Kind::box,
-                     {-0.2, 0.0, 1.42 - kBoxCentre_m},
-                     {0.95, 0.5 * kCarWidth_m - 0.12, 0.03},
-                     0.0,
-                     Material::paint,
-                     paint};
-    const Shape seats{
-        Shape::Kind::box, {-0.3, 0.0, 1.0 - kBoxCentre_m}, {0.12, 0.6, 0.2}, 0.0, Material::leaves, 0.3};
-    std::vector<Shape> shapes{body, roof, seats};
+std::vector<StreetShape> make_glazed_car_shapes(double paint_reflectance) {
+    const StreetShape body = make_car_shapes(paint_reflectance)[0];
+    const StreetShape roof{StreetShape::Kind::box,
+                           {-0.2, 0.0, 1.42 - kBoxCentre_m},
+                           {0.95, 0.5 * kCarWidth_m - 0.12, 0.03},
+                           0.0,
+                           Material::paint,
+                           paint_reflectance};
+    const StreetShape seats{StreetShape::Kind::box, {-0.3, 0.0, 1.0 - kBoxCentre_m},
+                            {0.12, 0.6, 0.2},       0.0,
+                            Material::leaves,       0.3};
+    std::vector<StreetShape> shapes{body, roof, seats};
     for (const double x : {-1.2, -0.1, 0.8})
         for (const double y : {-0.75, 0.75})
-            shapes.push_back({Shape::Kind::box,
+            shapes.push_back({StreetShape::Kind::box,
                               {x, y, 1.16 - kBoxCentre_m},
                               {0.05, 0.04, 0.26},
                               0.0,
                               Material::paint,
-                              paint});
+                              paint_reflectance});
     return shapes;
 }
 
-void add_parked_car(Street& street, double x_m, double y_m, double yaw, const std::vector<Shape>& shapes) {
-    for (Shape shape : shapes) {
+void add_parked_car(SyntheticStreet& street, double x_m, double y_m, double yaw_rad,
+                    const std::vector<StreetShape>& car_shapes) {
+    for (StreetShape shape : car_shapes) {
         const glm::dvec3 c = shape.centre;
-        shape.centre = glm::dvec3(x_m + c.x * std::cos(yaw) - c.y * std::sin(yaw),
-                                  y_m + c.x * std::sin(yaw) + c.y * std::cos(yaw), c.z + kBoxCentre_m);
-        shape.yaw_rad = yaw;
+        shape.centre =
+            glm::dvec3(x_m + c.x * std::cos(yaw_rad) - c.y * std::sin(yaw_rad),
+                       y_m + c.x * std::sin(yaw_rad) + c.y * std::cos(yaw_rad), c.z + kBoxCentre_m);
+        shape.yaw_rad = yaw_rad;
         shape.surface = SurfaceClass::vehicle;
         street.shapes.push_back(shape);
     }
 }
 
 /// Adds parked cars on the road, next to the kerb.
-void add_parked_cars(Street& street, Random& random, const Side& side, bool glazed) {
-    for (double x = -side.half_m + random.uniform(2.0, 10.0); x < side.half_m - 5.0;
-         x += random.uniform(6.0, 20.0)) {
-        const double yaw = random.uniform(-0.04, 0.04),
-                     y = side.kerb_m - 1.1 * side.left + random.uniform(-0.15, 0.15);
-        const double paint = random.uniform(0.15, 0.8);
-        add_parked_car(street, x, y, yaw, glazed ? make_glazed_car_shapes(paint) : make_car_shapes(paint));
+void add_parked_cars(SyntheticStreet& street, Random& random, const StreetSide& street_side,
+                     bool have_glass_windows) {
+    for (double x = -street_side.half_m + random.draw_uniform(2.0, 10.0); x < street_side.half_m - 5.0;
+         x += random.draw_uniform(6.0, 20.0)) {
+        const double yaw = random.draw_uniform(-0.04, 0.04),
+                     y = street_side.kerb_m - 1.1 * street_side.left + random.draw_uniform(-0.15, 0.15);
+        const double paint = random.draw_uniform(0.15, 0.8);
+        add_parked_car(street, x, y, yaw,
+                       have_glass_windows ? make_glazed_car_shapes(paint) : make_car_shapes(paint));
     }
 }
 
 /// Adds a yard with parked cars between a wall and a fence. The fence hides about half of
 /// each car, so a moving sensor sees other parts in every sweep.
-void add_yard(Street& street, Random& random) {
+void add_yard(SyntheticStreet& street, Random& random) {
     const double fence_y = kLeftKerb_m + 2.4;
-    for (double x = kYardBegin_m; x < kYardEnd_m; x += random.uniform(0.4, 1.2))
-        street.shapes.push_back({Shape::Kind::box,
+    for (double x = kYardBegin_m; x < kYardEnd_m; x += random.draw_uniform(0.4, 1.2))
+        street.shapes.push_back({StreetShape::Kind::box,
                                  {x, fence_y, 0.9},
                                  {0.15, 0.05, 0.9},
                                  0.0,
                                  Material::wall,
                                  0.4,
                                  SurfaceClass::fence});
-    for (double x = kYardBegin_m + 1.5; x < kYardEnd_m; x += random.uniform(2.6, 4.0))
-        add_parked_car(street, x, fence_y + random.uniform(3.0, 4.0), 0.5 * kPi + random.uniform(-0.05, 0.05),
-                       make_glazed_car_shapes(random.uniform(0.15, 0.8)));
-    street.shapes.push_back({Shape::Kind::box,
+    for (double x = kYardBegin_m + 1.5; x < kYardEnd_m; x += random.draw_uniform(2.6, 4.0))
+        add_parked_car(street, x, fence_y + random.draw_uniform(3.0, 4.0),
+                       0.5 * kPi + random.draw_uniform(-0.05, 0.05),
+                       make_glazed_car_shapes(random.draw_uniform(0.15, 0.8)));
+    street.shapes.push_back({StreetShape::Kind::box,
                              {0.5 * (kYardBegin_m + kYardEnd_m), fence_y + 12.0, 3.0},
                              {0.5 * (kYardEnd_m - kYardBegin_m), 1.0, 3.0},
                              0.0,
@@ -184,116 +192,131 @@ void add_yard(Street& street, Random& random) {
                              0.5});
 }
 
-MovingCar make_moving_car(const SyntheticOptions& options, double x_at_middle_m, double y_m, double yaw_rad,
-                          double speed_mps, double paint) {
-    MovingCar car;
+MovingStreetActor make_moving_car(const SyntheticOptions& options, double x_at_middle_time_m, double y_m,
+                                  double yaw_rad, double speed_mps, double paint_reflectance) {
+    MovingStreetActor car;
     car.yaw_rad = yaw_rad;
     car.speed_mps = speed_mps;
     car.size_m = {kCarLength_m + 0.1, kCarWidth_m + 0.1, kBoxTop_m - kBoxBottom_m};
-    const double x = x_at_middle_m - std::cos(yaw_rad) * speed_mps * compute_middle_time_s(options);
+    const double x =
+        x_at_middle_time_m - std::cos(yaw_rad) * speed_mps * compute_middle_frame_time_s(options);
     car.start_m = {x, y_m, kBoxCentre_m};
-    car.shapes = make_car_shapes(paint);
+    car.shapes = make_car_shapes(paint_reflectance);
     return car;
 }
 
 /// Adds a car that is 14 m ahead of the sensor in the middle of the log and drives
 /// towards it. A long street has one oncoming car per 120 m.
-void add_oncoming_cars(Street& street, Random& random, const SyntheticOptions& options) {
+void add_oncoming_cars(SyntheticStreet& street, Random& random, const SyntheticOptions& options) {
     constexpr double kSpeed_mps = 9.0, kLane_m = 3.2;
     street.cars.push_back(make_moving_car(options, 14.0, kLane_m, kPi, kSpeed_mps, 0.35));
-    if (compute_driven_length_m(options) <= kLongWay_m) return;
-    for (double met_m = kBetweenCars_m; met_m < 0.5 * compute_driven_length_m(options);
+    if (compute_driven_distance_m(options) <= kLongDrive_m) return;
+    for (double met_m = kBetweenCars_m; met_m < 0.5 * compute_driven_distance_m(options);
          met_m += kBetweenCars_m)
         for (const double x : {met_m, -met_m})
             street.cars.push_back(make_moving_car(options, x * (1.0 + kSpeed_mps / options.speed_mps),
-                                                  kLane_m, kPi, kSpeed_mps, random.uniform(0.15, 0.8)));
+                                                  kLane_m, kPi, kSpeed_mps, random.draw_uniform(0.15, 0.8)));
 }
 
 /// Adds a bush of leaves and twigs, through which most rays pass.
-void add_bush(Street& street, Random& random, const glm::dvec2& at_m) {
+void add_bush(SyntheticStreet& street, Random& random, const glm::dvec2& position_m) {
     for (int leaf = 0; leaf < 60; ++leaf) {
-        const glm::dvec3 place(at_m + glm::dvec2(random.uniform(-1.0, 1.0), random.uniform(-0.5, 0.5)),
-                               random.uniform(0.1, 1.6));
-        street.shapes.push_back({Shape::Kind::box, place, glm::dvec3(random.uniform(0.03, 0.08)),
-                                 random.uniform(0.0, 1.5), Material::leaves, 0.4, SurfaceClass::vegetation});
+        const glm::dvec3 leaf_centre_m(
+            position_m + glm::dvec2(random.draw_uniform(-1.0, 1.0), random.draw_uniform(-0.5, 0.5)),
+            random.draw_uniform(0.1, 1.6));
+        street.shapes.push_back({StreetShape::Kind::box, leaf_centre_m,
+                                 glm::dvec3(random.draw_uniform(0.03, 0.08)), random.draw_uniform(0.0, 1.5),
+                                 Material::leaves, 0.4, SurfaceClass::vegetation});
     }
 }
 
 /// Returns a pedestrian, 1.75 m tall and 0.25 to 0.35 m wide. The box begins 0.05 m above
 /// the ground, so that it contains the feet but no ground.
-MovingCar make_walker(const SyntheticOptions& options, const glm::dvec2& at_middle_m, double yaw_rad,
-                      double speed_mps) {
+MovingStreetActor make_pedestrian(const SyntheticOptions& options,
+                                  const glm::dvec2& position_at_middle_time_m, double yaw_rad,
+                                  double speed_mps) {
     constexpr double kTall_m = 1.75, kBottom_m = 0.05, kHalf_m = 0.5 * (kTall_m - kBottom_m);
-    MovingCar walker;
+    MovingStreetActor walker;
     walker.category = "Pedestrian";
     walker.yaw_rad = yaw_rad;
     walker.speed_mps = speed_mps;
     walker.size_m = {0.6, 0.6, 2.0 * kHalf_m};
-    const glm::dvec2 start = at_middle_m - speed_mps * compute_middle_time_s(options) *
-                                               glm::dvec2(std::cos(yaw_rad), std::sin(yaw_rad));
+    const glm::dvec2 start = position_at_middle_time_m - speed_mps * compute_middle_frame_time_s(options) *
+                                                             glm::dvec2(std::cos(yaw_rad), std::sin(yaw_rad));
     walker.start_m = {start, kBottom_m + kHalf_m};
-    const Shape legs{
-        Shape::Kind::cylinder, {0.0, 0.0, 0.4 - kHalf_m}, {0.125, 0.125, 0.4}, 0.0, Material::leaves, 0.35};
-    const Shape trunk{Shape::Kind::cylinder, {0.0, 0.0, 0.8 + 0.45 - kHalf_m},
-                      {0.175, 0.175, 0.45},  0.0,
-                      Material::leaves,      0.5};
+    const StreetShape legs{StreetShape::Kind::cylinder,
+                           {0.0, 0.0, 0.4 - kHalf_m},
+                           {0.125, 0.125, 0.4},
+                           0.0,
+                           Material::leaves,
+                           0.35};
+    const StreetShape trunk{StreetShape::Kind::cylinder,
+                            {0.0, 0.0, 0.8 + 0.45 - kHalf_m},
+                            {0.175, 0.175, 0.45},
+                            0.0,
+                            Material::leaves,
+                            0.5};
     walker.shapes = {legs, trunk};
     return walker;
 }
 
 /// Replaces the static legs of a pedestrian by swinging legs and arms. Feet on the ground
 /// do not slide, because they swing backward as fast as the body moves forward.
-void add_walking_gait(MovingCar& walker) {
+void replace_legs_by_swinging_limbs(MovingStreetActor& pedestrian) {
     constexpr double kLeg_m = 0.72, kLegRadius_m = 0.075, kHip_m = 0.09, kArm_m = 0.5, kArmRadius_m = 0.045,
                      kShoulder_m = 0.23;
     constexpr double kSwing_rad = 0.45, kShoulderBelowTop_m = 0.35;
-    const double half = 0.5 * walker.size_m.z, hip_z = -half + kLeg_m + kLegRadius_m;
-    walker.shapes.erase(walker.shapes.begin());
+    const double half = 0.5 * pedestrian.size_m.z, hip_z = -half + kLeg_m + kLegRadius_m;
+    pedestrian.shapes.erase(pedestrian.shapes.begin());
     for (const double side : {1.0, -1.0}) {
         const double phase = side > 0.0 ? 0.0 : kPi;
-        walker.limbs.push_back({{0.0, side * kHip_m, hip_z}, kLeg_m, kLegRadius_m, kSwing_rad, phase, 0.35});
-        walker.limbs.push_back({{0.0, side * kShoulder_m, half - kShoulderBelowTop_m},
-                                kArm_m,
-                                kArmRadius_m,
-                                kSwing_rad,
-                                phase + kPi,
-                                0.5});
+        pedestrian.limbs.push_back(
+            {{0.0, side * kHip_m, hip_z}, kLeg_m, kLegRadius_m, kSwing_rad, phase, 0.35});
+        pedestrian.limbs.push_back({{0.0, side * kShoulder_m, half - kShoulderBelowTop_m},
+                                    kArm_m,
+                                    kArmRadius_m,
+                                    kSwing_rad,
+                                    phase + kPi,
+                                    0.5});
     }
-    walker.stride_m = 4.0 * kLeg_m * std::sin(kSwing_rad);
-    walker.size_m.x = 2.0 * (kLeg_m * std::sin(kSwing_rad) + kLegRadius_m) + 0.04;
+    pedestrian.stride_m = 4.0 * kLeg_m * std::sin(kSwing_rad);
+    pedestrian.size_m.x = 2.0 * (kLeg_m * std::sin(kSwing_rad) + kLegRadius_m) + 0.04;
 }
 
-MovingCar make_cyclist(const SyntheticOptions& options, const glm::dvec2& at_middle_m, double speed_mps) {
-    MovingCar rider = make_walker(options, at_middle_m, 0.0, speed_mps);
+MovingStreetActor make_cyclist(const SyntheticOptions& options, const glm::dvec2& position_at_middle_time_m,
+                               double speed_mps) {
+    MovingStreetActor rider = make_pedestrian(options, position_at_middle_time_m, 0.0, speed_mps);
     rider.category = "Cyclist";
     rider.size_m.x = 1.8;
-    for (Shape& shape : rider.shapes) shape.centre.x -= 0.2;
-    rider.shapes[0] = {Shape::Kind::box,   {0.0, 0.0, 0.5 - 0.5 * rider.size_m.z},
-                       {0.85, 0.08, 0.45}, 0.0,
-                       Material::metal,    0.4};
+    for (StreetShape& shape : rider.shapes) shape.centre.x -= 0.2;
+    rider.shapes[0] = {StreetShape::Kind::box, {0.0, 0.0, 0.5 - 0.5 * rider.size_m.z},
+                       {0.85, 0.08, 0.45},     0.0,
+                       Material::metal,        0.4};
     return rider;
 }
 
-void add_people(Street& street, Random& random, const SyntheticOptions& options) {
+void add_people(SyntheticStreet& street, Random& random, const SyntheticOptions& options) {
     const std::size_t first = street.cars.size();
-    street.cars.push_back(
-        make_walker(options, {random.uniform(4.0, 16.0), kRightKerb_m - 1.6}, 0.0, random.uniform(1.0, 1.6)));
-    street.cars.push_back(
-        make_walker(options, {random.uniform(4.0, 16.0), kLeftKerb_m + 1.7}, kPi, random.uniform(1.0, 1.6)));
-    street.cars.push_back(
-        make_walker(options, {random.uniform(24.0, 30.0), 4.5}, -0.5 * kPi, random.uniform(1.0, 1.6)));
+    street.cars.push_back(make_pedestrian(options, {random.draw_uniform(4.0, 16.0), kRightKerb_m - 1.6}, 0.0,
+                                          random.draw_uniform(1.0, 1.6)));
+    street.cars.push_back(make_pedestrian(options, {random.draw_uniform(4.0, 16.0), kLeftKerb_m + 1.7}, kPi,
+                                          random.draw_uniform(1.0, 1.6)));
+    street.cars.push_back(make_pedestrian(options, {random.draw_uniform(24.0, 30.0), 4.5}, -0.5 * kPi,
+                                          random.draw_uniform(1.0, 1.6)));
     if (options.gait)
-        for (std::size_t i = first; i < street.cars.size(); ++i) add_walking_gait(street.cars[i]);
-    street.cars.push_back(
-        make_cyclist(options, {random.uniform(6.0, 9.0), kRightKerb_m + 2.7}, random.uniform(4.0, 6.0)));
+        for (std::size_t i = first; i < street.cars.size(); ++i)
+            replace_legs_by_swinging_limbs(street.cars[i]);
+    street.cars.push_back(make_cyclist(options, {random.draw_uniform(6.0, 9.0), kRightKerb_m + 2.7},
+                                       random.draw_uniform(4.0, 6.0)));
 }
 
 }  // namespace
 
-Street make_street(const SyntheticOptions& options) {
-    Street street;
+SyntheticStreet make_street(const SyntheticOptions& options) {
+    SyntheticStreet street;
     Random random(options.seed);
-    const Side left{1.0, kLeftKerb_m, compute_half_length_m(options)}, right{-1.0, kRightKerb_m, left.half_m};
+    const StreetSide left{1.0, kLeftKerb_m, compute_half_street_length_m(options)},
+        right{-1.0, kRightKerb_m, left.half_m};
     add_facades(street, random, left, options.people);
     add_facades(street, random, right, false);
     add_poles_and_trees(street, random, left);
@@ -303,8 +326,8 @@ Street make_street(const SyntheticOptions& options) {
     if (options.moving_cars) {
         // Initial distance of the car ahead, which is large enough that the sensor never
         // overtakes it.
-        const double ahead_m = compute_driven_length_m(options) > kLongWay_m
-                                   ? 12.0 + 0.05 * 0.5 * compute_driven_length_m(options)
+        const double ahead_m = compute_driven_distance_m(options) > kLongDrive_m
+                                   ? 12.0 + 0.05 * 0.5 * compute_driven_distance_m(options)
                                    : 12.0;
         street.cars.push_back(make_moving_car(options, ahead_m, 0.1, 0.0, 1.05 * options.speed_mps, 0.6));
         add_oncoming_cars(street, random, options);
@@ -317,9 +340,9 @@ Street make_street(const SyntheticOptions& options) {
     return street;
 }
 
-Pose compute_sensor_pose(const SyntheticOptions& options, double t_s) {
+Pose compute_sensor_pose(const SyntheticOptions& options, double time_s) {
     constexpr double kSwing_m = 0.5, kWave = 2.0 * kPi / 90.0, kHeight_m = 1.8;
-    const double x = options.speed_mps * (t_s - compute_middle_time_s(options));
+    const double x = options.speed_mps * (time_s - compute_middle_frame_time_s(options));
     const double yaw = std::atan(kSwing_m * kWave * std::cos(kWave * x)) + 0.01 * std::sin(0.31 * x);
     const double pitch = 0.004 * std::sin(0.43 * x), roll = 0.004 * std::sin(0.23 * x + 1.0);
     return {make_rotation(yaw, pitch, roll), {x, kSwing_m * std::sin(kWave * x), kHeight_m}};

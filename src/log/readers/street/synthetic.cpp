@@ -24,13 +24,13 @@
 namespace relidar {
 namespace {
 
-using street::Hit;
+using street::StreetHit;
 
 constexpr double kMaxRange_m = 80.0;
 // Maximum number of rays of a log. A ray needs 44 bytes, so this limits a log to 9 GB.
 constexpr double kMostRays = 2e8;
 
-void check(const SyntheticOptions& options) {
+void check_synthetic_options(const SyntheticOptions& options) {
     const auto in_range = [](const char* name, double value, double low, double high) {
         if (value >= low && value <= high) return;
         throw UsageError(
@@ -45,7 +45,7 @@ void check(const SyntheticOptions& options) {
         throw UsageError("synthetic street: gait = true needs people = true");
 }
 
-SpinningSensor make_sensor(const SyntheticOptions& options) {
+SpinningSensor make_default_synthetic_sensor(const SyntheticOptions& options) {
     SpinningSensor sensor;
     sensor.name = "synthetic";
     const double spacing_deg = 28.0 / (options.rows - 1);
@@ -59,49 +59,53 @@ SpinningSensor make_sensor(const SyntheticOptions& options) {
     return sensor;
 }
 
-double compute_drop_probability(const Hit& hit) {
+double compute_drop_probability(const StreetHit& hit) {
     const double echo = hit.reflectance * hit.cosine * std::min(1.0, std::pow(25.0 / hit.range_m, 2));
     return 1.0 / (1.0 + std::pow(echo / 0.01, 3));
 }
 
-double compute_echo_intensity(const Hit& hit) {
+double compute_echo_intensity(const StreetHit& hit) {
     return glm::clamp(hit.reflectance * (0.3 + 0.7 * hit.cosine) * (1.0 - hit.range_m / 160.0), 0.0, 1.0);
 }
 
 /// Returns only the shapes that rays of one sweep can reach, which makes ray casting
 /// faster.
-street::Street crop_street_to_sweep(const street::Street& full_street, const glm::dvec3& sensor_m,
-                                    double time_s) {
+street::SyntheticStreet crop_street_to_sweep(const street::SyntheticStreet& full_street,
+                                             const glm::dvec3& sensor_position_m, double time_s) {
     // Upper bound of the distances that the sensor and the cars move during a sweep.
     constexpr double kSweep_m = 20.0;
-    street::Street near;
-    for (const street::Shape& shape : full_street.shapes)
-        if (glm::distance(shape.centre, sensor_m) <= kMaxRange_m + kSweep_m + 2.0 * glm::length(shape.half))
-            near.shapes.push_back(shape);
-    for (const street::MovingCar& car : full_street.cars)
-        if (glm::distance(car.world_from_box(time_s).translation, sensor_m) <=
+    street::SyntheticStreet nearby_street;
+    for (const street::StreetShape& shape : full_street.shapes)
+        if (glm::distance(shape.centre, sensor_position_m) <=
+            kMaxRange_m + kSweep_m + 2.0 * glm::length(shape.half))
+            nearby_street.shapes.push_back(shape);
+    for (const street::MovingStreetActor& car : full_street.cars)
+        if (glm::distance(car.compute_world_from_box(time_s).translation, sensor_position_m) <=
             kMaxRange_m + kSweep_m + glm::length(car.size_m))
-            near.cars.push_back(car);
-    return near;
+            nearby_street.cars.push_back(car);
+    return nearby_street;
 }
 
 /// Casts every ray of a scan at its firing time. Calls `receive(ray, hit)` for each ray
 /// that hits a surface.
 template <class Receive>
-void cast_rays(const street::Street& full_street, const glm::dvec3& offset_m, const PoseTrack& track,
-               double time_s, const RayTable& rays, const Receive& receive) {
-    const street::StreetCaster street(
-        crop_street_to_sweep(full_street, track.at(time_s).translation + offset_m, time_s));
+void cast_rays_at_firing_times(const street::SyntheticStreet& full_street,
+                               const glm::dvec3& world_origin_in_street_m, const PoseTrack& sensor_track,
+                               double scan_time_s, const RayTable& rays, const Receive& on_hit) {
+    const street::StreetCaster street(crop_street_to_sweep(
+        full_street, sensor_track.interpolate_pose(scan_time_s).translation + world_origin_in_street_m,
+        scan_time_s));
     const std::size_t columns = rays.rows > 1 ? std::size_t(rays.columns) : 1;
     // One cache of car poses per column, because rays of a column usually have the same
     // time.
-    std::vector<street::CarPlaces> places(columns);
+    std::vector<street::MovingActorPoses> actor_poses_by_column(columns);
     for (std::size_t ray = 0; ray < rays.size(); ++ray) {
-        WorldRay in_street = make_world_ray(track, time_s, rays, ray, true);
-        in_street.origin_m += offset_m;
-        const double t_s = time_s + static_cast<double>(rays.time_offset_s[ray]);
-        if (const std::optional<Hit> hit = street.cast(in_street, t_s, kMaxRange_m, places[ray % columns]))
-            receive(ray, *hit);
+        WorldRay in_street = make_world_ray(sensor_track, scan_time_s, rays, ray, true);
+        in_street.origin_m += world_origin_in_street_m;
+        const double t_s = scan_time_s + static_cast<double>(rays.time_offset_s[ray]);
+        if (const std::optional<StreetHit> hit =
+                street.find_first_hit(in_street, t_s, kMaxRange_m, actor_poses_by_column[ray % columns]))
+            on_hit(ray, *hit);
     }
 }
 
@@ -114,98 +118,107 @@ Scan make_empty_scan(const RayTable& rays) {
 
 /// Returns the origin of the log in the street frame: the sensor position in the middle
 /// frame.
-glm::dvec3 compute_origin(const SyntheticOptions& options) {
+glm::dvec3 compute_world_origin_in_street_m(const SyntheticOptions& options) {
     return street::compute_sensor_pose(options, street::compute_frame_time_s(options.n_frames / 2))
         .translation;
 }
 
 /// Casts a scan without noise. Rays with a drop probability above 0.5 are dropped.
-Scan cast_without_noise(const street::Street& street, const glm::dvec3& offset_m, const RayTable& rays,
-                        const PoseTrack& track, double time_s) {
+Scan cast_scan_without_noise(const street::SyntheticStreet& street,
+                             const glm::dvec3& world_origin_in_street_m, const RayTable& rays,
+                             const PoseTrack& sensor_track, double scan_time_s) {
     Scan scan = make_empty_scan(rays);
-    cast_rays(street, offset_m, track, time_s, rays, [&](std::size_t ray, const Hit& hit) {
-        if (compute_drop_probability(hit) > 0.5) return;
-        scan.range_m[ray] = static_cast<float>(hit.range_m);
-        scan.intensity[ray] = static_cast<float>(compute_echo_intensity(hit));
-        scan.classes[ray] = hit.surface;
-    });
+    cast_rays_at_firing_times(street, world_origin_in_street_m, sensor_track, scan_time_s, rays,
+                              [&](std::size_t ray, const StreetHit& hit) {
+                                  if (compute_drop_probability(hit) > 0.5) return;
+                                  scan.range_m[ray] = static_cast<float>(hit.range_m);
+                                  scan.intensity[ray] = static_cast<float>(compute_echo_intensity(hit));
+                                  scan.classes[ray] = hit.surface;
+                              });
     return scan;
 }
 
-Scan cast_beams(const street::Street& street, const glm::dvec3& offset_m, const RayTable& rays,
-                const PoseTrack& track, double time_s) {
-    if (!(rays.find_largest_divergence() > 0.0))
+Scan cast_scan_with_two_returns(const street::SyntheticStreet& street,
+                                const glm::dvec3& world_origin_in_street_m, const RayTable& rays,
+                                const PoseTrack& sensor_track, double scan_time_s) {
+    if (!(rays.find_max_divergence_rad() > 0.0))
         throw UsageError(
             "synthetic street: several returns need beams with a divergence, because an ideal ray "
             "has only one return");
     return street::combine_cone_returns(
-        rays, cast_without_noise(street, offset_m, street::make_cone_rays(rays), track, time_s));
+        rays, cast_scan_without_noise(street, world_origin_in_street_m, street::make_rays_in_beam_cones(rays),
+                                      sensor_track, scan_time_s));
 }
 
 /// Returns the random seed of a frame. Further LiDARs do not change the seeds of the
 /// first LiDAR.
-std::uint64_t seed_of(const SyntheticOptions& options, const Frame& frame) {
-    const std::uint64_t seed = combine_hashes(options.seed, static_cast<std::uint64_t>(frame.index));
-    return frame.lidar == 0 ? seed : combine_hashes(seed, static_cast<std::uint64_t>(frame.lidar));
+std::uint64_t compute_frame_seed(const SyntheticOptions& options, const LidarFrame& frame) {
+    const std::uint64_t seed = hash_integer_pair(options.seed, static_cast<std::uint64_t>(frame.index));
+    return frame.lidar == 0 ? seed : hash_integer_pair(seed, static_cast<std::uint64_t>(frame.lidar));
 }
 
-void add_noise(Scan& scan, std::uint64_t seed, double noise_m) {
+void add_range_noise(Scan& scan, std::uint64_t seed, double noise_stddev_m) {
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
-        Random random(combine_hashes(seed, i));
+        Random random(hash_integer_pair(seed, i));
         const auto spread = [&](float& range_m) {
             if (range_m > 0.0f)
-                range_m = static_cast<float>(std::max(double(range_m) + noise_m * random.normal(), 0.01));
+                range_m = static_cast<float>(
+                    std::max(double(range_m) + noise_stddev_m * random.draw_standard_normal(), 0.01));
         };
         spread(scan.range_m[i]);
-        for (SecondReturn& f : scan.second_returns) spread(f.range_m[i]);
+        for (AdditionalReturns& f : scan.second_returns) spread(f.range_m[i]);
     }
 }
 
-Scan measure_beams(const SyntheticOptions& options, const street::Street& street, const Sequence& sequence,
-                   const RayTable& rays, const Frame& frame) {
-    Scan scan = cast_beams(street, sequence.world_offset_m, rays, sequence.world_from_sensor(frame.lidar),
-                           frame.time_s);
-    add_noise(scan, seed_of(options, frame), options.range_noise_m);
+Scan measure_scan_with_two_returns(const SyntheticOptions& options, const street::SyntheticStreet& street,
+                                   const LidarSequence& sequence, const RayTable& rays,
+                                   const LidarFrame& frame) {
+    Scan scan = cast_scan_with_two_returns(street, sequence.world_offset_m, rays,
+                                           sequence.get_world_from_sensor(frame.lidar), frame.time_s);
+    add_range_noise(scan, compute_frame_seed(options, frame), options.range_noise_m);
     return scan;
 }
 
-Scan measure_scan(const SyntheticOptions& options, const street::Street& street, const Sequence& sequence,
-                  const RayTable& rays, const Frame& frame) {
+Scan measure_scan_with_one_return(const SyntheticOptions& options, const street::SyntheticStreet& street,
+                                  const LidarSequence& sequence, const RayTable& rays,
+                                  const LidarFrame& frame) {
     Scan scan = make_empty_scan(rays);
-    const std::uint64_t seed = seed_of(options, frame);
-    const PoseTrack track = sequence.world_from_sensor(frame.lidar);
-    cast_rays(street, sequence.world_offset_m, track, frame.time_s, rays,
-              [&](std::size_t ray, const Hit& hit) {
-                  Random random(combine_hashes(seed, ray));
-                  if (random.uniform() < compute_drop_probability(hit)) return;
-                  const double range = hit.range_m + options.range_noise_m * random.normal();
-                  scan.range_m[ray] = static_cast<float>(std::max(range, 0.01));
-                  scan.intensity[ray] = static_cast<float>(
-                      glm::clamp(compute_echo_intensity(hit) + 0.01 * random.normal(), 0.0, 1.0));
-                  scan.classes[ray] = hit.surface;
-              });
+    const std::uint64_t seed = compute_frame_seed(options, frame);
+    const PoseTrack track = sequence.get_world_from_sensor(frame.lidar);
+    cast_rays_at_firing_times(
+        street, sequence.world_offset_m, track, frame.time_s, rays,
+        [&](std::size_t ray, const StreetHit& hit) {
+            Random random(hash_integer_pair(seed, ray));
+            if (random.draw_uniform() < compute_drop_probability(hit)) return;
+            const double range = hit.range_m + options.range_noise_m * random.draw_standard_normal();
+            scan.range_m[ray] = static_cast<float>(std::max(range, 0.01));
+            scan.intensity[ray] = static_cast<float>(
+                glm::clamp(compute_echo_intensity(hit) + 0.01 * random.draw_standard_normal(), 0.0, 1.0));
+            scan.classes[ray] = hit.surface;
+        });
     return scan;
 }
 
-std::vector<BoxTrack> make_boxes(const street::Street& street, const std::vector<double>& times_s) {
+std::vector<BoxTrack> make_car_box_tracks(const street::SyntheticStreet& street,
+                                          const std::vector<double>& frame_times_s) {
     std::vector<BoxLabel> labels;
-    for (const double time_s : times_s)
+    for (const double time_s : frame_times_s)
         for (std::size_t c = 0; c < street.cars.size(); ++c) {
-            const street::MovingCar& car = street.cars[c];
+            const street::MovingStreetActor& car = street.cars[c];
             labels.push_back(
-                {std::to_string(c), car.category, car.size_m, time_s, car.world_from_box(time_s)});
+                {std::to_string(c), car.category, car.size_m, time_s, car.compute_world_from_box(time_s)});
         }
     return build_tracks(labels);
 }
 
 /// Returns the sensors in the rig file (a list of mounted sensors). Without a rig file,
 /// returns the default sensor.
-std::vector<MountedSensor> make_sensors(const SyntheticOptions& options) {
+std::vector<MountedSensor> read_rig_or_default_sensor(const SyntheticOptions& options) {
     if (options.rig.empty()) {
-        const SpinningSensor own = make_sensor(options);
-        return {{"", {own.name, "", own.range_limits(), own}, {}, 1}};
+        const SpinningSensor default_sensor = make_default_synthetic_sensor(options);
+        return {{"", {default_sensor.name, "", default_sensor.range_limits(), default_sensor}, {}, 1}};
     }
-    std::optional<std::vector<MountedSensor>> rig = find_rig(options.rig);
+    std::optional<std::vector<MountedSensor>> rig = read_sensor_rig(options.rig);
     if (!rig)
         throw UsageError(
             fmt::format("synthetic street: rig: {} contains no rig, expected JSON with the key \"sensors\"",
@@ -213,10 +226,10 @@ std::vector<MountedSensor> make_sensors(const SyntheticOptions& options) {
     return std::move(*rig);
 }
 
-Lidar get_lidar(const MountedSensor& mounted) {
-    Lidar lidar{mounted.name, {}, mounted.rig_from_sensor};
-    set_sensor(lidar, mounted.sensor);
-    const RangeLimits limits = intersect_limits(mounted.sensor.limits, {0.0, kMaxRange_m});
+Lidar make_lidar_of_mounted_sensor(const MountedSensor& mounted_sensor) {
+    Lidar lidar{mounted_sensor.name, {}, mounted_sensor.rig_from_sensor};
+    set_nominal_sensor(lidar, mounted_sensor.sensor);
+    const RangeLimits limits = intersect_range_limits(mounted_sensor.sensor.limits, {0.0, kMaxRange_m});
     lidar.sensor.min_range_m = limits.min_m;
     lidar.sensor.max_range_m = limits.max_m;
     return lidar;
@@ -224,89 +237,93 @@ Lidar get_lidar(const MountedSensor& mounted) {
 
 }  // namespace
 
-Sequence make_synthetic_frames(const SyntheticOptions& options, int begin, int end) {
-    check(options);
-    const std::vector<MountedSensor> rig = make_sensors(options);
+LidarSequence make_synthetic_frames(const SyntheticOptions& options, int begin_frame, int end_frame) {
+    check_synthetic_options(options);
+    const std::vector<MountedSensor> rig = read_rig_or_default_sensor(options);
     std::vector<RayTable> rays;  // of the first scan
     double n_rays = 0.0;
     for (const MountedSensor& mounted : rig)
         n_rays += double(rays.emplace_back(make_rays(mounted.sensor)).size());
-    if (double(end - begin) * n_rays > kMostRays)
+    if (double(end_frame - begin_frame) * n_rays > kMostRays)
         throw UsageError(fmt::format(
             "synthetic street: {} frames with {} rays have {:.3g} rays in total, expected at most "
             "{:.3g}; use fewer frames",
-            end - begin, n_rays, double(end - begin) * n_rays, kMostRays));
-    const street::Street street = street::make_street(options);
-    Sequence sequence;
+            end_frame - begin_frame, n_rays, double(end_frame - begin_frame) * n_rays, kMostRays));
+    const street::SyntheticStreet street = street::make_street(options);
+    LidarSequence sequence;
     sequence.name = fmt::format("synthetic street {}", options.seed);
     sequence.source = "synthetic";
     sequence.conventions =
         "Sensor frame: x forward, y left, z up, in metres. Times are seconds after frame 0. At the time of "
         "a frame, the head faces forward. Poses are exact, and each ray is cast at its firing time.";
     sequence.lidars.clear();
-    for (const MountedSensor& mounted : rig) sequence.lidars.push_back(get_lidar(mounted));
-    for (int frame = begin; frame < end; ++frame)
+    for (const MountedSensor& mounted : rig) sequence.lidars.push_back(make_lidar_of_mounted_sensor(mounted));
+    for (int frame = begin_frame; frame < end_frame; ++frame)
         for (std::size_t l = 0; l < rig.size(); ++l)
             add_frame(sequence, frame, street::compute_frame_time_s(frame),
                       street::compute_sensor_pose(options, street::compute_frame_time_s(frame)), int(l));
-    sequence.boxes = make_boxes(street, sequence.world_from_vehicle.time_s);
-    recentre_sequence(sequence, compute_origin(options));
+    sequence.boxes = make_car_box_tracks(street, sequence.world_from_vehicle.time_s);
+    recentre_sequence(sequence, compute_world_origin_in_street_m(options));
     parallel_for(static_cast<int>(sequence.frames.size()), [&](int index) {
-        Frame& frame = sequence.frames[static_cast<std::size_t>(index)];
+        LidarFrame& frame = sequence.frames[static_cast<std::size_t>(index)];
         const std::size_t l = std::size_t(frame.lidar);
-        const bool changes = describe_pattern(rig[l].sensor.pattern).has_rays_by_time;
+        const bool changes = summarise_scan_pattern(rig[l].sensor.pattern).has_rays_by_time;
         const RayTable table = changes ? make_rays(rig[l].sensor, frame.time_s) : rays[l];
-        frame.scan = rig[l].returns == 2 ? measure_beams(options, street, sequence, table, frame)
-                                         : measure_scan(options, street, sequence, table, frame);
+        frame.scan = rig[l].returns == 2
+                         ? measure_scan_with_two_returns(options, street, sequence, table, frame)
+                         : measure_scan_with_one_return(options, street, sequence, table, frame);
     });
     return sequence;
 }
 
-Sequence make_synthetic_street(const SyntheticOptions& options) {
+LidarSequence make_synthetic_street(const SyntheticOptions& options) {
     return make_synthetic_frames(options, 0, options.n_frames);
 }
 
 namespace {
 
 /// Replaces the moving cars of the street by other moving cars.
-void add_moved_cars(street::Street& street, const std::vector<StreetCar>& cars, const glm::dvec3& origin_m,
-                    double time_s) {
-    const std::vector<street::MovingCar> own = std::move(street.cars);
+void replace_moving_cars(street::SyntheticStreet& street, const std::vector<SyntheticCar>& edited_cars,
+                         const glm::dvec3& world_origin_in_street_m, double time_s) {
+    const std::vector<street::MovingStreetActor> original_cars = std::move(street.cars);
     street.cars.clear();
-    for (const StreetCar& car : cars) {
-        if (car.shapes_of >= own.size())
+    for (const SyntheticCar& car : edited_cars) {
+        if (car.shapes_of >= original_cars.size())
             throw DataError(fmt::format(
                 "cannot cast rays into the edited street: track {} has the shape of car {}, expected the "
                 "index of one of its {} cars",
-                car.track.id, car.shapes_of, own.size()));
+                car.track.id, car.shapes_of, original_cars.size()));
         if (!car.track.is_present(time_s)) continue;
-        street::MovingCar& moved = street.cars.emplace_back(own[car.shapes_of]);
+        street::MovingStreetActor& moved = street.cars.emplace_back(original_cars[car.shapes_of]);
         moved.track = car.track.world_from_box;
-        for (Pose& pose : moved.track.pose) pose.translation += origin_m;
+        for (Pose& pose : moved.track.pose) pose.translation += world_origin_in_street_m;
     }
 }
 
 }  // namespace
 
-Scan cast_synthetic_street(const SyntheticOptions& options, const RayTable& rays,
-                           const PoseTrack& world_from_sensor, double time_s) {
-    check(options);
-    return cast_without_noise(street::make_street(options), compute_origin(options), rays, world_from_sensor,
-                              time_s);
+Scan cast_rays_into_synthetic_street(const SyntheticOptions& options, const RayTable& rays,
+                                     const PoseTrack& world_from_sensor, double time_s) {
+    check_synthetic_options(options);
+    return cast_scan_without_noise(street::make_street(options), compute_world_origin_in_street_m(options),
+                                   rays, world_from_sensor, time_s);
 }
 
-Scan cast_synthetic_beams(const SyntheticOptions& options, const RayTable& rays,
-                          const PoseTrack& world_from_sensor, double time_s) {
-    check(options);
-    return cast_beams(street::make_street(options), compute_origin(options), rays, world_from_sensor, time_s);
+Scan cast_beams_into_synthetic_street(const SyntheticOptions& options, const RayTable& rays,
+                                      const PoseTrack& world_from_sensor, double time_s) {
+    check_synthetic_options(options);
+    return cast_scan_with_two_returns(street::make_street(options), compute_world_origin_in_street_m(options),
+                                      rays, world_from_sensor, time_s);
 }
 
-Scan cast_synthetic_street(const SyntheticOptions& options, const std::vector<StreetCar>& cars,
-                           const RayTable& rays, const PoseTrack& world_from_sensor, double time_s) {
-    check(options);
-    street::Street street = street::make_street(options);
-    add_moved_cars(street, cars, compute_origin(options), time_s);
-    return cast_without_noise(street, compute_origin(options), rays, world_from_sensor, time_s);
+Scan cast_rays_into_synthetic_street(const SyntheticOptions& options, const std::vector<SyntheticCar>& cars,
+                                     const RayTable& rays, const PoseTrack& world_from_sensor,
+                                     double time_s) {
+    check_synthetic_options(options);
+    street::SyntheticStreet street = street::make_street(options);
+    replace_moving_cars(street, cars, compute_world_origin_in_street_m(options), time_s);
+    return cast_scan_without_noise(street, compute_world_origin_in_street_m(options), rays, world_from_sensor,
+                                   time_s);
 }
 
 }  // namespace relidar

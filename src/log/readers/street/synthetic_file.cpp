@@ -28,79 +28,79 @@ const std::vector<std::string> kKeys{"seed",      "n_frames",    "rows",   "colu
 /// Reads the value of a TOML key, if the key exists. Accepts an integer as a real number.
 /// @throws DataError if the value has another wrong type
 template <class T>
-void read_value(const toml::table& table, const char* key, const char* type, const std::string& file,
-                T& value) {
+void read_toml_value_if_present(const toml::table& table, const char* key, const char* expected_type_text,
+                                const std::string& file_name, T& value) {
     const toml::node* node = table.get(key);
     if (!node) return;
     // toml++ converts real numbers to integers without an error, so the type is checked
     // first.
     const bool is_cut = std::is_integral_v<T> && node->is_floating_point();
-    const auto found = is_cut ? std::nullopt : node->value<T>();
-    if (!found)
-        throw DataError(fmt::format("{} line {}: {} has the wrong type or size, expected {}", file,
-                                    node->source().begin.line, key, type));
-    value = *found;
+    const auto parsed_value = is_cut ? std::nullopt : node->value<T>();
+    if (!parsed_value)
+        throw DataError(fmt::format("{} line {}: {} has the wrong type or size, expected {}", file_name,
+                                    node->source().begin.line, key, expected_type_text));
+    value = *parsed_value;
 }
 
 /// Replaces the exact poses of a synthetic log by poses from a file, but keeps the scans.
 /// Used to test the effect of wrong poses.
-void use_poses_file(Sequence& sequence, const fs::path& poses_file) {
+void replace_poses_from_file(LidarSequence& sequence, const fs::path& user_pose_file) {
     std::vector<int> frames;
     // All LiDARs of a frame share one vehicle pose, so each frame number is used once.
-    for (const Frame& frame : sequence.frames)
+    for (const LidarFrame& frame : sequence.frames)
         if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);
     PoseTrack track{sequence.world_from_vehicle.time_s, std::vector<Pose>(frames.size())};
-    if (poses_file != kNoPoses) {
-        track.pose = kitti::read_user_poses(poses_file, frames, track.time_s, sequence.notes);
+    if (user_pose_file != kNoPoses) {
+        track.pose = kitti::read_user_pose_file(user_pose_file, frames, track.time_s, sequence.notes);
         track = shift_track(std::move(track), -sequence.world_offset_m);
     }
     set_vehicle_poses(sequence, std::move(track));
-    sequence.conventions += poses_file == kNoPoses
+    sequence.conventions += user_pose_file == kNoPoses
                                 ? " No poses are read, so the sensor is at the origin in every frame."
-                                : " Poses are read from " + poses_file.string();
+                                : " Poses are read from " + user_pose_file.string();
 }
 
-SyntheticOptions read_options(const fs::path& path) {
-    const std::string file = path.string();
-    const std::string text = read_text(path);
-    check_toml_depth(text, file);
+SyntheticOptions read_street_toml(const fs::path& toml_file) {
+    const std::string file = toml_file.string();
+    const std::string text = read_text_file(toml_file);
+    check_toml_nesting_depth(text, file);
     toml::table table;
     try {
         table = toml::parse(text, file);
     } catch (const toml::parse_error& error) {
         throw DataError(fmt::format("{} line {}: malformed TOML: {}", file, error.source().begin.line,
-                                    make_excerpt(error.description())));
+                                    shorten_for_error_message(error.description())));
     }
     for (const auto& [key, value] : table) {
         const std::string name(key.str());
         if (std::find(kKeys.begin(), kKeys.end(), name) != kKeys.end()) continue;
         throw DataError(fmt::format("{} line {}: unknown key '{}'{} (known: {})", file,
-                                    value.source().begin.line, make_excerpt(name),
-                                    suggest_name(name, kKeys, "'"), fmt::join(kKeys, ", ")));
+                                    value.source().begin.line, shorten_for_error_message(name),
+                                    format_name_suggestion(name, kKeys, "'"), fmt::join(kKeys, ", ")));
     }
     SyntheticOptions options;
     std::int64_t seed = static_cast<std::int64_t>(options.seed);
-    read_value(table, "seed", "a whole number", file, seed);
+    read_toml_value_if_present(table, "seed", "a whole number", file, seed);
     options.seed = static_cast<std::uint64_t>(seed);
-    read_value(table, "n_frames", "a whole number", file, options.n_frames);
-    read_value(table, "rows", "a whole number", file, options.rows);
-    read_value(table, "columns", "a whole number", file, options.columns);
-    read_value(table, "range_noise_m", "a number", file, options.range_noise_m);
-    read_value(table, "speed_mps", "a number", file, options.speed_mps);
-    read_value(table, "moving_cars", "true or false", file, options.moving_cars);
-    read_value(table, "people", "true or false", file, options.people);
-    read_value(table, "gait", "true or false", file, options.gait);
-    read_value(table, "rig", "a file", file, options.rig);
+    read_toml_value_if_present(table, "n_frames", "a whole number", file, options.n_frames);
+    read_toml_value_if_present(table, "rows", "a whole number", file, options.rows);
+    read_toml_value_if_present(table, "columns", "a whole number", file, options.columns);
+    read_toml_value_if_present(table, "range_noise_m", "a number", file, options.range_noise_m);
+    read_toml_value_if_present(table, "speed_mps", "a number", file, options.speed_mps);
+    read_toml_value_if_present(table, "moving_cars", "true or false", file, options.moving_cars);
+    read_toml_value_if_present(table, "people", "true or false", file, options.people);
+    read_toml_value_if_present(table, "gait", "true or false", file, options.gait);
+    read_toml_value_if_present(table, "rig", "a file", file, options.rig);
     // A relative path of the rig file starts in the folder of street.toml.
-    if (!options.rig.empty()) options.rig = (path.parent_path() / options.rig).string();
+    if (!options.rig.empty()) options.rig = (toml_file.parent_path() / options.rig).string();
     return options;
 }
 
 }  // namespace
 
-Sequence load_synthetic(const fs::path& folder, const DatasetOptions& options) {
+LidarSequence load_synthetic_dataset(const fs::path& folder, const DatasetOptions& options) {
     const fs::path file = folder / "street.toml";
-    const SyntheticOptions street = read_synthetic(folder);
+    const SyntheticOptions street = read_synthetic_options(folder);
     const int end = options.frames.end < 0 ? street.n_frames : std::min(options.frames.end, street.n_frames);
     if (street.n_frames > 0 && options.frames.begin >= end) {
         throw UsageError(fmt::format("frames {}:{} select no frame of {}, expected numbers in [0, {}]",
@@ -108,7 +108,7 @@ Sequence load_synthetic(const fs::path& folder, const DatasetOptions& options) {
                                      options.frames.end < 0 ? "" : std::to_string(options.frames.end),
                                      folder.string(), street.n_frames - 1));
     }
-    Sequence sequence;
+    LidarSequence sequence;
     try {
         sequence = make_synthetic_frames(street, options.frames.begin, end);
         // The wrong value is in a file and not on the command line, so the error becomes
@@ -117,13 +117,15 @@ Sequence load_synthetic(const fs::path& folder, const DatasetOptions& options) {
         throw DataError(fmt::format("{}: {}", file.string(), error.what()));
     }
     sequence.source = folder.string();
-    if (!options.poses_file.empty()) use_poses_file(sequence, options.poses_file);
+    if (!options.poses_file.empty()) replace_poses_from_file(sequence, options.poses_file);
     return sequence;
 }
 
-SyntheticOptions read_synthetic(const fs::path& folder) { return read_options(folder / "street.toml"); }
+SyntheticOptions read_synthetic_options(const fs::path& folder) {
+    return read_street_toml(folder / "street.toml");
+}
 
-void save_synthetic(const SyntheticOptions& options, const fs::path& folder) {
+void save_synthetic_options(const SyntheticOptions& options, const fs::path& folder) {
     std::error_code failed;
     fs::create_directories(folder, failed);
     const fs::path file = folder / "street.toml";

@@ -42,30 +42,31 @@ using namespace waymo;
 // Names of the LiDARs, indexed by Waymo's enum LaserName.
 constexpr const char* kLaserNames[] = {"", "TOP", "FRONT", "SIDE_LEFT", "SIDE_RIGHT", "REAR"};
 
-struct Segment {
+struct RequestedSegment {
     fs::path file;
     FrameRange frames;
     bool top_alone = false;
-    std::vector<int> test_frames = {};  ///< see ChosenSequence
+    std::vector<int> test_frames = {};  ///< see RequestedDriveFrames
     std::vector<std::string> notes = {};
 };
 
-std::vector<fs::path> list_segments(const fs::path& path) {
+std::vector<fs::path> list_segment_files(const fs::path& file_or_folder) {
     std::vector<fs::path> files;
     std::error_code failed;
-    if (!fs::is_directory(path, failed)) return {path};
-    for (const fs::path& file : list_folder(path))
+    if (!fs::is_directory(file_or_folder, failed)) return {file_or_folder};
+    for (const fs::path& file : list_folder_entries(file_or_folder))
         if (file.extension() == ".tfrecord") files.push_back(file);
     if (files.empty())
-        throw DataError(fmt::format("{} contains no segment, expected files *.tfrecord", path.string()));
+        throw DataError(
+            fmt::format("{} contains no segment, expected files *.tfrecord", file_or_folder.string()));
     return files;
 }
 
-Segment choose_segment(const fs::path& path, const DatasetOptions& options) {
-    const std::vector<fs::path> files = list_segments(path);
-    const ChosenSequence part = choose_sequence(options, kWaymoBenchmark);
+RequestedSegment choose_segment(const fs::path& file_or_folder, const DatasetOptions& options) {
+    const std::vector<fs::path> files = list_segment_files(file_or_folder);
+    const RequestedDriveFrames part = resolve_benchmark_sequence(options, kWaymoBenchmark);
     if (part.drive.empty()) {
-        Segment segment{files.front(), part.frames};
+        RequestedSegment segment{files.front(), part.frames};
         if (files.size() > 1)
             segment.notes = {fmt::format(
                 "the first of {} segments is read; select another one with dataset.sequence", files.size())};
@@ -79,31 +80,34 @@ Segment choose_segment(const fs::path& path, const DatasetOptions& options) {
     throw UsageError(
         fmt::format("dataset.sequence: found '{}', expected the beginning of the name of one of the {} "
                     "segments in {}, or ws1 to ws4, or wd1 to wd4",
-                    make_excerpt(options.sequence), files.size(), path.string()));
+                    shorten_for_error_message(options.sequence), files.size(), file_or_folder.string()));
 }
 
 /// Returns the records [begin, end) that contain the requested frames.
-std::pair<int, int> get_requested_record_range(const TfRecords& records, const FrameRange& frames) {
+std::pair<int, int> get_requested_record_range(const TfRecordReader& records,
+                                               const FrameRange& requested_frames) {
     const int n = static_cast<int>(std::min<std::size_t>(records.size(), 1 << 30));
-    const int end = frames.end < 0 ? n : std::min(frames.end, n);
-    if (frames.begin >= end)
+    const int end = requested_frames.end < 0 ? n : std::min(requested_frames.end, n);
+    if (requested_frames.begin >= end)
         throw UsageError(fmt::format("frames {}:{} select no record of {}, expected numbers in [0, {}]",
-                                     frames.begin, frames.end < 0 ? "" : std::to_string(frames.end),
-                                     records.file().string(), n - 1));
-    return {frames.begin, end};
+                                     requested_frames.begin,
+                                     requested_frames.end < 0 ? "" : std::to_string(requested_frames.end),
+                                     records.get_file_path().string(), n - 1));
+    return {requested_frames.begin, end};
 }
 
-std::string make_record_name(const TfRecords& records, int record) {
-    return fmt::format("{}: record {}", records.file().string(), record);
+std::string make_record_name(const TfRecordReader& records, int record_index) {
+    return fmt::format("{}: record {}", records.get_file_path().string(), record_index);
 }
 
 /// Returns the vehicle pose when a pixel was measured. The pose image stores it as roll,
 /// pitch, yaw, x, y, z.
-Pose read_pixel_pose(const Image& poses, std::size_t pixel, const std::string& location) {
-    const float* v = poses.pixel(pixel);
+Pose read_vehicle_pose_of_pixel(const DecompressedImage& pose_image, std::size_t pixel_index,
+                                const std::string& error_location) {
+    const float* v = pose_image.get_pixel_values(pixel_index);
     if (!std::all_of(v, v + 6, [](float value) { return std::abs(value) <= 1e8f; }))
-        throw DataError(fmt::format("{}: the pose of pixel {} is ({}), expected finite numbers", location,
-                                    pixel, fmt::join(v, v + 6, ", ")));
+        throw DataError(fmt::format("{}: the pose of pixel {} is ({}), expected finite numbers",
+                                    error_location, pixel_index, fmt::join(v, v + 6, ", ")));
     return {make_rotation(double(v[2]), double(v[1]), double(v[0])), {v[3], v[4], v[5]}};
 }
 
@@ -113,88 +117,96 @@ constexpr int kImageChannels = 4, kPoseChannels = 6;
 
 /// Reads the image with the vehicle pose of each pixel, or returns nothing if the LiDAR
 /// has none.
-std::optional<Image> read_pixel_poses(const LaserImages& laser, const Image& image,
-                                      const std::string& location) {
-    if (laser.pixel_pose.empty()) return std::nullopt;
-    Image poses = inflate_image(laser.pixel_pose, kPoseChannels, location + ", pixel poses");
-    if (poses.rows != image.rows || poses.columns != image.columns)
+std::optional<DecompressedImage> read_pose_image(const CompressedLidarImages& laser_images,
+                                                 const DecompressedImage& range_image,
+                                                 const std::string& error_location) {
+    if (laser_images.pixel_pose.empty()) return std::nullopt;
+    DecompressedImage poses =
+        inflate_image(laser_images.pixel_pose, kPoseChannels, error_location + ", pixel poses");
+    if (poses.rows != range_image.rows || poses.columns != range_image.columns)
         throw DataError(fmt::format(
-            "{}: found {} x {} pixel poses for an image of {} x {} pixels, expected the same size", location,
-            poses.rows, poses.columns, image.rows, image.columns));
+            "{}: found {} x {} pixel poses for an image of {} x {} pixels, expected the same size",
+            error_location, poses.rows, poses.columns, range_image.rows, range_image.columns));
     return poses;
 }
 
-const LaserImages& find_laser_images(const FrameRecord& frame, int laser, const std::string& location) {
-    for (const LaserImages& images : frame.images)
-        if (images.laser == laser && !images.first.empty()) return images;
-    throw DataError(fmt::format("{}: the range image of {} is missing, but the first frame has one", location,
-                                kLaserNames[laser]));
+const CompressedLidarImages& find_range_images_of_laser(const WaymoFrameRecord& frame_record, int laser_id,
+                                                        const std::string& error_location) {
+    for (const CompressedLidarImages& images : frame_record.images)
+        if (images.laser == laser_id && !images.first.empty()) return images;
+    throw DataError(fmt::format("{}: the range image of {} is missing, but the first frame has one",
+                                error_location, kLaserNames[laser_id]));
 }
 
 /// Returns the vehicle pose when the LiDAR TOP faces forward: the pose of the pixel that
 /// is nearest to the middle column, among pixels with a return.
-Pose find_forward_pose(const FrameRecord& frame, const std::string& location) {
-    if (frame.images.empty() || frame.images.front().laser != kTop) return frame.world_from_vehicle;
-    const std::string in_top = location + ": TOP";
-    const Image image = inflate_image(frame.images.front().first, kImageChannels, in_top);
-    const std::optional<Image> poses = read_pixel_poses(frame.images.front(), image, in_top);
+Pose find_pose_facing_forward(const WaymoFrameRecord& frame_record, const std::string& error_location) {
+    if (frame_record.images.empty() || frame_record.images.front().laser != kTop)
+        return frame_record.world_from_vehicle;
+    const std::string in_top = error_location + ": TOP";
+    const DecompressedImage image = inflate_image(frame_record.images.front().first, kImageChannels, in_top);
+    const std::optional<DecompressedImage> poses =
+        read_pose_image(frame_record.images.front(), image, in_top);
     std::optional<std::size_t> nearest;
     int away = image.columns;
     for (std::size_t at = 0; poses && at < std::size_t(image.rows) * std::size_t(image.columns); ++at) {
         const int from_middle = std::abs(int(at % std::size_t(image.columns)) - image.columns / 2);
-        if (image.pixel(at)[0] > 0.0f && from_middle < away) nearest = at, away = from_middle;
+        if (image.get_pixel_values(at)[0] > 0.0f && from_middle < away) nearest = at, away = from_middle;
     }
-    return nearest ? read_pixel_pose(*poses, *nearest, in_top) : frame.world_from_vehicle;
+    return nearest ? read_vehicle_pose_of_pixel(*poses, *nearest, in_top) : frame_record.world_from_vehicle;
 }
 
 /// Pose and labels of a frame. They are read for all frames before the scans, because
 /// placing rays needs the poses of all frames.
-struct FrameHead {
+struct WaymoFrameHeader {
     std::int64_t timestamp_us = 0;
     Pose world_from_vehicle;       ///< vehicle pose at the time when the head of the LiDAR faces forward
     std::vector<BoxLabel> labels;  ///< box labels in the world frame; their times are not set
 };
 
-FrameHead read_head(const TfRecords& records, int record) {
-    const std::string data = records.read(std::size_t(record)), where = make_record_name(records, record);
-    FrameRecord frame = parse_frame(data, where);
+WaymoFrameHeader read_frame_pose_and_labels(const TfRecordReader& records, int record_index) {
+    const std::string data = records.read_record_data(std::size_t(record_index)),
+                      where = make_record_name(records, record_index);
+    WaymoFrameRecord frame = parse_frame_record(data, where);
     for (BoxLabel& label : frame.labels)
         label.world_from_box = frame.world_from_vehicle * label.world_from_box;
-    return {frame.timestamp_us, find_forward_pose(frame, where), std::move(frame.labels)};
+    return {frame.timestamp_us, find_pose_facing_forward(frame, where), std::move(frame.labels)};
 }
 
-double compute_median_period(const std::vector<FrameHead>& heads, const std::string& location) {
+double compute_frame_period_s(const std::vector<WaymoFrameHeader>& frame_heads,
+                              const std::string& error_location) {
     std::vector<double> steps_s;
-    for (std::size_t i = 1; i < heads.size(); ++i)
-        steps_s.push_back(1e-6 * double(heads[i].timestamp_us - heads[i - 1].timestamp_us));
+    for (std::size_t i = 1; i < frame_heads.size(); ++i)
+        steps_s.push_back(1e-6 * double(frame_heads[i].timestamp_us - frame_heads[i - 1].timestamp_us));
     if (steps_s.empty()) return 0.1;
     const double period_s = compute_median(std::move(steps_s));
     if (!(period_s > 0.01 && period_s < 1.0))
         throw DataError(
             fmt::format("{}: timestamp_micros increase by {:.6g} s per record, expected 0.01 to 1 s",
-                        location, period_s));
+                        error_location, period_s));
     return period_s;
 }
 
-Lidar make_lidar(const FrameRecord& frame, const LaserImages& images, double period_s,
-                 const std::string& location) {
-    if (images.laser < 1 || images.laser >= int(std::size(kLaserNames)))
-        throw DataError(fmt::format("{}: found laser {}, expected 1 to {}", location, images.laser,
-                                    std::size(kLaserNames) - 1));
-    const auto calibration = std::find_if(frame.lasers.begin(), frame.lasers.end(),
-                                          [&](const auto& c) { return c.laser == images.laser; });
-    if (calibration == frame.lasers.end())
+Lidar make_waymo_lidar(const WaymoFrameRecord& frame_record, const CompressedLidarImages& laser_images,
+                       double period_s, const std::string& error_location) {
+    if (laser_images.laser < 1 || laser_images.laser >= int(std::size(kLaserNames)))
+        throw DataError(fmt::format("{}: found laser {}, expected 1 to {}", error_location,
+                                    laser_images.laser, std::size(kLaserNames) - 1));
+    const auto calibration = std::find_if(frame_record.lasers.begin(), frame_record.lasers.end(),
+                                          [&](const auto& c) { return c.laser == laser_images.laser; });
+    if (calibration == frame_record.lasers.end())
         throw DataError(
             fmt::format("{}: laser_calibrations has no entry for {}, although its range image exists",
-                        location, kLaserNames[images.laser]));
-    const Image image = inflate_image(images.first, kImageChannels,
-                                      fmt::format("{}: {}", location, kLaserNames[images.laser]));
-    Lidar lidar{kLaserNames[images.laser], {}, {}};
+                        error_location, kLaserNames[laser_images.laser]));
+    const DecompressedImage image =
+        inflate_image(laser_images.first, kImageChannels,
+                      fmt::format("{}: {}", error_location, kLaserNames[laser_images.laser]));
+    Lidar lidar{kLaserNames[laser_images.laser], {}, {}};
     lidar.sensor.name = fmt::format("Waymo {}", lidar.name);
     lidar.sensor.columns = image.columns;
     lidar.sensor.period_s = period_s;
     lidar.sensor.first_azimuth_rad = kPi - kPi / image.columns;
-    for (const double elevation : compute_row_elevations(*calibration, image.rows, location))
+    for (const double elevation : compute_row_elevations_rad(*calibration, image.rows, error_location))
         lidar.sensor.beams.push_back({elevation});
     const glm::dvec3 ahead = calibration->vehicle_from_laser.rotation * glm::dvec3(1, 0, 0);
     const Pose turned{glm::angleAxis(-std::atan2(ahead.y, ahead.x), glm::dvec3(0, 0, 1)), {}};
@@ -208,34 +220,36 @@ public:
     /// Creates a reader for one LiDAR in one frame.
     /// @param clamps  if true, intensities are clamped to 1; if false, intensities are
     /// scaled with tanh
-    RangeImageReader(const Sequence& sequence, const Frame& frame, RayTable model, std::string location,
-                     bool clamps)
-        : lidar_(sequence.get_lidar(frame)), where_(std::move(location)), clamps_(clamps) {
+    RangeImageReader(const LidarSequence& sequence, const LidarFrame& frame, RayTable model,
+                     std::string error_location, bool clamps)
+        : lidar_(sequence.get_lidar(frame)), where_(std::move(error_location)), clamps_(clamps) {
         scan.rays = std::move(model);
         scan.range_m.assign(scan.rays.size(), 0.0f);
         scan.intensity.assign(scan.rays.size(), 0.0f);
         // All rays of a column fire at the same time, so one pose per column is enough.
         for (int column = 0; column < scan.rays.columns; ++column) {
             const double time_s = frame.time_s + double(scan.rays.time_offset_s[std::size_t(column)]);
-            sensor_from_world_.push_back(
-                inverse(sequence.world_from_vehicle.at(time_s, lidar_.vehicle_from_sensor)));
+            sensor_from_world_.push_back(inverse(
+                sequence.world_from_vehicle.interpolate_mounted_pose(time_s, lidar_.vehicle_from_sensor)));
         }
     }
 
     Scan scan;
 
-    void read(const LaserImages& images, const Pose& world_from_vehicle) {
-        const Image image = inflate_image_of_pixels(images.first);
-        const std::optional<Image> poses = read_pixel_poses(images, image, where_);
-        read_returns(image, scan.range_m, scan.intensity);
+    void read_scan_of_laser(const CompressedLidarImages& laser_images, const Pose& world_from_vehicle) {
+        const DecompressedImage image = inflate_image_of_scan_size(laser_images.first);
+        const std::optional<DecompressedImage> poses = read_pose_image(laser_images, image, where_);
+        copy_returns_from_image(image, scan.range_m, scan.intensity);
         for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
-            if (!poses) place(ray, world_from_vehicle);
-            else if (scan.range_m[ray] > 0.0f) place(ray, read_pixel_pose(*poses, ray, where_));
-        if (!images.labels.empty()) read_labels(images.labels);
-        if (images.second.empty()) return;
-        SecondReturn& second = scan.second_returns.emplace_back(
-            SecondReturn{to_vector(scan.range_m), to_vector(scan.intensity)});
-        read_returns(inflate_image_of_pixels(images.second), second.range_m, second.intensity);
+            if (!poses) place_ray_with_vehicle_pose(ray, world_from_vehicle);
+            else if (scan.range_m[ray] > 0.0f)
+                place_ray_with_vehicle_pose(ray, read_vehicle_pose_of_pixel(*poses, ray, where_));
+        if (!laser_images.labels.empty()) read_point_classes(laser_images.labels);
+        if (laser_images.second.empty()) return;
+        AdditionalReturns& second = scan.second_returns.emplace_back(
+            AdditionalReturns{to_vector(scan.range_m), to_vector(scan.intensity)});
+        copy_returns_from_image(inflate_image_of_scan_size(laser_images.second), second.range_m,
+                                second.intensity);
         for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
             if (scan.range_m[ray] == 0.0f) second.range_m[ray] = second.intensity[ray] = 0.0f;
     }
@@ -248,17 +262,19 @@ private:
     std::vector<Pose> sensor_from_world_;
 
     /// Reads the class of each pixel. A label consists of an instance and a class.
-    void read_labels(std::string_view packed) {
-        const Image labels = inflate_image_of_pixels(packed, 2, PixelType::integer);
+    void read_point_classes(std::string_view compressed_labels) {
+        const DecompressedImage labels = inflate_image_of_scan_size(compressed_labels, 2, PixelType::integer);
         scan.classes.assign(scan.rays.size(), SurfaceClass::unknown);
         for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
             if (scan.range_m[ray] > 0.0f)
-                scan.classes[ray] = convert_waymo_class(int(std::clamp(labels.pixel(ray)[1], 0.0f, 255.0f)));
+                scan.classes[ray] =
+                    convert_waymo_class(int(std::clamp(labels.get_pixel_values(ray)[1], 0.0f, 255.0f)));
     }
 
-    Image inflate_image_of_pixels(std::string_view packed, int channels = kImageChannels,
-                                  PixelType type = PixelType::real) const {
-        Image image = inflate_image(packed, channels, where_, type);
+    DecompressedImage inflate_image_of_scan_size(std::string_view compressed_image,
+                                                 int n_channels = kImageChannels,
+                                                 PixelType pixel_type = PixelType::real) const {
+        DecompressedImage image = inflate_image(compressed_image, n_channels, where_, pixel_type);
         if (image.rows == scan.rays.rows && image.columns == scan.rays.columns) return image;
         throw DataError(
             fmt::format("{}: the range image has {} x {} pixels, expected {} x {} like in the first frame",
@@ -266,57 +282,64 @@ private:
     }
 
     /// Converts the stored intensity of a return to the range 0 to 1.
-    float to_intensity(float brightness) const {
-        return clamps_ ? std::clamp(brightness, 0.0f, 1.0f) : std::tanh(std::max(brightness, 0.0f));
+    float normalise_intensity(float stored_intensity) const {
+        return clamps_ ? std::clamp(stored_intensity, 0.0f, 1.0f)
+                       : std::tanh(std::max(stored_intensity, 0.0f));
     }
 
-    void read_returns(const Image& image, std::span<float> range_m, std::span<float> intensity) const {
+    void copy_returns_from_image(const DecompressedImage& range_image, std::span<float> range_m,
+                                 std::span<float> intensity) const {
         constexpr float kFarthest_m = 1e4f;
         for (std::size_t ray = 0; ray < range_m.size(); ++ray) {
-            const float range = image.pixel(ray)[0], brightness = image.pixel(ray)[1];
+            const float range = range_image.get_pixel_values(ray)[0],
+                        brightness = range_image.get_pixel_values(ray)[1];
             if (!(range <= kFarthest_m) || !std::isfinite(brightness))
                 throw DataError(fmt::format(
                     "{}: pixel {} has range {} m and intensity {}, expected finite values and at most {} m",
                     where_, ray, range, brightness, kFarthest_m));
             range_m[ray] = std::max(range, 0.0f);
-            intensity[ray] = range > 0.0f ? to_intensity(brightness) : 0.0f;
+            intensity[ray] = range > 0.0f ? normalise_intensity(brightness) : 0.0f;
         }
     }
 
     /// Corrects a ray for the difference between two vehicle poses at its firing time:
     /// the pose in the dataset, and the pose that is interpolated between the frames of
     /// the log.
-    void place(std::size_t ray, const Pose& world_from_vehicle) {
-        const Pose moved = sensor_from_world_[ray % std::size_t(scan.rays.columns)] *
+    void place_ray_with_vehicle_pose(std::size_t ray_index, const Pose& world_from_vehicle) {
+        const Pose moved = sensor_from_world_[ray_index % std::size_t(scan.rays.columns)] *
                            (world_from_vehicle * lidar_.vehicle_from_sensor);
-        scan.rays.origin[ray] = glm::vec3(moved.translation);
-        scan.rays.direction[ray] = glm::vec3(moved.rotation * glm::dvec3(scan.rays.direction[ray]));
+        scan.rays.origin[ray_index] = glm::vec3(moved.translation);
+        scan.rays.direction[ray_index] =
+            glm::vec3(moved.rotation * glm::dvec3(scan.rays.direction[ray_index]));
     }
 };
 
 /// Adds LiDARs, frames and box labels to the log, but no scans. The first frame defines
 /// the LiDARs.
-void add_frames(Sequence& sequence, const TfRecords& records, const std::vector<FrameHead>& heads, int begin,
-                bool top_alone) {
-    const double period_s = compute_median_period(heads, records.file().string());
-    const std::string first = records.read(std::size_t(begin)), where = make_record_name(records, begin);
-    const FrameRecord frame = parse_frame(first, where);
+void add_lidars_frames_and_boxes(LidarSequence& sequence, const TfRecordReader& records,
+                                 const std::vector<WaymoFrameHeader>& frame_heads, int first_record,
+                                 bool only_top_lidar) {
+    const double period_s = compute_frame_period_s(frame_heads, records.get_file_path().string());
+    const std::string first = records.read_record_data(std::size_t(first_record)),
+                      where = make_record_name(records, first_record);
+    const WaymoFrameRecord frame = parse_frame_record(first, where);
     sequence.lidars.clear();
-    for (const LaserImages& images : frame.images)
-        if (!images.first.empty() && (!top_alone || images.laser == kTop))
-            sequence.lidars.push_back(make_lidar(frame, images, period_s, where));
+    for (const CompressedLidarImages& images : frame.images)
+        if (!images.first.empty() && (!only_top_lidar || images.laser == kTop))
+            sequence.lidars.push_back(make_waymo_lidar(frame, images, period_s, where));
     if (sequence.lidars.empty())
         throw DataError(fmt::format("{}: found no range image{}, expected at least one", where,
-                                    top_alone ? " of TOP" : ""));
-    const std::int64_t start_us = parse_frame(records.read(0), make_record_name(records, 0)).timestamp_us;
+                                    only_top_lidar ? " of TOP" : ""));
+    const std::int64_t start_us =
+        parse_frame_record(records.read_record_data(0), make_record_name(records, 0)).timestamp_us;
     std::vector<BoxLabel> labels;
-    for (std::size_t i = 0; i < heads.size(); ++i) {
+    for (std::size_t i = 0; i < frame_heads.size(); ++i) {
         // The time stamp is the start of the sweep, when the head faces backward. Half a
         // period later it faces forward, which is the time of a frame.
-        const double time_s = 1e-6 * double(heads[i].timestamp_us - start_us) + 0.5 * period_s;
+        const double time_s = 1e-6 * double(frame_heads[i].timestamp_us - start_us) + 0.5 * period_s;
         for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)
-            add_frame(sequence, begin + int(i), time_s, heads[i].world_from_vehicle, lidar);
-        for (BoxLabel label : heads[i].labels) {
+            add_frame(sequence, first_record + int(i), time_s, frame_heads[i].world_from_vehicle, lidar);
+        for (BoxLabel label : frame_heads[i].labels) {
             label.time_s = time_s;
             labels.push_back(std::move(label));
         }
@@ -324,8 +347,9 @@ void add_frames(Sequence& sequence, const TfRecords& records, const std::vector<
     sequence.boxes = build_tracks(labels);
 }
 
-void read_scans(Sequence& sequence, const TfRecords& records, const DatasetOptions& options) {
-    BrokenScans broken(options.skip_broken);
+void read_scans_of_records(LidarSequence& sequence, const TfRecordReader& records,
+                           const DatasetOptions& options) {
+    ScanErrorCollector broken(options.skip_broken);
     std::vector<RayTable> models;
     for (const Lidar& lidar : sequence.lidars) {
         RayTable& model = models.emplace_back(make_rays(lidar.sensor));
@@ -335,42 +359,44 @@ void read_scans(Sequence& sequence, const TfRecords& records, const DatasetOptio
             std::fill(model.time_offset_s.begin(), model.time_offset_s.end(), 0.0f);
     }
     const std::size_t n_lidars = sequence.lidars.size();
-    for_each_with_progress(
+    parallel_for_with_progress(
         sequence.frames.size() / n_lidars, options.progress, "reading range images", [&](std::size_t sweep) {
             const int record = sequence.frames[sweep * n_lidars].index;
             // The pose in this record has been read before, so the record is known to be
             // complete.
-            const std::string data = records.read(std::size_t(record)),
+            const std::string data = records.read_record_data(std::size_t(record)),
                               where = make_record_name(records, record);
-            const FrameRecord parsed = parse_frame(data, where);
+            const WaymoFrameRecord parsed = parse_frame_record(data, where);
             for (std::size_t lidar = 0; lidar < n_lidars; ++lidar) {
-                Frame& frame = sequence.frames[sweep * n_lidars + lidar];
+                LidarFrame& frame = sequence.frames[sweep * n_lidars + lidar];
                 const std::string& name = sequence.lidars[lidar].name;
                 const int laser = int(std::find(std::begin(kLaserNames), std::end(kLaserNames), name) -
                                       std::begin(kLaserNames));
-                broken.attempt(sweep * n_lidars + lidar, [&] {
+                broken.read_or_mark_broken(sweep * n_lidars + lidar, [&] {
                     RangeImageReader reader(sequence, frame, models[lidar],
                                             fmt::format("{}: {}", where, name),
                                             options.waymo.clamp_intensity);
-                    reader.read(find_laser_images(parsed, laser, where), parsed.world_from_vehicle);
+                    reader.read_scan_of_laser(find_range_images_of_laser(parsed, laser, where),
+                                              parsed.world_from_vehicle);
                     frame.scan = std::move(reader.scan);
                 });
             }
         });
-    broken.leave_out(sequence);
+    broken.remove_broken_frames(sequence);
 }
 
 }  // namespace
 
-Sequence load_waymo(const fs::path& path, const DatasetOptions& options) {
-    const Segment segment = choose_segment(path, options);
-    const TfRecords records(segment.file);
+LidarSequence load_waymo(const fs::path& path, const DatasetOptions& options) {
+    const RequestedSegment segment = choose_segment(path, options);
+    const TfRecordReader records(segment.file);
     const auto [begin, end] = get_requested_record_range(records, segment.frames);
-    std::vector<FrameHead> heads(std::size_t(end - begin));
-    for_each_with_progress(
-        heads.size(), options.progress, "reading poses",
-        [&, first = begin](std::size_t index) { heads[index] = read_head(records, first + int(index)); });
-    Sequence sequence;
+    std::vector<WaymoFrameHeader> heads(std::size_t(end - begin));
+    parallel_for_with_progress(heads.size(), options.progress, "reading poses",
+                               [&, first = begin](std::size_t index) {
+                                   heads[index] = read_frame_pose_and_labels(records, first + int(index));
+                               });
+    LidarSequence sequence;
     sequence.name = segment.file.stem().string();
     sequence.source = path.string();
     sequence.conventions =
@@ -381,10 +407,10 @@ Sequence load_waymo(const fs::path& path, const DatasetOptions& options) {
         ". Rays of TOP have individual firing times. All rays of another LiDAR have the same time.";
     sequence.notes = segment.notes;
     sequence.test_frames = segment.test_frames;
-    add_frames(sequence, records, heads, begin, segment.top_alone);
+    add_lidars_frames_and_boxes(sequence, records, heads, begin, segment.top_alone);
     for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;
-    read_scans(sequence, records, options);
-    kitti::use_pose_file(sequence, options.poses_file);
+    read_scans_of_records(sequence, records, options);
+    kitti::replace_vehicle_poses_from_file(sequence, options.poses_file);
     recentre_sequence(sequence);
     return sequence;
 }

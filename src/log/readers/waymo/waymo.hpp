@@ -16,6 +16,6 @@ namespace relidar {
 /// @param path  a .tfrecord file, or a folder of such files
 /// @throws DataError with file, record and field
 /// @throws UsageError if the segment is unknown or no frame is in the requested range
-Sequence load_waymo(const std::filesystem::path& path, const DatasetOptions& options);
+LidarSequence load_waymo(const std::filesystem::path& path, const DatasetOptions& options);
 
 }  // namespace relidar

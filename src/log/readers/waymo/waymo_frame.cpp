@@ -21,84 +21,84 @@ namespace {
 using protozero::pbf_reader;
 using protozero::pbf_wire_type;
 
-constexpr std::uint32_t number(std::uint32_t field) {
-    return protozero::tag_and_type(field, pbf_wire_type::varint);
+constexpr std::uint32_t make_varint_tag(std::uint32_t field_number) {
+    return protozero::tag_and_type(field_number, pbf_wire_type::varint);
 }
-constexpr std::uint32_t make_message_tag(std::uint32_t field) {
-    return protozero::tag_and_type(field, pbf_wire_type::length_delimited);
+constexpr std::uint32_t make_message_tag(std::uint32_t field_number) {
+    return protozero::tag_and_type(field_number, pbf_wire_type::length_delimited);
 }
-constexpr std::uint32_t make_real_tag(std::uint32_t field) {
-    return protozero::tag_and_type(field, pbf_wire_type::fixed64);
+constexpr std::uint32_t make_double_tag(std::uint32_t field_number) {
+    return protozero::tag_and_type(field_number, pbf_wire_type::fixed64);
 }
-constexpr std::uint32_t make_single_real_tag(std::uint32_t field) {
-    return protozero::tag_and_type(field, pbf_wire_type::fixed32);
+constexpr std::uint32_t make_float_tag(std::uint32_t field_number) {
+    return protozero::tag_and_type(field_number, pbf_wire_type::fixed32);
 }
 
 // Maximum size in bytes of a decompressed image. A six-channel image of TOP has 4 MB.
 constexpr std::size_t kMostInflated = std::size_t(32) << 20;
 constexpr double kLargestOfFrame = 1e8;  // maximum value of all numbers in a frame (metres or radians)
 
-std::string_view to_string_view(pbf_reader& reader) {
+std::string_view read_bytes_field(pbf_reader& reader) {
     const protozero::data_view view = reader.get_view();
     return {view.data(), view.size()};
 }
 
-double check_finite_number(double value, const char* field, const std::string& location) {
+double check_finite_number(double value, const char* field_name, const std::string& error_location) {
     if (!(std::abs(value) <= kLargestOfFrame))
-        throw DataError(fmt::format("{}: {} is {}, expected a finite number of at most {:.0e}", location,
-                                    field, value, kLargestOfFrame));
+        throw DataError(fmt::format("{}: {} is {}, expected a finite number of at most {:.0e}",
+                                    error_location, field_name, value, kLargestOfFrame));
     return value;
 }
 
-void append_packed(pbf_reader& reader, std::vector<double>& values) {
+void append_packed_doubles(pbf_reader& reader, std::vector<double>& values) {
     for (const double value : reader.get_packed_double()) values.push_back(value);
 }
 
 /// Parses a Transform message: a 4x4 matrix of doubles, row-major.
-Pose parse_transform(pbf_reader reader, const std::string& location) {
+Pose parse_transform(pbf_reader reader, const std::string& error_location) {
     std::vector<double> m;
     while (reader.next()) {
         switch (reader.tag_and_type()) {
-            case make_real_tag(1):
+            case make_double_tag(1):
                 m.push_back(reader.get_double());
                 break;
             case make_message_tag(1):
-                append_packed(reader, m);
+                append_packed_doubles(reader, m);
                 break;
             default:
                 reader.skip();
         }
     }
     if (m.size() != 16)
-        throw DataError(
-            fmt::format("{}: found a transform of {} numbers, expected 16 numbers", location, m.size()));
-    for (const double value : m) check_finite_number(value, "a number of the transform", location);
+        throw DataError(fmt::format("{}: found a transform of {} numbers, expected 16 numbers",
+                                    error_location, m.size()));
+    for (const double value : m) check_finite_number(value, "a number of the transform", error_location);
     return make_rigid_pose({m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]}, {m[3], m[7], m[11]},
-                           location);
+                           error_location);
 }
 
-Calibration parse_calibration(pbf_reader reader, const std::string& location) {
-    Calibration calibration;
+WaymoLidarCalibration parse_laser_calibration(pbf_reader reader, const std::string& error_location) {
+    WaymoLidarCalibration calibration;
     while (reader.next()) {
         switch (reader.tag_and_type()) {
-            case number(1):
+            case make_varint_tag(1):
                 calibration.laser = reader.get_enum();
                 break;
-            case make_real_tag(2):
+            case make_double_tag(2):
                 calibration.inclination_rad.push_back(reader.get_double());
                 break;
             case make_message_tag(2):
-                append_packed(reader, calibration.inclination_rad);
+                append_packed_doubles(reader, calibration.inclination_rad);
                 break;
-            case make_real_tag(3):
+            case make_double_tag(3):
                 calibration.min_inclination_rad = reader.get_double();
                 break;
-            case make_real_tag(4):
+            case make_double_tag(4):
                 calibration.max_inclination_rad = reader.get_double();
                 break;
             case make_message_tag(5):
                 calibration.vehicle_from_laser =
-                    parse_transform(reader.get_message(), location + ", extrinsic");
+                    parse_transform(reader.get_message(), error_location + ", extrinsic");
                 break;
             default:
                 reader.skip();
@@ -107,33 +107,34 @@ Calibration parse_calibration(pbf_reader reader, const std::string& location) {
     return calibration;
 }
 
-void parse_context(pbf_reader reader, FrameRecord& frame, const std::string& location) {
+void parse_calibrations_into_frame(pbf_reader reader, WaymoFrameRecord& frame_record,
+                                   const std::string& error_location) {
     while (reader.next()) {
         if (reader.tag_and_type() == make_message_tag(3))
-            frame.lasers.push_back(
-                parse_calibration(reader.get_message(), location + ": laser_calibrations"));
+            frame_record.lasers.push_back(
+                parse_laser_calibration(reader.get_message(), error_location + ": laser_calibrations"));
         else reader.skip();
     }
 }
 
 /// Compressed images of a RangeImage message: the range image, the vehicle poses of its
 /// pixels, and their labels.
-struct ReturnImages {
+struct CompressedReturnImages {
     std::string_view image, pixel_pose, labels;
 };
 
-ReturnImages parse_range_image(pbf_reader reader) {
-    ReturnImages images;
+CompressedReturnImages parse_range_image(pbf_reader reader) {
+    CompressedReturnImages images;
     while (reader.next()) {
         switch (reader.tag_and_type()) {
             case make_message_tag(2):
-                images.image = to_string_view(reader);
+                images.image = read_bytes_field(reader);
                 break;
             case make_message_tag(4):
-                images.pixel_pose = to_string_view(reader);
+                images.pixel_pose = read_bytes_field(reader);
                 break;
             case make_message_tag(6):
-                images.labels = to_string_view(reader);
+                images.labels = read_bytes_field(reader);
                 break;
             default:
                 reader.skip();
@@ -142,15 +143,15 @@ ReturnImages parse_range_image(pbf_reader reader) {
     return images;
 }
 
-LaserImages parse_laser(pbf_reader reader) {
-    LaserImages laser;
+CompressedLidarImages parse_laser_images(pbf_reader reader) {
+    CompressedLidarImages laser;
     while (reader.next()) {
         switch (reader.tag_and_type()) {
-            case number(1):
+            case make_varint_tag(1):
                 laser.laser = reader.get_enum();
                 break;
             case make_message_tag(2): {
-                const ReturnImages first = parse_range_image(reader.get_message());
+                const CompressedReturnImages first = parse_range_image(reader.get_message());
                 laser.first = first.image, laser.pixel_pose = first.pixel_pose, laser.labels = first.labels;
                 break;
             }
@@ -165,12 +166,12 @@ LaserImages parse_laser(pbf_reader reader) {
 }
 
 /// Parses a Box message, whose fields are centre, width, length, height and heading.
-void parse_box(pbf_reader reader, BoxLabel& label, const std::string& location) {
+void parse_box_into_label(pbf_reader reader, BoxLabel& label, const std::string& error_location) {
     double v[8] = {};
     while (reader.next()) {
         if (reader.tag() >= 1 && reader.tag() <= 7 && reader.wire_type() == pbf_wire_type::fixed64) {
             const std::uint32_t field = reader.tag();
-            v[field] = check_finite_number(reader.get_double(), "a number of the box", location);
+            v[field] = check_finite_number(reader.get_double(), "a number of the box", error_location);
         } else {
             reader.skip();
         }
@@ -181,23 +182,24 @@ void parse_box(pbf_reader reader, BoxLabel& label, const std::string& location) 
 
 /// Returns the category of an object, or null for signs, which cannot move and belong to
 /// the background.
-const char* get_category(int type) {
+const char* get_object_category(int waymo_type) {
     constexpr int kVehicle = 1, kPedestrian = 2, kCyclist = 4;
-    return type == kVehicle      ? "vehicle"
-           : type == kPedestrian ? "pedestrian"
-           : type == kCyclist    ? "cyclist"
-                                 : nullptr;
+    return waymo_type == kVehicle      ? "vehicle"
+           : waymo_type == kPedestrian ? "pedestrian"
+           : waymo_type == kCyclist    ? "cyclist"
+                                       : nullptr;
 }
 
-void parse_label(pbf_reader reader, FrameRecord& frame, const std::string& location) {
+void parse_label_into_frame(pbf_reader reader, WaymoFrameRecord& frame_record,
+                            const std::string& error_location) {
     BoxLabel label;
     int type = 0;
     while (reader.next()) {
         switch (reader.tag_and_type()) {
             case make_message_tag(1):
-                parse_box(reader.get_message(), label, location);
+                parse_box_into_label(reader.get_message(), label, error_location);
                 break;
-            case number(3):
+            case make_varint_tag(3):
                 type = reader.get_enum();
                 break;
             case make_message_tag(4):
@@ -207,40 +209,41 @@ void parse_label(pbf_reader reader, FrameRecord& frame, const std::string& locat
                 reader.skip();
         }
     }
-    const char* category = get_category(type);
+    const char* category = get_object_category(type);
     if (!category) return;
     label.category = category;
     if (label.id.empty() || !(std::min({label.size_m.x, label.size_m.y, label.size_m.z}) > 0.0))
         throw DataError(fmt::format(
             "{}: found a {} with id '{}' and size {} x {} x {} m, expected an id and three lengths "
             "above 0",
-            location, category, make_excerpt(label.id), label.size_m.x, label.size_m.y, label.size_m.z));
-    frame.labels.push_back(std::move(label));
+            error_location, category, shorten_for_error_message(label.id), label.size_m.x, label.size_m.y,
+            label.size_m.z));
+    frame_record.labels.push_back(std::move(label));
 }
 
 /// Parses a MatrixFloat or MatrixInt32 message, which contains values and dimensions.
-void parse_matrix(pbf_reader reader, PixelType type, std::vector<float>& values,
-                  std::vector<std::int32_t>& dims) {
+void parse_pixel_matrix(pbf_reader reader, PixelType pixel_type, std::vector<float>& values,
+                        std::vector<std::int32_t>& dimensions) {
     while (reader.next()) {
         switch (reader.tag_and_type()) {
-            case make_single_real_tag(1):
+            case make_float_tag(1):
                 values.push_back(reader.get_float());
                 break;
-            case number(1):
-                if (type == PixelType::integer) values.push_back(float(reader.get_int32()));
+            case make_varint_tag(1):
+                if (pixel_type == PixelType::integer) values.push_back(float(reader.get_int32()));
                 else reader.skip();
                 break;
             case make_message_tag(1):
-                if (type == PixelType::real)
+                if (pixel_type == PixelType::real)
                     for (const float value : reader.get_packed_float()) values.push_back(value);
                 else
                     for (const std::int32_t value : reader.get_packed_int32()) values.push_back(float(value));
                 break;
             case make_message_tag(2):
                 for (pbf_reader shape = reader.get_message(); shape.next();) {
-                    if (shape.tag_and_type() == number(1)) dims.push_back(shape.get_int32());
+                    if (shape.tag_and_type() == make_varint_tag(1)) dimensions.push_back(shape.get_int32());
                     else if (shape.tag_and_type() == make_message_tag(1)) {
-                        for (const std::int32_t dim : shape.get_packed_int32()) dims.push_back(dim);
+                        for (const std::int32_t dim : shape.get_packed_int32()) dimensions.push_back(dim);
                     } else shape.skip();
                 }
                 break;
@@ -250,16 +253,16 @@ void parse_matrix(pbf_reader reader, PixelType type, std::vector<float>& values,
     }
 }
 
-std::string inflate(std::string_view packed, const std::string& location) {
+std::string inflate_zlib_stream(std::string_view compressed_bytes, const std::string& error_location) {
     z_stream stream{};
     if (inflateInit(&stream) != Z_OK) throw std::bad_alloc();
-    stream.next_in = reinterpret_cast<Bytef*>(const_cast<char*>(packed.data()));
-    stream.avail_in = static_cast<uInt>(std::min<std::size_t>(packed.size(), UINT32_MAX));
+    stream.next_in = reinterpret_cast<Bytef*>(const_cast<char*>(compressed_bytes.data()));
+    stream.avail_in = static_cast<uInt>(std::min<std::size_t>(compressed_bytes.size(), UINT32_MAX));
     std::string bytes;
     int status = Z_OK;
     while (status == Z_OK && bytes.size() <= kMostInflated) {
         const std::size_t have = bytes.size();
-        bytes.resize(std::min(std::max(2 * have, 4 * packed.size() + 64), kMostInflated + 1));
+        bytes.resize(std::min(std::max(2 * have, 4 * compressed_bytes.size() + 64), kMostInflated + 1));
         stream.next_out = reinterpret_cast<Bytef*>(&bytes[have]);
         stream.avail_out = static_cast<uInt>(bytes.size() - have);
         status = ::inflate(&stream, Z_NO_FLUSH);
@@ -268,46 +271,47 @@ std::string inflate(std::string_view packed, const std::string& location) {
     inflateEnd(&stream);
     if (bytes.size() > kMostInflated)
         throw DataError(fmt::format("{}: a zlib stream unpacks to more than {} bytes, expected a range image",
-                                    location, kMostInflated));
+                                    error_location, kMostInflated));
     if (status != Z_STREAM_END)
-        throw DataError(fmt::format("{}: a zlib stream of {} bytes is damaged", location, bytes.size()));
+        throw DataError(
+            fmt::format("{}: a zlib stream of {} bytes is damaged", error_location, bytes.size()));
     return bytes;
 }
 
 /// Calls a function that parses protobuf, and converts exceptions of the library
 /// protozero to DataError.
 template <class Parse>
-auto parse_with_context(const std::string& location, const Parse& parse) {
+auto parse_and_convert_exceptions(const std::string& error_location, const Parse& parse_function) {
     try {
-        return parse();
+        return parse_function();
     } catch (const protozero::exception& failure) {
-        throw DataError(fmt::format("{}: malformed protobuf: {}", location, failure.what()));
+        throw DataError(fmt::format("{}: malformed protobuf: {}", error_location, failure.what()));
     }
 }
 
 }  // namespace
 
-FrameRecord parse_frame(std::string_view record, const std::string& location) {
-    FrameRecord frame;
+WaymoFrameRecord parse_frame_record(std::string_view record_bytes, const std::string& error_location) {
+    WaymoFrameRecord frame;
     bool has_pose = false;
-    parse_with_context(location, [&] {
-        for (pbf_reader from(record.data(), record.size()); from.next();) {
+    parse_and_convert_exceptions(error_location, [&] {
+        for (pbf_reader from(record_bytes.data(), record_bytes.size()); from.next();) {
             switch (from.tag_and_type()) {
                 case make_message_tag(1):
-                    parse_context(from.get_message(), frame, location);
+                    parse_calibrations_into_frame(from.get_message(), frame, error_location);
                     break;
-                case number(2):
+                case make_varint_tag(2):
                     frame.timestamp_us = from.get_int64();
                     break;
                 case make_message_tag(3):
-                    frame.world_from_vehicle = parse_transform(from.get_message(), location + ": pose"),
+                    frame.world_from_vehicle = parse_transform(from.get_message(), error_location + ": pose"),
                     has_pose = true;
                     break;
                 case make_message_tag(5):
-                    frame.images.push_back(parse_laser(from.get_message()));
+                    frame.images.push_back(parse_laser_images(from.get_message()));
                     break;
                 case make_message_tag(6):
-                    parse_label(from.get_message(), frame, location + ": laser_labels");
+                    parse_label_into_frame(from.get_message(), frame, error_location + ": laser_labels");
                     break;
                 default:
                     from.skip();
@@ -315,50 +319,53 @@ FrameRecord parse_frame(std::string_view record, const std::string& location) {
         }
     });
     if (!has_pose)
-        throw DataError(fmt::format("{}: the pose is missing, expected a Frame of Waymo Open", location));
+        throw DataError(
+            fmt::format("{}: the pose is missing, expected a Frame of Waymo Open", error_location));
     const auto by_laser = [](const auto& first, const auto& second) { return first.laser < second.laser; };
     std::stable_sort(frame.lasers.begin(), frame.lasers.end(), by_laser);
     std::stable_sort(frame.images.begin(), frame.images.end(), by_laser);
     return frame;
 }
 
-Image inflate_image(std::string_view packed, int channels, const std::string& location, PixelType type) {
+DecompressedImage inflate_image(std::string_view compressed_image, int n_channels,
+                                const std::string& error_location, PixelType pixel_type) {
     constexpr int kMostRows = 1024, kMostColumns = 8192;
-    Image image;
+    DecompressedImage image;
     std::vector<std::int32_t> dims;
-    const std::string bytes = inflate(packed, location);
-    parse_with_context(
-        location, [&] { parse_matrix(pbf_reader(bytes.data(), bytes.size()), type, image.values, dims); });
+    const std::string bytes = inflate_zlib_stream(compressed_image, error_location);
+    parse_and_convert_exceptions(error_location, [&] {
+        parse_pixel_matrix(pbf_reader(bytes.data(), bytes.size()), pixel_type, image.values, dims);
+    });
     const bool fits =
         dims.size() == 3 && dims[0] >= 1 && dims[0] <= kMostRows && dims[1] >= 1 && dims[1] <= kMostColumns &&
-        dims[2] == channels &&
-        image.values.size() == std::size_t(dims[0]) * std::size_t(dims[1]) * std::size_t(channels);
+        dims[2] == n_channels &&
+        image.values.size() == std::size_t(dims[0]) * std::size_t(dims[1]) * std::size_t(n_channels);
     if (!fits)
         throw DataError(fmt::format(
-            "{}: found {} values in {} dimensions{}, expected rows x columns x {} values", location,
+            "{}: found {} values in {} dimensions{}, expected rows x columns x {} values", error_location,
             image.values.size(), dims.size(),
-            dims.size() == 3 ? fmt::format(" {} x {} x {}", dims[0], dims[1], dims[2]) : "", channels));
+            dims.size() == 3 ? fmt::format(" {} x {} x {}", dims[0], dims[1], dims[2]) : "", n_channels));
     image.rows = dims[0];
     image.columns = dims[1];
-    image.channels = channels;
+    image.channels = n_channels;
     return image;
 }
 
-std::vector<double> compute_row_elevations(const Calibration& calibration, int rows,
-                                           const std::string& location) {
+std::vector<double> compute_row_elevations_rad(const WaymoLidarCalibration& calibration, int n_rows,
+                                               const std::string& error_location) {
     std::vector<double> elevations = calibration.inclination_rad;
     const double low = calibration.min_inclination_rad, high = calibration.max_inclination_rad;
     if (elevations.empty())
-        for (int k = 0; k < rows; ++k) elevations.push_back(low + (k + 0.5) / rows * (high - low));
-    if (elevations.size() != std::size_t(rows))
+        for (int k = 0; k < n_rows; ++k) elevations.push_back(low + (k + 0.5) / n_rows * (high - low));
+    if (elevations.size() != std::size_t(n_rows))
         throw DataError(
             fmt::format("{}: found {} beam_inclinations for laser {} with {} rows, expected one per row",
-                        location, elevations.size(), calibration.laser, rows));
+                        error_location, elevations.size(), calibration.laser, n_rows));
     for (const double elevation : elevations)
         if (!(std::abs(elevation) <= kPi / 2))
             throw DataError(fmt::format(
                 "{}: a beam inclination is {} for laser {}, expected radians between -pi/2 and pi/2",
-                location, elevation, calibration.laser));
+                error_location, elevation, calibration.laser));
     std::reverse(elevations.begin(), elevations.end());
     return elevations;
 }

@@ -15,7 +15,7 @@ namespace relidar::waymo {
 inline constexpr int kTop = 1;  ///< LaserName of TOP, the long-range LiDAR on the roof
 
 /// Calibration of a Waymo LiDAR. In its frame, x points forward, y left and z up.
-struct Calibration {
+struct WaymoLidarCalibration {
     int laser = 0;  ///< number of the LiDAR in Waymo's enum LaserName
     /// Elevation of each row, ascending. If empty, the rows are evenly spaced between the
     /// minimum and the maximum.
@@ -26,7 +26,7 @@ struct Calibration {
 
 /// Compressed range images of one LiDAR in one frame. They are views of the record, which
 /// must stay in memory.
-struct LaserImages {
+struct CompressedLidarImages {
     int laser = 0;
     /// images of the first and the second returns; `second` is empty if there are none
     std::string_view first, second;
@@ -38,39 +38,41 @@ struct LaserImages {
     std::string_view labels;
 };
 
-struct FrameRecord {
-    std::int64_t timestamp_us = 0;    ///< time of TOP's first firing
-    Pose world_from_vehicle;          ///< vehicle pose at about the middle of the sweep
-    std::vector<Calibration> lasers;  ///< sorted by LaserName
-    std::vector<LaserImages> images;  ///< sorted by LaserName
+struct WaymoFrameRecord {
+    std::int64_t timestamp_us = 0;              ///< time of TOP's first firing
+    Pose world_from_vehicle;                    ///< vehicle pose at about the middle of the sweep
+    std::vector<WaymoLidarCalibration> lasers;  ///< sorted by LaserName
+    std::vector<CompressedLidarImages> images;  ///< sorted by LaserName
     /// Box labels of vehicles, pedestrians and cyclists in the vehicle frame, without
     /// times.
     std::vector<BoxLabel> labels;
 };
 /// Parses one record of a .tfrecord file.
-/// @param location  name of the file and record number, for error messages
+/// @param error_location  name of the file and record number, for error messages
 /// @throws DataError with the field
-FrameRecord parse_frame(std::string_view record, const std::string& location);
+WaymoFrameRecord parse_frame_record(std::string_view record_bytes, const std::string& error_location);
 
 /// A decompressed image. Its dimensions are [rows, columns, channels].
-struct Image {
+struct DecompressedImage {
     int rows = 0, columns = 0, channels = 0;
     std::vector<float> values;
 
-    const float* pixel(std::size_t index) const { return &values[index * std::size_t(channels)]; }
+    const float* get_pixel_values(std::size_t pixel_index) const {
+        return &values[pixel_index * std::size_t(channels)];
+    }
 };
 /// Types of the numbers in an image: MatrixFloat or MatrixInt32.
 enum class PixelType { real, integer };
 /// Decompresses a range image, a pose image or an image of labels.
-/// @param packed  image as a zlib stream
+/// @param compressed_image  image as a zlib stream
 /// @throws DataError if the stream is damaged, or if the image has another number of
 /// channels
-Image inflate_image(std::string_view packed, int channels, const std::string& location,
-                    PixelType type = PixelType::real);
+DecompressedImage inflate_image(std::string_view compressed_image, int n_channels,
+                                const std::string& error_location, PixelType pixel_type = PixelType::real);
 
 /// Returns the elevation of each row of a range image, from the top row to the bottom
 /// row.
-std::vector<double> compute_row_elevations(const Calibration& calibration, int rows,
-                                           const std::string& location);
+std::vector<double> compute_row_elevations_rad(const WaymoLidarCalibration& calibration, int n_rows,
+                                               const std::string& error_location);
 
 }  // namespace relidar::waymo

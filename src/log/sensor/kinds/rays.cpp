@@ -18,8 +18,8 @@ nlohmann::ordered_json make_vectors_json(const ScanArray<glm::vec3>& vectors) {
 
 /// Returns the number of rows of a ray table: the member `rows` or, if the directions are
 /// nested by rows, the length of the outer list. Otherwise returns 1.
-std::size_t count_rows(const JsonField& field) {
-    if (field.has("rows")) return std::size_t(field.at("rows").integer(1, std::int64_t(kMaxRays)));
+std::size_t count_ray_rows(const JsonField& field) {
+    if (field.has_member("rows")) return std::size_t(field.at("rows").get_integer(1, std::int64_t(kMaxRays)));
     const JsonField list = field.at("directions");
     const bool is_image = list.is_array() && list.size() > 0 && list.at(std::size_t(0)).is_array() &&
                           list.at(std::size_t(0)).size() > 0 &&
@@ -27,31 +27,33 @@ std::size_t count_rows(const JsonField& field) {
     return is_image ? std::min(list.size(), kMaxRays) : 1;
 }
 
-struct RayFunctions {
+struct RayTableFunctions {
     using Pattern = RayTable;
 
-    static SensorModel parse(const JsonField& field, const std::string& text) {
-        field.check_members({"directions", "origin", "time", "ring", "rows", "divergence", "divergence_mrad",
-                             "divergence_rad", "name", "min_range_m", "max_range_m"});
+    static SensorModel parse(const JsonField& field, const std::string& default_name) {
+        field.check_no_unknown_members({"directions", "origin", "time", "ring", "rows", "divergence",
+                                        "divergence_mrad", "divergence_rad", "name", "min_range_m",
+                                        "max_range_m"});
         const auto list = [&](const char* key) {
-            return field.has(key) ? field.at(key).read_nested_numbers(kNesting) : std::vector<double>{};
+            return field.has_member(key) ? field.at(key).get_nested_numbers(kNesting) : std::vector<double>{};
         };
-        sensor_files::RayColumns c{.direction = field.at("directions").read_nested_numbers(kNesting),
-                                   .origin = list("origin"),
-                                   .time_s = list("time"),
-                                   .channel = list("ring"),
-                                   .keeps_floats = true};
-        const std::size_t rows = count_rows(field);
+        sensor_files::RayFileArrays c{.direction = field.at("directions").get_nested_numbers(kNesting),
+                                      .origin = list("origin"),
+                                      .time_s = list("time"),
+                                      .channel = list("ring"),
+                                      .keeps_floats = true};
+        const std::size_t rows = count_ray_rows(field);
         c.rows = static_cast<int>(rows);
         c.columns = static_cast<int>(std::min(c.direction.size() / 3 / rows, kMaxRays));
         std::optional<double> of_all_mrad;
-        if (field.has("divergence_mrad")) of_all_mrad = field.at("divergence_mrad").number();
-        c.divergence_rad = sensor_files::compute_divergence(list("divergence"), of_all_mrad, field.where());
-        if (field.has("divergence_rad")) c.divergence_rad = {field.at("divergence_rad").number()};
-        c.limits = {field.has("min_range_m") ? field.at("min_range_m").number() : c.limits.min_m,
-                    field.has("max_range_m") ? field.at("max_range_m").number() : c.limits.max_m};
-        return sensor_files::make_ray_sensor(c, field.has("name") ? field.at("name").text() : text,
-                                             field.where());
+        if (field.has_member("divergence_mrad")) of_all_mrad = field.at("divergence_mrad").get_number();
+        c.divergence_rad =
+            sensor_files::choose_divergence_rad(list("divergence"), of_all_mrad, field.get_location());
+        if (field.has_member("divergence_rad")) c.divergence_rad = {field.at("divergence_rad").get_number()};
+        c.limits = {field.has_member("min_range_m") ? field.at("min_range_m").get_number() : c.limits.min_m,
+                    field.has_member("max_range_m") ? field.at("max_range_m").get_number() : c.limits.max_m};
+        return sensor_files::make_ray_sensor(
+            c, field.has_member("name") ? field.at("name").get_string() : default_name, field.get_location());
     }
     static nlohmann::ordered_json write(const RayTable& rays) {
         nlohmann::ordered_json json = {{"rows", rays.rows},
@@ -64,13 +66,13 @@ struct RayFunctions {
         return json;
     }
     static RayTable make_rays(const RayTable& rays, double) { return rays; }
-    static PatternSummary describe(const RayTable& rays) { return {.n_rays = rays.size()}; }
+    static ScanPatternSummary describe(const RayTable& rays) { return {.n_rays = rays.size()}; }
 };
 
 }  // namespace
 
 PatternKind make_rays_kind() {
-    return make_pattern_kind<RayFunctions>("rays", "directions, origin, time, ring, as lists");
+    return make_pattern_kind<RayTableFunctions>("rays", "directions, origin, time, ring, as lists");
 }
 
 }  // namespace relidar

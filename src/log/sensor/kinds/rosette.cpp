@@ -9,9 +9,9 @@
 
 namespace relidar {
 
-RayTable make_rays(const Rosette& rosette, double time_s) {
-    pattern_detail::check_count(rosette.name, rosette.n_rays);
-    pattern_detail::check_finite(
+RayTable make_rays(const RosetteSensor& rosette, double time_s) {
+    pattern_detail::check_ray_count(rosette.name, rosette.n_rays);
+    pattern_detail::check_finite_and_period(
         rosette.name,
         rosette.deflection_rad + rosette.first_hz + rosette.second_hz + rosette.divergence_rad + time_s,
         rosette.period_s);
@@ -26,7 +26,8 @@ RayTable make_rays(const Rosette& rosette, double time_s) {
         const double left = rosette.deflection_rad * (std::cos(first) + std::cos(second));
         const double up = rosette.deflection_rad * (std::sin(first) + std::sin(second));
         const double bent = std::hypot(left, up), share = bent > 0.0 ? std::sin(bent) / bent : 1.0;
-        pattern_detail::add_ray(rays, {std::cos(bent), left * share, up * share}, offset_s, 0);
+        pattern_detail::append_ray_from_sensor_origin(rays, {std::cos(bent), left * share, up * share},
+                                                      offset_s, 0);
     }
     return rays;
 }
@@ -34,29 +35,31 @@ RayTable make_rays(const Rosette& rosette, double time_s) {
 namespace {
 
 struct RosetteFunctions {
-    using Pattern = Rosette;
+    using Pattern = RosetteSensor;
 
-    static SensorModel parse(const JsonField& field, const std::string& text) {
-        pattern_detail::check_members(field, {"rays", "first_hz", "second_hz"}, {"deflection"});
-        const auto [name, limits, period_s, divergence_rad] = pattern_detail::read_common(field, text);
-        return {name, "", limits,
-                Rosette{.name = name,
-                        .deflection_rad = pattern_detail::read_angle(field, "deflection", 45.0),
-                        .first_hz = field.at("first_hz").number(-1e5, 1e5),
-                        .second_hz = field.at("second_hz").number(-1e5, 1e5),
-                        .n_rays = static_cast<int>(field.at("rays").integer(1, std::int64_t(kMaxRays))),
-                        .period_s = period_s,
-                        .divergence_rad = divergence_rad}};
+    static SensorModel parse(const JsonField& field, const std::string& default_name) {
+        pattern_detail::check_known_members(field, {"rays", "first_hz", "second_hz"}, {"deflection"});
+        const auto [name, limits, period_s, divergence_rad] =
+            pattern_detail::read_common_members(field, default_name);
+        return {
+            name, "", limits,
+            RosetteSensor{.name = name,
+                          .deflection_rad = pattern_detail::read_angle_rad(field, "deflection", 45.0),
+                          .first_hz = field.at("first_hz").get_number(-1e5, 1e5),
+                          .second_hz = field.at("second_hz").get_number(-1e5, 1e5),
+                          .n_rays = static_cast<int>(field.at("rays").get_integer(1, std::int64_t(kMaxRays))),
+                          .period_s = period_s,
+                          .divergence_rad = divergence_rad}};
     }
-    static nlohmann::ordered_json write(const Rosette& rosette) {
+    static nlohmann::ordered_json write(const RosetteSensor& rosette) {
         return {{"rays", rosette.n_rays},       {"deflection_rad", rosette.deflection_rad},
                 {"first_hz", rosette.first_hz}, {"second_hz", rosette.second_hz},
                 {"period_s", rosette.period_s}, {"divergence_rad", rosette.divergence_rad}};
     }
-    static RayTable make_rays(const Rosette& rosette, double time_s) {
+    static RayTable make_rays(const RosetteSensor& rosette, double time_s) {
         return relidar::make_rays(rosette, time_s);
     }
-    static PatternSummary describe(const Rosette& rosette) {
+    static ScanPatternSummary describe(const RosetteSensor& rosette) {
         return {
             .n_rays = std::size_t(rosette.n_rays), .period_s = rosette.period_s, .has_rays_by_time = true};
     }

@@ -15,19 +15,19 @@ constexpr double kFarthestBeam_m = 100.0;
 // Maximum absolute value of gains and offsets of intensities, and of range offsets in
 // metres.
 constexpr double kLargestResponse = 1e3;
-constexpr double kLargestTurn_deg = 5730.0;  // 100 radians
+constexpr double kMaxAngle_deg = 5730.0;  // 100 radians
 constexpr std::size_t kMostBeams = 65534;
 
 Beam read_beam(const JsonField& field) {
-    field.check_members({"elevation_deg", "elevation_rad", "azimuth_offset_deg", "azimuth_offset_rad",
-                         "origin_offset_m", "origin_up_m", "origin_left_m", "intensity_gain",
-                         "intensity_offset", "range_offset_m"});
+    field.check_no_unknown_members({"elevation_deg", "elevation_rad", "azimuth_offset_deg",
+                                    "azimuth_offset_rad", "origin_offset_m", "origin_up_m", "origin_left_m",
+                                    "intensity_gain", "intensity_offset", "range_offset_m"});
     const auto number = [&](const char* key, double default_value, double most) {
         return pattern_detail::read_number_or(field, key, default_value, -most, most);
     };
     return {
-        .elevation_rad = pattern_detail::read_angle(field, "elevation", 90.0),
-        .azimuth_offset_rad = pattern_detail::read_angle_or(field, "azimuth_offset", 0.0, kLargestTurn_deg),
+        .elevation_rad = pattern_detail::read_angle_rad(field, "elevation", 90.0),
+        .azimuth_offset_rad = pattern_detail::read_angle_rad_or(field, "azimuth_offset", 0.0, kMaxAngle_deg),
         .origin_offset_m = number("origin_offset_m", 0.0, kFarthestBeam_m),
         .origin_up_m = number("origin_up_m", 0.0, kFarthestBeam_m),
         .origin_left_m = number("origin_left_m", 0.0, kFarthestBeam_m),
@@ -40,14 +40,15 @@ void read_beams(const JsonField& field, SpinningSensor& sensor) {
     const JsonField beams = field.at("beams");
     for (std::size_t i = 0; i < beams.size(); ++i) sensor.beams.push_back(read_beam(beams.at(i)));
     if (sensor.beams.empty() || sensor.beams.size() > kMostBeams)
-        beams.fail(fmt::format("found {} beams", sensor.beams.size()),
-                   fmt::format("expected 1 to {}", kMostBeams));
+        beams.throw_field_error(fmt::format("found {} beams", sensor.beams.size()),
+                                fmt::format("expected 1 to {}", kMostBeams));
     if (sensor.beams.front().elevation_rad < sensor.beams.back().elevation_rad)
-        beams.fail("found the lowest beam first", "expected the highest beam first");
-    sensor.columns = static_cast<int>(field.at("columns").integer(1, 1'000'000));
+        beams.throw_field_error("found the lowest beam first", "expected the highest beam first");
+    sensor.columns = static_cast<int>(field.at("columns").get_integer(1, 1'000'000));
     if (sensor.beams.size() * std::size_t(sensor.columns) > kMaxRays)
-        beams.fail(fmt::format("found {} beams x {} columns", sensor.beams.size(), sensor.columns),
-                   fmt::format("expected at most {} rays", kMaxRays));
+        beams.throw_field_error(
+            fmt::format("found {} beams x {} columns", sensor.beams.size(), sensor.columns),
+            fmt::format("expected at most {} rays", kMaxRays));
 }
 
 /// Returns the JSON object of a beam. Members with their default value are left out.
@@ -71,20 +72,20 @@ struct SpinningFunctions {
 
     /// Reads a spinning sensor from JSON. The beams can be missing, for a LiDAR of which
     /// only scans exist.
-    static SensorModel parse(const JsonField& field, const std::string& text) {
-        pattern_detail::check_members(field, {"beams", "columns", "clockwise"}, {"first_azimuth"});
+    static SensorModel parse(const JsonField& field, const std::string& default_name) {
+        pattern_detail::check_known_members(field, {"beams", "columns", "clockwise"}, {"first_azimuth"});
         SpinningSensor sensor;
-        const auto common = pattern_detail::read_common(field, text, 0.0);
+        const auto common = pattern_detail::read_common_members(field, default_name, 0.0);
         sensor.name = common.name;
         sensor.period_s = common.period_s;
         sensor.min_range_m = common.limits.min_m;
         sensor.max_range_m = common.limits.max_m;
         sensor.divergence_rad = common.divergence_rad;
-        if (field.has("clockwise")) sensor.clockwise = field.at("clockwise").boolean();
-        if (field.has("beams")) read_beams(field, sensor);
+        if (field.has_member("clockwise")) sensor.clockwise = field.at("clockwise").get_boolean();
+        if (field.has_member("beams")) read_beams(field, sensor);
         const double middle = sensor.columns > 0 ? (180.0 - 180.0 / sensor.columns) * kPi / 180.0 : 0.0;
         sensor.first_azimuth_rad =
-            pattern_detail::read_angle_or(field, "first_azimuth", middle, kLargestTurn_deg);
+            pattern_detail::read_angle_rad_or(field, "first_azimuth", middle, kMaxAngle_deg);
         return {sensor.name, "", common.limits, std::move(sensor)};
     }
     static nlohmann::ordered_json write(const SpinningSensor& sensor) {
@@ -99,7 +100,7 @@ struct SpinningFunctions {
         return json;
     }
     static RayTable make_rays(const SpinningSensor& sensor, double) { return relidar::make_rays(sensor); }
-    static PatternSummary describe(const SpinningSensor& sensor) {
+    static ScanPatternSummary describe(const SpinningSensor& sensor) {
         return {.n_rays = sensor.beams.size() * std::size_t(sensor.columns), .period_s = sensor.period_s};
     }
 };

@@ -11,9 +11,9 @@
 
 namespace relidar {
 
-RayTable make_rays(const ScanningWindow& window) {
-    pattern_detail::check_count(window.name, double(window.rows) * double(window.columns));
-    pattern_detail::check_finite(
+RayTable make_rays(const WindowScanSensor& window) {
+    pattern_detail::check_ray_count(window.name, double(window.rows) * double(window.columns));
+    pattern_detail::check_finite_and_period(
         window.name,
         window.left_rad + window.right_rad + window.top_rad + window.bottom_rad + window.divergence_rad,
         window.period_s);
@@ -32,8 +32,8 @@ RayTable make_rays(const ScanningWindow& window) {
             const double azimuth =
                 pattern_detail::interpolate_evenly(window.left_rad, window.right_rad, column, window.columns);
             const double time_s = ((column + 0.5) / window.columns - 0.5) * window.period_s;
-            pattern_detail::add_ray(rays, {c * std::cos(azimuth), c * std::sin(azimuth), std::sin(elevation)},
-                                    time_s, row);
+            pattern_detail::append_ray_from_sensor_origin(
+                rays, {c * std::cos(azimuth), c * std::sin(azimuth), std::sin(elevation)}, time_s, row);
         }
     }
     return rays;
@@ -41,34 +41,36 @@ RayTable make_rays(const ScanningWindow& window) {
 
 namespace {
 
-struct WindowFunctions {
-    using Pattern = ScanningWindow;
+struct WindowScanFunctions {
+    using Pattern = WindowScanSensor;
 
-    static SensorModel parse(const JsonField& field, const std::string& text) {
-        pattern_detail::check_members(field, {"rows", "columns"}, {"left", "right", "top", "bottom"});
-        const auto [name, limits, period_s, divergence_rad] = pattern_detail::read_common(field, text);
-        const ScanningWindow window{.name = name,
-                                    .rows = static_cast<int>(field.at("rows").integer(1, 65535)),
-                                    .columns = static_cast<int>(field.at("columns").integer(1, 1'000'000)),
-                                    .left_rad = pattern_detail::read_angle(field, "left", 180.0),
-                                    .right_rad = pattern_detail::read_angle(field, "right", 180.0),
-                                    .top_rad = pattern_detail::read_angle(field, "top", 90.0),
-                                    .bottom_rad = pattern_detail::read_angle(field, "bottom", 90.0),
-                                    .period_s = period_s,
-                                    .divergence_rad = divergence_rad};
+    static SensorModel parse(const JsonField& field, const std::string& default_name) {
+        pattern_detail::check_known_members(field, {"rows", "columns"}, {"left", "right", "top", "bottom"});
+        const auto [name, limits, period_s, divergence_rad] =
+            pattern_detail::read_common_members(field, default_name);
+        const WindowScanSensor window{
+            .name = name,
+            .rows = static_cast<int>(field.at("rows").get_integer(1, 65535)),
+            .columns = static_cast<int>(field.at("columns").get_integer(1, 1'000'000)),
+            .left_rad = pattern_detail::read_angle_rad(field, "left", 180.0),
+            .right_rad = pattern_detail::read_angle_rad(field, "right", 180.0),
+            .top_rad = pattern_detail::read_angle_rad(field, "top", 90.0),
+            .bottom_rad = pattern_detail::read_angle_rad(field, "bottom", 90.0),
+            .period_s = period_s,
+            .divergence_rad = divergence_rad};
         if (std::size_t(window.rows) * std::size_t(window.columns) > kMaxRays)
-            field.fail(fmt::format("found {} rows x {} columns", window.rows, window.columns),
-                       fmt::format("expected at most {} rays", kMaxRays));
+            field.throw_field_error(fmt::format("found {} rows x {} columns", window.rows, window.columns),
+                                    fmt::format("expected at most {} rays", kMaxRays));
         return {name, "", limits, window};
     }
-    static nlohmann::ordered_json write(const ScanningWindow& window) {
+    static nlohmann::ordered_json write(const WindowScanSensor& window) {
         return {{"rows", window.rows},         {"columns", window.columns},
                 {"left_rad", window.left_rad}, {"right_rad", window.right_rad},
                 {"top_rad", window.top_rad},   {"bottom_rad", window.bottom_rad},
                 {"period_s", window.period_s}, {"divergence_rad", window.divergence_rad}};
     }
-    static RayTable make_rays(const ScanningWindow& window, double) { return relidar::make_rays(window); }
-    static PatternSummary describe(const ScanningWindow& window) {
+    static RayTable make_rays(const WindowScanSensor& window, double) { return relidar::make_rays(window); }
+    static ScanPatternSummary describe(const WindowScanSensor& window) {
         return {.n_rays = std::size_t(window.rows) * std::size_t(window.columns),
                 .period_s = window.period_s,
                 .sweep = AzimuthSweep{window.left_rad, window.right_rad, window.columns}};
@@ -78,8 +80,8 @@ struct WindowFunctions {
 }  // namespace
 
 PatternKind make_window_kind() {
-    return make_pattern_kind<WindowFunctions>("window",
-                                              "rows, columns, left_deg, right_deg, top_deg, bottom_deg");
+    return make_pattern_kind<WindowScanFunctions>("window",
+                                                  "rows, columns, left_deg, right_deg, top_deg, bottom_deg");
 }
 
 }  // namespace relidar

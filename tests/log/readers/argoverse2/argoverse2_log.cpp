@@ -62,10 +62,11 @@ std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2
             ray.point_m =
                 kCity_m + intersect_yard(ray.origin_m - kCity_m, city_from_lidar.rotation * ray.direction);
             const bool hidden = lidar == 1 && n >= 700 && n < 741;  // the vehicle blocks all beams
-            ray.returned = !hidden && combine_hashes(std::uint64_t(n * 32 + k),
-                                                     std::uint64_t(1000.0 * sweep_s) + std::uint64_t(lidar)) %
-                                              10 !=
-                                          0;
+            ray.returned =
+                !hidden && hash_integer_pair(std::uint64_t(n * 32 + k),
+                                             std::uint64_t(1000.0 * sweep_s) + std::uint64_t(lidar)) %
+                                   10 !=
+                               0;
             rays.push_back(ray);
             if (!ray.returned) continue;
             const glm::dvec3 p = inverse(vehicle_at_sweep) * ray.point_m;
@@ -162,8 +163,8 @@ Argoverse2Log::Argoverse2Log(const std::string& name, const Argoverse2Options& o
         time_ns.push_back(sweep_ns(0) + i * (sweep_ns(1) - sweep_ns(0)) / 4);
         poses.push_back(compute_vehicle_pose(1e-9 * double(time_ns.back() - kFirstSweep_ns)));
     }
-    const std::vector<FeatherColumn> way = set_poses({make_numbers("timestamp_ns", time_ns)}, poses);
-    write_text(file("city_SE3_egovehicle.feather"), make_feather_bytes(way, options.codec));
+    const std::vector<FeatherColumn> pose_columns = set_poses({make_numbers("timestamp_ns", time_ns)}, poses);
+    write_text(file("city_SE3_egovehicle.feather"), make_feather_bytes(pose_columns, options.codec));
     write_text(file("annotations.feather"), make_annotation_bytes(options.sweeps, options.codec));
     for (int i = 0; i < options.sweeps; ++i) {
         SweepColumns points;

@@ -185,12 +185,12 @@ protected:
 
     inline static fs::path folder_;
     inline static std::vector<RealSweep> real_;
-    inline static Sequence log_;
+    inline static LidarSequence log_;
     inline static std::vector<Beam> beams_;  ///< beams of the table, highest first
 };
 
 TEST_F(Argoverse2Real, ElevationsAreThoseOfTheTable) {
-    for (const Frame& frame : log_.frames) {
+    for (const LidarFrame& frame : log_.frames) {
         std::vector<double> sum(32), n(32);
         std::size_t off = 0, returns = 0;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
@@ -242,9 +242,9 @@ TEST_F(Argoverse2Real, BoxesHoldPoints) {
         points.push_back(real_[0].city_from_vehicle *
                          glm::dvec3(real_[0].xyz[3 * i], real_[0].xyz[3 * i + 1], real_[0].xyz[3 * i + 2]));
     std::vector<glm::dvec3> read;
-    for (const Frame& frame : log_.frames) {
+    for (const LidarFrame& frame : log_.frames) {
         if (frame.index != 0) continue;
-        const PoseTrack track = log_.world_from_sensor(frame.lidar);
+        const PoseTrack track = log_.get_world_from_sensor(frame.lidar);
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
             const WorldRay ray = make_world_ray(track, frame.time_s, frame.scan.rays, i, true);
@@ -252,23 +252,25 @@ TEST_F(Argoverse2Real, BoxesHoldPoints) {
         }
     }
     ASSERT_EQ(log_.boxes.size(), 81u);
-    std::size_t near = 0, empty = 0;
+    std::size_t n_near_boxes = 0, n_empty_boxes = 0;
     for (const BoxTrack& box : log_.boxes) {
         const auto count = [&](const std::vector<glm::dvec3>& cloud, const glm::dvec3& shift) {
-            return std::count_if(cloud.begin(), cloud.end(),
-                                 [&](const glm::dvec3& point) { return box.holds(point - shift, 0.0, 0.0); });
+            return std::count_if(cloud.begin(), cloud.end(), [&](const glm::dvec3& point) {
+                return box.contains_point(point - shift, 0.0, 0.0);
+            });
         };
-        const auto published = count(points, log_.world_offset_m), found = count(read, glm::dvec3(0.0));
-        EXPECT_NEAR(double(found), double(published), 2.0)
+        const auto n_published_points = count(points, log_.world_offset_m),
+                   n_read_points = count(read, glm::dvec3(0.0));
+        EXPECT_NEAR(double(n_read_points), double(n_published_points), 2.0)
             << box.category << ": points at its faces may fall to either side";
         if (glm::distance(box.world_from_box.pose[0].translation,
                           log_.world_from_vehicle.pose[0].translation) > 40.0)
             continue;
-        ++near;
-        empty += found == 0;
+        ++n_near_boxes;
+        n_empty_boxes += n_read_points == 0;
     }
-    EXPECT_GT(near, 20u);
-    EXPECT_LE(empty, 1u) << "a bollard 30 m away has none as published";
+    EXPECT_GT(n_near_boxes, 20u);
+    EXPECT_LE(n_empty_boxes, 1u) << "a bollard 30 m away has none as published";
 }
 
 /// Projects each published point and selects the beam that is nearest in elevation. Among
@@ -279,7 +281,7 @@ TEST_F(Argoverse2Real, PointsAreFoundInTheirCells) {
         std::size_t in_another_cell = 0;
         for (std::size_t i = 0; i < real_[s].laser.size(); ++i) {
             const int lidar = real_[s].laser[i] / 32;
-            const Frame& frame = log_.frames[2 * s + std::size_t(lidar)];
+            const LidarFrame& frame = log_.frames[2 * s + std::size_t(lidar)];
             const RayTable& rays = frame.scan.rays;
             const glm::dvec3 p = measured(s, i, lidar);
             const double elevation = std::atan2(p.z, std::hypot(p.x, p.y)),
@@ -299,7 +301,7 @@ TEST_F(Argoverse2Real, PointsAreFoundInTheirCells) {
                 if (std::abs(azimuth) < nearest) nearest = std::abs(azimuth), cell = at;
             }
             const bool here = std::abs(double(frame.scan.range_m[cell]) - glm::length(p)) < 1e-3 &&
-                              glm::distance(glm::dvec3(frame.scan.point(cell)), p) < 1e-3;
+                              glm::distance(glm::dvec3(frame.scan.compute_end_point(cell)), p) < 1e-3;
             in_another_cell += !here;
         }
         RecordProperty(fmt::format("not_in_the_projected_cell_{}", s), int(in_another_cell));

@@ -67,21 +67,21 @@ constexpr double kNearest_m = 4.7;
 TEST(Argoverse2, EveryRayIsWhereItWasFired) {
     const Argoverse2Log log("rays");
     EXPECT_EQ(detect_dataset_kind(log.folder), "argoverse2");
-    const Sequence sequence = load_sequence(log.folder.string(), make_far_options());
+    const LidarSequence sequence = load_sequence(log.folder.string(), make_far_options());
     ASSERT_EQ(sequence.frames.size(), 6u);
     ASSERT_EQ(sequence.lidars.size(), 2u);
     EXPECT_EQ(sequence.lidars[0].name, "up_lidar");
     EXPECT_TRUE(sequence.lidars[0].sensor.clockwise);
     EXPECT_FALSE(sequence.lidars[1].sensor.clockwise) << "it hangs upside down and turns the same way";
     EXPECT_TRUE(sequence.rolling_shutter);
-    for (const Frame& frame : sequence.frames) {
+    for (const LidarFrame& frame : sequence.frames) {
         const std::vector<Argoverse2Ray>& rays = log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)];
         const Lidar& lidar = sequence.get_lidar(frame);
         ASSERT_EQ(frame.scan.rays.columns, Argoverse2Options().firings);
         EXPECT_EQ(frame.scan.count_returns(),
                   std::size_t(std::count_if(rays.begin(), rays.end(), [](auto& r) { return r.returned; })));
         const TrueRays truth(rays, lidar.sensor);
-        const PoseTrack track = sequence.world_from_sensor(frame.lidar);
+        const PoseTrack track = sequence.get_world_from_sensor(frame.lidar);
         const double off_m = frame.index == 2 ? kBeyond_m : kBetween_m;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const float range_m = frame.scan.range_m[i];
@@ -112,13 +112,13 @@ TEST(Argoverse2, EveryRayIsWhereItWasFired) {
 /// objects must still be placed at the times of their rays.
 TEST(Argoverse2, HeadsFaceThingsWhenTheirRaysWereFired) {
     const Argoverse2Log log("facing");
-    const Sequence sequence = load_sequence(log.folder.string(), make_far_options());
-    for (const Frame& frame : sequence.frames) {
+    const LidarSequence sequence = load_sequence(log.folder.string(), make_far_options());
+    for (const LidarFrame& frame : sequence.frames) {
         ASSERT_TRUE(frame.start.has_value());
         std::size_t late = 0;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const glm::dvec3 point_m(frame.scan.rays.origin[i] + 10.0f * frame.scan.rays.direction[i]);
-            const double facing_s = compute_facing_time(sequence, point_m, get_sweep_moment(frame));
+            const double facing_s = compute_point_scan_time_s(sequence, point_m, get_sweep_moment(frame));
             late += std::abs(facing_s - frame.time_s - double(frame.scan.rays.time_offset_s[i])) > 3e-3;
         }
         // Only few rays may be late. Beams deviate by up to 4.2 degrees from the sensor's
@@ -129,7 +129,7 @@ TEST(Argoverse2, HeadsFaceThingsWhenTheirRaysWereFired) {
 
 TEST(Argoverse2, TimesPosesAndBoxes) {
     const Argoverse2Log log("boxes");
-    const Sequence sequence = load_sequence(log.folder.string(), {});
+    const LidarSequence sequence = load_sequence(log.folder.string(), {});
     ASSERT_EQ(sequence.world_from_vehicle.time_s.size(), 3u);
     for (std::size_t i = 0; i < 3; ++i) {
         const double time_s = double(i) * 0.100252;
@@ -159,12 +159,12 @@ TEST(Argoverse2, TimesPosesAndBoxes) {
 /// Half precision rounds a coordinate by up to 2^-11 of its value.
 TEST(Argoverse2, HalfPrecisionMovesPointsByItsRounding) {
     const Argoverse2Log log("half", {.half_precision = true, .sweeps = 2, .codec = test::FeatherCodec::zstd});
-    const Sequence sequence = load_sequence(log.folder.string(), make_far_options());
+    const LidarSequence sequence = load_sequence(log.folder.string(), make_far_options());
     double worst = 0.0;
-    for (const Frame& frame : sequence.frames) {
+    for (const LidarFrame& frame : sequence.frames) {
         const TrueRays truth(log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)],
                              sequence.get_lidar(frame).sensor);
-        const PoseTrack track = sequence.world_from_sensor(frame.lidar);
+        const PoseTrack track = sequence.get_world_from_sensor(frame.lidar);
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
             const Argoverse2Ray& ray =
@@ -173,10 +173,12 @@ TEST(Argoverse2, HalfPrecisionMovesPointsByItsRounding) {
             const WorldRay placed = make_world_ray(track, frame.time_s, frame.scan.rays, i, true);
             const glm::dvec3 point_m =
                 placed.origin_m + double(frame.scan.range_m[i]) * placed.direction + sequence.world_offset_m;
-            const glm::dvec3 seen = inverse(Argoverse2Log::compute_vehicle_pose(frame.time_s)) * ray.point_m;
+            const glm::dvec3 vehicle_point_m =
+                inverse(Argoverse2Log::compute_vehicle_pose(frame.time_s)) * ray.point_m;
             const glm::dvec3 rounded = inverse(Argoverse2Log::compute_vehicle_pose(frame.time_s)) * point_m;
             for (int axis = 0; axis < 3; ++axis)
-                ASSERT_LE(std::abs(seen[axis] - rounded[axis]), std::abs(seen[axis]) / 2048.0 + 1e-4);
+                ASSERT_LE(std::abs(vehicle_point_m[axis] - rounded[axis]),
+                          std::abs(vehicle_point_m[axis]) / 2048.0 + 1e-4);
             worst = std::max(worst, glm::distance(point_m, ray.point_m));
         }
     }
@@ -186,8 +188,8 @@ TEST(Argoverse2, HalfPrecisionMovesPointsByItsRounding) {
 TEST(Argoverse2, PointsTellWhichHalfIsUp) {
     const Argoverse2Log log("halves",
                             {.lower_half_up = true, .sweeps = 2, .codec = test::FeatherCodec::none});
-    const Sequence sequence = load_sequence(log.folder.string(), make_far_options());
-    for (const Frame& frame : sequence.frames) {
+    const LidarSequence sequence = load_sequence(log.folder.string(), make_far_options());
+    for (const LidarFrame& frame : sequence.frames) {
         const std::vector<Argoverse2Ray>& rays = log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)];
         EXPECT_EQ(frame.scan.count_returns(),
                   std::size_t(std::count_if(rays.begin(), rays.end(), [](auto& r) { return r.returned; })));
@@ -205,7 +207,7 @@ TEST(Argoverse2, FrameRangePosesAndNoLabels) {
     fs::remove(log.file("annotations.feather"));
     DatasetOptions options;
     options.frames = {1, 3};
-    Sequence sequence = load_sequence(log.folder.string(), options);
+    LidarSequence sequence = load_sequence(log.folder.string(), options);
     ASSERT_EQ(sequence.frames.size(), 4u);
     EXPECT_EQ(sequence.frames[0].index, 1);
     EXPECT_NEAR(sequence.frames[0].time_s, 0.100252, 1e-9);
@@ -233,7 +235,7 @@ TEST(Argoverse2, ASweepMayLackALidar) {
                                   test::make_numbers("intensity", std::vector<std::uint8_t>{1}),
                                   test::make_numbers("laser_number", std::vector<std::uint8_t>{40}),
                                   test::make_numbers("offset_ns", std::vector<std::int32_t>{5000000})}));
-    const Sequence sequence = load_sequence(log.folder.string(), {});
+    const LidarSequence sequence = load_sequence(log.folder.string(), {});
     ASSERT_EQ(sequence.frames.size(), 5u);
     EXPECT_EQ(sequence.frames[2].lidar, 1);
     EXPECT_THAT(sequence.notes, testing::Contains(test::Names("1 frames ... skipped")));
@@ -263,8 +265,8 @@ TEST(Argoverse2, SaysWhichFileIsWrong) {
         expect_refused(log, file, test::make_feather_bytes(columns), part);
     };
     const fs::path sensors = log.file("calibration/egovehicle_SE3_sensor.feather"),
-                   way = log.file("city_SE3_egovehicle.feather"), boxes = log.file("annotations.feather"),
-                   sweep = log.sweep(1);
+                   vehicle_poses = log.file("city_SE3_egovehicle.feather"),
+                   boxes = log.file("annotations.feather"), sweep = log.sweep(1);
     const std::vector<Pose> two(2);
     refuse(sensors, test::set_poses({test::make_texts("sensor_name", {"up_lidar", "ring"})}, two),
            "column 'sensor_name': the sensor down_lidar ... missing");
@@ -274,12 +276,13 @@ TEST(Argoverse2, SaysWhichFileIsWrong) {
            "columns 'qw' to 'qz': row 1 has length 0.5, expected 1");
     const auto times = [](std::vector<std::int64_t> t) { return test::make_numbers("timestamp_ns", t); };
     const std::int64_t first = Argoverse2Log::sweep_ns(0), second = Argoverse2Log::sweep_ns(1);
-    refuse(way, test::set_poses({times({first, first})}, two),
+    refuse(vehicle_poses, test::set_poses({times({first, first})}, two),
            "column 'timestamp_ns': row 1 is 315966265259836000 after 315966265259836000");
-    refuse(way, test::set_poses({times({first, first + 1})}, two), "pose ... 315966265360088000");
+    refuse(vehicle_poses, test::set_poses({times({first, first + 1})}, two), "pose ... 315966265360088000");
     bad = two;
     bad[0].translation.y = NAN;
-    refuse(way, test::set_poses({times({first, second})}, bad), "column 'ty_m': row 0 is nan ... finite");
+    refuse(vehicle_poses, test::set_poses({times({first, second})}, bad),
+           "column 'ty_m': row 0 is nan ... finite");
     const auto label = [&](double length_m) {
         const std::vector<double> one{1.0};
         return test::set_poses(

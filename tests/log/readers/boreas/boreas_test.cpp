@@ -22,9 +22,9 @@ using test::StampedRay;
 
 /// Checks that every return is at the point where its ray hit the yard, and that no
 /// return is lost.
-void expect_boreas_truth(const BoreasFolder& data, const Sequence& sequence) {
-    const PoseTrack track = sequence.world_from_sensor(0);
-    for (const Frame& frame : sequence.frames) {
+void expect_boreas_truth(const BoreasFolder& data, const LidarSequence& sequence) {
+    const PoseTrack track = sequence.get_world_from_sensor(0);
+    for (const LidarFrame& frame : sequence.frames) {
         EXPECT_NEAR(frame.time_s, frame.index * 0.1, 1e-9);
         EXPECT_EQ(frame.scan.count_returns(), data.drive.count_returns(frame.index));
         const std::vector<StampedRay>& truth = data.drive.rays[std::size_t(frame.index)];
@@ -50,7 +50,7 @@ void expect_boreas_truth(const BoreasFolder& data, const Sequence& sequence) {
 TEST(Boreas, EveryReturnIsWhereItWasMeasured) {
     const BoreasFolder data("2020-11-26-13-58");
     EXPECT_EQ(detect_dataset_kind(data.folder), "boreas");
-    const Sequence sequence = load_sequence(data.folder.string(), {});
+    const LidarSequence sequence = load_sequence(data.folder.string(), {});
     EXPECT_EQ(sequence.name, "boreas-2020-11-26-13-58");
     EXPECT_THAT(sequence.conventions, test::Names("-42.60 degrees"));
     EXPECT_THAT(sequence.notes, testing::ElementsAre(test::Names("labels"),
@@ -79,7 +79,7 @@ TEST(Boreas, AnglesThatOthersWouldWrite) {
         const BoreasFolder data("angles", angles);
         for (const bool calibrated : {true, false}) {
             if (!calibrated) fs::remove(data.calibration());
-            const Sequence sequence = load_sequence(data.folder.string(), {});
+            const LidarSequence sequence = load_sequence(data.folder.string(), {});
             EXPECT_THAT(sequence.notes,
                         testing::Contains(test::Names(std::string("angles ... poses ... ") + names[angles])));
             expect_boreas_truth(data, sequence);
@@ -90,7 +90,7 @@ TEST(Boreas, AnglesThatOthersWouldWrite) {
 TEST(Boreas, WithoutCalibrationForwardIsWhereItDrives) {
     const BoreasFolder data("uncalibrated");
     fs::remove(data.calibration());
-    const Sequence sequence = load_sequence(data.folder.string(), {});
+    const LidarSequence sequence = load_sequence(data.folder.string(), {});
     expect_boreas_truth(data, sequence);
     const glm::dvec3 ahead = sequence.world_from_vehicle.pose[0].rotation * glm::dvec3(1, 0, 0);
     EXPECT_NEAR(std::atan2(ahead.y, ahead.x), data.drive.heading_rad, 0.01);
@@ -100,7 +100,7 @@ TEST(Boreas, FramesAndOtherPoses) {
     const BoreasFolder data("frames");
     DatasetOptions options;
     options.frames = {2, 4};
-    const Sequence some = load_sequence(data.folder.string(), options);
+    const LidarSequence some = load_sequence(data.folder.string(), options);
     ASSERT_EQ(some.frames.size(), 2u);
     EXPECT_EQ(some.frames[0].index, 2);
     EXPECT_NEAR(some.frames[0].time_s, 0.2, 1e-9) << "after the log's first scan";
@@ -109,7 +109,7 @@ TEST(Boreas, FramesAndOtherPoses) {
     options = {};
     options.poses_file = kNoPoses;
     fs::remove(data.poses());
-    const Sequence none = load_sequence(data.folder.string(), options);
+    const LidarSequence none = load_sequence(data.folder.string(), options);
     EXPECT_EQ(none.frames.size(), std::size_t(BoreasFolder::kScans));
     EXPECT_EQ(none.world_from_vehicle.pose[5].translation, glm::dvec3(0.0));
     EXPECT_THAT(none.notes, testing::Contains(test::Names("poses ... read")));
@@ -127,7 +127,7 @@ TEST(Boreas, ScansWithoutPosesAreLeftOut) {
         test::write_text(data.poses(), text);
     };
     without(0, 1);
-    const Sequence sequence = load_sequence(data.folder.string(), {});
+    const LidarSequence sequence = load_sequence(data.folder.string(), {});
     ASSERT_EQ(sequence.frames.size(), 4u);
     EXPECT_EQ(sequence.frames[0].index, 2);
     EXPECT_THAT(sequence.notes, testing::Contains(test::Names(

@@ -129,13 +129,13 @@ TEST(OtherPrograms, ReadsPosesOfOtherConventions) {
         std::string text;
         for (double t_s = -1.0; t_s < 1.55; t_s += 0.1) {
             text += fmt::format("{}", t_s);
-            for (const double v : numbers(truth.at(t_s))) text += fmt::format(" {:.15f}", v);
+            for (const double v : numbers(truth.interpolate_pose(t_s))) text += fmt::format(" {:.15f}", v);
             text += "\n";
         }
         test::write_text(log.folder / "poses.txt", text);
     };
     const auto expect = [&](const std::string& note, const Pose& of_vehicle) {
-        const Sequence sequence = load_sequence(log.folder.string(), {});
+        const LidarSequence sequence = load_sequence(log.folder.string(), {});
         const PoseTrack world = shift_track(sequence.world_from_vehicle, sequence.world_offset_m);
         for (std::size_t i = 0; i < world.pose.size(); ++i) {
             const Pose off = inverse(truth.pose[i] * of_vehicle) * world.pose[i];
@@ -206,8 +206,8 @@ TEST(OtherPrograms, FindsRingsInTheOrderOfTheFile) {
     test::write_text(folder / "sequence.json", R"({"format": "relidar log", "version": 1, "rate_hz": 10})");
     DatasetOptions options;
     options.poses_file = kNoPoses;
-    const Sequence kitti = load_sequence(drive.folder.string(), {}),
-                   plain = load_sequence(folder.string(), options);
+    const LidarSequence kitti = load_sequence(drive.folder.string(), {}),
+                        plain = load_sequence(folder.string(), options);
     ASSERT_EQ(plain.lidars[0].sensor.beams.size(), 64u);
     for (std::size_t b = 0; b < 64; ++b)
         EXPECT_NEAR(plain.lidars[0].sensor.beams[b].elevation_rad, drive.beams[b].elevation_rad, 0.03) << b;
@@ -226,7 +226,7 @@ TEST(OtherPrograms, InventsNoBeamsForThinnedClouds) {
         return test::bin(some);
     };
     const PointLog log("thinned", "bin", thinned, R"(, "columns": ["x", "y", "z", "intensity", "unused"])");
-    const Sequence sequence = load_sequence(log.folder.string(), {});
+    const LidarSequence sequence = load_sequence(log.folder.string(), {});
     EXPECT_TRUE(sequence.lidars[0].sensor.beams.empty());
     EXPECT_TRUE(std::ranges::any_of(sequence.notes, [](const std::string& n) {
         return n.find("removed") != n.npos || n.find("order") != n.npos;

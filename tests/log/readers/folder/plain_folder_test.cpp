@@ -33,9 +33,9 @@ using test::make_fresh_folder_path;
 using test::PointLog;
 
 /// Makes a street with two LiDARs, second returns, moving cars and a world offset.
-Sequence make_rich_street() {
-    Sequence street = test::make_two_lidar_street({.n_frames = 5, .rows = 16, .columns = 256});
-    for (Frame& frame : street.frames) {
+LidarSequence make_rich_street() {
+    LidarSequence street = test::make_two_lidar_street({.n_frames = 5, .rows = 16, .columns = 256});
+    for (LidarFrame& frame : street.frames) {
         Scan& scan = frame.scan;
         scan.second_returns.assign(
             1, {std::vector<float>(scan.range_m.size()), std::vector<float>(scan.range_m.size())});
@@ -58,7 +58,7 @@ void expect_same_poses(const PoseTrack& sequence, const PoseTrack& truth, double
     }
 }
 
-void expect_same_log(const Sequence& sequence, const Sequence& truth) {
+void expect_same_log(const LidarSequence& sequence, const LidarSequence& truth) {
     EXPECT_EQ(sequence.name, truth.name);
     EXPECT_EQ(sequence.conventions, truth.conventions);
     EXPECT_EQ(sequence.notes, truth.notes);
@@ -97,10 +97,10 @@ void expect_same_log(const Sequence& sequence, const Sequence& truth) {
     }
 }
 
-void expect_same_scans(const Sequence& sequence, const Sequence& truth) {
+void expect_same_scans(const LidarSequence& sequence, const LidarSequence& truth) {
     ASSERT_EQ(sequence.frames.size(), truth.frames.size());
     for (std::size_t i = 0; i < truth.frames.size(); ++i) {
-        const Frame &a = sequence.frames[i], &b = truth.frames[i];
+        const LidarFrame &a = sequence.frames[i], &b = truth.frames[i];
         EXPECT_EQ(std::tuple(a.index, a.time_s, a.lidar), std::tuple(b.index, b.time_s, b.lidar));
         EXPECT_EQ(std::tuple(a.scan.rays.rows, a.scan.rays.columns, a.scan.rays.divergence_rad),
                   std::tuple(b.scan.rays.rows, b.scan.rays.columns, b.scan.rays.divergence_rad));
@@ -122,51 +122,51 @@ void expect_same_scans(const Sequence& sequence, const Sequence& truth) {
 }
 
 TEST(SaveFolder, IsReadAsTheSameLog) {
-    const Sequence street = make_rich_street();
+    const LidarSequence street = make_rich_street();
     ASSERT_FALSE(street.boxes.empty());
     const fs::path folder = make_fresh_folder_path("saved");
     save_folder(street, folder);
     EXPECT_EQ(detect_dataset_kind(folder), "folder");
-    const Sequence sequence = load_sequence(folder.string(), {});
+    const LidarSequence sequence = load_sequence(folder.string(), {});
     expect_same_log(sequence, street);
     expect_same_scans(sequence, street);
 }
 
 TEST(SaveFolder, KeepsADrive) {
     const test::KittiDrive drive("to_folder");
-    const Sequence truth = load_sequence(drive.folder.string(), {});
+    const LidarSequence truth = load_sequence(drive.folder.string(), {});
     const fs::path folder = make_fresh_folder_path("drive");
     save_folder(truth, folder);
-    const Sequence sequence = load_sequence(folder.string(), {});
+    const LidarSequence sequence = load_sequence(folder.string(), {});
     expect_same_log(sequence, truth);
     expect_same_scans(sequence, truth);
 }
 
 TEST(SaveFolder, KeepsRaysOfASensorThatDoesNotSpin) {
-    Sequence street = make_synthetic_street({.n_frames = 3, .rows = 8, .columns = 64});
+    LidarSequence street = make_synthetic_street({.n_frames = 3, .rows = 8, .columns = 64});
     street.lidars[0].sensor = {
         .name = "flash", .beams = {}, .columns = 0, .period_s = 0.0, .max_range_m = 60.0};
     const fs::path folder = make_fresh_folder_path("flash");
     save_folder(street, folder);
-    const Sequence sequence = load_sequence(folder.string(), {});
+    const LidarSequence sequence = load_sequence(folder.string(), {});
     EXPECT_EQ(sequence.lidars[0].sensor.period_s, 0.0);
     EXPECT_EQ(sequence.lidars[0].sensor.max_range_m, 60.0);
-    for (Frame& frame : street.frames) drop_outside_limits(frame.scan, {0.0, 60.0});
+    for (LidarFrame& frame : street.frames) remove_returns_outside_limits(frame.scan, {0.0, 60.0});
     expect_same_scans(sequence, street);
 }
 
 TEST(SaveFolder, KeepsARigOfSensorsThatDoNotSpin) {
     SyntheticOptions options{.n_frames = 2};
     options.rig = test::write_rig(fs::path(testing::TempDir()) / "relidar_folder_rig");
-    Sequence street = make_synthetic_street(options);
+    LidarSequence street = make_synthetic_street(options);
     RayTable table = make_nominal_rays(street.lidars[test::kRosette], 0.4);
     for (std::size_t i = 0; i < table.size(); ++i) table.ray_divergence_rad.push_back(1e-3f * float(i % 7));
-    for (Frame& frame : street.frames)
+    for (LidarFrame& frame : street.frames)
         if (frame.lidar == test::kRosette) frame.scan.rays.ray_divergence_rad = table.ray_divergence_rad;
     street.lidars[test::kRosette].pattern = table;
     const fs::path folder = make_fresh_folder_path("rig");
     save_folder(street, folder);
-    const Sequence sequence = load_sequence(folder.string(), {});
+    const LidarSequence sequence = load_sequence(folder.string(), {});
     ASSERT_EQ(sequence.lidars.size(), 4u);
     EXPECT_FALSE(sequence.lidars[test::kSpinning].pattern);
     for (const int l : {test::kWindow, test::kRosette, test::kTwoReturns}) {
@@ -185,20 +185,20 @@ TEST(SaveFolder, KeepsARigOfSensorsThatDoNotSpin) {
 }
 
 TEST(SaveFolder, SaysThatScansAreMotionCompensated) {
-    Sequence street = make_synthetic_street({.n_frames = 3, .rows = 8, .columns = 64});
+    LidarSequence street = make_synthetic_street({.n_frames = 3, .rows = 8, .columns = 64});
     street.rolling_shutter = false;
     const fs::path folder = make_fresh_folder_path("compensated_log");
     save_folder(street, folder);
     const std::vector<NamedArray> arrays = read_npz((folder / "scans/000001.npz").string());
-    EXPECT_EQ(find_array(arrays, "deskewed")->as_float(), std::vector<float>{1.0f});
-    EXPECT_EQ(find_array(arrays, "time")->as_float(), std::vector<float>(8 * 64, 0.0f));
-    const Sequence sequence = load_sequence(folder.string(), {});
+    EXPECT_EQ(find_array(arrays, "deskewed")->convert_to_floats(), std::vector<float>{1.0f});
+    EXPECT_EQ(find_array(arrays, "time")->convert_to_floats(), std::vector<float>(8 * 64, 0.0f));
+    const LidarSequence sequence = load_sequence(folder.string(), {});
     EXPECT_FALSE(sequence.rolling_shutter);
     EXPECT_FALSE(sequence.frames[1].start);
     for (std::size_t i = 0; i < 8 * 64; ++i) {
-        const auto seen = compute_world_return(sequence, sequence.frames[1], i),
+        const auto loaded_return = compute_world_return(sequence, sequence.frames[1], i),
                    truth = compute_world_return(street, street.frames[1], i);
-        ASSERT_LT(glm::distance(seen.point_m, truth.point_m), 1e-6) << i;
+        ASSERT_LT(glm::distance(loaded_return.point_m, truth.point_m), 1e-6) << i;
     }
     const std::regex statement("\"motion_compensated\": true");
     const std::string head = test::read_text(folder / "sequence.json");
@@ -208,16 +208,16 @@ TEST(SaveFolder, SaysThatScansAreMotionCompensated) {
 }
 
 TEST(SaveFolder, ReadsARangeOfItsFrames) {
-    const Sequence street = make_rich_street();
+    const LidarSequence street = make_rich_street();
     const fs::path folder = make_fresh_folder_path("range");
     save_folder(street, folder);
     DatasetOptions options;
     options.frames = {1, 3};
-    const Sequence sequence = load_sequence(folder.string(), options);
+    const LidarSequence sequence = load_sequence(folder.string(), options);
     ASSERT_EQ(sequence.frames.size(), 4u);
     EXPECT_EQ(sequence.frames[0].scan.range_m, street.frames[2].scan.range_m);
     for (const BoxTrack& box : sequence.boxes)
-        EXPECT_TRUE(sequence.world_from_vehicle.covers(box.world_from_box.time_s.front())) << box.id;
+        EXPECT_TRUE(sequence.world_from_vehicle.contains_time(box.world_from_box.time_s.front())) << box.id;
 }
 
 /// Returns the names in a folder, including hidden files.
@@ -228,12 +228,12 @@ std::vector<std::string> list_names_in(const fs::path& folder) {
 }
 
 TEST(SaveFolder, ReadsAFewScansForALook) {
-    const Sequence street = make_rich_street();  // five frames of each LiDAR
+    const LidarSequence street = make_rich_street();  // five frames of each LiDAR
     const fs::path folder = make_fresh_folder_path("looked_at");
     save_folder(street, folder);
     DatasetOptions options;
     options.max_scans = 2;
-    const Sequence sequence = load_sequence(folder.string(), options);
+    const LidarSequence sequence = load_sequence(folder.string(), options);
     expect_same_log(sequence, street);
     ASSERT_EQ(sequence.frames.size(), street.frames.size());
     for (std::size_t i = 0; i < street.frames.size(); ++i) {
@@ -246,10 +246,10 @@ TEST(SaveFolder, ReadsAFewScansForALook) {
 }
 
 TEST(SaveFolder, LeavesNothingUnfinished) {
-    const Sequence street = make_rich_street();
+    const LidarSequence street = make_rich_street();
     const fs::path folder = make_fresh_folder_path("place") / "saved";
     fs::create_directory(folder.parent_path());
-    FolderOptions options;
+    LogFolderOptions options;
     options.progress = [](std::string_view, double done) {
         if (done > 0.5) throw Error(ExitCode::interrupted, "interrupted");
     };
@@ -261,7 +261,7 @@ TEST(SaveFolder, LeavesNothingUnfinished) {
     EXPECT_THROW(save_folder(street, folder, options), Error);
     EXPECT_EQ(load_sequence(folder.string(), {}).frames.size(), street.frames.size())
         << "the old one stays until the new one is complete";
-    Sequence shorter = street;
+    LidarSequence shorter = street;
     shorter.frames.resize(2);
     shorter.world_from_vehicle.time_s.resize(1), shorter.world_from_vehicle.pose.resize(1);
     save_folder(shorter, folder, {.overwrite = true});
@@ -329,7 +329,7 @@ TEST(PlainFolder, CountsRingsFromBelowWhereItIsTold) {
     expect_street(
         {"lowest", "bin", mirror_vertically, R"(, "columns": ["x", "y", "z", "intensity", "ring"])"}, 1e-4);
     std::string csv = "elevation_deg\n";
-    const Sequence street = make_synthetic_street({.n_frames = 1, .rows = 16, .columns = 8});
+    const LidarSequence street = make_synthetic_street({.n_frames = 1, .rows = 16, .columns = 8});
     for (const Beam& beam : street.lidars[0].sensor.beams)
         csv += fmt::format("{}\n", beam.elevation_rad * 180.0 / kPi);
     test::write_text(fs::path(testing::TempDir()) / "relidar_folder/lowest/beams.csv", csv);
@@ -342,27 +342,28 @@ TEST(PlainFolder, CountsRingsFromBelowWhereItIsTold) {
 TEST(PlainFolder, KeepsPointsWithoutOrderOfALidarThatDoesNotSpin) {
     const PointLog log("solid", "bin", test::bin,
                        R"(, "columns": ["x", "y", "z", "intensity", "ring"], "lidars": [{"spins": false}])");
-    const Sequence sequence = load_sequence(log.folder.string(), {});
+    const LidarSequence sequence = load_sequence(log.folder.string(), {});
     EXPECT_EQ(sequence.lidars[0].sensor.period_s, 0.0);
     for (std::size_t f = 0; f < sequence.frames.size(); ++f) {
         const test::FilePoints points = PointLog::points(log.street.frames[f]);
         ASSERT_EQ(sequence.frames[f].scan.rays.rows, 1);
         ASSERT_EQ(sequence.frames[f].scan.range_m.size(), points.size());
         for (std::size_t i = 0; i < points.size(); ++i)
-            EXPECT_LT(glm::distance(sequence.frames[f].scan.point(i), points[i].point_m), 1e-4f);
+            EXPECT_LT(glm::distance(sequence.frames[f].scan.compute_end_point(i), points[i].point_m), 1e-4f);
     }
 }
 
 TEST(PlainFolder, UndoesMotionCompensation) {
     // The sensor drives at 8 m/s, so that it moves 0.4 m in half a sweep.
-    const Sequence street = make_synthetic_street(
+    const LidarSequence street = make_synthetic_street(
         {.n_frames = 4, .rows = 16, .columns = 360, .range_noise_m = 0.0, .moving_cars = false});
-    const PoseTrack track = street.world_from_sensor(0);
+    const PoseTrack track = street.get_world_from_sensor(0);
     std::size_t frame = 0;
     const auto compensated = [&](test::FilePoints points) {
         const double t_s = street.frames[frame++].time_s;
         for (test::FilePoint& p : points)
-            p.point_m = glm::vec3(inverse(track.at(t_s)) * (track.at(p.time_s) * glm::dvec3(p.point_m)));
+            p.point_m = glm::vec3(inverse(track.interpolate_pose(t_s)) *
+                                  (track.interpolate_pose(p.time_s) * glm::dvec3(p.point_m)));
         return test::npy(points);
     };
     const PointLog log(
@@ -388,7 +389,7 @@ TEST(PlainFolder, InterpolatesPosesThatHaveTimes) {
         "0.7071067811865476\n"};
     for (const std::string& poses : logs) {
         test::write_text(log.folder / "poses.txt", poses);
-        const Sequence sequence = load_sequence(log.folder.string(), {});
+        const LidarSequence sequence = load_sequence(log.folder.string(), {});
         const PoseTrack world = shift_track(sequence.world_from_vehicle, sequence.world_offset_m);
         EXPECT_LT(glm::distance(world.pose[1].translation, glm::dvec3(1.5, 0, 0)), 1e-12);  // 0.1 s
         EXPECT_LT(glm::distance(world.pose[2].translation, glm::dvec3(2, 1.5, 0)), 1e-12);  // 0.2 s
@@ -405,7 +406,7 @@ TEST(PlainFolder, BoxesByFrameAndYaw) {
         {"track": "7", "category": "Car", "frame": 1, "size": [4, 2, 1.5], "position": [10, 1, 0.75], "yaw_deg": 90},
         {"track": "8", "category": "Van", "time_s": 0.1, "size": [5, 2, 2], "position": [1, 9, 1], "quaternion": [1, 0, 0, 0]},
         {"track": "7", "category": "Car", "frame": 2, "size": [4, 2, 1.5], "position": [11, 1, 0.75], "yaw_deg": 90}]})");
-    const Sequence sequence = load_sequence(log.folder.string(), {});
+    const LidarSequence sequence = load_sequence(log.folder.string(), {});
     ASSERT_EQ(sequence.boxes.size(), 2u);
     EXPECT_EQ(sequence.boxes[0].id, "7");
     EXPECT_EQ(sequence.boxes[0].world_from_box.time_s, (std::vector<double>{0.1, 0.2}));
@@ -426,7 +427,7 @@ TEST(PlainFolder, ReadsRenderedScans) {
                                    make_array("drop_prob", {1, 2}, drop.data(), 2),
                                    make_array("intensity", {1, 2}, intensity.data(), 2),
                                    make_array("directions", {1, 2, 3}, directions.data(), 6),
-                                   make_text("sensor", "native")};
+                                   make_single_text_array("sensor", "native")};
     write_npz(folder / "scans/frame_000000.npz", arrays);
     test::write_text(folder / "sequence.json", R"({"format": "relidar log", "version": 1, "rate_hz": 10})");
     test::write_text(folder / "poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n");

@@ -31,7 +31,7 @@ inline fs::path make_fresh_folder_path(const std::string& name) {
 /// Log of point files with the returns of a street. Points are in the order of the rays
 /// of the street.
 struct PointLog {
-    Sequence street = make_synthetic_street(
+    LidarSequence street = make_synthetic_street(
         {.n_frames = 4, .rows = 16, .columns = 360, .range_noise_m = 0.0, .moving_cars = false});
     fs::path folder;
 
@@ -40,7 +40,7 @@ struct PointLog {
         : folder(make_fresh_folder_path(name)) {
         fs::create_directories(folder / "scans");
         std::string poses;
-        for (const Frame& frame : street.frames) {
+        for (const LidarFrame& frame : street.frames) {
             const std::size_t i = std::size_t(&frame - street.frames.data());
             write_text(folder / "scans" / fmt::format("{:02}.{}", i, ending), written(points(frame)));
             const glm::dmat4 m = to_matrix(street.world_from_vehicle.pose[i]);
@@ -53,13 +53,13 @@ struct PointLog {
                    "{\"format\": \"relidar log\", \"version\": 1, \"rate_hz\": 10" + members + "}");
     }
 
-    static FilePoints points(const Frame& frame) {
+    static FilePoints points(const LidarFrame& frame) {
         FilePoints points;
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
             if (frame.scan.range_m[i] > 0.0f)
-                points.push_back({frame.scan.point(i), std::round(frame.scan.intensity[i] * 255.0f) / 255.0f,
-                                  frame.scan.rays.channel[i],
-                                  frame.time_s + double(frame.scan.rays.time_offset_s[i])});
+                points.push_back(
+                    {frame.scan.compute_end_point(i), std::round(frame.scan.intensity[i] * 255.0f) / 255.0f,
+                     frame.scan.rays.channel[i], frame.time_s + double(frame.scan.rays.time_offset_s[i])});
         return points;
     }
 };
@@ -70,7 +70,7 @@ struct Difference {
 };
 
 /// Compares two logs ray by ray. The image must have the rows and columns of the street.
-inline Difference measure_difference(const Sequence& sequence, const Sequence& street) {
+inline Difference measure_difference(const LidarSequence& sequence, const LidarSequence& street) {
     Difference worst;
     for (std::size_t f = 0; f < street.frames.size(); ++f) {
         const Scan &a = sequence.frames[f].scan, &b = street.frames[f].scan;
@@ -92,7 +92,7 @@ inline Difference measure_difference(const Sequence& sequence, const Sequence& s
 }
 
 inline void expect_street(const PointLog& log, double time_s) {
-    const Sequence sequence = load_sequence(log.folder.string(), {});
+    const LidarSequence sequence = load_sequence(log.folder.string(), {});
     ASSERT_EQ(sequence.lidars[0].sensor.columns, log.street.lidars[0].sensor.columns);
     const Difference worst = measure_difference(sequence, log.street);
     EXPECT_LT(worst.point_m, 1e-4);

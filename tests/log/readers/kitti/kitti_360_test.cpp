@@ -24,22 +24,22 @@ using test::read_text;
 using test::write_text;
 using testing::Contains;
 
-Sequence read(const Kitti360Folder& kitti, const DatasetOptions& options = {}) {
+LidarSequence read(const Kitti360Folder& kitti, const DatasetOptions& options = {}) {
     return load_sequence(kitti.folder.string(), options);
 }
 
-std::size_t points_in(const Sequence& log, const Frame& frame, const BoxTrack& box) {
+std::size_t points_in(const LidarSequence& log, const LidarFrame& frame, const BoxTrack& box) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < frame.scan.rays.size(); ++i)
         n += frame.scan.range_m[i] > 0.0f &&
-             box.holds(compute_world_return(log, frame, i).point_m, frame.time_s, 0.0);
+             box.contains_point(compute_world_return(log, frame, i).point_m, frame.time_s, 0.0);
     return n;
 }
 
 TEST(Kitti360, PointsStandInTheWorldWhereTheyWere) {
     const Kitti360Folder kitti("k360");
     EXPECT_EQ(detect_dataset_kind(kitti.folder), "kitti360");
-    const Sequence log = read(kitti);
+    const LidarSequence log = read(kitti);
     ASSERT_EQ(log.frames.size(), 3u);
     EXPECT_TRUE(log.rolling_shutter);
     EXPECT_EQ(log.frames[0].index, Kitti360Folder::kFirst);
@@ -49,10 +49,10 @@ TEST(Kitti360, PointsStandInTheWorldWhereTheyWere) {
     EXPECT_EQ(log.lidars[0].sensor.columns, test::KittiDrive::kFirings);
     EXPECT_EQ(log.frames[0].scan.count_returns(), kitti.sweeps.n_points);
     double farthest = 0.0, latest = 0.0;
-    for (const Frame& frame : log.frames) {
+    for (const LidarFrame& frame : log.frames) {
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
-            const glm::dvec3 point(frame.scan.point(i));
+            const glm::dvec3 point(frame.scan.compute_end_point(i));
             const double late = double(frame.scan.rays.time_offset_s[i]) / Kitti360Folder::kPeriod_s;
             const glm::dvec3 truth(Kitti360Folder::compute_world_from_velo(frame.index + late) *
                                    glm::dvec4(point, 1.0));
@@ -69,7 +69,7 @@ TEST(Kitti360, PointsStandInTheWorldWhereTheyWere) {
 
 TEST(Kitti360, BoxesHoldWhatWasLabelled) {
     const Kitti360Folder kitti("k360_boxes");
-    const Sequence log = read(kitti);
+    const LidarSequence log = read(kitti);
     ASSERT_EQ(log.boxes.size(), 2u);
     const BoxTrack &driving = log.boxes[0], &standing = log.boxes[1];
     EXPECT_EQ(driving.id, "13005");
@@ -90,7 +90,7 @@ TEST(Kitti360, BoxesHoldWhatWasLabelled) {
         EXPECT_LT(glm::distance(actual.rotation * glm::dvec3(0, 0, 1), glm::dvec3(truth[2])), 1e-9);
     }
     EXPECT_EQ(standing.world_from_box.pose[0].translation, standing.world_from_box.pose[1].translation);
-    for (const Frame& frame : log.frames) EXPECT_GT(points_in(log, frame, driving), 100u) << frame.index;
+    for (const LidarFrame& frame : log.frames) EXPECT_GT(points_in(log, frame, driving), 100u) << frame.index;
     EXPECT_FALSE(standing.is_present(log.frames[0].time_s)) << "not labelled there";
     EXPECT_GT(points_in(log, log.frames[1], standing), 100u);
     EXPECT_GT(points_in(log, log.frames[2], standing), 100u);
@@ -106,7 +106,7 @@ TEST(Kitti360, DrivesAndPartsHaveNames) {
     const Kitti360Folder kitti("k360_names");
     DatasetOptions options;
     options.sequence = "kd1";
-    Sequence log = read(kitti, options);
+    LidarSequence log = read(kitti, options);
     ASSERT_EQ(log.frames.size(), 2u);
     EXPECT_EQ(log.frames[0].index, 2351);
     EXPECT_EQ(log.test_frames, (std::vector<int>{2360, 2370, 2380, 2390}));
@@ -154,7 +154,7 @@ TEST(Kitti360, MissingPartsAreErrorsOfUsage) {
 TEST(Kitti360, FramesWithoutAPose) {
     const Kitti360Folder kitti("k360_gaps");
     kitti.write_poses({2350, 2352});
-    Sequence log = read(kitti);
+    LidarSequence log = read(kitti);
     ASSERT_EQ(log.frames.size(), 3u);
     EXPECT_THAT(log.notes, Contains(Names("interpolated ... data_poses ... 2351")));
     const glm::dvec3 there(Kitti360Folder::compute_world_from_velo(2351)[3]);
@@ -181,7 +181,7 @@ TEST(Kitti360, BoxesGoAlongWithOtherPoses) {
     const Kitti360Folder kitti("k360_poses");
     DatasetOptions options;
     options.poses_file = kNoPoses;
-    const Sequence none = read(kitti, options);
+    const LidarSequence none = read(kitti, options);
     EXPECT_EQ(none.world_from_vehicle.pose[2].translation, glm::dvec3(0.0));
     ASSERT_EQ(none.boxes.size(), 2u);
     for (const Pose& pose : none.boxes[0].world_from_box.pose)
@@ -190,7 +190,7 @@ TEST(Kitti360, BoxesGoAlongWithOtherPoses) {
     for (int frame = 0; frame < 2353; ++frame) lines += fmt::format("1 0 0 {} 0 1 0 0 0 0 1 0\n", frame);
     options.poses_file = kitti.folder / "mine.txt";
     write_text(options.poses_file, lines);
-    const Sequence mine = read(kitti, options);
+    const LidarSequence mine = read(kitti, options);
     EXPECT_EQ(mine.world_offset_m, glm::dvec3(2351, 0, 0));
     EXPECT_LT(glm::distance(mine.boxes[0].world_from_box.pose[2].translation, glm::dvec3(10.5, 0, 0)), 1e-6);
     fs::remove_all(kitti.folder / "data_poses");
@@ -202,7 +202,7 @@ TEST(Kitti360, BoxesGoAlongWithOtherPoses) {
 // may have only train.
 TEST(Kitti360, ObjectsWithoutNumbersGoByTheirLabels) {
     const Kitti360Folder kitti("k360_0004");
-    const glm::dmat4 place =
+    const glm::dmat4 world_from_object =
         Kitti360Folder::compute_world_from_velo(2351) * test::make_box_matrix({9.5, 0, 0}, 0.0, {1, 2, 3});
     const auto fields = [](const std::string& label, int index, int timestamp) {
         return fmt::format(
@@ -212,12 +212,13 @@ TEST(Kitti360, ObjectsWithoutNumbersGoByTheirLabels) {
             index, label, timestamp, timestamp < 0 ? 0 : 1);
     };
     fs::remove(kitti.boxes());
-    write_text(kitti.folder / "data_3d_bboxes/train" / kitti.boxes().filename(),
-               test::make_boxes_xml(test::make_object_xml(1, fields("pedestrian", 11, 2350), place) +
-                                    test::make_object_xml(2, fields("pedestrian", 12, 2351), place) +
-                                    test::make_object_xml(3, fields("car", 13, -1), place) +
-                                    test::make_object_xml(4, fields("trafficSign", 14, -1), place)));
-    const Sequence log = read(kitti);
+    write_text(
+        kitti.folder / "data_3d_bboxes/train" / kitti.boxes().filename(),
+        test::make_boxes_xml(test::make_object_xml(1, fields("pedestrian", 11, 2350), world_from_object) +
+                             test::make_object_xml(2, fields("pedestrian", 12, 2351), world_from_object) +
+                             test::make_object_xml(3, fields("car", 13, -1), world_from_object) +
+                             test::make_object_xml(4, fields("trafficSign", 14, -1), world_from_object)));
+    const LidarSequence log = read(kitti);
     ASSERT_EQ(log.boxes.size(), 2u);
     EXPECT_EQ(log.boxes[0].id, "car-13");
     EXPECT_EQ(log.boxes[0].world_from_box.pose.size(), 1u);

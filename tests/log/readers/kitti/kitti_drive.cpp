@@ -29,7 +29,7 @@ std::vector<Beam> make_beams() {
         const double elevation_deg = k < 32 ? 2.0 - 0.34 * k : -9.0 - 0.51 * (k - 32);
         Beam& beam = beams[static_cast<std::size_t>(k)];
         beam.elevation_rad = elevation_deg * kPi / 180.0;
-        beam.azimuth_offset_rad = random.uniform(-0.14, 0.14);
+        beam.azimuth_offset_rad = random.draw_uniform(-0.14, 0.14);
         beam.origin_up_m = (k < 32 ? 0.20 : 0.12) * std::cos(beam.elevation_rad);
         beam.origin_left_m = k % 2 == 0 ? -0.026 : 0.026;
         mean += beam.azimuth_offset_rad / 64;
@@ -42,8 +42,9 @@ double compute_head_azimuth(Heads heads, int firing, int frame) {
     const double even = firing * 4000.0 / KittiDrive::kFirings;
     if (heads == Heads::even) return (2000.0 - even) * kTick;
     if (heads == Heads::jittered) {
-        Random random(combine_hashes(static_cast<std::uint64_t>(firing), static_cast<std::uint64_t>(frame)));
-        return (2000.0 - even - random.uniform(0.0, 2.5)) * kTick;
+        Random random(
+            hash_integer_pair(static_cast<std::uint64_t>(firing), static_cast<std::uint64_t>(frame)));
+        return (2000.0 - even - random.draw_uniform(0.0, 2.5)) * kTick;
     }
     const double wobble = 1.4 * std::sin(6.0 * kPi * firing / KittiDrive::kFirings) + 1.9 * frame;
     return (2000.0 - std::floor(even + wobble)) * kTick;
@@ -64,10 +65,10 @@ Sweep make_sweep(const std::vector<Beam>& beams, Heads heads, int frame) {
             const double azimuth = std::atan2(ray.direction.y, ray.direction.x);
             const double reach = 9.0 + 4.0 * std::sin(3.0 * azimuth) +
                                  2.0 * std::cos(7.0 * azimuth + 0.3 * static_cast<double>(k));
-            const bool drop =
-                combine_hashes(k * 1000 + static_cast<std::uint64_t>(n), static_cast<std::uint64_t>(frame)) %
-                    10 ==
-                0;
+            const bool drop = hash_integer_pair(k * 1000 + static_cast<std::uint64_t>(n),
+                                                static_cast<std::uint64_t>(frame)) %
+                                  10 ==
+                              0;
             if (drop) {
                 sweep.dropped.push_back(ray.direction);
                 continue;

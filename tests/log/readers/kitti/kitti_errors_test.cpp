@@ -125,7 +125,7 @@ TEST(KittiErrors, PosesOutOfThisWorld) {
     expect_data_error(drive, {"oxts/data ... pose of frame 2 ... ("});
 }
 
-TEST(KittiErrors, BrokenScans) {
+TEST(KittiErrors, ScanErrorCollector) {
     const KittiDrive drive("scans");
     const std::string original = read_text(drive.scan(1));
     write_text(drive.scan(1), original.substr(0, 100));

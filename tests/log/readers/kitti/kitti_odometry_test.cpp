@@ -46,7 +46,7 @@ struct Odometry {
     fs::path poses() const { return folder.parent_path().parent_path() / "poses/04.txt"; }
 };
 
-Sequence read(const Odometry& odometry, const fs::path& poses_file, FrameRange frames = {}) {
+LidarSequence read(const Odometry& odometry, const fs::path& poses_file, FrameRange frames = {}) {
     DatasetOptions options;
     options.poses_file = poses_file;
     options.frames = frames;
@@ -56,7 +56,7 @@ Sequence read(const Odometry& odometry, const fs::path& poses_file, FrameRange f
 TEST(KittiOdometry, IsRecognisedAndRead) {
     const Odometry odometry("odometry");
     EXPECT_EQ(detect_dataset_kind(odometry.folder), "kitti_odometry");
-    const Sequence log = load_sequence(odometry.folder.string(), {});
+    const LidarSequence log = load_sequence(odometry.folder.string(), {});
     ASSERT_EQ(log.frames.size(), 3u);
     EXPECT_FALSE(log.rolling_shutter);
     EXPECT_EQ(log.frames[1].time_s, 0.1037);
@@ -107,7 +107,7 @@ TEST(KittiOdometry, ReadsTheClassesOfSemanticKitti) {
         test::write_text(odometry.folder / "labels" / fmt::format("{:06d}.label", frame),
                          {reinterpret_cast<const char*>(labels.data()), 4 * labels.size()});
     }
-    const Sequence log = load_sequence(odometry.folder.string(), {});
+    const LidarSequence log = load_sequence(odometry.folder.string(), {});
     EXPECT_TRUE(log.frames[1].scan.classes.empty()) << "a frame without a file";
     for (const int frame : {0, 2}) {
         const std::string bytes = test::read_text(odometry.drive.scan(frame));
@@ -126,7 +126,7 @@ TEST(KittiOdometry, ReadsTheClassesOfSemanticKitti) {
         ASSERT_EQ(scan.classes.size(), scan.range_m.size());
         for (std::size_t ray = 0; ray < scan.classes.size(); ++ray)
             ASSERT_EQ(scan.classes[ray],
-                      scan.range_m[ray] > 0.0f ? expected.at(key_of(scan.point(ray))) : unknown);
+                      scan.range_m[ray] > 0.0f ? expected.at(key_of(scan.compute_end_point(ray))) : unknown);
     }
 }
 

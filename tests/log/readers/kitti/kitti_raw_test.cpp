@@ -30,24 +30,24 @@ using test::KittiDrive;
 
 TEST(KittiRaw, RecoversTheSensorFromItsScans) {
     const KittiDrive drive("sensor");
-    const Sequence log = load_sequence("kitti_raw:" + drive.folder.string(), {});
+    const LidarSequence log = load_sequence("kitti_raw:" + drive.folder.string(), {});
     EXPECT_EQ(log.lidars[0].sensor.columns, KittiDrive::kFirings);
     EXPECT_NEAR(log.lidars[0].sensor.period_s, 0.1, 1e-9);
     ASSERT_EQ(log.lidars[0].sensor.beams.size(), 64u);
     for (std::size_t k = 0; k < 64; ++k) {
-        const Beam &found = log.lidars[0].sensor.beams[k], &truth = drive.beams[k];
-        EXPECT_NEAR(found.elevation_rad, truth.elevation_rad, 1e-4) << k;
-        EXPECT_NEAR(found.origin_up_m / std::cos(found.elevation_rad),
+        const Beam &fitted_beam = log.lidars[0].sensor.beams[k], &truth = drive.beams[k];
+        EXPECT_NEAR(fitted_beam.elevation_rad, truth.elevation_rad, 1e-4) << k;
+        EXPECT_NEAR(fitted_beam.origin_up_m / std::cos(fitted_beam.elevation_rad),
                     truth.origin_up_m / std::cos(truth.elevation_rad), 1e-3)
             << k;
-        EXPECT_NEAR(found.azimuth_offset_rad, truth.azimuth_offset_rad, 2e-4) << k;
-        EXPECT_NEAR(found.origin_left_m, truth.origin_left_m, 1e-3) << k;
+        EXPECT_NEAR(fitted_beam.azimuth_offset_rad, truth.azimuth_offset_rad, 2e-4) << k;
+        EXPECT_NEAR(fitted_beam.origin_left_m, truth.origin_left_m, 1e-3) << k;
     }
 }
 
 TEST(KittiRaw, EveryPointAndEveryDropHasItsRay) {
     const KittiDrive drive("rays");
-    const Sequence log = load_sequence(drive.folder.string(), {});
+    const LidarSequence log = load_sequence(drive.folder.string(), {});
     const Scan& scan = log.frames[0].scan;
     ASSERT_EQ(scan.rays.rows, 64);
     ASSERT_EQ(scan.rays.columns, KittiDrive::kFirings);
@@ -79,7 +79,7 @@ TEST(KittiRaw, EveryPointAndEveryDropHasItsRay) {
 
 TEST(KittiRaw, WithoutEncoderTicksStepsAreEven) {
     const KittiDrive even("even", test::Heads::even), jittered("jittered", test::Heads::jittered);
-    Sequence log = load_sequence(even.folder.string(), {});
+    LidarSequence log = load_sequence(even.folder.string(), {});
     EXPECT_EQ(log.lidars[0].sensor.columns, KittiDrive::kFirings);
     EXPECT_EQ(log.frames[0].scan.count_returns(), even.n_points);
     log = load_sequence(jittered.folder.string(), {});
@@ -106,7 +106,7 @@ TEST(KittiRaw, LaserWithoutReturnsInOneScan) {
 
 TEST(KittiRaw, PosesTimesAndBoxes) {
     const KittiDrive drive("poses");
-    const Sequence log = load_sequence(drive.folder.string(), {});
+    const LidarSequence log = load_sequence(drive.folder.string(), {});
     ASSERT_EQ(log.frames.size(), 3u);
     EXPECT_NEAR(log.frames[2].time_s, 0.2, 1e-9);  // across midnight and New Year
     // Distance of a step in Mercator coordinates: s R dlon with s = cos 60. The sensor
@@ -145,7 +145,7 @@ TEST(KittiRaw, PosesFileInTumOrder) {
     options.poses_file = drive.file("poses.txt");
     for (const char* order : {"0 0 0.70710678 0.70710678", "0.70710678 0 0 0.70710678"}) {
         write(order);
-        const Sequence log = load_sequence(drive.folder.string(), options);
+        const LidarSequence log = load_sequence(drive.folder.string(), options);
         const Pose pose = log.world_from_vehicle.pose[2];
         EXPECT_NEAR(glm::distance(pose.rotation * glm::dvec3(1, 0, 0), glm::dvec3(0, 1, 0)), 0.0, 1e-6);
         EXPECT_NEAR(glm::distance(pose.translation + log.world_offset_m, glm::dvec3(5, 1.6, 0)), 0.0, 0.1);
@@ -170,7 +170,7 @@ TEST(KittiRaw, PosesFileFrameRangeAndMissingScans) {
         EXPECT_THAT(error.what(), test::Names("missing (1)"));
     }
     options.allow_missing_scans = true;
-    Sequence log = load_sequence(drive.folder.string(), options);
+    LidarSequence log = load_sequence(drive.folder.string(), options);
     ASSERT_EQ(log.frames.size(), 2u);
     EXPECT_EQ(log.frames[1].index, 2);
     EXPECT_NEAR(log.frames[1].time_s, 0.2, 1e-9);
@@ -199,7 +199,7 @@ TEST(KittiRaw, LoadsADriveWithoutSomeOfItsScans) {
     std::filesystem::remove(drive.scan(1));
     for (const char* name : {"timestamps.txt", "timestamps_start.txt", "timestamps_end.txt"})
         erase_lines(drive.file(std::string("velodyne_points/") + name), {1});
-    const Sequence log = load_sequence(drive.folder.string(), {});
+    const LidarSequence log = load_sequence(drive.folder.string(), {});
     ASSERT_EQ(log.frames.size(), 2u);
     EXPECT_EQ(log.frames[1].index, 2);
     EXPECT_NEAR(log.frames[1].time_s - log.frames[0].time_s, 0.2, 1e-9);
@@ -220,32 +220,32 @@ TEST(KittiRaw, TimesAreCountedFromTheFirstLineThatHasOne) {
     std::filesystem::remove(drive.scan(0));
     for (const char* name : {"timestamps.txt", "timestamps_start.txt", "timestamps_end.txt"})
         erase_lines(drive.file(std::string("velodyne_points/") + name), {0});
-    const Sequence log = load_sequence(drive.folder.string(), {});
+    const LidarSequence log = load_sequence(drive.folder.string(), {});
     EXPECT_NEAR(log.frames[0].time_s, 0.0, 1e-9);
     EXPECT_NEAR(log.frames[1].time_s, 0.1, 1e-9);
 }
 
 TEST(KittiRaw, CalibrationBesideAboveOrInItsArchive) {
-    for (const char* place :
+    for (const char* calibration_path :
          {"calib_imu_to_velo.txt", "calib/calib_imu_to_velo.txt",
           "../2011_12_31_calib/2011_12_31/calib_imu_to_velo.txt", "../../calib_imu_to_velo.txt"}) {
         const KittiDrive drive("calibration_places");
         const glm::dvec3 usual = load_sequence(drive.folder.string(), {}).world_offset_m;
         const std::string text = test::read_text(drive.calibration());
         std::filesystem::remove(drive.calibration());
-        test::write_text(drive.file(place), text);
-        EXPECT_EQ(load_sequence(drive.folder.string(), {}).world_offset_m, usual) << place;
+        test::write_text(drive.file(calibration_path), text);
+        EXPECT_EQ(load_sequence(drive.folder.string(), {}).world_offset_m, usual) << calibration_path;
     }
 }
 
 TEST(KittiRaw, WithoutPosesAndTracklets) {
     const KittiDrive drive("no_poses");
-    const Sequence original = load_sequence(drive.folder.string(), {});
+    const LidarSequence original = load_sequence(drive.folder.string(), {});
     std::filesystem::remove_all(drive.file("oxts"));
     std::filesystem::remove(drive.calibration());
     DatasetOptions options;
     options.poses_file = kNoPoses;
-    Sequence log = load_sequence(drive.folder.string(), options);
+    LidarSequence log = load_sequence(drive.folder.string(), options);
     EXPECT_THAT(log.notes, testing::Contains(test::Names("poses ... read")));
     for (std::size_t i = 0; i < 3; ++i) {
         EXPECT_EQ(log.world_from_vehicle.pose[i].translation, glm::dvec3(0.0));
@@ -290,7 +290,7 @@ TEST(KittiRaw, SeesAsFarAsItsFarthestReturn) {
     }
     DatasetOptions options;
     options.max_range_m = INFINITY;
-    const Sequence log = load_sequence(drive.folder.string(), options);
+    const LidarSequence log = load_sequence(drive.folder.string(), options);
     double offset_m = 0.0;  // ranges start at the origin of a beam, not at the sensor
     for (const Beam& beam : drive.beams)
         offset_m = std::max(offset_m, 16.0 * glm::length(glm::dvec3(beam.origin_offset_m, beam.origin_up_m,
@@ -308,13 +308,13 @@ TEST(KittiRaw, RealDrive) {
     if (!folder) GTEST_SKIP() << "RELIDAR_KITTI_DRIVE names no KITTI raw drive";
     DatasetOptions options;
     options.frames = {0, 12};
-    const Sequence log = load_sequence(folder, options);
+    const LidarSequence log = load_sequence(folder, options);
     ASSERT_EQ(log.frames.size(), 12u);
     EXPECT_NEAR(log.lidars[0].sensor.columns, 2152, 10);
     EXPECT_NEAR(log.lidars[0].sensor.beams[0].elevation_rad * 180 / kPi, 1.94, 0.02);
     EXPECT_NEAR(log.lidars[0].sensor.beams[63].elevation_rad * 180 / kPi, -25.0, 0.05);
     const RayTable nominal = make_rays(log.lidars[0].sensor);
-    for (const Frame& frame : log.frames) {
+    for (const LidarFrame& frame : log.frames) {
         const Scan& scan = frame.scan;
         ASSERT_EQ(scan.rays.size(), nominal.size());
         double elevation_error = 0.0;
@@ -360,19 +360,19 @@ TEST(KittiRaw, RealScansKeepTheirPointsOnTheNativeGrid) {
     if (!folder) GTEST_SKIP() << "RELIDAR_KITTI_DRIVE names no KITTI raw drive";
     DatasetOptions options;
     options.frames = {0, 12};
-    const Sequence log = load_sequence(folder, options);
+    const LidarSequence log = load_sequence(folder, options);
     std::size_t all = 0, lost_native = 0, lost_grid = 0;
-    for (const Frame& frame : log.frames) {
+    for (const LidarFrame& frame : log.frames) {
         const fs::path file =
             fs::path(folder) / "velodyne_points/data" / (fmt::format("{:010}.bin", frame.index));
         std::vector<float> intensity;
         const std::vector<glm::vec3> points = read_file_points(file, 79.9f, intensity);
-        std::vector<glm::vec3> kept;
+        std::vector<glm::vec3> scan_points;
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
-            if (frame.scan.range_m[i] > 0.0f) kept.push_back(frame.scan.point(i));
-        const GridImage grid = project_points(make_kitti360_grid(), points, intensity);
+            if (frame.scan.range_m[i] > 0.0f) scan_points.push_back(frame.scan.compute_end_point(i));
+        const ProjectedRangeImage grid = project_points(make_kitti360_grid(), points, intensity);
         all += points.size();
-        lost_native += count_missing(points, std::move(kept));
+        lost_native += count_missing(points, std::move(scan_points));
         lost_grid +=
             points.size() - std::size_t(std::ranges::count_if(grid.source, [](int s) { return s >= 0; }));
     }
@@ -391,8 +391,8 @@ TEST(KittiRaw, RealScansHaveOneAzimuthAFiring) {
     if (!folder) GTEST_SKIP() << "RELIDAR_KITTI_DRIVE names no KITTI raw drive";
     DatasetOptions options;
     options.frames = {40, 44};
-    const Sequence log = load_sequence(folder, options);
-    for (const Frame& frame : log.frames) {
+    const LidarSequence log = load_sequence(folder, options);
+    for (const LidarFrame& frame : log.frames) {
         const SpinningSensor& sensor = log.get_lidar(frame).sensor;
         const RayTable nominal = make_rays(sensor),
                        turned = shift_azimuths(nominal, sensor, frame.azimuth_shift_rad);

@@ -22,9 +22,9 @@ using test::StampedRay;
 
 /// Checks that every return is at the point where its ray hit the yard, and that no
 /// return is lost.
-void expect_mulran_truth(const MulranFolder& data, const Sequence& sequence) {
-    const PoseTrack track = sequence.world_from_sensor(0);
-    for (const Frame& frame : sequence.frames) {
+void expect_mulran_truth(const MulranFolder& data, const LidarSequence& sequence) {
+    const PoseTrack track = sequence.get_world_from_sensor(0);
+    for (const LidarFrame& frame : sequence.frames) {
         EXPECT_NEAR(frame.time_s, frame.index * 0.1, 1e-9);
         EXPECT_EQ(frame.scan.count_returns(), data.drive.count_returns(frame.index));
         const std::vector<StampedRay>& truth = data.drive.rays[std::size_t(frame.index)];
@@ -50,7 +50,7 @@ void expect_mulran_truth(const MulranFolder& data, const Sequence& sequence) {
 TEST(Mulran, EveryReturnIsWhereItWasMeasured) {
     const MulranFolder data("KAIST01");
     EXPECT_EQ(detect_dataset_kind(data.folder), "mulran");
-    const Sequence sequence = load_sequence(data.folder.string(), {});
+    const LidarSequence sequence = load_sequence(data.folder.string(), {});
     EXPECT_EQ(sequence.name, "MulRan KAIST01");
     ASSERT_EQ(sequence.frames.size(), 3u);
     EXPECT_EQ(sequence.frames[0].index, 1);
@@ -73,7 +73,7 @@ TEST(Mulran, PointsRingByRingInTheOtherFolder) {
     const MulranFolder data("ring-by-ring", false);
     fs::create_directory(data.folder / "sensor_data");
     fs::rename(data.folder / "Ouster", data.folder / "sensor_data/Ouster");
-    const Sequence sequence = load_sequence(data.folder.string(), {});
+    const LidarSequence sequence = load_sequence(data.folder.string(), {});
     ASSERT_EQ(sequence.frames.size(), 3u);
     expect_mulran_truth(data, sequence);
 }
@@ -82,7 +82,7 @@ TEST(Mulran, FramesAndOtherPoses) {
     const MulranFolder data("frames");
     DatasetOptions options;
     options.frames = {2, 3};
-    const Sequence one = load_sequence(data.folder.string(), options);
+    const LidarSequence one = load_sequence(data.folder.string(), options);
     ASSERT_EQ(one.frames.size(), 1u);
     EXPECT_NEAR(one.frames[0].time_s, 0.2, 1e-9) << "after the log's first scan";
     options.frames = {0, 1};
@@ -118,7 +118,7 @@ TEST(Mulran, BrightPointsAreCut) {
     const float bright = 6000.0f;
     bytes.replace(12, 4, reinterpret_cast<const char*>(&bright), 4);
     test::write_text(data.scan(1), bytes);
-    const Sequence sequence = load_sequence(data.folder.string(), {});
+    const LidarSequence sequence = load_sequence(data.folder.string(), {});
     EXPECT_THAT(sequence.notes,
                 testing::Contains(test::Names("intensities ... 6000 ... 200 ... 99.5th percentile")));
 }

@@ -22,8 +22,8 @@ namespace fs = std::filesystem;
 using test::NuscenesFolder;
 using test::NuscenesRay;
 
-Sequence load(const NuscenesFolder& data, const std::string& scene = "scene-0103",
-              DatasetOptions options = {}) {
+LidarSequence load(const NuscenesFolder& data, const std::string& scene = "scene-0103",
+                   DatasetOptions options = {}) {
     options.sequence = scene;
     return load_sequence(data.folder.string(), options);
 }
@@ -40,15 +40,15 @@ double measure_distance_to_arc_m(int frame, double fraction) {
 TEST(Nuscenes, EveryRayIsWhereItWasFired) {
     const NuscenesFolder data("rays");
     EXPECT_EQ(detect_dataset_kind(data.folder), "nuscenes");
-    const Sequence actual = load(data);
+    const LidarSequence actual = load(data);
     EXPECT_EQ(actual.name, "nuScenes scene-0103");
     ASSERT_EQ(actual.frames.size(), std::size_t(NuscenesFolder::kSweeps));
     const SpinningSensor& sensor = actual.lidars[0].sensor;
     ASSERT_EQ(sensor.beams.size(), 32u);
     EXPECT_NEAR(sensor.beams[0].elevation_rad * 180.0 / kPi, 10.67, 5e-3);
     EXPECT_NEAR(sensor.beams[31].elevation_rad * 180.0 / kPi, -30.67, 5e-3);
-    const PoseTrack track = actual.world_from_sensor(0);
-    for (const Frame& frame : actual.frames) {
+    const PoseTrack track = actual.get_world_from_sensor(0);
+    for (const LidarFrame& frame : actual.frames) {
         ASSERT_EQ(frame.scan.rays.columns, data.columns);
         std::size_t n_returns = 0;
         for (const NuscenesRay& ray : data.rays[std::size_t(frame.index)]) n_returns += ray.returned;
@@ -100,8 +100,8 @@ void write_categories(const NuscenesFolder& data) {
 TEST(Nuscenes, ReadsTheClassesOfLidarseg) {
     const NuscenesFolder data("lidarseg");
     write_categories(data);
-    const Sequence actual = load(data);
-    for (const Frame& frame : actual.frames) {
+    const LidarSequence actual = load(data);
+    for (const LidarFrame& frame : actual.frames) {
         const Scan& scan = frame.scan;
         ASSERT_EQ(scan.classes.size(), frame.index % 10 == 0 ? scan.range_m.size() : 0u);
         for (std::size_t i = 0; i < scan.classes.size(); ++i) {
@@ -132,7 +132,7 @@ TEST(Nuscenes, RefusesDamagedLabelsOfPoints) {
     EXPECT_THAT(error_of_load(),
                 testing::HasSubstr("10_lidarseg.bin has 3 bytes, expected one for each of the 1280 points"));
     fs::remove(file);
-    const Sequence log = load(data);
+    const LidarSequence log = load(data);
     EXPECT_THAT(log.notes,
                 testing::Contains("labels of points: 1 of the files in lidarseg.json are missing"));
     EXPECT_TRUE(log.frames[10].scan.classes.empty());
@@ -145,10 +145,10 @@ TEST(Nuscenes, RefusesDamagedLabelsOfPoints) {
 
 TEST(Nuscenes, TablesOfT4) {
     const NuscenesFolder data("t4");
-    const Sequence nuscenes = load(data);
+    const LidarSequence nuscenes = load(data);
     fs::rename(data.folder / "v1.0-mini", data.folder / "annotation");
     EXPECT_EQ(detect_dataset_kind(data.folder), "t4");
-    const Sequence t4 = load(data);
+    const LidarSequence t4 = load(data);
     EXPECT_EQ(t4.name, "T4 scene-0103");
     ASSERT_EQ(t4.frames.size(), nuscenes.frames.size());
     EXPECT_EQ(t4.boxes.size(), nuscenes.boxes.size());
@@ -161,7 +161,7 @@ TEST(Nuscenes, TablesOfT4) {
 
 TEST(Nuscenes, TimesPosesAndBoxesBetweenKeyframes) {
     const NuscenesFolder data("boxes", 40);
-    const Sequence actual = load(data);
+    const LidarSequence actual = load(data);
     for (std::size_t i = 0; i < actual.frames.size(); ++i) {
         EXPECT_NEAR(actual.frames[i].time_s, double(i) * NuscenesFolder::kSweep_s, 1e-9);
         const Pose truth = NuscenesFolder::compute_vehicle_pose(actual.frames[i].time_s),
@@ -195,7 +195,7 @@ TEST(Nuscenes, ScenesFramesAndPoses) {
     }
     DatasetOptions options;
     options.frames = {3, 5};
-    const Sequence part = load(data, "103", options);
+    const LidarSequence part = load(data, "103", options);
     ASSERT_EQ(part.frames.size(), 2u);
     EXPECT_EQ(part.frames[0].index, 3);
     EXPECT_NEAR(part.frames[0].time_s, 0.15, 1e-9);
@@ -203,11 +203,11 @@ TEST(Nuscenes, ScenesFramesAndPoses) {
     EXPECT_THROW(load(data, "103", options), UsageError);
     options.frames = {};
     options.poses_file = kNoPoses;
-    const Sequence unposed = load(data, "103", options);
+    const LidarSequence unposed = load(data, "103", options);
     EXPECT_EQ(unposed.world_from_vehicle.pose[4].translation, glm::dvec3(0.0));
-    const glm::dvec3 seen =
+    const glm::dvec3 box_in_vehicle_m =
         inverse(NuscenesFolder::compute_vehicle_pose(0.2)) * NuscenesFolder::box_at(0.2).translation;
-    EXPECT_LT(glm::distance(unposed.boxes[0].world_from_box.pose[4].translation, seen), 1e-8)
+    EXPECT_LT(glm::distance(unposed.boxes[0].world_from_box.pose[4].translation, box_in_vehicle_m), 1e-8)
         << "as the vehicle saw it";
     test::write_text(data.table("sample_annotation"), "[]");
     EXPECT_THAT(load(data).notes, testing::Contains(test::Names("annotations ... labels")));
@@ -227,14 +227,14 @@ TEST(Nuscenes, KeyframesAlone) {
     options.skip_broken = true;
     EXPECT_EQ(load(data, "103", options).frames.size(), std::size_t(NuscenesFolder::kSweeps - 1));
     fs::remove_all(data.folder / "sweeps");
-    const Sequence actual = load(data);
+    const LidarSequence actual = load(data);
     EXPECT_THAT(actual.notes, testing::Contains(test::Names("keyframes")));
     ASSERT_EQ(actual.frames.size(), 2u);
     EXPECT_EQ(actual.frames[1].index, 10);
     EXPECT_NEAR(actual.frames[1].time_s, 0.5, 1e-9);
     EXPECT_EQ(actual.boxes[0].world_from_box.time_s, (std::vector<double>{0.0, actual.frames[1].time_s}));
-    const PoseTrack track = actual.world_from_sensor(0);
-    for (const Frame& frame : actual.frames) {
+    const PoseTrack track = actual.get_world_from_sensor(0);
+    for (const LidarFrame& frame : actual.frames) {
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
             const double turned = double(frame.scan.rays.time_offset_s[i]) / NuscenesFolder::kSweep_s + 1.0;

@@ -27,16 +27,17 @@ namespace fs = std::filesystem;
 using test::TruckRay;
 using test::TruckScenesFolder;
 
-Sequence load(const TruckScenesFolder& data, DatasetOptions options = {}) {
+LidarSequence load(const TruckScenesFolder& data, DatasetOptions options = {}) {
     options.max_range_m = 200.0;
     return load_sequence(data.folder.string(), options);
 }
 
 /// Checks that every return of a frame belongs to the ray that was fired at the time of
 /// the return, and that no return is lost.
-void expect_truth(const Sequence& actual, const Frame& frame, const TruckScenesFolder::Lidar& lidar) {
+void expect_truth(const LidarSequence& actual, const LidarFrame& frame,
+                  const TruckScenesFolder::Lidar& lidar) {
     const std::vector<TruckRay>& truth = lidar.rays[std::size_t(frame.index)];
-    const PoseTrack track = actual.world_from_sensor(frame.lidar);
+    const PoseTrack track = actual.get_world_from_sensor(frame.lidar);
     const std::size_t n_beams = lidar.elevations_deg.size();
     std::size_t n_returns = 0;
     for (const TruckRay& ray : truth) n_returns += ray.returned;
@@ -52,10 +53,12 @@ void expect_truth(const Sequence& actual, const Frame& frame, const TruckScenesF
         const WorldRay placed = make_world_ray(track, frame.time_s, frame.scan.rays, i, true);
         // Tolerance: the interpolated LiDAR moves along chords, less than 2.5 m from the
         // axle, at 20 degrees per second.
-        const TrackPosition place = track.place(fired_s);
-        const double turn_rad =
-            20.0 * kPi / 180.0 * (track.time_s[place.left + 1] - track.time_s[place.left]);
-        const double off_m = 2.5 * turn_rad * turn_rad * std::abs(place.s * (place.s - 1.0)) / 2.0 + 2e-5;
+        const TrackInterpolation interpolation = track.find_pose_segment(fired_s);
+        const double rotation_rad =
+            20.0 * kPi / 180.0 * (track.time_s[interpolation.left + 1] - track.time_s[interpolation.left]);
+        const double off_m =
+            2.5 * rotation_rad * rotation_rad * std::abs(interpolation.s * (interpolation.s - 1.0)) / 2.0 +
+            2e-5;
         ASSERT_LT(glm::distance(placed.origin_m + actual.world_offset_m, ray.origin_m), off_m) << i;
         ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction +
                                     actual.world_offset_m,
@@ -68,7 +71,7 @@ void expect_truth(const Sequence& actual, const Frame& frame, const TruckScenesF
 TEST(TruckScenes, EveryReturnOfBothLidars) {
     const TruckScenesFolder data("rays");
     EXPECT_EQ(detect_dataset_kind(data.folder), "nuscenes");
-    const Sequence actual = load(data);
+    const LidarSequence actual = load(data);
     EXPECT_EQ(actual.name, "TruckScenes scene-0044384af3d8494e913fb8b14915239e-3");
     ASSERT_EQ(actual.lidars.size(), 2u);
     ASSERT_EQ(actual.frames.size(), std::size_t(2 * TruckScenesFolder::kSweeps - 1))
@@ -83,7 +86,7 @@ TEST(TruckScenes, EveryReturnOfBothLidars) {
             EXPECT_NEAR(lidar.sensor.beams[b].elevation_rad * 180.0 / kPi, data.lidars[l].elevations_deg[b],
                         1e-3);
     }
-    for (const Frame& frame : actual.frames) {
+    for (const LidarFrame& frame : actual.frames) {
         EXPECT_NEAR(frame.time_s, frame.index * TruckScenesFolder::kSweep_s, 1e-9)
             << "LiDARs share the time of the first";
         expect_truth(actual, frame, data.lidars[std::size_t(frame.lidar)]);
@@ -95,7 +98,7 @@ TEST(TruckScenes, EveryReturnOfBothLidars) {
 
 TEST(TruckScenes, PosesGoByTheirOwnTimesAndBoxesBySamples) {
     const TruckScenesFolder data("poses");
-    const Sequence actual = load(data);
+    const LidarSequence actual = load(data);
     ASSERT_EQ(actual.world_from_vehicle.time_s.size(), std::size_t(TruckScenesFolder::kSweeps));
     for (std::size_t i = 0; i < actual.world_from_vehicle.time_s.size(); ++i) {
         const Pose truth = TruckScenesFolder::compute_vehicle_pose(actual.world_from_vehicle.time_s[i]),
@@ -123,13 +126,13 @@ TEST(TruckScenes, LidarsFramesAndKeyframes) {
     DatasetOptions options;
     options.lidars = {"LIDAR_TOP_FRONT"};
     options.frames = {3, 6};
-    const Sequence top = load(data, options);
+    const LidarSequence top = load(data, options);
     ASSERT_EQ(top.lidars.size(), 1u);
     EXPECT_EQ(top.lidars[0].name, "LIDAR_TOP_FRONT");
     ASSERT_EQ(top.frames.size(), 2u);
     EXPECT_EQ(top.frames[0].index, 3);
     EXPECT_EQ(top.frames[1].index, 5) << "numbers are those of LIDAR_LEFT";
-    for (const Frame& frame : top.frames) expect_truth(top, frame, data.lidars[1]);
+    for (const LidarFrame& frame : top.frames) expect_truth(top, frame, data.lidars[1]);
     EXPECT_THAT(top.notes, testing::Contains(test::Names("LiDARs ... read: LIDAR_LEFT")));
     options.lidars = {"LIDAR_REAR"};
     try {
@@ -143,7 +146,7 @@ TEST(TruckScenes, LidarsFramesAndKeyframes) {
     EXPECT_EQ(load(data, options).frames.size(), std::size_t(2 * TruckScenesFolder::kSweeps - 1));
     fs::remove_all(data.folder / "sweeps");
     fs::remove(data.table("sample_annotation"));
-    const Sequence keyframes = load(data);
+    const LidarSequence keyframes = load(data);
     ASSERT_EQ(keyframes.frames.size(), 6u);
     EXPECT_NEAR(keyframes.lidars[0].period_s(), TruckScenesFolder::kSweep_s, 1e-4)
         << "a turn, not the time between keyframes";
@@ -217,7 +220,7 @@ TEST(Lyft, ReturnsOfBothLidars) {
     const TruckScenesFolder data("lyft");
     auto ranges = make_lyft(data);
     EXPECT_EQ(detect_dataset_kind(data.folder), "lyft");
-    const Sequence actual = load(data);
+    const LidarSequence actual = load(data);
     EXPECT_EQ(actual.name, "Lyft Level 5 scene-0044384af3d8494e913fb8b14915239e-3");
     ASSERT_EQ(actual.lidars.size(), 2u);
     EXPECT_EQ(actual.lidars[0].name, "LIDAR_TOP") << "comes first";
@@ -233,7 +236,7 @@ TEST(Lyft, ReturnsOfBothLidars) {
     }
     EXPECT_EQ(actual.lidars[0].sensor.beams.size(), 24u);
     EXPECT_EQ(actual.lidars[1].sensor.beams.size(), 17u);
-    for (const Frame& frame : actual.frames) {
+    for (const LidarFrame& frame : actual.frames) {
         const int sweep = frame.index < TruckScenesFolder::kMissing ? frame.index : frame.index + 1;
         std::vector<float> read,
             &written =
@@ -248,9 +251,10 @@ TEST(Lyft, ReturnsOfBothLidars) {
         for (std::size_t i = 0; i < read.size(); ++i) ASSERT_NEAR(read[i], written[i], 1e-4f);
     }
     const Pose truth = TruckScenesFolder::compute_vehicle_pose(0.507);
-    EXPECT_LT(glm::distance(actual.world_from_vehicle.at(0.5).translation + actual.world_offset_m,
-                            truth.translation),
-              1e-5);
+    EXPECT_LT(
+        glm::distance(actual.world_from_vehicle.interpolate_pose(0.5).translation + actual.world_offset_m,
+                      truth.translation),
+        1e-5);
 }
 
 TEST(Lyft, PointsThatWereMovedHaveNoColumns) {
@@ -270,7 +274,7 @@ TEST(Lyft, PointsThatWereMovedHaveNoColumns) {
     }
     DatasetOptions options;
     options.lidars = {"LIDAR_TOP"};
-    const Sequence actual = load(data, options);
+    const LidarSequence actual = load(data, options);
     EXPECT_EQ(actual.frames[0].scan.rays.rows, 1) << "rays without order";
     EXPECT_EQ(actual.frames[0].scan.count_returns(), actual.frames[0].scan.rays.size());
     EXPECT_THAT(actual.notes, testing::Contains(test::Names("dropped")));

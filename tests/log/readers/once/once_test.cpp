@@ -21,10 +21,10 @@ using test::OnceFolder;
 
 /// Checks that every return is on a surface of the yard, that its ray starts at the
 /// LiDAR, and that no return is lost.
-void expect_once_truth(const OnceFolder& data, const Sequence& sequence) {
-    const PoseTrack track = sequence.world_from_sensor(0);
+void expect_once_truth(const OnceFolder& data, const LidarSequence& sequence) {
+    const PoseTrack track = sequence.get_world_from_sensor(0);
     const Pose yard_from_once{data.drive.compute_lidar_pose_at(0.0)};
-    for (const Frame& frame : sequence.frames) {
+    for (const LidarFrame& frame : sequence.frames) {
         EXPECT_NEAR(frame.time_s, frame.index * 0.5, 1e-9);
         EXPECT_EQ(frame.scan.count_returns(), data.drive.count_returns(frame.index));
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
@@ -48,7 +48,7 @@ void expect_once_truth(const OnceFolder& data, const Sequence& sequence) {
 TEST(Once, EveryReturnIsOnTheYard) {
     const OnceFolder data("000076");
     EXPECT_EQ(detect_dataset_kind(data.folder), "once");
-    const Sequence sequence = load_sequence(data.folder.string(), {});
+    const LidarSequence sequence = load_sequence(data.folder.string(), {});
     EXPECT_EQ(sequence.name, "ONCE 000076");
     ASSERT_EQ(sequence.frames.size(), std::size_t(OnceFolder::kScans));
     EXPECT_THAT(sequence.notes, testing::Contains(test::Names("1 boxes in 1 labelled ... track")));
@@ -68,7 +68,7 @@ TEST(Once, EveryReturnIsOnTheYard) {
 
 TEST(Once, QuaternionsWithWFirst) {
     const OnceFolder data("w-first", true);
-    const Sequence sequence = load_sequence(data.folder.string(), {});
+    const LidarSequence sequence = load_sequence(data.folder.string(), {});
     EXPECT_THAT(sequence.notes, testing::Contains(test::Names("quaternions ... w")));
     expect_once_truth(data, sequence);
 }
@@ -86,7 +86,7 @@ TEST(Once, PointsOfAnotherLidar) {
         }
         test::write_text(data.scan(s), bytes);
     }
-    const Sequence sequence = load_sequence(data.folder.string(), {});
+    const LidarSequence sequence = load_sequence(data.folder.string(), {});
     EXPECT_EQ(sequence.frames[0].scan.rays.rows, 1) << "rays without order";
     EXPECT_THAT(sequence.notes, testing::Contains(test::Names("dropped")));
 }
@@ -95,14 +95,14 @@ TEST(Once, FramesOtherPosesAndMissingScans) {
     const OnceFolder data("frames");
     DatasetOptions options;
     options.frames = {1, 3};
-    const Sequence some = load_sequence(data.folder.string(), options);
+    const LidarSequence some = load_sequence(data.folder.string(), options);
     ASSERT_EQ(some.frames.size(), 2u);
     EXPECT_EQ(some.frames[0].index, 1);
     EXPECT_NEAR(some.frames[0].time_s, 0.5, 1e-9);
     options.frames = {4, -1};
     data.expect_error("ONCE ... [0, 3]", options);
     fs::remove(data.scan(1));
-    const Sequence rest = load_sequence(data.folder.string(), {});
+    const LidarSequence rest = load_sequence(data.folder.string(), {});
     ASSERT_EQ(rest.frames.size(), 3u);
     EXPECT_EQ(rest.frames[1].index, 2);
     EXPECT_THAT(rest.notes, testing::Contains(test::Names("1 frames ... skipped")));

@@ -41,29 +41,29 @@ TEST(Synthetic, GroundLiesAtHeightOverSineOfTheElevation) {
     const PoseTrack level{{0.2}, {Pose{}}};
     for (const double elevation : {-0.8, -0.5, -0.4}) {
         const glm::vec3 d(0.0f, std::cos(elevation), std::sin(elevation));
-        const Scan scan = cast_synthetic_street(options, make_one_ray(d), level, 0.2);
+        const Scan scan = cast_rays_into_synthetic_street(options, make_one_ray(d), level, 0.2);
         EXPECT_NEAR(scan.range_m[0], 1.8 / std::sin(-elevation), 1e-5);
         EXPECT_GT(scan.intensity[0], 0.05f);
     }
-    EXPECT_EQ(cast_synthetic_street(options, make_one_ray({0, 0, 1}), level, 0.2).range_m[0], 0.0f);
+    EXPECT_EQ(cast_rays_into_synthetic_street(options, make_one_ray({0, 0, 1}), level, 0.2).range_m[0], 0.0f);
 }
 
 /// Returns the cars of the street before any edits.
-std::vector<StreetCar> make_street_cars(const SyntheticOptions& options) {
-    std::vector<StreetCar> cars;
+std::vector<SyntheticCar> make_street_cars(const SyntheticOptions& options) {
+    std::vector<SyntheticCar> cars;
     for (const BoxTrack& box : make_synthetic_street(options).boxes) cars.push_back({cars.size(), box});
     return cars;
 }
 
 TEST(Synthetic, StreetCastAgainWithItsOwnCarsIsTheSame) {
     const SyntheticOptions options = small();
-    const Sequence street = make_synthetic_street(options);
+    const LidarSequence street = make_synthetic_street(options);
     const RayTable rays = make_rays(street.lidars[0].sensor);
-    const Scan plain = cast_synthetic_street(options, rays, street.world_from_vehicle, 0.3),
-               again = cast_synthetic_street(options, make_street_cars(options), rays,
-                                             street.world_from_vehicle, 0.3);
+    const Scan plain = cast_rays_into_synthetic_street(options, rays, street.world_from_vehicle, 0.3),
+               again = cast_rays_into_synthetic_street(options, make_street_cars(options), rays,
+                                                       street.world_from_vehicle, 0.3);
     std::size_t on_cars = 0;
-    const Scan without = cast_synthetic_street(options, {}, rays, street.world_from_vehicle, 0.3);
+    const Scan without = cast_rays_into_synthetic_street(options, {}, rays, street.world_from_vehicle, 0.3);
     for (std::size_t i = 0; i < rays.size(); ++i) {
         ASSERT_NEAR(plain.range_m[i], again.range_m[i], 1e-4);
         on_cars += std::abs(plain.range_m[i] - without.range_m[i]) > 0.01f;
@@ -75,18 +75,21 @@ TEST(Synthetic, EditedCarsAreMetWhereTheirTracksPutThem) {
     const SyntheticOptions options = small();
     PoseTrack still{{0.2}, {Pose{{1, 0, 0, 0}, {0, 0, -1.2}}}};  // 0.6 m above the ground
     const double rear = 12.0 - 0.5 * 4.3;
-    std::vector<StreetCar> cars{make_street_cars(options)[0]};
+    std::vector<SyntheticCar> cars{make_street_cars(options)[0]};
     for (Pose& pose : cars[0].track.world_from_box.pose) pose.translation.x -= 4.0;
-    EXPECT_NEAR(cast_synthetic_street(options, cars, make_one_ray({1, 0, 0}), still, 0.2).range_m[0],
-                rear - 4.0, 1e-4);
+    EXPECT_NEAR(
+        cast_rays_into_synthetic_street(options, cars, make_one_ray({1, 0, 0}), still, 0.2).range_m[0],
+        rear - 4.0, 1e-4);
     for (double& time_s : cars[0].track.world_from_box.time_s) time_s += 1.0;
-    EXPECT_EQ(cast_synthetic_street(options, cars, make_one_ray({1, 0, 0}), still, 0.2).range_m[0],
-              cast_synthetic_street(options, {}, make_one_ray({1, 0, 0}), still, 0.2).range_m[0])
+    EXPECT_EQ(cast_rays_into_synthetic_street(options, cars, make_one_ray({1, 0, 0}), still, 0.2).range_m[0],
+              cast_rays_into_synthetic_street(options, {}, make_one_ray({1, 0, 0}), still, 0.2).range_m[0])
         << "later: not there yet";
-    EXPECT_NEAR(cast_synthetic_street(options, cars, make_one_ray({1, 0, 0}), still, 1.2).range_m[0],
-                rear - 4.0, 1e-4);
+    EXPECT_NEAR(
+        cast_rays_into_synthetic_street(options, cars, make_one_ray({1, 0, 0}), still, 1.2).range_m[0],
+        rear - 4.0, 1e-4);
     cars[0].shapes_of = 2;
-    EXPECT_THROW(cast_synthetic_street(options, cars, make_one_ray({1, 0, 0}), still, 0.2), DataError);
+    EXPECT_THROW(cast_rays_into_synthetic_street(options, cars, make_one_ray({1, 0, 0}), still, 0.2),
+                 DataError);
 }
 
 TEST(Synthetic, MovingCarIsMetWhereItsSpeedPutsIt) {
@@ -97,19 +100,20 @@ TEST(Synthetic, MovingCarIsMetWhereItsSpeedPutsIt) {
     PoseTrack still{{0.2}, {Pose{{1, 0, 0, 0}, {0, 0, -1.2}}}};
     const double rear = 12.0 - 0.5 * 4.3;
     const double t = 0.05;
-    EXPECT_NEAR(cast_synthetic_street(options, make_one_ray({1, 0, 0}), still, 0.2).range_m[0], rear, 1e-5);
-    EXPECT_NEAR(cast_synthetic_street(options, make_one_ray({1, 0, 0}), still, 0.2 + t).range_m[0],
+    EXPECT_NEAR(cast_rays_into_synthetic_street(options, make_one_ray({1, 0, 0}), still, 0.2).range_m[0],
+                rear, 1e-5);
+    EXPECT_NEAR(cast_rays_into_synthetic_street(options, make_one_ray({1, 0, 0}), still, 0.2 + t).range_m[0],
                 rear + 8.4 * t, 1e-5);
     RayTable late = make_one_ray({1, 0, 0});
     late.time_offset_s[0] = static_cast<float>(t);
-    EXPECT_NEAR(cast_synthetic_street(options, late, still, 0.2).range_m[0], rear + 8.4 * t, 1e-5);
+    EXPECT_NEAR(cast_rays_into_synthetic_street(options, late, still, 0.2).range_m[0], rear + 8.4 * t, 1e-5);
 }
 
 TEST(Synthetic, SameSeedSameLog) {
-    const Sequence a = make_synthetic_street(small()), b = make_synthetic_street(small());
+    const LidarSequence a = make_synthetic_street(small()), b = make_synthetic_street(small());
     SyntheticOptions other = small();
     other.seed = 2;
-    const Sequence c = make_synthetic_street(other);
+    const LidarSequence c = make_synthetic_street(other);
     for (std::size_t f = 0; f < a.frames.size(); ++f) {
         EXPECT_EQ(a.frames[f].scan.range_m, b.frames[f].scan.range_m);
         EXPECT_EQ(a.frames[f].scan.intensity, b.frames[f].scan.intensity);
@@ -120,11 +124,11 @@ TEST(Synthetic, SameSeedSameLog) {
 TEST(Synthetic, LogAgreesWithTheCastUpToNoiseAndDrops) {
     SyntheticOptions options = small();
     options.range_noise_m = 0.0;
-    const Sequence log = make_synthetic_street(options);
+    const LidarSequence log = make_synthetic_street(options);
     EXPECT_NEAR(glm::length(log.world_from_vehicle.pose[2].translation), 0.0, 1e-12);
-    for (const Frame& frame : log.frames) {
+    for (const LidarFrame& frame : log.frames) {
         const Scan exact =
-            cast_synthetic_street(options, frame.scan.rays, log.world_from_vehicle, frame.time_s);
+            cast_rays_into_synthetic_street(options, frame.scan.rays, log.world_from_vehicle, frame.time_s);
         std::size_t agree = 0;
         for (std::size_t i = 0; i < exact.range_m.size(); ++i) {
             const bool hit = exact.range_m[i] > 0.0f, measured = frame.scan.range_m[i] > 0.0f;
@@ -139,24 +143,25 @@ TEST(Synthetic, LogAgreesWithTheCastUpToNoiseAndDrops) {
 
 TEST(Synthetic, ReturnsOutsideTheLimitsAreDrops) {
     const fs::path folder = fs::temp_directory_path() / "relidar_synthetic_limits";
-    save_synthetic(small(), folder);
+    save_synthetic_options(small(), folder);
     DatasetOptions options;
     options.min_range_m = 5.0;
     options.max_range_m = 20.0;
-    const Sequence all = load_sequence(folder.string(), {}), some = load_sequence(folder.string(), options);
+    const LidarSequence all = load_sequence(folder.string(), {}),
+                        some = load_sequence(folder.string(), options);
     EXPECT_EQ(some.lidars[0].sensor.min_range_m, 5.0);
     EXPECT_EQ(some.lidars[0].sensor.max_range_m, 20.0);
-    std::size_t near = 0, far = 0;
+    std::size_t n_below_limit = 0, n_beyond_limit = 0;
     for (std::size_t f = 0; f < all.frames.size(); ++f)
         for (std::size_t i = 0; i < all.frames[f].scan.range_m.size(); ++i) {
             const float range = all.frames[f].scan.range_m[i];
-            const bool kept = range >= 5.0f && range <= 20.0f;
-            ASSERT_EQ(some.frames[f].scan.range_m[i], kept ? range : 0.0f);
-            near += range > 0.0f && range < 5.0f;
-            far += range > 20.0f;
+            const bool is_in_limits = range >= 5.0f && range <= 20.0f;
+            ASSERT_EQ(some.frames[f].scan.range_m[i], is_in_limits ? range : 0.0f);
+            n_below_limit += range > 0.0f && range < 5.0f;
+            n_beyond_limit += range > 20.0f;
         }
-    EXPECT_GT(near, 0u);
-    EXPECT_GT(far, 0u);
+    EXPECT_GT(n_below_limit, 0u);
+    EXPECT_GT(n_beyond_limit, 0u);
     options.min_range_m = 20.0;
     EXPECT_THROW(load_sequence(folder.string(), options), UsageError);
     fs::remove_all(folder);
@@ -164,8 +169,8 @@ TEST(Synthetic, ReturnsOutsideTheLimitsAreDrops) {
 
 TEST(Synthetic, TakesPosesFromAFileAndBoxesGoAlong) {
     const fs::path folder = fs::temp_directory_path() / "relidar_synthetic_poses";
-    save_synthetic(small(), folder);
-    const Sequence exact = load_sequence(folder.string(), {});
+    save_synthetic_options(small(), folder);
+    const LidarSequence exact = load_sequence(folder.string(), {});
     const fs::path file = folder / "poses.txt";
     {
         std::ofstream out(file);
@@ -181,7 +186,7 @@ TEST(Synthetic, TakesPosesFromAFileAndBoxesGoAlong) {
     }
     DatasetOptions options;
     options.poses_file = file;
-    const Sequence moved = load_sequence(folder.string(), options);
+    const LidarSequence moved = load_sequence(folder.string(), options);
     const auto expect_moved = [](const PoseTrack& from, const PoseTrack& to) {
         ASSERT_EQ(from.pose.size(), to.pose.size());
         for (std::size_t k = 0; k < from.pose.size(); ++k)
@@ -232,17 +237,18 @@ SyntheticOptions make_rig_street() {
 
 TEST(SyntheticRig, EachLidarSeesTheStreetFromWhereItIsMounted) {
     const SyntheticOptions options = make_rig_street();
-    const Sequence log = make_synthetic_street(options);
+    const LidarSequence log = make_synthetic_street(options);
     ASSERT_EQ(log.lidars.size(), 4u);
     ASSERT_EQ(log.frames.size(), 16u);
     EXPECT_EQ(log.world_from_vehicle.pose.size(), 4u) << "a pose for each sweep";
-    for (const Frame& frame : log.frames) {
+    for (const LidarFrame& frame : log.frames) {
         const Lidar& lidar = log.get_lidar(frame);
-        const PoseTrack track = log.world_from_sensor(frame.lidar);
+        const PoseTrack track = log.get_world_from_sensor(frame.lidar);
         EXPECT_EQ(frame.scan.rays.direction, make_nominal_rays(lidar, frame.time_s).direction) << lidar.name;
-        const Scan truth = frame.lidar == test::kTwoReturns
-                               ? cast_synthetic_beams(options, frame.scan.rays, track, frame.time_s)
-                               : cast_synthetic_street(options, frame.scan.rays, track, frame.time_s);
+        const Scan truth =
+            frame.lidar == test::kTwoReturns
+                ? cast_beams_into_synthetic_street(options, frame.scan.rays, track, frame.time_s)
+                : cast_rays_into_synthetic_street(options, frame.scan.rays, track, frame.time_s);
         std::size_t n = 0;
         for (std::size_t i = 0; i < truth.range_m.size(); ++i) {
             if (!(truth.range_m[i] > 0.0f && frame.scan.range_m[i] > 0.0f)) continue;
@@ -259,10 +265,10 @@ TEST(SyntheticRig, EachLidarSeesTheStreetFromWhereItIsMounted) {
 
 TEST(SyntheticRig, SecondReturnsLieOnSurfacesThatExactRaysOfTheBeamMeet) {
     const SyntheticOptions options = make_rig_street();
-    const Sequence log = make_synthetic_street(options);
-    const Frame& frame = log.frames[test::kTwoReturns];
+    const LidarSequence log = make_synthetic_street(options);
+    const LidarFrame& frame = log.frames[test::kTwoReturns];
     ASSERT_EQ(frame.scan.second_returns.size(), 1u);
-    const PoseTrack track = log.world_from_sensor(frame.lidar);
+    const PoseTrack track = log.get_world_from_sensor(frame.lidar);
     std::size_t n = 0, met = 0;
     for (std::size_t i = 0; i < frame.scan.range_m.size() && n < 200; ++i) {
         const float second_m = frame.scan.second_returns[0].range_m[i];
@@ -282,12 +288,13 @@ TEST(SyntheticRig, SecondReturnsLieOnSurfacesThatExactRaysOfTheBeamMeet) {
                 fan.channel.push_back(0);
         }
         fan.columns = 400;
-        const Scan scan = cast_synthetic_street(options, fan, track, frame.time_s);
+        const Scan scan = cast_rays_into_synthetic_street(options, fan, track, frame.time_s);
         const auto [low, high] = std::ranges::minmax(scan.range_m);
-        const bool near =
+        const bool has_similar_range =
             std::ranges::any_of(scan.range_m, [&](float r) { return std::abs(r - second_m) < 0.3f; });
         // mean range of a slope
-        met += near || (low < second_m && second_m < high && high - low > 2.0f && second_m > 10.0f);
+        met +=
+            has_similar_range || (low < second_m && second_m < high && high - low > 2.0f && second_m > 10.0f);
     }
     EXPECT_GE(n, 100u);
     EXPECT_GE(met, n * 98 / 100);
@@ -296,12 +303,12 @@ TEST(SyntheticRig, SecondReturnsLieOnSurfacesThatExactRaysOfTheBeamMeet) {
 TEST(SyntheticRig, IsSavedByItsFileAndLidarsAreChosenByName) {
     const fs::path folder = fs::path(testing::TempDir()) / "relidar_synthetic_rig_log";
     const SyntheticOptions options = make_rig_street();
-    save_synthetic(options, folder);
-    EXPECT_EQ(read_synthetic(folder).rig, options.rig);
-    const Sequence all = load_sequence(folder.string(), {});
+    save_synthetic_options(options, folder);
+    EXPECT_EQ(read_synthetic_options(folder).rig, options.rig);
+    const LidarSequence all = load_sequence(folder.string(), {});
     DatasetOptions some;
     some.lidars = {"wide", "front"};
-    const Sequence two = load_sequence(folder.string(), some);
+    const LidarSequence two = load_sequence(folder.string(), some);
     ASSERT_EQ(two.lidars.size(), 2u);
     EXPECT_EQ(two.lidars[0].name, "front") << "in the order of the log";
     ASSERT_EQ(two.frames.size(), 8u);
@@ -316,23 +323,27 @@ TEST(SyntheticRig, IsSavedByItsFileAndLidarsAreChosenByName) {
 }
 
 TEST(Synthetic, BeamsOfTwoReturnsNeedADivergence) {
-    EXPECT_THROW(cast_synthetic_beams(small(), make_one_ray({1, 0, 0}), {{0.2}, {Pose{}}}, 0.2), UsageError);
+    EXPECT_THROW(cast_beams_into_synthetic_street(small(), make_one_ray({1, 0, 0}), {{0.2}, {Pose{}}}, 0.2),
+                 UsageError);
 }
 
 TEST(Synthetic, BeamsOfOneTableAreCastWithTheirOwnCones) {
     const SyntheticOptions options = small();
-    const PoseTrack track{{0.2}, {make_synthetic_street(options).world_from_sensor(0).at(0.2)}};
-    RayTable narrow = make_rays(ScanningWindow{.name = "",
-                                               .rows = 12,
-                                               .columns = 30,
-                                               .left_rad = 1.0,
-                                               .right_rad = -1.0,
-                                               .top_rad = 0.05,
-                                               .bottom_rad = -0.1});
+    const PoseTrack track{{0.2},
+                          {make_synthetic_street(options).get_world_from_sensor(0).interpolate_pose(0.2)}};
+    RayTable narrow = make_rays(WindowScanSensor{.name = "",
+                                                 .rows = 12,
+                                                 .columns = 30,
+                                                 .left_rad = 1.0,
+                                                 .right_rad = -1.0,
+                                                 .top_rad = 0.05,
+                                                 .bottom_rad = -0.1});
     RayTable wide = narrow, mixed = narrow;
     narrow.divergence_rad = 1e-3f, wide.divergence_rad = 0.03f;
     for (std::size_t i = 0; i < mixed.size(); ++i) mixed.ray_divergence_rad.push_back(i % 2 ? 0.03f : 1e-3f);
-    const auto cast = [&](const RayTable& rays) { return cast_synthetic_beams(options, rays, track, 0.2); };
+    const auto cast = [&](const RayTable& rays) {
+        return cast_beams_into_synthetic_street(options, rays, track, 0.2);
+    };
     const Scan a = cast(narrow), b = cast(wide), both = cast(mixed);
     std::size_t differ = 0;
     for (std::size_t i = 0; i < mixed.size(); ++i) {
@@ -345,15 +356,15 @@ TEST(Synthetic, BeamsOfOneTableAreCastWithTheirOwnCones) {
 
 TEST(Synthetic, WithoutPosesBoxesStandWhereTheSensorSawThem) {
     const fs::path folder = fs::temp_directory_path() / "relidar_synthetic_no_poses";
-    save_synthetic(small(), folder);
-    const Sequence exact = load_sequence(folder.string(), {});
+    save_synthetic_options(small(), folder);
+    const LidarSequence exact = load_sequence(folder.string(), {});
     DatasetOptions options;
     options.poses_file = kNoPoses;
-    Sequence log = load_sequence(folder.string(), options);
+    LidarSequence log = load_sequence(folder.string(), options);
     for (const Pose& pose : log.world_from_vehicle.pose) EXPECT_EQ(pose.translation, glm::dvec3(0.0));
-    const glm::dvec3 as_seen =
+    const glm::dvec3 box_in_vehicle_m =
         inverse(exact.world_from_vehicle.pose[0]) * exact.boxes[0].world_from_box.pose[0].translation;
-    EXPECT_LT(glm::distance(log.boxes[0].world_from_box.pose[0].translation, as_seen), 1e-9);
+    EXPECT_LT(glm::distance(log.boxes[0].world_from_box.pose[0].translation, box_in_vehicle_m), 1e-9);
     set_vehicle_poses(log, exact.world_from_vehicle);
     EXPECT_LT(glm::distance(log.boxes[0].world_from_box.pose[0].translation,
                             exact.boxes[0].world_from_box.pose[0].translation),
@@ -365,7 +376,7 @@ TEST(Synthetic, BoxesHoldTheReturnsOfTheMovingCars) {
     SyntheticOptions with = small(), without = small();
     with.range_noise_m = without.range_noise_m = 0.0;
     without.moving_cars = false;
-    const Sequence log = make_synthetic_street(with), empty = make_synthetic_street(without);
+    const LidarSequence log = make_synthetic_street(with), empty = make_synthetic_street(without);
     ASSERT_EQ(log.boxes.size(), 2u);
     EXPECT_TRUE(empty.boxes.empty());
     std::size_t on_cars = 0;
@@ -373,7 +384,8 @@ TEST(Synthetic, BoxesHoldTheReturnsOfTheMovingCars) {
         const Scan &scan = log.frames[f].scan, &bare = empty.frames[f].scan;
         for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
             const double t = log.frames[f].time_s + static_cast<double>(scan.rays.time_offset_s[i]);
-            const glm::dvec3 world = log.world_from_vehicle.at(t) * glm::dvec3(scan.point(i));
+            const glm::dvec3 world =
+                log.world_from_vehicle.interpolate_pose(t) * glm::dvec3(scan.compute_end_point(i));
             const bool changed = scan.range_m[i] > 0.0f && scan.range_m[i] != bare.range_m[i];
             on_cars += changed;
             if (scan.range_m[i] == 0.0f) continue;
@@ -389,7 +401,7 @@ TEST(Synthetic, SavedAndLoadedAgain) {
     options.seed = 99;
     options.speed_mps = 6;
     options.people = options.gait = true;
-    save_synthetic(options, folder);
+    save_synthetic_options(options, folder);
     EXPECT_EQ(detect_dataset_kind(folder), "synthetic");
     DatasetOptions part;
     part.sequence = "kd1";
@@ -397,10 +409,10 @@ TEST(Synthetic, SavedAndLoadedAgain) {
     EXPECT_THROW(load_sequence("synthetc:" + folder.string(), {}), UsageError);
     EXPECT_THROW(load_sequence((folder / "none").string(), {}), DataError);
     EXPECT_THROW(load_sequence("synthetic:" + (folder / "none").string(), {}), DataError);
-    const Sequence made = make_synthetic_street(options);
+    const LidarSequence made = make_synthetic_street(options);
     DatasetOptions range;
     range.frames = {1, 3};
-    const Sequence read = load_sequence("synthetic:" + folder.string(), range);
+    const LidarSequence read = load_sequence("synthetic:" + folder.string(), range);
     ASSERT_EQ(read.frames.size(), 2u);
     EXPECT_EQ(read.frames[1].index, 2);
     EXPECT_EQ(read.world_offset_m, made.world_offset_m);
@@ -445,12 +457,12 @@ TEST(Synthetic, WrongFilesAreNamed) {
 /// The boxes of people must contain their returns, and the number of returns must
 /// decrease with the range.
 class SyntheticPeople : public testing::TestWithParam<bool> {};
-INSTANTIATE_TEST_SUITE_P(Gait, SyntheticPeople, testing::Bool());
+INSTANTIATE_TEST_SUITE_P(GaitPhaseWindow, SyntheticPeople, testing::Bool());
 
 TEST_P(SyntheticPeople, AreMetInTheirBoxes) {
     SyntheticOptions options = {
         .n_frames = 5, .rows = 64, .columns = 512, .range_noise_m = 0.0, .people = true, .gait = GetParam()};
-    const Sequence street = make_synthetic_street(options);
+    const LidarSequence street = make_synthetic_street(options);
     options.people = options.gait = false;
     EXPECT_EQ(make_synthetic_street(options).boxes.size(), 2u);
     std::vector<std::string> categories;
@@ -459,11 +471,11 @@ TEST_P(SyntheticPeople, AreMetInTheirBoxes) {
                 testing::ElementsAre("Car", "Car", "Pedestrian", "Pedestrian", "Pedestrian", "Cyclist"));
     for (const std::size_t person : {2u, 5u}) {
         std::size_t inside = 0;
-        const Frame& frame = street.frames[2];
+        const LidarFrame& frame = street.frames[2];
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
             if (frame.scan.range_m[ray] > 0.0f) {
                 const WorldReturn w = compute_world_return(street, frame, ray);
-                inside += street.boxes[person].holds(w.point_m, w.time_s, 0.01);
+                inside += street.boxes[person].contains_point(w.point_m, w.time_s, 0.01);
             }
         EXPECT_GT(inside, 10u) << categories[person];
     }

@@ -24,7 +24,7 @@ using test::Names;
 using test::WaymoPixel;
 using test::WaymoSegment;
 
-Sequence read(const WaymoSegment& segment, const DatasetOptions& options = {}) {
+LidarSequence read(const WaymoSegment& segment, const DatasetOptions& options = {}) {
     return load_sequence(segment.file.string(), options);
 }
 
@@ -32,14 +32,14 @@ TEST(Waymo, IntensitiesAreCutOrSquashed) {
     const WaymoSegment segment("waymo_intensity");
     DatasetOptions options;
     options.waymo.clamp_intensity = true;
-    const Sequence squashed = read(segment), cut = read(segment, options);
+    const LidarSequence squashed = read(segment), cut = read(segment, options);
     int above_1 = 0;
     for (std::size_t i = 0; i < segment.top[0].size(); ++i) {
         const WaymoPixel& pixel = segment.top[0][i];
         if (pixel.range_m == 0.0f) continue;
         above_1 += pixel.intensity > 1.0f;
-        const auto frame =
-            std::ranges::find_if(cut.frames, [&](const Frame& f) { return cut.get_lidar(f).name == "TOP"; });
+        const auto frame = std::ranges::find_if(
+            cut.frames, [&](const LidarFrame& f) { return cut.get_lidar(f).name == "TOP"; });
         const auto at = std::size_t(frame - cut.frames.begin());
         EXPECT_EQ(cut.frames[at].scan.intensity[i], std::min(pixel.intensity, 1.0f)) << i;
         EXPECT_NEAR(squashed.frames[at].scan.intensity[i], std::tanh(pixel.intensity), 1e-6f) << i;
@@ -60,7 +60,7 @@ TEST(Waymo, MissingPartsAreErrorsOfUsage) {
 }
 
 /// Compares every pixel of a frame with its exact content.
-void expect_pixels(const Sequence& log, const Frame& frame, const std::vector<WaymoPixel>& truth) {
+void expect_pixels(const LidarSequence& log, const LidarFrame& frame, const std::vector<WaymoPixel>& truth) {
     ASSERT_EQ(frame.scan.rays.size(), truth.size());
     std::size_t n = 0;
     for (std::size_t i = 0; i < truth.size(); ++i) {
@@ -82,14 +82,14 @@ TEST(Waymo, PointsStandInTheWorldWhereTheyWere) {
     EXPECT_EQ(detect_dataset_kind(segment.file), "waymo");
     EXPECT_EQ(detect_dataset_kind(segment.folder), "waymo");
     EXPECT_TRUE(is_dataset(segment.file));
-    const Sequence log = read(segment);
+    const LidarSequence log = read(segment);
     ASSERT_EQ(log.lidars.size(), 2u);
     EXPECT_EQ(log.lidars[0].name, "TOP");
     EXPECT_EQ(log.lidars[1].name, "SIDE_LEFT");
     ASSERT_EQ(log.frames.size(), 6u);
     ASSERT_EQ(log.world_from_vehicle.pose.size(), 3u);
     for (std::size_t i = 0; i < 3; ++i) {
-        const Frame &top = log.frames[2 * i], &side = log.frames[2 * i + 1];
+        const LidarFrame &top = log.frames[2 * i], &side = log.frames[2 * i + 1];
         EXPECT_EQ(top.index, int(i));
         EXPECT_EQ(top.scan.rays.rows, WaymoSegment::kTopRows);
         EXPECT_EQ(side.scan.rays.columns, WaymoSegment::kSideColumns);
@@ -102,14 +102,14 @@ TEST(Waymo, PointsStandInTheWorldWhereTheyWere) {
 
 TEST(Waymo, RaysAreTheSensorsOwn) {
     const WaymoSegment segment("waymo_rays");
-    const Sequence log = read(segment);
+    const LidarSequence log = read(segment);
     const Lidar& lidar = log.lidars[0];
     EXPECT_NEAR(lidar.sensor.period_s, 0.1, 1e-9);
     for (int row = 0; row < WaymoSegment::kTopRows; ++row)
         EXPECT_EQ(lidar.sensor.beams[std::size_t(row)].elevation_rad,
                   WaymoSegment::list_top_inclinations()[std::size_t(WaymoSegment::kTopRows - 1 - row)]);
     const RayTable model = make_rays(lidar.sensor);
-    const Frame& frame = log.frames[2];
+    const LidarFrame& frame = log.frames[2];
     const glm::dvec3 forward(
         WaymoSegment::world_from_vehicle(frame.time_s * 1e6 + WaymoSegment::kStart_us)[3]);
     EXPECT_LT(glm::distance(log.world_from_vehicle.pose[1].translation + log.world_offset_m, forward), 0.03)
@@ -124,7 +124,8 @@ TEST(Waymo, RaysAreTheSensorsOwn) {
             << "the vehicle turns 1 mrad in 2 ms";
         if (truth.range_m > 0.0f) continue;
         ++n_dropped;
-        const WorldRay ray = make_world_ray(log.world_from_sensor(0), frame.time_s, frame.scan.rays, i, true);
+        const WorldRay ray =
+            make_world_ray(log.get_world_from_sensor(0), frame.time_s, frame.scan.rays, i, true);
         const glm::dvec3 there = ray.origin_m + log.world_offset_m + 10.0 * ray.direction;
         EXPECT_LT(glm::distance(there, truth.point_m), 0.06)
             << "the way between its pixel's time and its column's";
@@ -134,7 +135,7 @@ TEST(Waymo, RaysAreTheSensorsOwn) {
 
 TEST(Waymo, LabelsAreBoxesOfTheWorld) {
     const WaymoSegment segment("waymo_boxes");
-    const Sequence log = read(segment);
+    const LidarSequence log = read(segment);
     ASSERT_EQ(log.boxes.size(), 2u) << "signs stay where they are";
     const BoxTrack &parked = log.boxes[0], &walker = log.boxes[1];
     EXPECT_EQ(parked.id, "parked");
@@ -151,12 +152,12 @@ TEST(Waymo, LabelsAreBoxesOfTheWorld) {
         EXPECT_LT(glm::distance(parked.world_from_box.pose[i].translation + log.world_offset_m, centre),
                   1e-6);
     }
-    for (const Frame& frame : log.frames) {
+    for (const LidarFrame& frame : log.frames) {
         if (frame.lidar != 0) continue;
         std::size_t inside = 0;
         for (std::size_t ray = 0; ray < frame.scan.rays.size(); ++ray)
             inside += frame.scan.range_m[ray] > 0.0f &&
-                      parked.holds(compute_world_return(log, frame, ray).point_m, frame.time_s, 0.1);
+                      parked.contains_point(compute_world_return(log, frame, ray).point_m, frame.time_s, 0.1);
         EXPECT_GT(inside, 10u) << frame.index;
     }
 }
@@ -169,7 +170,7 @@ TEST(Waymo, SegmentsFramesAndPoses) {
                 testing::Contains(Names("2 segments")));
     options.frames = {1, 2};
     options.sequence = "9";
-    const Sequence one = load_sequence(segment.folder.string(), options);
+    const LidarSequence one = load_sequence(segment.folder.string(), options);
     EXPECT_EQ(one.name, "segment-9");
     ASSERT_EQ(one.frames.size(), 2u);
     EXPECT_EQ(one.frames[0].index, 1);
@@ -182,14 +183,14 @@ TEST(Waymo, SegmentsFramesAndPoses) {
     fs::copy_file(segment.file, segment.folder / "segment-113792_x.tfrecord");
     options = {};
     options.sequence = "ws1";
-    const Sequence paper = load_sequence(segment.folder.string(), options);
+    const LidarSequence paper = load_sequence(segment.folder.string(), options);
     EXPECT_EQ(paper.name, "segment-113792_x");
     EXPECT_EQ(paper.lidars.size(), 1u) << "the paper renders TOP";
     ASSERT_EQ(paper.frames.size(), 2u);
     EXPECT_EQ(paper.frames[0].index, 1);
     options = {};
     options.poses_file = kNoPoses;
-    const Sequence none = read(segment, options);
+    const LidarSequence none = read(segment, options);
     EXPECT_EQ(none.world_from_vehicle.pose[2].translation, glm::dvec3(0.0));
     const glm::dmat4 from_world = glm::inverse(
         WaymoSegment::world_from_vehicle(WaymoSegment::kStart_us + 1.5 * WaymoSegment::kPeriod_us));
@@ -328,8 +329,8 @@ TEST(Waymo, ReadsTheClassesOfPoints) {
     const int h = WaymoSegment::kTopRows, w = WaymoSegment::kTopColumns;
     segment.frames[1].lasers[1] = make_labelled_top(h * w, {h, w, 2});
     segment.write();
-    const Sequence log = read(segment);
-    for (const Frame& frame : log.frames) {
+    const LidarSequence log = read(segment);
+    for (const LidarFrame& frame : log.frames) {
         const bool has_labels = frame.index == 1 && log.get_lidar(frame).name == "TOP";
         ASSERT_EQ(frame.scan.classes.size(), has_labels ? frame.scan.range_m.size() : 0u);
         for (std::size_t i = 0; i < frame.scan.classes.size(); ++i)

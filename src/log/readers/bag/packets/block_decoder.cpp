@@ -45,52 +45,59 @@ constexpr double kLargestStep_deg = 5.0;  // maximum rotation between two blocks
 
 /// Stores a return of a ray. A ray keeps at most two returns. A third return replaces the
 /// darker of the two if it is brighter and has another range than both.
-/// @param number  number of the return in the packet, from 0
-void add_echo(std::array<Echo, 2>& echoes, std::size_t number, const Echo& echo) {
-    if (number < 2) {
-        echoes[number] = echo;
+/// @param return_index  number of the return in the packet, from 0
+void add_echo_to_ray(std::array<DecodedReturn, 2>& ray_echoes, std::size_t return_index,
+                     const DecodedReturn& echo) {
+    if (return_index < 2) {
+        ray_echoes[return_index] = echo;
         return;
     }
-    if (echo.range_m == echoes[0].range_m || echo.range_m == echoes[1].range_m) return;
-    Echo& other =
-        echoes[0].range_m == 0.0f || (echoes[1].range_m != 0.0f && echoes[0].intensity < echoes[1].intensity)
-            ? echoes[0]
-            : echoes[1];
+    if (echo.range_m == ray_echoes[0].range_m || echo.range_m == ray_echoes[1].range_m) return;
+    DecodedReturn& other =
+        ray_echoes[0].range_m == 0.0f ||
+                (ray_echoes[1].range_m != 0.0f && ray_echoes[0].intensity < ray_echoes[1].intensity)
+            ? ray_echoes[0]
+            : ray_echoes[1];
     if (other.range_m == 0.0f || other.intensity < echo.intensity) other = echo;
 }
 
-class BlockDecoder : public Decoder {
+class BlockDecoder : public PacketDecoder {
 public:
-    BlockDecoder(const Layout& layout, const std::vector<Correction>& corrections) : layout_(layout) {
+    BlockDecoder(const PacketLayout& layout, const std::vector<AngleCorrection>& corrections)
+        : layout_(layout) {
         if (layout.has_correction_file) select_angle_correction(corrections);
         timing_.cycle_us = layout.cycle_us;
         timing_.wrap_us = layout.wrap_us;
         timing_.interpolates = layout.firings > 1;  // as in the VLP-16's manual
-        timing_.parts = int(layout.parts());
+        timing_.parts = int(layout.count_firing_sequences());
         table_ = get_beam_firings(layout.sensor);
-        beams_ = list_block_beams(layout);
+        beams_ = list_beams_of_packet_layout(layout);
         if (!angles_.empty()) {
-            for (BlockBeam& beam : beams_) beam.elevation_deg = angles_[beam.laser].elevation_deg;
-            std::ranges::stable_sort(beams_, std::greater(), &BlockBeam::elevation_deg);
+            for (PacketBeam& beam : beams_) beam.elevation_deg = angles_[beam.laser].elevation_deg;
+            std::ranges::stable_sort(beams_, std::greater(), &PacketBeam::elevation_deg);
         }
-        ring_of_.assign(layout.parts(), std::vector<int>(layout.lasers(), kNoRing));
+        ring_of_.assign(layout.count_firing_sequences(),
+                        std::vector<int>(layout.count_lasers_per_firing(), kNoRing));
         for (std::size_t ring = 0; ring < beams_.size(); ++ring) {
             ring_of_[beams_[ring].part][beams_[ring].laser] = int(ring);
             timing_.offset_us.push_back(beams_[ring].offset_us);
         }
     }
 
-    const Timing& timing() const override { return timing_; }
+    const FiringTiming& get_laser_timing() const override { return timing_; }
 
-    std::string about() const override { return fmt::format("{}, {}", layout_.name, angles_about_); }
+    std::string describe_lidar_product() const override {
+        return fmt::format("{}, {}", layout_.name, angles_about_);
+    }
 
-    SpinningSensor sensor(int columns, double rate_hz) const override {
-        auto sensor =
-            std::get<SpinningSensor>(find_built_in_sensor(layout_.sensor, columns, rate_hz)->pattern);
-        const double turned_rad_us = 2e-6 * kPi * rate_hz;
+    SpinningSensor make_spinning_sensor_model(int columns_per_revolution,
+                                              double rotation_rate_hz) const override {
+        auto sensor = std::get<SpinningSensor>(
+            find_built_in_sensor(layout_.sensor, columns_per_revolution, rotation_rate_hz)->pattern);
+        const double turned_rad_us = 2e-6 * kPi * rotation_rate_hz;
         const std::vector<Beam> nominal = sensor.beams;
         sensor.beams.clear();
-        for (const BlockBeam& row : beams_) {
+        for (const PacketBeam& row : beams_) {
             Beam& beam = sensor.beams.emplace_back(nominal[row.line]);
             beam.azimuth_offset_rad += turned_rad_us * (table_[row.line].offset_us - row.offset_us);
             if (angles_.empty()) continue;
@@ -101,54 +108,54 @@ public:
         return sensor;
     }
 
-    Packet decode(std::string_view bytes) const override {
-        Packet packet;
-        packet.clock_ns = read_sensor_clock_ns(bytes);
-        const auto mode = layout_.mode_at > 0 ? std::uint8_t(bytes[layout_.mode_at]) : std::uint8_t(0);
+    DecodedPacket decode_packet(std::string_view packet_bytes) const override {
+        DecodedPacket packet;
+        packet.clock_ns = read_sensor_clock_ns(packet_bytes);
+        const auto mode = layout_.mode_at > 0 ? std::uint8_t(packet_bytes[layout_.mode_at]) : std::uint8_t(0);
         const std::size_t n_returns = mode == kTriple ? 3 : mode >= kFirstDual && mode <= kLastDual ? 2 : 1;
-        const double unit_m =
-            layout_.range_unit_m > 0.0 ? layout_.range_unit_m : 1e-3 * std::uint8_t(bytes[layout_.unit_at]);
+        const double unit_m = layout_.range_unit_m > 0.0 ? layout_.range_unit_m
+                                                         : 1e-3 * std::uint8_t(packet_bytes[layout_.unit_at]);
         const std::size_t n_joined = layout_.banks * n_returns;  // blocks of the same firing
         packet.n_slots = int(layout_.n_blocks / n_joined * layout_.firings);
         packet.firings.resize(std::size_t(packet.n_slots));
         packet.echoes.resize(packet.firings.size() * beams_.size());
-        bag::ByteReader reader(bytes.substr(layout_.blocks_at));
+        bag::ByteReader reader(packet_bytes.substr(layout_.blocks_at));
         for (std::size_t b = 0; b < layout_.n_blocks / n_joined * n_joined; ++b) {
             const std::size_t bank = b % n_joined / n_returns;
-            const double azimuth_deg = read_azimuth(reader, bank);
+            const double azimuth_deg = read_block_azimuth_deg(reader, bank);
             for (std::size_t f = 0; f < layout_.firings * layout_.block_returns; ++f) {
                 const std::size_t slot = b / n_joined * layout_.firings + f / layout_.block_returns;
-                Firing& firing = packet.firings[slot];
+                LaserFiring& firing = packet.firings[slot];
                 firing.azimuth_deg = azimuth_deg;
-                firing.part = get_firing_sequence(bytes, b / n_joined, n_returns);
+                firing.part = get_firing_sequence_index(packet_bytes, b / n_joined, n_returns);
                 const int* rings = &ring_of_[std::size_t(firing.part)][bank * layout_.block_lasers];
-                read_echoes(reader, unit_m, b % n_returns + f % layout_.block_returns, rings,
-                            &packet.echoes[slot * beams_.size()]);
+                read_block_echoes(reader, unit_m, b % n_returns + f % layout_.block_returns, rings,
+                                  &packet.echoes[slot * beams_.size()]);
             }
         }
-        add_times(packet);
+        set_firing_times_and_azimuths(packet);
         return packet;
     }
 
 private:
-    const Layout& layout_;
-    Timing timing_;
+    const PacketLayout& layout_;
+    FiringTiming timing_;
     std::vector<BeamFiring> table_;
     /// [lasers] angles of the lasers as calibrated by the manufacturer; empty if unknown
     std::vector<LaserAngles> angles_;
     /// note for the user about the source of the angles
     std::string angles_about_ = "beam angles from the data sheet";
-    std::vector<BlockBeam> beams_;  ///< [rings]
+    std::vector<PacketBeam> beams_;  ///< [rings]
     /// [firing sequences, lasers] ring of each laser; kNoRing if it does not fire in the
     /// sequence
     std::vector<std::vector<int>> ring_of_;
 
     /// Selects the angle correction file with the right number of lasers. If several
     /// files match, uses none, because it is unknown which one belongs to the sensor.
-    void select_angle_correction(const std::vector<Correction>& corrections) {
-        const std::size_t n = layout_.lasers();
+    void select_angle_correction(const std::vector<AngleCorrection>& corrections) {
+        const std::size_t n = layout_.count_lasers_per_firing();
         std::string files;
-        for (const Correction& correction : corrections) {
+        for (const AngleCorrection& correction : corrections) {
             if (correction.lasers.size() != n && correction.is_named)
                 throw DataError(fmt::format("{}: found the angles of {} lasers, expected {} for a {}",
                                             correction.where, correction.lasers.size(), n, layout_.name));
@@ -168,35 +175,36 @@ private:
     }
 
     /// Returns the index of the firing sequence that a firing belongs to.
-    /// @param number  number of the firing in the packet
-    int get_firing_sequence(std::string_view bytes, std::size_t number, std::size_t n_returns) const {
-        if (layout_.part_rule == PartRule::none) return 0;
-        bag::ByteReader reader(bytes.substr(layout_.part_at));
-        if (layout_.part_rule == PartRule::azimuth_state)
-            return reader.number<std::uint16_t>() >> (14 - 2 * number * n_returns) & 1;
-        return n_returns == 1 ? int(number) : 1 - (reader.number<std::uint8_t>() & 1);
+    /// @param firing_index  number of the firing in the packet
+    int get_firing_sequence_index(std::string_view packet_bytes, std::size_t firing_index,
+                                  std::size_t n_returns) const {
+        if (layout_.part_rule == FiringSequenceRule::none) return 0;
+        bag::ByteReader reader(packet_bytes.substr(layout_.part_at));
+        if (layout_.part_rule == FiringSequenceRule::azimuth_state)
+            return reader.read_number<std::uint16_t>() >> (14 - 2 * firing_index * n_returns) & 1;
+        return n_returns == 1 ? int(firing_index) : 1 - (reader.read_number<std::uint8_t>() & 1);
     }
 
-    std::uint16_t read_short(bag::ByteReader& reader) const {
-        const auto value = reader.number<std::uint16_t>();
+    std::uint16_t read_uint16(bag::ByteReader& reader) const {
+        const auto value = reader.read_number<std::uint16_t>();
         return layout_.is_big_endian ? std::uint16_t(value << 8 | value >> 8) : value;
     }
 
     /// Reads the time of a packet on the sensor's clock, in nanoseconds.
-    std::int64_t read_sensor_clock_ns(std::string_view bytes) const {
-        bag::ByteReader reader(bytes.substr(layout_.time_at));
-        if (!layout_.is_big_endian) return std::int64_t(1000) * reader.number<std::uint32_t>();
-        const std::int64_t passed_ms = read_short(reader), passed_us = read_short(reader);
+    std::int64_t read_sensor_clock_ns(std::string_view packet_bytes) const {
+        bag::ByteReader reader(packet_bytes.substr(layout_.time_at));
+        if (!layout_.is_big_endian) return std::int64_t(1000) * reader.read_number<std::uint32_t>();
+        const std::int64_t passed_ms = read_uint16(reader), passed_us = read_uint16(reader);
         return 1'000'000 * passed_ms + 1000 * passed_us;
     }
 
-    double read_azimuth(bag::ByteReader& reader, std::size_t bank) const {
-        const unsigned flag = 0xEEFF - 0x1100 * unsigned(bank);
-        if (layout_.flagged && reader.number<std::uint16_t>() != flag)
+    double read_block_azimuth_deg(bag::ByteReader& reader, std::size_t block_in_firing) const {
+        const unsigned flag = 0xEEFF - 0x1100 * unsigned(block_in_firing);
+        if (layout_.flagged && reader.read_number<std::uint16_t>() != flag)
             throw DataError(
                 fmt::format("a block of a packet does not begin with FF {:X}, expected a packet of a {}",
                             flag >> 8, layout_.name));
-        const double azimuth_deg = 0.01 * read_short(reader);
+        const double azimuth_deg = 0.01 * read_uint16(reader);
         if (azimuth_deg > 360.0)
             throw DataError(
                 fmt::format("a packet has an azimuth of {} degrees, expected less than 360", azimuth_deg));
@@ -204,27 +212,27 @@ private:
     }
 
     /// Reads the ranges and reflectivities of all lasers of a block.
-    /// @param rings  ring of each laser of the block
-    /// @param echoes  [rings] output
-    void read_echoes(bag::ByteReader& reader, double unit_m, std::size_t number, const int* rings,
-                     std::array<Echo, 2>* echoes) const {
+    /// @param ring_of_laser  ring of each laser of the block
+    /// @param echoes_of_ring  [rings] output
+    void read_block_echoes(bag::ByteReader& reader, double range_unit_m, std::size_t return_index,
+                           const int* ring_of_laser, std::array<DecodedReturn, 2>* echoes_of_ring) const {
         for (std::size_t laser = 0; laser < layout_.block_lasers; ++laser) {
-            bag::ByteReader unit(reader.take(layout_.unit_bytes));
-            const auto range = read_short(unit);
-            const auto reflectivity = unit.number<std::uint8_t>();
-            if (rings[laser] == kNoRing || range <= layout_.last_marker) continue;
-            add_echo(echoes[rings[laser]], number,
-                     {float(unit_m * double(range)), float(reflectivity) / 255.0f});
+            bag::ByteReader unit(reader.read_bytes(layout_.unit_bytes));
+            const auto range = read_uint16(unit);
+            const auto reflectivity = unit.read_number<std::uint8_t>();
+            if (ring_of_laser[laser] == kNoRing || range <= layout_.last_marker) continue;
+            add_echo_to_ray(echoes_of_ring[ring_of_laser[laser]], return_index,
+                            {float(range_unit_m * double(range)), float(reflectivity) / 255.0f});
         }
     }
 
     /// Computes the time of each firing in a packet. Interpolates the azimuths of firings
     /// in the same block, which stores only one azimuth.
-    void add_times(Packet& packet) const {
+    void set_firing_times_and_azimuths(DecodedPacket& packet) const {
         const int n = packet.n_slots, per_block = int(layout_.firings);
         double step_deg = 0.0;  // rotation between two blocks
         for (int slot = 0; slot < n; ++slot) {
-            Firing& firing = packet.firings[std::size_t(slot)];
+            LaserFiring& firing = packet.firings[std::size_t(slot)];
             firing.slot = slot;
             firing.after_us =
                 layout_.shift_us + layout_.cycle_us * double(layout_.at_end ? slot - (n - 1) : slot);
@@ -244,16 +252,16 @@ private:
 
 }  // namespace
 
-std::vector<BlockBeam> list_block_beams(const Layout& layout) {
+std::vector<PacketBeam> list_beams_of_packet_layout(const PacketLayout& layout) {
     std::int32_t first_ns = std::numeric_limits<std::int32_t>::max();
-    for (const LaserTimes& times : layout.loops)
+    for (const LaserFiringTimes& times : layout.loops)
         for (const std::int32_t time_ns : times)
             if (time_ns >= 0) first_ns = std::min(first_ns, time_ns);
     const std::vector<BeamFiring> table = get_beam_firings(layout.sensor);
-    std::vector<BlockBeam> beams;
+    std::vector<PacketBeam> beams;
     for (std::size_t line = 0; line < table.size(); ++line) {
-        BlockBeam beam{std::size_t(table[line].channel - layout.first_channel), 0, line, 0.0,
-                       table[line].offset_us};
+        PacketBeam beam{std::size_t(table[line].channel - layout.first_channel), 0, line, 0.0,
+                        table[line].offset_us};
         if (layout.loops.empty()) beams.push_back(beam);
         for (; beam.part < layout.loops.size(); ++beam.part) {
             const std::int32_t time_ns = layout.loops[beam.part][beam.laser];
@@ -264,14 +272,15 @@ std::vector<BlockBeam> list_block_beams(const Layout& layout) {
     return beams;
 }
 
-std::unique_ptr<Decoder> make_block_decoder(const char* name, const Calibration& calibration) {
+std::unique_ptr<PacketDecoder> make_block_packet_decoder(const char* product_name,
+                                                         const DecoderCalibration& calibration) {
     const auto find_layout = [](const std::string& row_name) {
-        return std::ranges::find_if(kLayouts, [&](const Layout& row) { return row.name == row_name; });
+        return std::ranges::find_if(kLayouts, [&](const PacketLayout& row) { return row.name == row_name; });
     };
     const auto* layout =
-        find_layout(std::string(name) + (calibration.has_two_returns ? " with two returns" : ""));
+        find_layout(std::string(product_name) + (calibration.has_two_returns ? " with two returns" : ""));
     // Most sensors use the same layout for packets with one return and with two returns.
-    if (layout == std::end(kLayouts)) layout = find_layout(name);
+    if (layout == std::end(kLayouts)) layout = find_layout(product_name);
     return std::make_unique<BlockDecoder>(*layout, calibration.corrections);
 }
 

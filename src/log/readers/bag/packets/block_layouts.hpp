@@ -13,11 +13,11 @@ namespace relidar::packets {
 
 /// [lasers] time in nanoseconds from the start of a block until each laser fires; -1 if
 /// the laser does not fire in this block
-using LaserTimes = std::array<std::int32_t, 128>;
+using LaserFiringTimes = std::array<std::int32_t, 128>;
 
 // Firing times of the QT128, which alternates between two firing sequences. Lasers 65 to
 // 128 fire in both. The values are from Hesai's manual, as in tier4/nebula 606ac41f1f13.
-inline constexpr LaserTimes kQt128Loop1 = {
+inline constexpr LaserFiringTimes kQt128Loop1 = {
     -1,     -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,
     -1,     -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,
     -1,     -1,    27656, 53000, 2312,  78344, 81512, 5480,  56168, 30824, 33992, 59336, 8648,  84680, 87848,
@@ -28,7 +28,7 @@ inline constexpr LaserTimes kQt128Loop1 = {
     57624,  6936,  82968, 86136, 10104, 60792, 35448, 38616, 63960, 13272, 89304, 92472, 16440, 67128, 41784,
     44952,  70296, 19608, 95640, 98808, 22776, 73464, 48120};
 
-inline constexpr LaserTimes kQt128Loop2 = {
+inline constexpr LaserFiringTimes kQt128Loop2 = {
     2312,   78344, 27656, 53000, 56168, 30824, 81512, 5480,  8648,  84680, 33992, 59336, 62504, 37160, 87848,
     11816,  14984, 91016, 40328, 65672, 68840, 43496, 94184, 18152, 21320, 97352, 46664, 72008, 75176, 49832,
     100520, 24488, -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,
@@ -38,12 +38,12 @@ inline constexpr LaserTimes kQt128Loop2 = {
     44952,  70296, 73464, 48120, 98808, 22776, 26800, 52144, 1456,  77488, 80656, 4624,  55312, 29968, 33136,
     58480,  7792,  83824, 86992, 10960, 61648, 36304, 39472, 64816, 14128, 90160, 93328, 17296, 67984, 42640,
     45808,  71152, 20464, 96496, 99664, 23632, 74320, 48976};
-inline constexpr LaserTimes kQt128Loops[] = {kQt128Loop1, kQt128Loop2};
+inline constexpr LaserFiringTimes kQt128Loops[] = {kQt128Loop1, kQt128Loop2};
 
 // Firing times of the OT128. It fires all lasers in each block. In its high-resolution
 // mode, it alternates between two firing sequences. The values are from Hesai's manual,
 // as in tier4/nebula 606ac41f1f13.
-inline constexpr LaserTimes kOt128All = {
+inline constexpr LaserFiringTimes kOt128All = {
     49758, 43224, 36690, 30156, 21980, 15446, 8912,  2378,  49758, 43224, 36690, 30156, 2378,  15446, 8912,
     21980, 43224, 30156, 49758, 15446, 36690, 2378,  21980, 8912,  34312, 45002, 38468, 40846, 40846, 34312,
     51536, 47380, 31934, 47380, 31934, 51536, 38468, 27778, 27778, 45002, 38468, 40846, 51536, 45002, 31934,
@@ -54,7 +54,7 @@ inline constexpr LaserTimes kOt128All = {
     36690, 30156, 21980, 15446, 8912,  2378,  43224, 49758, 30156, 36690, 21980, 15446, 2378,  8912,  49758,
     43224, 36690, 30156, 21980, 15446, 8912,  2378,  30156};
 
-inline constexpr LaserTimes kOt128State0 = {
+inline constexpr LaserFiringTimes kOt128State0 = {
     -1,    -1,    -1,    -1,    21980, 15446, 8912,  2378,  -1,    -1,    -1,    -1,    2378,  15446, 8912,
     21980, -1,    2378,  21980, 8912,  6534,  17224, 10690, 13068, 13068, 6534,  23758, 19602, 4156,  19602,
     4156,  23758, 13068, 13068, 23758, 10690, 4156,  19602, 19602, 0,     10690, 6534,  23758, 17224, 23758,
@@ -65,7 +65,7 @@ inline constexpr LaserTimes kOt128State0 = {
     -1,    -1,    -1,    21980, 15446, 8912,  2378,  -1,    -1,    -1,    -1,    21980, 15446, 2378,  8912,
     -1,    -1,    -1,    -1,    21980, 15446, 8912,  2378};
 
-inline constexpr LaserTimes kOt128State1 = {
+inline constexpr LaserFiringTimes kOt128State1 = {
     21980, 15446, 8912,  2378,  -1,    -1,    -1,    -1,    21980, 15446, 8912,  2378,  -1,    -1,    -1,
     -1,    8912,  -1,    -1,    -1,    6534,  17224, 10690, 13068, 13068, 6534,  23758, 19602, 4156,  19602,
     4156,  23758, 13068, 13068, 23758, 10690, 4156,  19602, 19602, 0,     10690, 6534,  23758, 17224, 23758,
@@ -75,18 +75,18 @@ inline constexpr LaserTimes kOt128State1 = {
     15446, -1,    8912,  -1,    2378,  -1,    21980, 15446, -1,    8912,  -1,    -1,    2378,  -1,    21980,
     15446, 8912,  2378,  -1,    -1,    -1,    -1,    15446, 21980, 2378,  8912,  -1,    -1,    -1,    -1,
     21980, 15446, 8912,  2378,  -1,    -1,    -1,    -1};
-inline constexpr LaserTimes kOt128Standard[] = {kOt128All};
-inline constexpr LaserTimes kOt128States[] = {kOt128State0, kOt128State1};
+inline constexpr LaserFiringTimes kOt128Standard[] = {kOt128All};
+inline constexpr LaserFiringTimes kOt128States[] = {kOt128State0, kOt128State1};
 
 /// How a packet states which of two firing sequences a block belongs to.
-enum class PartRule {
+enum class FiringSequenceRule {
     none,           ///< no field, because all blocks have the same firing sequence
     mode_flag,      ///< number of the block; for packets with two returns, bit 0 of a byte
     azimuth_state,  ///< two bits for each block, starting with the highest bits of two bytes
 };
 
 /// Format of a product's packets.
-struct Layout {
+struct PacketLayout {
     const char* name;
     const char* sensor;  ///< name of the built-in sensor that defines the beam angles
     std::size_t blocks_at = 0, n_blocks = 12;
@@ -118,16 +118,16 @@ struct Layout {
     /// [firing sequences] firing times of the lasers, for sensors that alternate between
     /// firing sequences. The decoder subtracts the earliest time. Empty for other
     /// sensors, whose firing times are in the beam table.
-    std::span<const LaserTimes> loops = {};
-    PartRule part_rule = PartRule::none;
+    std::span<const LaserFiringTimes> loops = {};
+    FiringSequenceRule part_rule = FiringSequenceRule::none;
     std::size_t part_at = 0;  ///< byte offset of the field that contains the firing sequence
 
-    std::size_t lasers() const { return block_lasers * banks; }
-    std::size_t parts() const { return loops.empty() ? 1 : loops.size(); }
+    std::size_t count_lasers_per_firing() const { return block_lasers * banks; }
+    std::size_t count_firing_sequences() const { return loops.empty() ? 1 : loops.size(); }
 };
 
 /// A beam of a scan. A laser that fires in two firing sequences becomes two beams.
-struct BlockBeam {
+struct PacketBeam {
     std::size_t laser = 0;  ///< index of the laser in a firing, from 0
     std::size_t part = 0;   ///< index of the firing sequence
     std::size_t line = 0;   ///< row of the laser in the beam table of the built-in sensor
@@ -139,13 +139,13 @@ struct BlockBeam {
 
 /// Returns the beams of a product in the order of its beam table. The list has one beam
 /// for each firing sequence in which a laser fires.
-std::vector<BlockBeam> list_block_beams(const Layout& layout);
+std::vector<PacketBeam> list_beams_of_packet_layout(const PacketLayout& layout);
 
 // One row per product. Hesai's manuals state the time of each laser relative to the start
 // of its block. In relidar, the first laser of a firing has the time 0. So `shift_us` is
 // the sum of the start of the block and the time of its first laser. A firing of the
 // VLS-128 takes 55.3 us, although its manual states 53.3 us.
-inline constexpr Layout kLayouts[] = {
+inline constexpr PacketLayout kLayouts[] = {
     {.name = "VLP-16",
      .sensor = "VLP-16",
      .flagged = true,
@@ -291,7 +291,7 @@ inline constexpr Layout kLayouts[] = {
      .cycle_us = 1000.0 / 9.0,
      .shift_us = 9.0 + 0.6,
      .loops = kQt128Loops,
-     .part_rule = PartRule::mode_flag,
+     .part_rule = FiringSequenceRule::mode_flag,
      .part_at = 1066},
     {.name = "OT128",
      .sensor = "OT128",
@@ -315,7 +315,7 @@ inline constexpr Layout kLayouts[] = {
      .shift_us = 43.346,
      .last_marker = 3,
      .loops = kOt128States,
-     .part_rule = PartRule::azimuth_state,
+     .part_rule = FiringSequenceRule::azimuth_state,
      .part_at = 814},
 };
 

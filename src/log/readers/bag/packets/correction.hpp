@@ -14,23 +14,24 @@ struct LaserAngles {
     double elevation_deg = 0.0, azimuth_deg = 0.0;
 };
 
-struct Correction {
+struct AngleCorrection {
     std::string where;                ///< name of the file
     bool is_named = false;            ///< true if the file has the same name as the recording
     std::vector<LaserAngles> lasers;  ///< measured angles of laser 1, 2 and so on
 };
 
 /// Parses an angle correction file, which contains the measured angles of each laser.
-/// @param location  name of the file, for error messages
+/// @param error_location  name of the file, for error messages
 /// @throws DataError if a line is invalid, or if a laser is missing
-Correction read_correction(const std::string& text, const std::string& location);
+AngleCorrection parse_angle_correction(const std::string& csv_text, const std::string& error_location);
 
 /// Finds and reads the angle correction files of a recording. If .csv files have the
 /// names of the recording's files, returns only these. Otherwise, reads all .csv files in
 /// the folder of the recording that begin like an angle correction. For a ROS 2 bag, also
 /// reads the folder that contains the bag's folder.
-/// @param recording  all files of the recording
+/// @param recording_files  all files of the recording
 /// @throws DataError if the file with the name of the recording is damaged
-std::vector<Correction> find_corrections(const std::vector<std::filesystem::path>& recording);
+std::vector<AngleCorrection> find_angle_corrections(
+    const std::vector<std::filesystem::path>& recording_files);
 
 }  // namespace relidar::packets

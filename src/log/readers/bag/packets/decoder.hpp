@@ -19,19 +19,19 @@
 namespace relidar::packets {
 
 /// A received packet: its bytes and the time at which it was received.
-struct PacketView {
+struct ReceivedPacket {
     std::int64_t stamp_ns = 0;
     std::string_view bytes;
 };
 
 /// One return of a ray: range and intensity.
-struct Echo {
+struct DecodedReturn {
     float range_m = 0.0f;    ///< distance from the origin of the beam; 0 means no return
     float intensity = 0.0f;  ///< intensity from 0 to 1
 };
 
 /// One firing of all beams.
-struct Firing {
+struct LaserFiring {
     /// index of the firing in the packet, also counting firings that were not measured
     int slot = 0;
     double after_us = 0.0;  ///< time from the packet's time to the first beam of the firing
@@ -42,18 +42,18 @@ struct Firing {
     int part = 0;
 };
 
-struct Packet {
+struct DecodedPacket {
     /// Time of the packet on the sensor's clock, which restarts at 0 after
-    /// Timing::wrap_us.
+    /// FiringTiming::wrap_us.
     std::int64_t clock_ns = 0;
     int n_slots = 0;  ///< firings per packet
-    std::vector<Firing> firings;
+    std::vector<LaserFiring> firings;
     /// [firings x rings] first and second return of each ray, in the order of the packet
-    std::vector<std::array<Echo, 2>> echoes;
+    std::vector<std::array<DecodedReturn, 2>> echoes;
 };
 
 /// Firing times of the lasers of a sensor.
-struct Timing {
+struct FiringTiming {
     double cycle_us = 0.0;  ///< time between firings
     /// Some sensors alternate between several firing sequences with different lasers.
     /// This is their number. Each column of a scan contains one firing of each sequence.
@@ -75,35 +75,36 @@ struct Timing {
     bool is_wide = false;
 };
 
-class Decoder {
+class PacketDecoder {
 public:
-    virtual ~Decoder() = default;
+    virtual ~PacketDecoder() = default;
     /// Decodes a packet of the product that this decoder supports.
     /// @throws DataError if the packet is invalid
-    virtual Packet decode(std::string_view bytes) const = 0;
-    virtual const Timing& timing() const = 0;
+    virtual DecodedPacket decode_packet(std::string_view packet_bytes) const = 0;
+    virtual const FiringTiming& get_laser_timing() const = 0;
     /// Returns the model of the spinning sensor. The beams are sorted from the highest to
     /// the lowest.
-    /// @param columns  columns per revolution
-    virtual SpinningSensor sensor(int columns, double rate_hz) const = 0;
+    /// @param columns_per_revolution  columns per revolution
+    virtual SpinningSensor make_spinning_sensor_model(int columns_per_revolution,
+                                                      double rotation_rate_hz) const = 0;
     /// Returns a text with the name of the product and the source of its beam angles.
-    virtual std::string about() const = 0;
+    virtual std::string describe_lidar_product() const = 0;
 };
 
-struct OusterFormat;
+struct OusterMetadata;
 
 /// Calibration of a sensor, which its packets do not contain.
-struct Calibration {
-    std::vector<Correction> corrections = {};  ///< angle corrections of Hesai's sensors
+struct DecoderCalibration {
+    std::vector<AngleCorrection> corrections = {};  ///< angle corrections of Hesai's sensors
     /// Packet format of an Ouster sensor, from its metadata. Null for other sensors, and
     /// if the metadata is missing.
-    std::shared_ptr<const OusterFormat> ouster = {};
+    std::shared_ptr<const OusterMetadata> ouster = {};
     /// For an RS-LiDAR-16: true if each firing in a packet has two returns.
     bool has_two_returns = false;
 };
 
 /// A LiDAR product whose packets relidar recognises.
-struct Product {
+struct LidarProduct {
     const char* name;
     /// Returns true if the size and header of a packet are those of this product. Null
     /// for Ouster, whose packets have no identifying header.
@@ -111,25 +112,28 @@ struct Product {
     /// Creates a decoder. Null if relidar recognises packets of this product but cannot
     /// decode them.
     /// @throws DataError if a calibration is damaged or belongs to another sensor
-    std::unique_ptr<Decoder> (*make)(const char* name, const Calibration& calibration);
+    std::unique_ptr<PacketDecoder> (*make)(const char* name, const DecoderCalibration& calibration);
     /// driver that the user can use instead, if relidar cannot decode the packets
     const char* driver = "";
 };
 /// Returns the product that sent a packet, recognised by the size and header of the
 /// packet. An Ouster is recognised by the packet size in its metadata.
 /// @return null if no product matches
-const Product* find_product(std::string_view bytes, const Calibration& calibration);
+const LidarProduct* find_product_of_packet(std::string_view packet_bytes,
+                                           const DecoderCalibration& calibration);
 /// Returns the error message for packets that relidar cannot decode, for example "packets
 /// of a VLS-128, expected those of ...".
-std::string describe_unknown_packet(const Product* product, std::string_view bytes);
+std::string format_unsupported_packet_error(const LidarProduct* product, std::string_view packet_bytes);
 
 /// Returns true if the packets of an RS-LiDAR-16 contain two returns per firing, which
 /// the packets do not state. With two returns, the time between packets is half as long.
-bool have_dual_returns(const std::vector<PacketView>& packets);
+bool has_two_returns_per_firing(const std::vector<ReceivedPacket>& packets);
 
 /// Creates a packet decoder, by name of the product: the first function for Velodyne and
 /// Hesai, the second for Ouster.
-std::unique_ptr<Decoder> make_block_decoder(const char* name, const Calibration& calibration);
-std::unique_ptr<Decoder> make_ouster_decoder(const char* name, const Calibration& calibration);
+std::unique_ptr<PacketDecoder> make_block_packet_decoder(const char* product_name,
+                                                         const DecoderCalibration& calibration);
+std::unique_ptr<PacketDecoder> make_ouster_packet_decoder(const char* product_name,
+                                                          const DecoderCalibration& calibration);
 
 }  // namespace relidar::packets

@@ -14,7 +14,7 @@
 namespace relidar::packets {
 
 /// Azimuth, time and number of a firing (all lasers at one azimuth).
-struct FiringPlace {
+struct FiringInstant {
     double azimuth_deg, time_s;
     int number;  ///< number of the firing; for a sensor that fires at fixed azimuths, the column
     /// current minus average rotation rate of the head, in degrees per microsecond
@@ -23,24 +23,28 @@ struct FiringPlace {
 };
 
 /// Points of a revolution.
-struct FiredPoints {
-    Points points;
+struct RevolutionPoints {
+    LidarPoints points;
     std::vector<int> numbers;        ///< [points] number of the firing that measured the point
     std::map<int, double> head_rad;  ///< azimuth of each received firing, by its number
 };
 
 /// Converts the returns of a firing to points. If a ray has two returns, the brighter one
 /// is the first return.
-void add_firing(FiredPoints& fired, const FiringPlace& place, const std::array<Echo, 2>* echoes,
-                const std::vector<BeamGeometry>& beams, const std::vector<double>& offset_us);
+void add_points_of_firing(RevolutionPoints& revolution_points, const FiringInstant& firing,
+                          const std::array<DecodedReturn, 2>* echoes_of_ring,
+                          const std::vector<BeamRayGenerator>& beams,
+                          const std::vector<double>& beam_offsets_us);
 
 /// Creates the scan of a sensor that fires at fixed azimuths. If the sensor did not
 /// measure in a long run of columns, their rays are dropped rays. Otherwise, the scan
 /// would repeat a neighbouring column, which would be wrong data.
-/// @param fires  [columns per revolution] true if the sensor fires at the column
-/// @param is_lost  [columns per revolution] true if the packet with the column was lost.
-/// Its rays are unknown, so the scan does not have them.
-Scan make_fired_scan(FiredPoints& fired, const std::vector<bool>& fires, const std::vector<bool>& is_lost,
-                     SpinningSensor sensor);
+/// @param column_is_enabled  [columns per revolution] true if the sensor fires at the
+/// column
+/// @param column_is_lost  [columns per revolution] true if the packet with the column was
+/// lost. Its rays are unknown, so the scan does not have them.
+Scan make_scan_of_fixed_columns(RevolutionPoints& revolution_points,
+                                const std::vector<bool>& column_is_enabled,
+                                const std::vector<bool>& column_is_lost, SpinningSensor sensor);
 
 }  // namespace relidar::packets

@@ -10,7 +10,7 @@
 
 namespace relidar::packets {
 
-/// Encoding and message type of the clouds that decode_livox_cloud() returns.
+/// Encoding and message type of the clouds that make_livox_cloud_message() returns.
 inline constexpr const char *kLivoxEncoding = "ros1", *kLivoxType = "livox_ros_driver2/CustomMsg";
 /// Duration of a cloud that is composed of packets. It is slightly below 0.1 s, so that
 /// clouds start about every 0.1 s.
@@ -18,14 +18,15 @@ inline constexpr std::int64_t kLivoxCloud_ns = 99'000'000;
 inline constexpr std::size_t kMostLivoxPackets = 4096;  ///< maximum number of packets in one cloud
 
 /// Returns true if the bytes are a Livox packet with points, false for IMU packets.
-bool is_livox(std::string_view bytes);
+bool is_livox_point_packet(std::string_view packet_bytes);
 
 /// Joins packets to a cloud. Returns the cloud as a message of Livox's driver in the
 /// encoding of ROS 1. Omits rays without a return, because a packet does not contain
 /// their directions.
-/// @param packets  for each packet: time stamp (64 bits), length (32 bits) and bytes
-/// @param frame  name of the frame of the cloud
+/// @param packed_packets  for each packet: time stamp (64 bits), length (32 bits) and
+/// bytes
+/// @param frame_id  name of the frame of the cloud
 /// @throws DataError if the list of packets is damaged
-std::string decode_livox_cloud(std::string_view packets, std::string_view frame);
+std::string make_livox_cloud_message(std::string_view packed_packets, std::string_view frame_id);
 
 }  // namespace relidar::packets

@@ -32,7 +32,7 @@ struct OusterProfile {
 };
 
 /// Content of the metadata of one Ouster sensor.
-struct OusterFormat {
+struct OusterMetadata {
     std::string text;     ///< text of the metadata
     std::string where;    ///< file or topic from which the metadata was read
     std::string product;  ///< name of the product, for example "OS-1-128"
@@ -49,39 +49,42 @@ struct OusterFormat {
 
     /// Describes the packets, for example "packets of 12544 bytes (profile, beams,
     /// columns a packet, port)".
-    std::string about() const;
+    std::string describe_packets() const;
 };
-using OusterFormats = std::vector<std::shared_ptr<const OusterFormat>>;
+using OusterMetadataList = std::vector<std::shared_ptr<const OusterMetadata>>;
 
 /// Returns true if a text looks like the metadata of an Ouster sensor. Values are not
 /// checked, so the metadata may be invalid.
-bool is_ouster_metadata(std::string_view text);
+bool is_ouster_metadata(std::string_view json_text);
 /// Parses the metadata of an Ouster sensor.
-/// @param location  name of the file or topic, for error messages
+/// @param error_location  name of the file or topic, for error messages
 /// @throws DataError if the metadata is invalid
-std::shared_ptr<const OusterFormat> read_ouster_metadata(const std::string& text,
-                                                         const std::string& location);
+std::shared_ptr<const OusterMetadata> parse_ouster_metadata(const std::string& json_text,
+                                                            const std::string& error_location);
 /// Reads Ouster metadata files in the folder of a recording. For a recording X.pcap with
 /// a file X.json, reads only the files X*.json. Otherwise reads all metadata files that
 /// do not belong to another recording.
-/// @param broken  output: error messages about files that cannot be read
-OusterFormats find_ouster_metadata(const std::filesystem::path& recording, std::vector<std::string>& broken);
+/// @param error_messages  output: error messages about files that cannot be read
+OusterMetadataList read_ouster_metadata_near(const std::filesystem::path& recording_path,
+                                             std::vector<std::string>& error_messages);
 
 /// Returns the metadata of the sensor that sent a packet. The packet size must match. The
 /// port must also match, unless the packet's header contains the serial number of the
 /// metadata. If several metadata match, prefers metadata of the same topic (port of a
 /// capture, namespace of a bag), then metadata with the same serial number.
 /// @return null if no metadata matches, or if more than one remains
-std::shared_ptr<const OusterFormat> match_ouster_format(const OusterFormats& formats, std::string_view topic,
-                                                        std::string_view packet);
+std::shared_ptr<const OusterMetadata> find_ouster_format_of_packet(const OusterMetadataList& formats,
+                                                                   std::string_view topic_name,
+                                                                   std::string_view packet);
 /// Returns true if packets of an Ouster sensor with a supported layout can have this
 /// size.
-bool is_ouster_packet_size(std::size_t bytes);
+bool is_ouster_packet_size(std::size_t n_bytes);
 /// Returns the error message for packets that look like Ouster packets but cannot be
 /// decoded. The message tells the user what to do.
 /// @param formats  metadata that was read
-/// @param recording  recording in whose folder the user can put more metadata
-std::string describe_ouster_packet(const OusterFormats& formats, const std::filesystem::path& recording,
-                                   std::string_view topic, std::size_t bytes);
+/// @param recording_path  recording in whose folder the user can put more metadata
+std::string format_ouster_packet_error(const OusterMetadataList& formats,
+                                       const std::filesystem::path& recording_path,
+                                       std::string_view topic_name, std::size_t packet_size);
 
 }  // namespace relidar::packets

@@ -29,15 +29,15 @@ constexpr std::uint8_t kLidarData = 1;
 constexpr std::uint64_t kLatestClock_ns = std::uint64_t(1) << 62;
 
 /// Header of a column.
-struct Column {
+struct OusterColumnHeader {
     std::int64_t time_ns = 0;
     int number = 0;
     bool was_measured = false;
 };
 
-class OusterDecoder : public Decoder {
+class OusterDecoder : public PacketDecoder {
 public:
-    explicit OusterDecoder(std::shared_ptr<const OusterFormat> format) : format_(std::move(format)) {
+    explicit OusterDecoder(std::shared_ptr<const OusterMetadata> format) : format_(std::move(format)) {
         const SpinningSensor& sensor = format_->sensor;
         timing_.cycle_us = 1e6 * sensor.period_s / sensor.columns;
         timing_.offset_us.assign(sensor.beams.size(), 0.0);
@@ -45,44 +45,44 @@ public:
         timing_.is_wide = format_->profile->is_wide;
     }
 
-    const Timing& timing() const override { return timing_; }
+    const FiringTiming& get_laser_timing() const override { return timing_; }
 
-    std::string about() const override {
+    std::string describe_lidar_product() const override {
         return fmt::format("{}-beam Ouster, {}, profile {}, beam angles from {}",
                            format_->sensor.beams.size(), format_->product, format_->profile->name,
                            format_->where);
     }
 
-    SpinningSensor sensor(int, double rate_hz) const override {
+    SpinningSensor make_spinning_sensor_model(int, double rotation_rate_hz) const override {
         SpinningSensor sensor = format_->sensor;
-        sensor.period_s = 1.0 / rate_hz;
+        sensor.period_s = 1.0 / rotation_rate_hz;
         return sensor;
     }
 
-    Packet decode(std::string_view bytes) const override {
+    DecodedPacket decode_packet(std::string_view packet_bytes) const override {
         const OusterProfile& profile = *format_->profile;
         const std::size_t rings = format_->ring_of.size();
-        ByteReader reader(bytes);
+        ByteReader reader(packet_bytes);
         if (!profile.is_legacy)
-            if (const auto kind = ByteReader(reader.take(kHeadBytes)).number<std::uint8_t>();
+            if (const auto kind = ByteReader(reader.read_bytes(kHeadBytes)).read_number<std::uint8_t>();
                 kind != kLidarData)
                 throw DataError(
                     fmt::format("found a packet of type {}, expected {} (LiDAR data of an "
                                 "Ouster)",
                                 kind, kLidarData));
-        Packet packet;
+        DecodedPacket packet;
         packet.n_slots = format_->columns_per_packet;
         std::vector<std::int64_t> times_ns;
         for (int slot = 0; slot < packet.n_slots; ++slot) {
-            const Column column = read_head(reader);
-            ByteReader pixels(reader.take(rings * profile.pixel_bytes));
+            const OusterColumnHeader column = read_column_header(reader);
+            ByteReader pixels(reader.read_bytes(rings * profile.pixel_bytes));
             const bool was_measured =
-                profile.is_legacy ? reader.number<std::uint32_t>() == 0xFFFFFFFF : column.was_measured;
+                profile.is_legacy ? reader.read_number<std::uint32_t>() == 0xFFFFFFFF : column.was_measured;
             if (!was_measured) continue;
-            packet.firings.push_back({slot, 0.0, compute_azimuth(column, packet.firings, slot)});
+            packet.firings.push_back({slot, 0.0, compute_column_azimuth_deg(column, packet.firings, slot)});
             times_ns.push_back(column.time_ns);
             packet.echoes.resize(packet.echoes.size() + rings);
-            read_pixels(pixels, &packet.echoes[packet.echoes.size() - rings]);
+            read_pixels_of_column(pixels, &packet.echoes[packet.echoes.size() - rings]);
         }
         // A packet is sent after its last column, so this column defines the packet's
         // time.
@@ -93,21 +93,23 @@ public:
     }
 
 private:
-    const std::shared_ptr<const OusterFormat> format_;
-    Timing timing_;
+    const std::shared_ptr<const OusterMetadata> format_;
+    FiringTiming timing_;
 
-    Column read_head(ByteReader& reader) const {
-        Column column;
-        const auto time_ns = reader.number<std::uint64_t>();
-        column.number = reader.number<std::uint16_t>();
-        if (format_->profile->is_legacy) reader.take(6);  // skips the frame number and the encoder angle
-        else column.was_measured = (reader.number<std::uint16_t>() & 1) != 0;
+    OusterColumnHeader read_column_header(ByteReader& reader) const {
+        OusterColumnHeader column;
+        const auto time_ns = reader.read_number<std::uint64_t>();
+        column.number = reader.read_number<std::uint16_t>();
+        if (format_->profile->is_legacy)
+            reader.read_bytes(6);  // skips the frame number and the encoder angle
+        else column.was_measured = (reader.read_number<std::uint16_t>() & 1) != 0;
         column.time_ns = std::int64_t(std::min(time_ns, kLatestClock_ns));
         return column;
     }
 
-    double compute_azimuth(const Column& column, const std::vector<Firing>& previous_firings,
-                           int slot) const {
+    double compute_column_azimuth_deg(const OusterColumnHeader& column,
+                                      const std::vector<LaserFiring>& previous_firings,
+                                      int slot_in_packet) const {
         const int columns = format_->sensor.columns;
         if (column.number >= columns)
             throw DataError(
@@ -117,29 +119,29 @@ private:
                      step_deg = 360.0 / columns;
         if (!previous_firings.empty() &&
             std::abs(std::remainder(azimuth_deg - previous_firings.back().azimuth_deg -
-                                        step_deg * (slot - previous_firings.back().slot),
+                                        step_deg * (slot_in_packet - previous_firings.back().slot),
                                     360.0)) > 0.1 * step_deg)
             throw DataError(fmt::format(
                 "column {} at position {} of a packet does not follow the previous column, expected "
                 "columns in order",
-                column.number, slot));
+                column.number, slot_in_packet));
         return azimuth_deg;
     }
 
-    void read_pixels(ByteReader& reader, std::array<Echo, 2>* rings) const {
+    void read_pixels_of_column(ByteReader& reader, std::array<DecodedReturn, 2>* echoes_of_ring) const {
         const OusterProfile& profile = *format_->profile;
         for (const std::size_t ring : format_->ring_of) {
-            const std::string_view pixel = reader.take(profile.pixel_bytes);
+            const std::string_view pixel = reader.read_bytes(profile.pixel_bytes);
             const double start_m = format_->sensor.beams[ring].origin_offset_m;
             for (int k = 0; k < profile.returns; ++k) {
                 const std::string_view bytes = pixel.substr(4 * std::size_t(k));
-                const auto range = ByteReader(bytes).number<std::uint32_t>() & profile.range_bits;
+                const auto range = ByteReader(bytes).read_number<std::uint32_t>() & profile.range_bits;
                 ByteReader bright(bytes.substr(profile.reflectivity_at));
-                const double reflectivity =
-                    profile.is_wide ? bright.number<std::uint16_t>() : bright.number<std::uint8_t>();
+                const double reflectivity = profile.is_wide ? bright.read_number<std::uint16_t>()
+                                                            : bright.read_number<std::uint8_t>();
                 const double range_m = profile.range_unit_m * range - start_m;
                 if (range > 0 && range_m > 0.0)
-                    rings[ring][std::size_t(k)] = {float(range_m), float(reflectivity / 255.0)};
+                    echoes_of_ring[ring][std::size_t(k)] = {float(range_m), float(reflectivity / 255.0)};
             }
         }
     }
@@ -147,7 +149,8 @@ private:
 
 }  // namespace
 
-std::unique_ptr<Decoder> make_ouster_decoder(const char*, const Calibration& calibration) {
+std::unique_ptr<PacketDecoder> make_ouster_packet_decoder(const char*,
+                                                          const DecoderCalibration& calibration) {
     return std::make_unique<OusterDecoder>(calibration.ouster);
 }
 

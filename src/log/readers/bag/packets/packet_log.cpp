@@ -21,7 +21,7 @@ namespace {
 
 // maximum number of firings per revolution; a revolution of two seconds has fewer
 constexpr int kMostFirings = 40000;
-constexpr std::int64_t kLongestTurn_ns = 2000000000;
+constexpr std::int64_t kMaxRevolution_ns = 2000000000;
 constexpr std::size_t kMostInMessage = 0xFFFF;
 constexpr double kBehind_deg = 180.0;
 constexpr double kMostBright = 65535.0;
@@ -34,77 +34,80 @@ constexpr double kCutOff = 0.02;
 
 // Returns true if the sensor fires at a column. Columns outside the image continue on the
 // other side.
-bool is_firing_at(const std::vector<bool>& fires, std::int64_t column) {
-    const auto n = std::int64_t(fires.size());
-    return fires[std::size_t((column % n + n) % n)];
+bool is_firing_at_wrapped_column(const std::vector<bool>& column_is_enabled, std::int64_t column) {
+    const auto n = std::int64_t(column_is_enabled.size());
+    return column_is_enabled[std::size_t((column % n + n) % n)];
 }
 
 }  // namespace
 
-void PacketLog::add(const std::vector<PacketView>& packets, std::int64_t log_ns, const bag::Place& place,
-                    const Calibration& calibration) {
-    messages_.push_back({place, log_ns});
-    Calibration of_first = calibration;
-    of_first.has_two_returns = !product_ && have_dual_returns(packets);
+void PacketIndex::add_packets_of_message(const std::vector<ReceivedPacket>& packets,
+                                         std::int64_t recording_time_ns, const bag::MessagePosition& location,
+                                         const DecoderCalibration& calibration) {
+    messages_.push_back({location, recording_time_ns});
+    DecoderCalibration of_first = calibration;
+    of_first.has_two_returns = !product_ && has_two_returns_per_firing(packets);
     if (packets.size() > kMostInMessage)
         throw DataError(
             fmt::format("a message has {} packets, expected at most {}", packets.size(), kMostInMessage));
     for (std::size_t i = 0; i < packets.size(); ++i) {
-        check_product(packets[i], of_first);
-        add_packet(packets[i], std::uint16_t(i));
+        check_or_set_product(packets[i], of_first);
+        decode_and_index_packet(packets[i], std::uint16_t(i));
     }
 }
 
-void PacketLog::check_product(const PacketView& packet, const Calibration& calibration) {
-    if (product_ && product_ == find_product(packet.bytes, calibration_)) return;
-    const Product* product = find_product(packet.bytes, calibration);
+void PacketIndex::check_or_set_product(const ReceivedPacket& packet, const DecoderCalibration& calibration) {
+    if (product_ && product_ == find_product_of_packet(packet.bytes, calibration_)) return;
+    const LidarProduct* product = find_product_of_packet(packet.bytes, calibration);
     if (product_)
         throw DataError(
             fmt::format("found a packet of {} bytes of {}, expected a packet of a {} like the "
                         "previous ones",
                         packet.bytes.size(), product ? product->name : "no known product", product_->name));
-    if (!product || !product->make) throw DataError(describe_unknown_packet(product, packet.bytes));
+    if (!product || !product->make) throw DataError(format_unsupported_packet_error(product, packet.bytes));
     decoder_ = product->make(product->name, calibration);
     product_ = product;
     calibration_ = calibration;
 }
 
 /// Returns the angle between two columns, for a sensor that fires at fixed azimuths.
-double PacketLog::step_deg() const { return 360.0 / double(decoder_->timing().fires.size()); }
+double PacketIndex::compute_column_step_deg() const {
+    return 360.0 / double(decoder_->get_laser_timing().fires.size());
+}
 
-void PacketLog::add_packet(const PacketView& view, std::uint16_t in_message) {
-    const Packet packet = decoder_->decode(view.bytes);
+void PacketIndex::decode_and_index_packet(const ReceivedPacket& packet_view, std::uint16_t index_in_message) {
+    const DecodedPacket packet = decoder_->decode_packet(packet_view.bytes);
     if (packet.firings.empty()) {
         ++n_empty_;
         return;
     }
     n_slots_ = packet.n_slots;
     const auto message = std::uint32_t(messages_.size() - 1);
-    const auto hash = std::uint32_t(std::hash<std::string_view>()(view.bytes));
+    const auto hash = std::uint32_t(std::hash<std::string_view>()(packet_view.bytes));
     const std::size_t n = packet.firings.size();
     const bool is_at_end = packet.firings.back().after_us < -packet.firings.front().after_us;
     // azimuth step from firing f to the next firing
     const auto step_deg = [&](std::size_t f) {
         return compute_rotation_deg(packet.firings[f].azimuth_deg, packet.firings[f + 1].azimuth_deg);
     };
-    const bool may_skip = decoder_->timing().fires.empty();
+    const bool may_skip = decoder_->get_laser_timing().fires.empty();
     double skipped_deg = 0.0;
     for (std::size_t f = 0; is_at_end && may_skip && f + 1 < n; ++f)
         skipped_deg -= step_deg(f) > kJump_deg ? step_deg(f) : 0.0;
     for (std::size_t first = 0, f = 0; f < n; ++f) {
         const bool is_last = f + 1 == n, jumps = !is_last && may_skip && step_deg(f) > kJump_deg;
         if (!is_last && !jumps) continue;
-        const Firing& begin = packet.firings[first];
+        const LaserFiring& begin = packet.firings[first];
         const std::int64_t after_ns = std::llround(1e3 * begin.after_us);
         const int begin_slot = first == 0 && may_skip ? 0 : begin.slot,
                   end_slot = is_last ? n_slots_ : packet.firings[f + 1].slot;
-        Entry entry{view.stamp_ns + after_ns,
+        Entry entry{packet_view.stamp_ns + after_ns,
                     packet.clock_ns + after_ns,
                     begin.azimuth_deg,
                     0.0f,
                     float(skipped_deg),
                     message,
-                    in_message,
+                    index_in_message,
                     std::uint16_t(first),
                     std::uint16_t(f + 1 - first),
                     std::int16_t(begin.slot),
@@ -112,18 +115,18 @@ void PacketLog::add_packet(const PacketView& view, std::uint16_t in_message) {
                     hash,
                     std::exchange(n_empty_, std::uint16_t(0))};
         for (std::size_t k = first; k < f; ++k) entry.turned_deg += float(step_deg(k));
-        unwrap_clock(entry);
+        unwrap_sensor_clock(entry);
         packets_.push_back(entry);
         if (jumps) skipped_deg += step_deg(f);
         first = f + 1;
     }
-    if (decoder_->timing().is_wide) count_max_intensities(packet);
+    if (decoder_->get_laser_timing().is_wide) add_to_intensity_histogram(packet);
 }
 
 /// Unwraps the sensor's clock, which restarts at 0 after a fixed time. The time stamps of
 /// the packets show how often it has restarted.
-void PacketLog::unwrap_clock(Entry& entry) const {
-    const double wrap_us = decoder_->timing().wrap_us;
+void PacketIndex::unwrap_sensor_clock(Entry& entry) const {
+    const double wrap_us = decoder_->get_laser_timing().wrap_us;
     if (packets_.empty() || !(wrap_us > 0.0)) return;
     const Entry& before = packets_.back();
     const double passed_stamp_us = 1e-3 * double(entry.stamp_ns - before.stamp_ns),
@@ -131,63 +134,66 @@ void PacketLog::unwrap_clock(Entry& entry) const {
     entry.clock_ns += std::llround(1e3 * wrap_us * std::round((passed_stamp_us - passed_us) / wrap_us));
 }
 
-void PacketLog::count_max_intensities(const Packet& packet) {
+void PacketIndex::add_to_intensity_histogram(const DecodedPacket& packet) {
     n_bright_.resize(kMostBright + 1);
     for (const auto& returns : packet.echoes)
-        for (const Echo& echo : returns)
+        for (const DecodedReturn& echo : returns)
             if (echo.range_m > 0.0f)
                 ++n_bright_[std::size_t(
                     std::clamp(std::round(255.0 * double(echo.intensity)), 0.0, kMostBright))];
 }
 
-void PacketLog::finish() {
+void PacketIndex::sort_packets_and_find_revolutions() {
     if (packets_.empty()) return;
-    faults_ = sort_packets(packets_);
+    faults_ = sort_and_deduplicate_packets(packets_);
     n_packets_ = std::size_t(std::ranges::count(packets_, 0, &Entry::first_firing));
-    const Timing& timing = decoder_->timing();
-    deg_us_ = unwrap_azimuths(packets_, timing);
+    const FiringTiming& timing = decoder_->get_laser_timing();
+    deg_us_ = unwrap_azimuths_and_estimate_rate(packets_, timing);
     if (timing.fires.empty() && deg_us_ > 0.0)
-        skipped_ = find_skipped_sector(packets_, deg_us_ * timing.cycle_us);
-    find_revolutions();
+        skipped_ = find_sector_without_firings(packets_, deg_us_ * timing.cycle_us);
+    find_complete_revolutions();
 }
 
 /// Returns the number of packets that the sensor has sent since the previous packet; 1 if
 /// no packet was lost. For a sensor that fires at fixed azimuths.
-std::size_t PacketLog::count_steps_to(std::size_t packet) const {
-    const Entry &entry = packets_[packet], &before = packets_[packet - 1];
-    const double n =
-        ((entry.azimuth_deg - before.azimuth_deg) / step_deg() - entry.first_slot + before.first_slot) /
-        double(n_slots_);
+std::size_t PacketIndex::count_packets_since_previous(std::size_t packet_index) const {
+    const Entry &entry = packets_[packet_index], &before = packets_[packet_index - 1];
+    const double n = ((entry.azimuth_deg - before.azimuth_deg) / compute_column_step_deg() -
+                      entry.first_slot + before.first_slot) /
+                     double(n_slots_);
     return std::size_t(std::clamp(std::round(n), 1.0, 1e9));
 }
 
 /// Returns the number of firings in lost packets before this packet, without the sector
 /// that the sensor skips. For a sensor that fires at any azimuth.
-double PacketLog::count_lost_slots(std::size_t packet) const {
-    const Entry &entry = packets_[packet], &before = packets_[packet - 1];
-    const double cycle_us = decoder_->timing().cycle_us,
+double PacketIndex::count_lost_firings_before(std::size_t packet_index) const {
+    const Entry &entry = packets_[packet_index], &before = packets_[packet_index - 1];
+    const double cycle_us = decoder_->get_laser_timing().cycle_us,
                  slots = 1e-3 * double(entry.clock_ns - before.clock_ns) / cycle_us,
-                 skipped_deg = skipped_.compute_overlap_deg(before.azimuth_deg, entry.azimuth_deg);
+                 skipped_deg = skipped_.compute_sector_overlap_deg(before.azimuth_deg, entry.azimuth_deg);
     return slots - (skipped_deg > 0.0 ? skipped_deg / (deg_us_ * cycle_us) : 0.0) - before.n_slots;
 }
 
 /// Returns the number of packets that were lost before this packet. Packets without a
 /// firing are not counted, because the sensor may not send them.
-std::size_t PacketLog::count_missing_before(std::size_t packet) const {
-    const std::vector<bool>& fires = decoder_->timing().fires;
+std::size_t PacketIndex::count_lost_packets_before(std::size_t packet_index) const {
+    const std::vector<bool>& fires = decoder_->get_laser_timing().fires;
     if (fires.empty())
-        return std::size_t(std::clamp(std::round(count_lost_slots(packet) / double(n_slots_)), 0.0, 1e9));
-    const std::size_t n = count_steps_to(packet) - 1;
+        return std::size_t(
+            std::clamp(std::round(count_lost_firings_before(packet_index) / double(n_slots_)), 0.0, 1e9));
+    const std::size_t n = count_packets_since_previous(packet_index) - 1;
     if (n * std::size_t(n_slots_) > 2 * fires.size()) return n;
     // A received packet without a firing is not lost.
-    const std::size_t n_lost = n - std::min<std::size_t>(n, packets_[packet].n_empty_before);
-    const Entry& before = packets_[packet - 1];
-    std::int64_t column = std::llround((before.azimuth_deg - kBehind_deg) / step_deg()) - before.first_slot;
+    const std::size_t n_lost = n - std::min<std::size_t>(n, packets_[packet_index].n_empty_before);
+    const Entry& before = packets_[packet_index - 1];
+    std::int64_t column =
+        std::llround((before.azimuth_deg - kBehind_deg) / compute_column_step_deg()) - before.first_slot;
     std::size_t missing = 0;  // number of lost packets with at least one firing
     for (std::size_t k = 0; k < n; ++k) {
         column += n_slots_;
         bool any = false;
-        for (int slot = 0; slot < n_slots_; ++slot) any = any || is_firing_at(fires, column + slot);
+        for (int slot = 0; slot < n_slots_; ++slot)
+            any = any || is_firing_at_wrapped_column(fires, column + slot);
         missing += any;
     }
     return std::min(missing, n_lost);
@@ -195,81 +201,84 @@ std::size_t PacketLog::count_missing_before(std::size_t packet) const {
 
 /// Counts the lost packets of a revolution. If packets were lost at its start or end,
 /// counts only the share of them that belongs to this revolution.
-void PacketLog::count_missing(PacketTurn& turn) const {
+void PacketIndex::set_lost_packet_count(PacketRevolution& revolution) const {
     double n_missing = 0.0;
-    const double compute_slot_deg = deg_us_ * decoder_->timing().cycle_us;
-    const std::size_t end = std::min(turn.last + 2, packets_.size());
-    for (std::size_t i = turn.first + 1; i < end; ++i) {
+    const double compute_slot_deg = deg_us_ * decoder_->get_laser_timing().cycle_us;
+    const std::size_t end = std::min(revolution.last + 2, packets_.size());
+    for (std::size_t i = revolution.first + 1; i < end; ++i) {
         const Entry& before = packets_[i - 1];
         const double from_deg = before.azimuth_deg + double(before.turned_deg) + compute_slot_deg,
                      to_deg = packets_[i].azimuth_deg, width_deg = std::max(to_deg - from_deg, 1e-6);
         const double within_deg =
-            std::min(to_deg, turn.begin_deg + 360.0) - std::max(from_deg, turn.begin_deg);
-        n_missing += double(count_missing_before(i)) * std::clamp(within_deg / width_deg, 0.0, 1.0);
+            std::min(to_deg, revolution.begin_deg + 360.0) - std::max(from_deg, revolution.begin_deg);
+        n_missing += double(count_lost_packets_before(i)) * std::clamp(within_deg / width_deg, 0.0, 1.0);
     }
-    turn.n_missing = std::size_t(std::llround(n_missing));
-    turn.has_gaps = n_missing > 0.0;
+    revolution.n_missing = std::size_t(std::llround(n_missing));
+    revolution.has_gaps = n_missing > 0.0;
 }
 
 /// Returns the range of head angles that the packets cover. Adjacent angles at which the
 /// sensor never fires are included.
-std::pair<double, double> PacketLog::find_azimuth_reach_deg() const {
+std::pair<double, double> PacketIndex::find_recorded_azimuth_range_deg() const {
     const Entry &first = packets_.front(), &last = packets_.back();
-    const std::vector<bool>& fires = decoder_->timing().fires;
+    const std::vector<bool>& fires = decoder_->get_laser_timing().fires;
     if (fires.empty()) {
         if (!(skipped_.width_deg > 0.0)) return {first.azimuth_deg, last.azimuth_deg};
         // Includes the skipped sector if the packets begin or end at its edge.
-        const double slack_deg = deg_us_ * decoder_->timing().cycle_us;
+        const double slack_deg = deg_us_ * decoder_->get_laser_timing().cycle_us;
         const double last_deg = last.azimuth_deg + double(last.turned_deg);
-        const double before_deg =
-                         skipped_.compute_overlap_deg(first.azimuth_deg - slack_deg, first.azimuth_deg),
-                     behind_deg = skipped_.compute_overlap_deg(last_deg, last_deg + slack_deg);
+        const double before_deg = skipped_.compute_sector_overlap_deg(first.azimuth_deg - slack_deg,
+                                                                      first.azimuth_deg),
+                     behind_deg = skipped_.compute_sector_overlap_deg(last_deg, last_deg + slack_deg);
         return {first.azimuth_deg - (before_deg > 0.0 ? skipped_.width_deg : 0.0),
                 behind_deg > 0.0 ? last_deg + skipped_.width_deg : last.azimuth_deg};
     }
-    std::int64_t begin = std::llround((first.azimuth_deg - kBehind_deg) / step_deg());
+    std::int64_t begin = std::llround((first.azimuth_deg - kBehind_deg) / compute_column_step_deg());
     std::int64_t end =
-        std::llround((last.azimuth_deg + double(last.turned_deg) - kBehind_deg) / step_deg()) + 1;
-    for (std::size_t k = 0; k < fires.size() && !is_firing_at(fires, begin - 1); ++k) --begin;
-    for (std::size_t k = 0; k < fires.size() && !is_firing_at(fires, end); ++k) ++end;
-    return {kBehind_deg + step_deg() * double(begin), kBehind_deg + step_deg() * double(end)};
+        std::llround((last.azimuth_deg + double(last.turned_deg) - kBehind_deg) / compute_column_step_deg()) +
+        1;
+    for (std::size_t k = 0; k < fires.size() && !is_firing_at_wrapped_column(fires, begin - 1); ++k) --begin;
+    for (std::size_t k = 0; k < fires.size() && !is_firing_at_wrapped_column(fires, end); ++k) ++end;
+    return {kBehind_deg + compute_column_step_deg() * double(begin),
+            kBehind_deg + compute_column_step_deg() * double(end)};
 }
 
-void PacketLog::find_revolutions() {
-    const auto [first_deg, end] = find_azimuth_reach_deg();
+void PacketIndex::find_complete_revolutions() {
+    const auto [first_deg, end] = find_recorded_azimuth_range_deg();
     double begin = kBehind_deg + 360.0 * std::ceil((first_deg - kBehind_deg) / 360.0);
     if (begin - first_deg > 360.0 * kCutOff) ++left_out_.n_cut_off;
     for (std::size_t p = 0; p < packets_.size() && begin + 360.0 <= end; begin += 360.0) {
-        PacketTurn turn{0, 0, 0, 0, begin, 0};
+        PacketRevolution revolution{0, 0, 0, 0, begin, 0};
         // returns the first packet that begins after an azimuth
         const auto first_behind = [&](double azimuth) {
             return std::size_t(std::ranges::upper_bound(packets_, azimuth, {}, &Entry::azimuth_deg) -
                                packets_.begin());
         };
-        turn.first = std::max(first_behind(begin), std::size_t(1)) - 1;
-        turn.last = std::min(first_behind(begin + 360.0), packets_.size()) - 1;
-        p = turn.last;
+        revolution.first = std::max(first_behind(begin), std::size_t(1)) - 1;
+        revolution.last = std::min(first_behind(begin + 360.0), packets_.size()) - 1;
+        p = revolution.last;
         // With two firing sequences, the next packet can contain the second sequence of
         // the last column.
-        if (decoder_->timing().parts > 1) turn.last = std::min(turn.last + 1, packets_.size() - 1);
+        if (decoder_->get_laser_timing().parts > 1)
+            revolution.last = std::min(revolution.last + 1, packets_.size() - 1);
         // All packets of this revolution were lost, so the search continues at the next
         // packet.
-        if (turn.first == turn.last) {
+        if (revolution.first == revolution.last) {
             const double next = packets_[std::min(p + 1, packets_.size() - 1)].azimuth_deg, lost = begin;
             begin = std::max(begin, kBehind_deg + 360.0 * (std::floor((next - kBehind_deg) / 360.0) - 1.0));
             left_out_.n_lost += std::size_t(std::llround((begin - lost) / 360.0)) + 1;
             continue;
         }
-        count_missing(turn);
-        compute_turn_times(turn);
-        if (2 * turn.n_missing >= turn.last - turn.first) ++left_out_.n_lost;
-        else if (!is_evenly_sampled(turn)) ++left_out_.n_jumps;
-        else turns_.push_back(turn);
+        set_lost_packet_count(revolution);
+        set_revolution_times(revolution);
+        if (2 * revolution.n_missing >= revolution.last - revolution.first) ++left_out_.n_lost;
+        else if (!has_steady_sensor_clock(revolution)) ++left_out_.n_jumps;
+        else revolutions_.push_back(revolution);
     }
     if (end - begin > 360.0 * kCutOff) ++left_out_.n_cut_off;
 }
 
-std::string PacketLog::problems() const {
+std::string PacketIndex::describe_problems() const {
     std::vector<std::string> texts;
     const auto add = [&](std::size_t count, const char* text) {
         if (count > 0) texts.push_back(fmt::format("{} {}", count, text));
@@ -278,7 +287,7 @@ std::string PacketLog::problems() const {
     add(faults_.n_late, "packets were received late and are sorted by the clock of the sensor");
     const double all_deg =
         packets_.back().azimuth_deg + double(packets_.back().turned_deg) - packets_.front().azimuth_deg;
-    if (turns_.empty() && all_deg < 360.0)
+    if (revolutions_.empty() && all_deg < 360.0)
         texts.push_back(
             fmt::format("the packets cover only {:.0f} degrees of a turn, expected at least "
                         "one full turn",
@@ -298,71 +307,78 @@ std::string PacketLog::problems() const {
 
 /// Computes when the head faces forward in a revolution. If the sensor's clock defines
 /// the times, also computes the difference between time stamps and this clock.
-void PacketLog::compute_turn_times(PacketTurn& turn) const {
-    const double forward = turn.begin_deg + 180.0;
+void PacketIndex::set_revolution_times(PacketRevolution& revolution) const {
+    const double forward = revolution.begin_deg + 180.0;
     const auto behind =
         std::ranges::upper_bound(packets_, forward, {}, &Entry::azimuth_deg) - packets_.begin();
     const std::size_t k = std::clamp(std::size_t(behind), std::size_t(1), packets_.size() - 1);
     const Entry &before = packets_[k - 1], &after = packets_[k];
     const double s = (forward - before.azimuth_deg) / std::max(after.azimuth_deg - before.azimuth_deg, 1e-6);
-    turn.forward_ns = before.stamp_ns + std::int64_t(s * double(after.clock_ns - before.clock_ns));
-    turn.log_ns = messages_[before.message].log_ns;
-    if (decoder_->timing().fires.empty()) return;
-    turn.stamp_less_clock_ns = before.stamp_ns - before.clock_ns;
-    for (std::size_t i = turn.first; i <= turn.last; ++i)
-        turn.stamp_less_clock_ns =
-            std::min(turn.stamp_less_clock_ns, packets_[i].stamp_ns - packets_[i].clock_ns);
-    turn.forward_ns += before.clock_ns + turn.stamp_less_clock_ns - before.stamp_ns;
+    revolution.forward_ns = before.stamp_ns + std::int64_t(s * double(after.clock_ns - before.clock_ns));
+    revolution.log_ns = messages_[before.message].log_ns;
+    if (decoder_->get_laser_timing().fires.empty()) return;
+    revolution.stamp_less_clock_ns = before.stamp_ns - before.clock_ns;
+    for (std::size_t i = revolution.first; i <= revolution.last; ++i)
+        revolution.stamp_less_clock_ns =
+            std::min(revolution.stamp_less_clock_ns, packets_[i].stamp_ns - packets_[i].clock_ns);
+    revolution.forward_ns += before.clock_ns + revolution.stamp_less_clock_ns - before.stamp_ns;
 }
 
 /// Returns true if the sensor's clock advances from packet to packet during a revolution,
 /// and if the revolution is not too long.
-bool PacketLog::is_evenly_sampled(const PacketTurn& turn) const {
-    const double slot_ns = 1e3 * decoder_->timing().cycle_us;
-    for (std::size_t i = turn.first + 1; i <= turn.last; ++i) {
+bool PacketIndex::has_steady_sensor_clock(const PacketRevolution& revolution) const {
+    const double slot_ns = 1e3 * decoder_->get_laser_timing().cycle_us;
+    for (std::size_t i = revolution.first + 1; i <= revolution.last; ++i) {
         const Entry &entry = packets_[i], &before = packets_[i - 1];
         if (double(entry.clock_ns - before.clock_ns) < 0.5 * slot_ns * before.n_slots) return false;
     }
-    return packets_[turn.last].clock_ns - packets_[turn.first].clock_ns <= kLongestTurn_ns;
+    return packets_[revolution.last].clock_ns - packets_[revolution.first].clock_ns <= kMaxRevolution_ns;
 }
 
 /// Returns the first message with packets of a revolution. Tests all packets, because
 /// packets are sorted by time and may have another order than the messages.
-std::uint32_t PacketLog::find_first_message(const PacketTurn& turn) const {
-    std::uint32_t first = packets_[turn.first].message;
-    for (std::size_t i = turn.first; i <= turn.last; ++i) first = std::min(first, packets_[i].message);
+std::uint32_t PacketIndex::find_first_message_index(const PacketRevolution& revolution) const {
+    std::uint32_t first = packets_[revolution.first].message;
+    for (std::size_t i = revolution.first; i <= revolution.last; ++i)
+        first = std::min(first, packets_[i].message);
     return first;
 }
 
-std::vector<PacketLog::Source> PacketLog::messages(const PacketTurn& turn) const {
+std::vector<PacketIndex::PacketMessageSource> PacketIndex::find_messages_of_revolution(
+    const PacketRevolution& revolution) const {
     std::uint32_t last = 0;
-    for (std::size_t i = turn.first; i <= turn.last; ++i) last = std::max(last, packets_[i].message);
-    return {messages_.begin() + find_first_message(turn), messages_.begin() + last + 1};
+    for (std::size_t i = revolution.first; i <= revolution.last; ++i)
+        last = std::max(last, packets_[i].message);
+    return {messages_.begin() + find_first_message_index(revolution), messages_.begin() + last + 1};
 }
 
 /// Returns the mean azimuth step from firing to firing in a revolution.
-double PacketLog::compute_slot_deg(const PacketTurn& turn) const {
+double PacketIndex::compute_mean_firing_step_deg(const PacketRevolution& revolution) const {
     std::size_t n = 0;
-    for (std::size_t i = turn.first; i < turn.last; ++i)
-        n += std::size_t(packets_[i].n_slots) + count_missing_before(i + 1) * std::size_t(n_slots_);
-    const double first_deg = packets_[turn.first].azimuth_deg, last_deg = packets_[turn.last].azimuth_deg;
-    return std::max(last_deg - first_deg - skipped_.compute_overlap_deg(first_deg, last_deg), 1.0) /
+    for (std::size_t i = revolution.first; i < revolution.last; ++i)
+        n += std::size_t(packets_[i].n_slots) + count_lost_packets_before(i + 1) * std::size_t(n_slots_);
+    const double first_deg = packets_[revolution.first].azimuth_deg,
+                 last_deg = packets_[revolution.last].azimuth_deg;
+    return std::max(last_deg - first_deg - skipped_.compute_sector_overlap_deg(first_deg, last_deg), 1.0) /
            double(std::max<std::size_t>(n, 1));
 }
 
-SpinningSensor PacketLog::sensor() const {
+SpinningSensor PacketIndex::make_spinning_sensor_model() const {
     const double period_s = std::clamp(360e-6 / std::max(deg_us_, 1e-9), 0.02, 1.0);
-    const Timing& timing = decoder_->timing();
-    if (!timing.fires.empty()) return decoder_->sensor(int(timing.fires.size()), 1.0 / period_s);
+    const FiringTiming& timing = decoder_->get_laser_timing();
+    if (!timing.fires.empty())
+        return decoder_->make_spinning_sensor_model(int(timing.fires.size()), 1.0 / period_s);
     // The scan needs a column for each firing of the revolution with the most firings.
     double most = 1e6 * period_s / timing.cycle_us;
-    for (const PacketTurn& turn : turns_) most = std::max(most, 360.0 / compute_slot_deg(turn));
+    for (const PacketRevolution& revolution : revolutions_)
+        most = std::max(most, 360.0 / compute_mean_firing_step_deg(revolution));
     most /= double(timing.parts);
-    return decoder_->sensor(std::min(int(std::ceil(most)) + 1, kMostFirings), 1.0 / period_s);
+    return decoder_->make_spinning_sensor_model(std::min(int(std::ceil(most)) + 1, kMostFirings),
+                                                1.0 / period_s);
 }
 
 /// Returns the maximum intensity of all returns, in units in which 255 means intensity 1.
-double PacketLog::find_max_intensity() const {
+double PacketIndex::find_max_raw_intensity() const {
     std::size_t most = n_bright_.size();
     while (most > 0 && n_bright_[most - 1] == 0) --most;
     return most > 0 ? double(most - 1) : 0.0;
@@ -370,8 +386,8 @@ double PacketLog::find_max_intensity() const {
 
 /// Returns the value that becomes the intensity 1: the 99.5th percentile, if some
 /// intensities exceed 1.
-double PacketLog::intensity_max() const {
-    if (find_max_intensity() <= 255.0) return 1.0;
+double PacketIndex::compute_full_scale_intensity() const {
+    if (find_max_raw_intensity() <= 255.0) return 1.0;
     std::uint64_t n = 0, left = 0;
     for (const std::uint32_t count : n_bright_) n += count;
     left = std::uint64_t(0.995 * double(n - 1));
@@ -380,76 +396,84 @@ double PacketLog::intensity_max() const {
     return std::max(double(at), 1.0) / 255.0;
 }
 
-std::string PacketLog::about() const {
-    if (find_max_intensity() <= 255.0) return decoder_->about();
+std::string PacketIndex::describe_lidar_product() const {
+    if (find_max_raw_intensity() <= 255.0) return decoder_->describe_lidar_product();
     return fmt::format("{}, reflectivities up to {:.4g} are divided by {:.4g}, their 99.5th percentile",
-                       decoder_->about(), find_max_intensity(), 255.0 * intensity_max());
+                       decoder_->describe_lidar_product(), find_max_raw_intensity(),
+                       255.0 * compute_full_scale_intensity());
 }
 
 /// Decodes a packet again to build the scan. Packets are first decoded when the index is
 /// built.
-/// @param message  index in `packets` of the message that contains the packet
-Packet PacketLog::reread_packet(std::size_t message, const Entry& entry,
-                                const std::vector<std::vector<PacketView>>& packets) const {
-    const std::size_t m = message;
-    if (m >= packets.size() || entry.in_message >= packets[m].size())
+/// @param message_index  index in `packets_of_message` of the message that contains the
+/// packet
+DecodedPacket PacketIndex::decode_packet_again(
+    std::size_t message_index, const Entry& entry,
+    const std::vector<std::vector<ReceivedPacket>>& packets_of_message) const {
+    const std::size_t m = message_index;
+    if (m >= packets_of_message.size() || entry.in_message >= packets_of_message[m].size())
         throw DataError("the recording has changed: a message has fewer packets than before");
-    const PacketView& view = packets[m][entry.in_message];
-    if (find_product(view.bytes, calibration_) != product_)
+    const ReceivedPacket& view = packets_of_message[m][entry.in_message];
+    if (find_product_of_packet(view.bytes, calibration_) != product_)
         throw DataError("the recording has changed: a packet differs from the one that was read before");
-    return decoder_->decode(view.bytes);
+    return decoder_->decode_packet(view.bytes);
 }
 
 /// Converts an azimuth to a column of a revolution. Azimuths outside the revolution give
 /// an invalid column.
-int PacketLog::compute_column(const PacketTurn& turn, double azimuth_deg) const {
-    const double n = double(decoder_->timing().fires.size());
-    return int(std::clamp(std::round((azimuth_deg - turn.begin_deg) / step_deg()), -n, 2.0 * n));
+int PacketIndex::compute_column_of_azimuth(const PacketRevolution& revolution, double azimuth_deg) const {
+    const double n = double(decoder_->get_laser_timing().fires.size());
+    return int(std::clamp(std::round((azimuth_deg - revolution.begin_deg) / compute_column_step_deg()), -n,
+                          2.0 * n));
 }
 
 /// Returns for each column of a revolution whether its packet was lost. Empty for a
 /// sensor that fires at any azimuth.
-std::vector<bool> PacketLog::find_lost_columns(const PacketTurn& turn) const {
-    const std::vector<bool>& fires = decoder_->timing().fires;
+std::vector<bool> PacketIndex::find_lost_columns(const PacketRevolution& revolution) const {
+    const std::vector<bool>& fires = decoder_->get_laser_timing().fires;
     std::vector<bool> is_lost(fires.size(), false);
-    const std::size_t end_packet = std::min(turn.last + 2, packets_.size());
-    for (std::size_t i = turn.first + 1; i < end_packet && !fires.empty(); ++i) {
-        if (count_missing_before(i) == 0) continue;
+    const std::size_t end_packet = std::min(revolution.last + 2, packets_.size());
+    for (std::size_t i = revolution.first + 1; i < end_packet && !fires.empty(); ++i) {
+        if (count_lost_packets_before(i) == 0) continue;
         const Entry &entry = packets_[i], &before = packets_[i - 1];
-        const int begin = compute_column(turn, before.azimuth_deg) - before.first_slot + n_slots_;
-        const int end =
-            std::min(compute_column(turn, entry.azimuth_deg) - entry.first_slot, int(fires.size()));
+        const int begin =
+            compute_column_of_azimuth(revolution, before.azimuth_deg) - before.first_slot + n_slots_;
+        const int end = std::min(compute_column_of_azimuth(revolution, entry.azimuth_deg) - entry.first_slot,
+                                 int(fires.size()));
         for (int c = std::max(begin, 0); c < end; ++c) is_lost[std::size_t(c)] = fires[std::size_t(c)];
     }
     return is_lost;
 }
 
-Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<PacketView>>& packets,
-                     const SpinningSensor& sensor, std::int64_t zero_ns) const {
-    FiredPoints fired;
-    const std::vector<BeamGeometry> beams = make_beam_geometries(sensor.beams);
-    const Timing& timing = decoder_->timing();
-    const double mean_deg_us = 360e-6 / sensor.period_s, brightness = intensity_max();
+Scan PacketIndex::decode_revolution(const PacketRevolution& revolution,
+                                    const std::vector<std::vector<ReceivedPacket>>& packets_of_message,
+                                    const SpinningSensor& sensor, std::int64_t time_origin_ns) const {
+    RevolutionPoints fired;
+    const std::vector<BeamRayGenerator> beams = make_beam_geometries(sensor.beams);
+    const FiringTiming& timing = decoder_->get_laser_timing();
+    const double mean_deg_us = 360e-6 / sensor.period_s, brightness = compute_full_scale_intensity();
     const int n_columns = int(timing.fires.size());
-    const std::uint32_t first_of_turn = find_first_message(turn);
+    const std::uint32_t first_message = find_first_message_index(revolution);
     // number of firings of the revolution before this packet, including those in lost
     // packets
     std::size_t before = 0;
     int previous_number = -1;
     bool is_inside = false;
-    for (std::size_t p = turn.first; p <= turn.last; ++p) {
+    for (std::size_t p = revolution.first; p <= revolution.last; ++p) {
         const Entry& entry = packets_[p];
-        if (p > turn.first && n_columns == 0)
-            before += std::size_t(packets_[p - 1].n_slots) + count_missing_before(p) * std::size_t(n_slots_);
-        Packet packet = reread_packet(entry.message - first_of_turn, entry, packets);
+        if (p > revolution.first && n_columns == 0)
+            before +=
+                std::size_t(packets_[p - 1].n_slots) + count_lost_packets_before(p) * std::size_t(n_slots_);
+        DecodedPacket packet = decode_packet_again(entry.message - first_message, entry, packets_of_message);
         const std::size_t begin = entry.first_firing, end = begin + entry.n_firings;
         if (packet.firings.size() < end) continue;
         const std::int64_t begin_ns =
-            timing.fires.empty() ? entry.stamp_ns : entry.clock_ns + turn.stamp_less_clock_ns;
-        const double begin_s = 1e-9 * double(begin_ns - zero_ns), first_us = packet.firings[begin].after_us;
+            timing.fires.empty() ? entry.stamp_ns : entry.clock_ns + revolution.stamp_less_clock_ns;
+        const double begin_s = 1e-9 * double(begin_ns - time_origin_ns),
+                     first_us = packet.firings[begin].after_us;
         double azimuth = entry.azimuth_deg, step = 0.0;
         for (std::size_t f = begin; f < end; ++f) {
-            const Firing& firing = packet.firings[f];
+            const LaserFiring& firing = packet.firings[f];
             azimuth += f > begin ? step : 0.0;
             if (f + 1 < end)
                 step = compute_rotation_deg(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
@@ -458,37 +482,41 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
             const double late_us = timing.cycle_us * double(firing.part);
             const double start_deg = azimuth - late_us * mean_deg_us;
             const int slot = int(before) + firing.slot - entry.first_slot;
-            const int number = n_columns > 0 ? compute_column(turn, azimuth)
+            const int number = n_columns > 0 ? compute_column_of_azimuth(revolution, azimuth)
                                              : (slot - firing.part + timing.parts) / timing.parts;
             // Firings of the same column (equal numbers) belong to the same revolution.
             if (number != previous_number)
                 is_inside = n_columns > 0 ? number >= 0 && number < n_columns
-                                          : start_deg >= turn.begin_deg && start_deg < turn.begin_deg + 360.0;
+                                          : start_deg >= revolution.begin_deg &&
+                                                start_deg < revolution.begin_deg + 360.0;
             previous_number = number;
             if (!is_inside) continue;
             const double time_s = begin_s + 1e-6 * (firing.after_us - first_us - late_us);
             const double ahead_deg_us = timing.interpolates ? step / timing.cycle_us - mean_deg_us : 0.0;
-            std::array<Echo, 2>* echoes = &packet.echoes[f * sensor.beams.size()];
-            add_firing(fired, {start_deg, time_s, number, ahead_deg_us, brightness}, echoes, beams,
-                       timing.offset_us);
+            std::array<DecodedReturn, 2>* echoes = &packet.echoes[f * sensor.beams.size()];
+            add_points_of_firing(fired, {start_deg, time_s, number, ahead_deg_us, brightness}, echoes, beams,
+                                 timing.offset_us);
         }
     }
-    return arrange_points(turn, fired, sensor);
+    return make_scan_of_revolution(revolution, fired, sensor);
 }
 
 /// Creates the scan of a revolution from its points.
-Scan PacketLog::arrange_points(const PacketTurn& turn, FiredPoints& fired,
-                               const SpinningSensor& sensor) const {
-    if (fired.points.size() == 0) return make_unordered_scan(fired.points);
-    if (!decoder_->timing().fires.empty())
-        return make_fired_scan(fired, decoder_->timing().fires, find_lost_columns(turn), sensor);
-    const Sweep sweep = sort_firings(fired.points, fired.numbers, fired.head_rad);
+Scan PacketIndex::make_scan_of_revolution(const PacketRevolution& revolution,
+                                          RevolutionPoints& revolution_points,
+                                          const SpinningSensor& sensor) const {
+    if (revolution_points.points.size() == 0) return make_unordered_scan(revolution_points.points);
+    if (!decoder_->get_laser_timing().fires.empty())
+        return make_scan_of_fixed_columns(revolution_points, decoder_->get_laser_timing().fires,
+                                          find_lost_columns(revolution), sensor);
+    const SweepFirings sweep = sort_firings_by_azimuth(revolution_points.points, revolution_points.numbers,
+                                                       revolution_points.head_rad);
     // Complete revolutions all have the same number of columns. After packet loss, the
     // scan has only the columns that were received.
-    SpinningSensor seen = sensor;
-    seen.columns = int(std::ceil(double(sensor.columns) * (1.0 - skipped_.width_deg / 360.0)));
-    if (turn.has_gaps) seen.columns = int(sweep.firings.size());
-    return make_spinning_scan(fired.points, seen, sweep);
+    SpinningSensor scan_sensor = sensor;
+    scan_sensor.columns = int(std::ceil(double(sensor.columns) * (1.0 - skipped_.width_deg / 360.0)));
+    if (revolution.has_gaps) scan_sensor.columns = int(sweep.firings.size());
+    return make_spinning_scan(revolution_points.points, scan_sensor, sweep);
 }
 
 }  // namespace relidar::packets

@@ -17,10 +17,10 @@
 
 namespace relidar::packets {
 
-struct FiredPoints;
+struct RevolutionPoints;
 
 /// One revolution of the LiDAR's head, from facing backward to facing backward again.
-struct PacketTurn {
+struct PacketRevolution {
     /// Time at which the head faces forward, and recording time of the packet sent at
     /// that time.
     std::int64_t forward_ns = 0, log_ns = 0;
@@ -37,60 +37,62 @@ struct PacketTurn {
 
 /// Index of the LiDAR packets of a topic, with the time, the head angle and the message
 /// of each packet.
-class PacketLog {
+class PacketIndex {
 public:
     /// Adds the packets of one message to the index.
     /// @param calibration  calibration of the sensor, as far as it is known
     /// @throws DataError with the name of the product, if its packets cannot be decoded
     /// or if earlier packets came from another product
-    void add(const std::vector<PacketView>& packets, std::int64_t log_ns, const bag::Place& place,
-             const Calibration& calibration);
+    void add_packets_of_message(const std::vector<ReceivedPacket>& packets, std::int64_t recording_time_ns,
+                                const bag::MessagePosition& location, const DecoderCalibration& calibration);
     /// Sorts the packets and finds the complete revolutions. Call it once, after the last
-    /// add().
-    void finish();
+    /// add_packets_of_message().
+    void sort_packets_and_find_revolutions();
     bool empty() const { return packets_.empty(); }
     std::size_t size() const { return n_packets_; }
     /// Returns the complete revolutions.
-    const std::vector<PacketTurn>& turns() const { return turns_; }
+    const std::vector<PacketRevolution>& get_revolutions() const { return revolutions_; }
     /// Describes problems for the user: late and repeated packets, and why revolutions
     /// were skipped. Returns an empty string if there are no problems.
-    std::string problems() const;
+    std::string describe_problems() const;
     /// Position of a message in the recording, and time of recording.
-    struct Source {
-        bag::Place place;
+    struct PacketMessageSource {
+        bag::MessagePosition message_position;
         std::int64_t log_ns;
     };
     /// Returns the messages that contain the packets of a revolution.
-    std::vector<Source> messages(const PacketTurn& turn) const;
+    std::vector<PacketMessageSource> find_messages_of_revolution(const PacketRevolution& revolution) const;
     /// Returns the sensor model with the measured rotation rate.
-    SpinningSensor sensor() const;
-    std::string about() const;
+    SpinningSensor make_spinning_sensor_model() const;
+    std::string describe_lidar_product() const;
     /// Decodes the packets of a revolution to a scan, with ray times relative to
-    /// `zero_ns`.
-    /// @param packets  packets of each message that messages() returns
-    Scan scan(const PacketTurn& turn, const std::vector<std::vector<PacketView>>& packets,
-              const SpinningSensor& sensor, std::int64_t zero_ns) const;
+    /// `time_origin_ns`.
+    /// @param packets_of_message  packets of each message that
+    /// find_messages_of_revolution() returns
+    Scan decode_revolution(const PacketRevolution& revolution,
+                           const std::vector<std::vector<ReceivedPacket>>& packets_of_message,
+                           const SpinningSensor& sensor, std::int64_t time_origin_ns) const;
 
 private:
-    using Entry = PacketEntry;
+    using Entry = PacketIndexEntry;
     /// Number of skipped revolutions by reason.
-    struct LeftOut {
+    struct SkippedRevolutions {
         std::size_t n_cut_off = 0;  ///< incomplete at the start or the end of the recording
         std::size_t n_lost = 0;     ///< at least a third of the packets were lost
         std::size_t n_jumps = 0;    ///< the sensor's clock jumped
     };
-    std::shared_ptr<const Decoder> decoder_;
-    const Product* product_ = nullptr;
-    Calibration calibration_;
+    std::shared_ptr<const PacketDecoder> decoder_;
+    const LidarProduct* product_ = nullptr;
+    DecoderCalibration calibration_;
     int n_slots_ = 1;            ///< slots per packet
     std::size_t n_packets_ = 0;  ///< number of packets without repeats
     /// number of packets without a firing since the last packet with firings
     std::uint16_t n_empty_ = 0;
     std::vector<Entry> packets_;
-    std::vector<Source> messages_;
-    std::vector<PacketTurn> turns_;
-    PacketFaults faults_;
-    LeftOut left_out_;
+    std::vector<PacketMessageSource> messages_;
+    std::vector<PacketRevolution> revolutions_;
+    PacketFaultCounts faults_;
+    SkippedRevolutions left_out_;
     double deg_us_ = 0.0;  ///< mean rotation rate in degrees per microsecond
     /// sector in which the sensor never fires, for sensors that can fire at any azimuth
     SkippedSector skipped_;
@@ -98,28 +100,30 @@ private:
     /// cannot exceed 1.
     std::vector<std::uint32_t> n_bright_;
 
-    void check_product(const PacketView& packet, const Calibration& calibration);
-    void add_packet(const PacketView& view, std::uint16_t in_message);
-    void unwrap_clock(Entry& entry) const;
-    void count_max_intensities(const Packet& packet);
-    double step_deg() const;
-    std::pair<double, double> find_azimuth_reach_deg() const;
-    std::vector<bool> find_lost_columns(const PacketTurn& turn) const;
-    Scan arrange_points(const PacketTurn& turn, FiredPoints& fired, const SpinningSensor& sensor) const;
-    int compute_column(const PacketTurn& turn, double azimuth_deg) const;
-    void find_revolutions();
-    std::size_t count_steps_to(std::size_t packet) const;
-    double count_lost_slots(std::size_t packet) const;
-    std::size_t count_missing_before(std::size_t packet) const;
-    void count_missing(PacketTurn& turn) const;
-    bool is_evenly_sampled(const PacketTurn& turn) const;
-    void compute_turn_times(PacketTurn& turn) const;
-    double compute_slot_deg(const PacketTurn& turn) const;
-    std::uint32_t find_first_message(const PacketTurn& turn) const;
-    double find_max_intensity() const;
-    double intensity_max() const;
-    Packet reread_packet(std::size_t message, const Entry& entry,
-                         const std::vector<std::vector<PacketView>>& packets) const;
+    void check_or_set_product(const ReceivedPacket& packet, const DecoderCalibration& calibration);
+    void decode_and_index_packet(const ReceivedPacket& packet_view, std::uint16_t index_in_message);
+    void unwrap_sensor_clock(Entry& entry) const;
+    void add_to_intensity_histogram(const DecodedPacket& packet);
+    double compute_column_step_deg() const;
+    std::pair<double, double> find_recorded_azimuth_range_deg() const;
+    std::vector<bool> find_lost_columns(const PacketRevolution& revolution) const;
+    Scan make_scan_of_revolution(const PacketRevolution& revolution, RevolutionPoints& revolution_points,
+                                 const SpinningSensor& sensor) const;
+    int compute_column_of_azimuth(const PacketRevolution& revolution, double azimuth_deg) const;
+    void find_complete_revolutions();
+    std::size_t count_packets_since_previous(std::size_t packet_index) const;
+    double count_lost_firings_before(std::size_t packet_index) const;
+    std::size_t count_lost_packets_before(std::size_t packet_index) const;
+    void set_lost_packet_count(PacketRevolution& revolution) const;
+    bool has_steady_sensor_clock(const PacketRevolution& revolution) const;
+    void set_revolution_times(PacketRevolution& revolution) const;
+    double compute_mean_firing_step_deg(const PacketRevolution& revolution) const;
+    std::uint32_t find_first_message_index(const PacketRevolution& revolution) const;
+    double find_max_raw_intensity() const;
+    double compute_full_scale_intensity() const;
+    DecodedPacket decode_packet_again(
+        std::size_t message_index, const Entry& entry,
+        const std::vector<std::vector<ReceivedPacket>>& packets_of_message) const;
 };
 
 }  // namespace relidar::packets

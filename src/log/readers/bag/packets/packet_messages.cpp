@@ -17,92 +17,96 @@ namespace {
 using bag::MessageReader;
 
 /// Layout of a packet in a message.
-enum class Form {
+enum class PacketMessageLayout {
     fixed,   ///< a time stamp, then the packet as an array of `n` bytes
     padded,  ///< a time stamp, an array of `n` bytes, then the number of bytes that the packet uses
     list,    ///< a time stamp, then the packet as a list of bytes with a length
     bare,    ///< a time stamp in nanoseconds, then a list of bytes; the message has no header
     alone,   ///< only the bytes of one packet; the message has no header
 };
-struct MessageType {
+struct PacketMessageType {
     const char* type;
-    Form form;
+    PacketMessageLayout form;
     std::size_t n = 0;
 };
-constexpr MessageType kTypes[] = {
-    {"velodyne_msgs/VelodyneScan", Form::fixed, 1206},
-    {"pandar_msgs/PandarScan", Form::padded, 1500},
-    {"hesai_lidar/PandarScan", Form::padded, 1500},
-    {"nebula_msgs/NebulaPackets", Form::list},
-    {"ouster_sensor_msgs/PacketMsg", Form::alone},
-    {"ouster_msgs/PacketMsg", Form::alone},
-    {"ouster_ros/PacketMsg", Form::alone},
-    {kDatagrams, Form::bare},
+constexpr PacketMessageType kTypes[] = {
+    {"velodyne_msgs/VelodyneScan", PacketMessageLayout::fixed, 1206},
+    {"pandar_msgs/PandarScan", PacketMessageLayout::padded, 1500},
+    {"hesai_lidar/PandarScan", PacketMessageLayout::padded, 1500},
+    {"nebula_msgs/NebulaPackets", PacketMessageLayout::list},
+    {"ouster_sensor_msgs/PacketMsg", PacketMessageLayout::alone},
+    {"ouster_msgs/PacketMsg", PacketMessageLayout::alone},
+    {"ouster_ros/PacketMsg", PacketMessageLayout::alone},
+    {kDatagrams, PacketMessageLayout::bare},
 };
 // topics of Ouster's drivers
 constexpr std::string_view kImuTopic = "imu_packets", kMetadataTopic = "/metadata";
 constexpr std::size_t kImuBytes = 48;
 
-const MessageType* find_type(std::string_view type) {
-    const auto* known =
-        std::ranges::find_if(kTypes, [&](const MessageType& row) { return type == row.type; });
-    return known == std::end(kTypes) ? nullptr : known;
+const PacketMessageType* find_packet_message_type(std::string_view type_name) {
+    const auto* matching_type =
+        std::ranges::find_if(kTypes, [&](const PacketMessageType& row) { return type_name == row.type; });
+    return matching_type == std::end(kTypes) ? nullptr : matching_type;
 }
 
-std::string_view read_bytes(MessageReader& reader, const MessageType& type) {
-    if (type.form == Form::list) return reader.take(reader.length(1));
-    const std::string_view bytes = reader.take(type.n);
-    const std::size_t size = type.form == Form::padded ? reader.number<std::uint32_t>() : type.n;
-    if (size > type.n)
-        throw DataError(fmt::format("found a packet of {} bytes, expected at most {}", size, type.n));
+std::string_view read_packet_bytes(MessageReader& reader, const PacketMessageType& message_type) {
+    if (message_type.form == PacketMessageLayout::list) return reader.read_bytes(reader.read_list_length(1));
+    const std::string_view bytes = reader.read_bytes(message_type.n);
+    const std::size_t size = message_type.form == PacketMessageLayout::padded
+                                 ? reader.read_number<std::uint32_t>()
+                                 : message_type.n;
+    if (size > message_type.n)
+        throw DataError(fmt::format("found a packet of {} bytes, expected at most {}", size, message_type.n));
     return bytes.substr(0, size);
 }
 
 }  // namespace
 
-bool has_packets(const bag::Topic& topic) {
-    return find_type(topic.type) != nullptr &&
+bool has_lidar_packets(const bag::BagTopic& topic) {
+    return find_packet_message_type(topic.type) != nullptr &&
            !(has_ouster_packets(topic) && topic.name.ends_with(kImuTopic));
 }
 
-bool has_ouster_packets(const bag::Topic& topic) {
-    const MessageType* type = find_type(topic.type);
-    return type && type->form == Form::alone;
+bool has_ouster_packets(const bag::BagTopic& topic) {
+    const PacketMessageType* type = find_packet_message_type(topic.type);
+    return type && type->form == PacketMessageLayout::alone;
 }
 
-bool can_be_ouster_metadata(const bag::Topic& topic) {
+bool can_contain_ouster_metadata(const bag::BagTopic& topic) {
     return topic.type == "std_msgs/String" && topic.name.ends_with(kMetadataTopic);
 }
 
-std::string read_text_message(const bag::Topic& topic, std::string_view bytes) {
-    return std::string(MessageReader(bytes, topic.encoding == "ros1").text());
+std::string read_text_message(const bag::BagTopic& topic, std::string_view message_bytes) {
+    return std::string(MessageReader(message_bytes, topic.encoding == "ros1").read_string());
 }
 
-std::vector<PacketView> read_packets(const bag::Topic& topic, std::string_view bytes, std::int64_t log_ns,
-                                     bag::Header& header) {
-    const MessageType& type = *find_type(topic.type);
-    std::vector<PacketView> packets;
-    if (type.form == Form::alone) {
-        header = {log_ns, topic.name};
-        MessageReader reader(bytes, topic.encoding == "ros1");
-        const std::string_view packet = reader.take(reader.length(1));
-        if (packet.size() != kImuBytes) packets.push_back({log_ns, packet});
+std::vector<ReceivedPacket> read_packets_of_message(const bag::BagTopic& topic,
+                                                    std::string_view message_bytes,
+                                                    std::int64_t recording_time_ns,
+                                                    bag::MessageHeader& header) {
+    const PacketMessageType& type = *find_packet_message_type(topic.type);
+    std::vector<ReceivedPacket> packets;
+    if (type.form == PacketMessageLayout::alone) {
+        header = {recording_time_ns, topic.name};
+        MessageReader reader(message_bytes, topic.encoding == "ros1");
+        const std::string_view packet = reader.read_bytes(reader.read_list_length(1));
+        if (packet.size() != kImuBytes) packets.push_back({recording_time_ns, packet});
         return packets;
     }
-    if (type.form == Form::bare) {
+    if (type.form == PacketMessageLayout::bare) {
         header = {0, topic.name};
-        for (bag::ByteReader reader(bytes); reader.left() > 0;) {
-            const auto stamp_ns = reader.number<std::int64_t>();
-            packets.push_back({stamp_ns, reader.read_sized_string()});
+        for (bag::ByteReader reader(message_bytes); reader.count_remaining_bytes() > 0;) {
+            const auto stamp_ns = reader.read_number<std::int64_t>();
+            packets.push_back({stamp_ns, reader.read_length_prefixed_string()});
         }
         return packets;
     }
-    MessageReader reader(bytes, topic.encoding == "ros1");
+    MessageReader reader(message_bytes, topic.encoding == "ros1");
     header = read_header(reader);
-    const std::size_t n = reader.length(8 + type.n);
+    const std::size_t n = reader.read_list_length(8 + type.n);
     for (std::size_t i = 0; i < n; ++i) {
-        const std::int64_t stamp_ns = read_time(reader);
-        packets.push_back({stamp_ns, read_bytes(reader, type)});
+        const std::int64_t stamp_ns = read_ros_time_ns(reader);
+        packets.push_back({stamp_ns, read_packet_bytes(reader, type)});
     }
     return packets;
 }

@@ -19,22 +19,25 @@ inline constexpr const char *kDatagrams = "LiDAR packets", *kOtherDatagrams = "o
 
 /// Returns true if the messages of a topic contain LiDAR packets. The product is
 /// recognised by the packets, because the message type does not always name it.
-bool has_packets(const bag::Topic& topic);
+bool has_lidar_packets(const bag::BagTopic& topic);
 /// Returns true for a packet topic of Ouster's ROS drivers, whose messages contain
 /// nothing but one packet.
-bool has_ouster_packets(const bag::Topic& topic);
+bool has_ouster_packets(const bag::BagTopic& topic);
 /// Returns true if a topic may contain Ouster metadata: it contains text and is in the
 /// namespace of a topic with packets.
-bool can_be_ouster_metadata(const bag::Topic& topic);
+bool can_contain_ouster_metadata(const bag::BagTopic& topic);
 /// Returns the text of a std_msgs/String message.
 /// @throws DataError if the message is too short
-std::string read_text_message(const bag::Topic& topic, std::string_view bytes);
+std::string read_text_message(const bag::BagTopic& topic, std::string_view message_bytes);
 /// Returns the packets in a message.
-/// @param log_ns  recording time of the message, used for packets without a time stamp
+/// @param recording_time_ns  recording time of the message, used for packets without a
+/// time stamp
 /// @param header  output: header of the message. A message without a header gets the
 /// topic's name as its frame.
 /// @throws DataError if the message is too short
-std::vector<PacketView> read_packets(const bag::Topic& topic, std::string_view bytes, std::int64_t log_ns,
-                                     bag::Header& header);
+std::vector<ReceivedPacket> read_packets_of_message(const bag::BagTopic& topic,
+                                                    std::string_view message_bytes,
+                                                    std::int64_t recording_time_ns,
+                                                    bag::MessageHeader& header);
 
 }  // namespace relidar::packets

@@ -17,23 +17,24 @@ constexpr std::int64_t kPause_ns = 200000000;
 constexpr std::size_t kBins = 720;
 constexpr double kLeastSector_deg = 10.0;
 
-bool is_repeat(const PacketEntry& first, const PacketEntry& second) {
+bool is_same_packet(const PacketIndexEntry& first, const PacketIndexEntry& second) {
     return first.hash == second.hash && first.first_slot == second.first_slot;
 }
 
 /// Unwraps the azimuth of a packet relative to the previous packet. Full revolutions
 /// between the two packets are computed from the time between them and the rotation rate.
-void unwrap_packet_azimuth(PacketEntry& entry, const PacketEntry& previous, double passed_us, double deg_us) {
+void unwrap_packet_azimuth(PacketIndexEntry& entry, const PacketIndexEntry& previous, double elapsed_us,
+                           double rotation_deg_per_us) {
     const double azimuth = previous.azimuth_deg +
                            compute_rotation_deg(std::fmod(previous.azimuth_deg, 360.0), entry.azimuth_deg);
-    const double expected = previous.azimuth_deg + deg_us * passed_us;
+    const double expected = previous.azimuth_deg + rotation_deg_per_us * elapsed_us;
     entry.azimuth_deg = azimuth + 360.0 * std::max(0.0, std::round((expected - azimuth) / 360.0));
 }
 
-double compute_mean_rate(const std::vector<PacketEntry>& packets) {
+double compute_mean_rotation_deg_per_us(const std::vector<PacketIndexEntry>& packets) {
     double turned_deg = 0.0, passed_us = 0.0;
     for (std::size_t p = 1; p < packets.size(); ++p) {
-        const PacketEntry &before = packets[p - 1], &entry = packets[p];
+        const PacketIndexEntry &before = packets[p - 1], &entry = packets[p];
         const std::int64_t passed_ns = entry.clock_ns - before.clock_ns;
         if (entry.skipped_deg != 0.0f || before.skipped_deg != 0.0f || passed_ns <= 0 ||
             passed_ns > kPause_ns)
@@ -46,36 +47,36 @@ double compute_mean_rate(const std::vector<PacketEntry>& packets) {
 
 }  // namespace
 
-double compute_rotation_deg(double from_deg, double to_deg) {
-    const double step = std::remainder(to_deg - from_deg, 360.0);
+double compute_rotation_deg(double from_azimuth_deg, double to_azimuth_deg) {
+    const double step = std::remainder(to_azimuth_deg - from_azimuth_deg, 360.0);
     return step < -kBackward_deg ? step + 360.0 : step;
 }
 
-PacketFaults sort_packets(std::vector<PacketEntry>& packets) {
-    PacketFaults faults;
+PacketFaultCounts sort_and_deduplicate_packets(std::vector<PacketIndexEntry>& packets) {
+    PacketFaultCounts faults;
     std::size_t n = 0;  // packets[0, n) are already sorted
     for (std::size_t p = 0; p < packets.size(); ++p) {
-        PacketEntry entry = packets[p];
+        PacketIndexEntry entry = packets[p];
         const auto is_later = [&](std::size_t index) { return packets[index].clock_ns > entry.clock_ns; };
         std::size_t at = n;  // where the packet belongs
         while (at > 0 && is_later(at - 1) && packets[at - 1].clock_ns - entry.clock_ns <= kLatest_ns) --at;
         if (at > 0 && is_later(at - 1)) at = n;
-        bool is_known = false;
+        bool is_repeated = false;
         // Limits the search if many packets have the same time, because the sensor's
         // clock stands still.
         constexpr std::size_t kMostCompared = 64;
         for (std::size_t k = at, n_compared = 0;
-             k > 0 && !is_known && n_compared < kMostCompared && packets[k - 1].clock_ns == entry.clock_ns;
+             k > 0 && !is_repeated && n_compared < kMostCompared && packets[k - 1].clock_ns == entry.clock_ns;
              --k, ++n_compared)
-            is_known = is_repeat(packets[k - 1], entry);
+            is_repeated = is_same_packet(packets[k - 1], entry);
         const bool counts = entry.first_firing == 0;  // counts a packet only once if it has two parts
-        faults.n_repeated += is_known && counts;
-        if (is_known) continue;
+        faults.n_repeated += is_repeated && counts;
+        if (is_repeated) continue;
         if (at < n) {
             // The time stamp of a late packet is its time of arrival, so it is recomputed
             // from a neighbouring packet. The stamps of the packets after it are
             // corrected, because they cannot be earlier.
-            const PacketEntry& beside = packets[at > 0 ? at - 1 : at];
+            const PacketIndexEntry& beside = packets[at > 0 ? at - 1 : at];
             const std::int64_t stamp_less_clock_ns = beside.stamp_ns - beside.clock_ns;
             entry.stamp_ns = entry.clock_ns + stamp_less_clock_ns;
             for (std::size_t k = at; at > 0 && k < n; ++k)
@@ -92,9 +93,9 @@ PacketFaults sort_packets(std::vector<PacketEntry>& packets) {
     return faults;
 }
 
-double unwrap_azimuths(std::vector<PacketEntry>& packets, const Timing& timing) {
+double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets, const FiringTiming& timing) {
     double deg_us = timing.fires.empty() ? 0.0 : 360.0 / double(timing.fires.size()) / timing.cycle_us;
-    const auto skipped_us = [&](const PacketEntry& entry) {
+    const auto skipped_us = [&](const PacketIndexEntry& entry) {
         return deg_us > 0.0 ? double(entry.skipped_deg) / deg_us : 0.0;
     };
     for (std::size_t p = 0; p < packets.size(); ++p) {
@@ -105,9 +106,9 @@ double unwrap_azimuths(std::vector<PacketEntry>& packets, const Timing& timing) 
                                  skipped_us(packets[p]) - skipped_us(packets[p - 1]);
         unwrap_packet_azimuth(packets[p], packets[p - 1], passed_us, deg_us);
     }
-    if (const double mean = compute_mean_rate(packets); mean > 0.0) deg_us = mean;
+    if (const double mean = compute_mean_rotation_deg_per_us(packets); mean > 0.0) deg_us = mean;
     for (std::size_t p = 0; p < packets.size() && deg_us > 0.0; ++p) {
-        PacketEntry& entry = packets[p];
+        PacketIndexEntry& entry = packets[p];
         if (entry.skipped_deg == 0.0f) continue;
         // Uses the neighbouring packet on the same side of the skipped sector as the
         // reference.
@@ -122,7 +123,7 @@ double unwrap_azimuths(std::vector<PacketEntry>& packets, const Timing& timing) 
     return deg_us;
 }
 
-double SkippedSector::compute_overlap_deg(double from_deg, double to_deg) const {
+double SkippedSector::compute_sector_overlap_deg(double from_deg, double to_deg) const {
     // Returns how many degrees of the skipped sector precede an azimuth, over all
     // revolutions.
     const auto until = [&](double azimuth_deg) {
@@ -132,10 +133,11 @@ double SkippedSector::compute_overlap_deg(double from_deg, double to_deg) const 
     return width_deg > 0.0 ? until(to_deg) - until(from_deg) : 0.0;
 }
 
-SkippedSector find_skipped_sector(const std::vector<PacketEntry>& packets, double step_deg) {
+SkippedSector find_sector_without_firings(const std::vector<PacketIndexEntry>& packets,
+                                          double firing_step_deg) {
     std::array<bool, kBins> fires{};
-    for (const PacketEntry& entry : packets)
-        for (double on = 0.0; on <= std::min(double(entry.turned_deg), 360.0) + step_deg; on += 0.4)
+    for (const PacketIndexEntry& entry : packets)
+        for (double on = 0.0; on <= std::min(double(entry.turned_deg), 360.0) + firing_step_deg; on += 0.4)
             fires[std::size_t(std::max(entry.azimuth_deg + on, 0.0) / 360.0 * kBins) % kBins] = true;
     std::size_t widest = 0, end = 0, run = 0;
     // Visits the bins twice, because the sector may contain azimuth 0.
@@ -150,7 +152,7 @@ SkippedSector find_skipped_sector(const std::vector<PacketEntry>& packets, doubl
     double before_deg = 360.0, behind_deg = 360.0;
     std::size_t n_skips = 0;
     for (std::size_t p = 0; p < packets.size(); ++p) {
-        const PacketEntry& entry = packets[p];
+        const PacketIndexEntry& entry = packets[p];
         const auto on = [](double degrees) { return degrees - 360.0 * std::floor(degrees / 360.0); };
         const double last_deg = entry.azimuth_deg + double(entry.turned_deg);
         before_deg = std::min(before_deg, on(inside_deg - last_deg));
@@ -158,9 +160,9 @@ SkippedSector find_skipped_sector(const std::vector<PacketEntry>& packets, doubl
         n_skips += p > 0 && std::floor((entry.azimuth_deg - inside_deg) / 360.0) >
                                 std::floor((packets[p - 1].azimuth_deg - inside_deg) / 360.0);
     }
-    const double width_deg = before_deg + behind_deg - step_deg;
+    const double width_deg = before_deg + behind_deg - firing_step_deg;
     if (n_skips < 2 || width_deg < kLeastSector_deg) return {};
-    return {inside_deg - before_deg + step_deg, width_deg};
+    return {inside_deg - before_deg + firing_step_deg, width_deg};
 }
 
 }  // namespace relidar::packets

@@ -24,8 +24,8 @@
 namespace relidar {
 namespace {
 
-using packets::Calibration;
-using packets::Correction;
+using packets::AngleCorrection;
+using packets::DecoderCalibration;
 
 // rotation rate at which the head does not turn noticeably during a firing
 constexpr double kStill_hz = 1e-9;
@@ -45,7 +45,7 @@ struct Recorded {
 
 Recorded read_recorded(const std::string& name) {
     Recorded recorded;
-    for (const std::string& line : split_lines(read_text(
+    for (const std::string& line : split_lines(read_text_file(
              std::string(RELIDAR_SOURCE_DIR) + "/tests/log/readers/bag/packets/nebula/" + name + ".txt"))) {
         std::istringstream words(line);
         std::string kind, hex;
@@ -58,24 +58,27 @@ Recorded read_recorded(const std::string& name) {
     return recorded;
 }
 
-std::unique_ptr<packets::Decoder> make_decoder(const std::string& packet, const std::string& product,
-                                               const Calibration& calibration = {}) {
-    const packets::Product* found = packets::find_product(packet, calibration);
-    EXPECT_TRUE(found && found->make && std::string(found->name) == product) << (found ? found->name : "");
-    return found && found->make ? found->make(found->name, calibration) : nullptr;
+std::unique_ptr<packets::PacketDecoder> make_decoder(const std::string& packet, const std::string& product,
+                                                     const DecoderCalibration& calibration = {}) {
+    const packets::LidarProduct* matching_product = packets::find_product_of_packet(packet, calibration);
+    EXPECT_TRUE(matching_product && matching_product->make && std::string(matching_product->name) == product)
+        << (matching_product ? matching_product->name : "");
+    return matching_product && matching_product->make
+               ? matching_product->make(matching_product->name, calibration)
+               : nullptr;
 }
 
 /// Decodes all returns of the packets as points, for a head that does not turn while the
 /// lasers fire.
-std::vector<glm::dvec3> decode_points(const packets::Decoder& decoder,
+std::vector<glm::dvec3> decode_points(const packets::PacketDecoder& decoder,
                                       const std::vector<std::string>& all_packets) {
-    const std::vector<Beam> beams = decoder.sensor(1800, kStill_hz).beams;
+    const std::vector<Beam> beams = decoder.make_spinning_sensor_model(1800, kStill_hz).beams;
     std::vector<glm::dvec3> points_m;
     for (const std::string& bytes : all_packets) {
-        const packets::Packet packet = decoder.decode(bytes);
+        const packets::DecodedPacket packet = decoder.decode_packet(bytes);
         for (std::size_t f = 0; f < packet.firings.size(); ++f)
             for (std::size_t ring = 0; ring < beams.size(); ++ring)
-                for (const packets::Echo& echo : packet.echoes[f * beams.size() + ring])
+                for (const packets::DecodedReturn& echo : packet.echoes[f * beams.size() + ring])
                     if (echo.range_m > 0.0f)
                         points_m.push_back(
                             double(echo.range_m) *
@@ -125,8 +128,8 @@ TEST(BlockPackets, GiveThePointsOfNebula) {
         ASSERT_FALSE(recorded.packets.empty());
         const auto decoder = make_decoder(recorded.packets[0], test.product);
         ASSERT_TRUE(decoder);
-        EXPECT_EQ(decoder->decode(recorded.packets[0]).n_slots, test.n_slots);
-        EXPECT_EQ(decoder->timing().offset_us.size(), std::size_t(test.n_rings));
+        EXPECT_EQ(decoder->decode_packet(recorded.packets[0]).n_slots, test.n_slots);
+        EXPECT_EQ(decoder->get_laser_timing().offset_us.size(), std::size_t(test.n_rings));
         EXPECT_EQ(recorded.points_m.size(), test.n_points);
         // nebula rotates the head for the last 32 lasers of a VLS-128, by up to 17/20 of
         // an azimuth step of 0.2 degrees
@@ -158,14 +161,15 @@ TEST(BlockPackets, TurnUntilTheLaserFires) {
         SCOPED_TRACE(std::string(time.product) + " " + std::to_string(time.elevation_deg));
         const auto decoder = make_decoder(read_recorded(time.file).packets.at(0), time.product);
         ASSERT_TRUE(decoder);
-        const auto still = decoder->sensor(1800, kStill_hz), turning = decoder->sensor(1800, 10.0);
+        const auto still = decoder->make_spinning_sensor_model(1800, kStill_hz),
+                   turning = decoder->make_spinning_sensor_model(1800, 10.0);
         std::optional<double> error_us;
         for (std::size_t ring = 0; ring < still.beams.size(); ++ring) {
             if (std::abs(still.beams[ring].elevation_rad / kDegree - time.elevation_deg) > 6e-4) continue;
             const double turned_deg =
                 (still.beams[ring].azimuth_offset_rad - turning.beams[ring].azimuth_offset_rad) / kDegree;
-            EXPECT_NEAR(turned_deg, 3600e-6 * decoder->timing().offset_us[ring], 1e-9);
-            const double error = std::abs(decoder->timing().offset_us[ring] - time.offset_us);
+            EXPECT_NEAR(turned_deg, 3600e-6 * decoder->get_laser_timing().offset_us[ring], 1e-9);
+            const double error = std::abs(decoder->get_laser_timing().offset_us[ring] - time.offset_us);
             error_us = std::min(error_us.value_or(error), error);
         }
         EXPECT_TRUE(error_us && *error_us < 1e-6);
@@ -174,13 +178,14 @@ TEST(BlockPackets, TurnUntilTheLaserFires) {
 
 TEST(BlockPackets, UseTheAnglesOfTheirFile) {
     const Recorded recorded = read_recorded("xt16");
-    Correction angles{"unit.csv", false, {}}, others{"other.csv", false, {}};
+    AngleCorrection angles{"unit.csv", false, {}}, others{"other.csv", false, {}};
     for (int laser = 0; laser < 16; ++laser) angles.lasers.push_back({10.0 - laser, 0.25 * laser});
     others.lasers.resize(32);
     const auto decoder = make_decoder(recorded.packets[0], "XT16", {{others, angles}});
     ASSERT_TRUE(decoder);
-    EXPECT_NE(decoder->about().find("unit.csv"), std::string::npos) << decoder->about();
-    const std::vector<Beam> beams = decoder->sensor(2000, kStill_hz).beams;
+    EXPECT_NE(decoder->describe_lidar_product().find("unit.csv"), std::string::npos)
+        << decoder->describe_lidar_product();
+    const std::vector<Beam> beams = decoder->make_spinning_sensor_model(2000, kStill_hz).beams;
     for (int laser = 0; laser < 16; ++laser) {
         EXPECT_NEAR(beams[std::size_t(laser)].elevation_rad / kDegree, 10.0 - laser, 1e-9);
         EXPECT_NEAR(beams[std::size_t(laser)].azimuth_offset_rad / kDegree, -0.25 * laser, 1e-9);
@@ -189,21 +194,23 @@ TEST(BlockPackets, UseTheAnglesOfTheirFile) {
     // does not fit.
     const auto unsure = make_decoder(recorded.packets[0], "XT16", {{angles, angles}});
     ASSERT_TRUE(unsure);
-    EXPECT_THAT(unsure->about(), test::Names("sheet"));
+    EXPECT_THAT(unsure->describe_lidar_product(), test::Names("sheet"));
     others.is_named = true;
-    const Calibration named{{others}};
+    const DecoderCalibration named{{others}};
     EXPECT_THROW(make_decoder(recorded.packets[0], "XT16", named), DataError);
 }
 
 TEST(BlockPackets, AngleFilesHaveEachLaser) {
-    const Correction angles =
-        packets::read_correction("eeff,1,1\nLaser id,Elevation,Azimuth\n1,2,0.5\n2,-1.5,-3\n", "a.csv");
+    const AngleCorrection angles = packets::parse_angle_correction(
+        "eeff,1,1\nLaser id,Elevation,Azimuth\n1,2,0.5\n2,-1.5,-3\n", "a.csv");
     ASSERT_EQ(angles.lasers.size(), 2u);
     EXPECT_EQ(angles.lasers[1].elevation_deg, -1.5);
     EXPECT_EQ(angles.lasers[1].azimuth_deg, -3.0);
-    EXPECT_THROW(packets::read_correction("Channel,Elevation,Azimuth\n1,2,0\n3,1,0\n", "a.csv"), DataError);
-    EXPECT_THROW(packets::read_correction("Channel,Elevation,Azimuth\n1,95,0\n", "a.csv"), DataError);
-    EXPECT_THROW(packets::read_correction("Channel,Elevation,Azimuth\n1,2,north\n", "a.csv"), DataError);
+    EXPECT_THROW(packets::parse_angle_correction("Channel,Elevation,Azimuth\n1,2,0\n3,1,0\n", "a.csv"),
+                 DataError);
+    EXPECT_THROW(packets::parse_angle_correction("Channel,Elevation,Azimuth\n1,95,0\n", "a.csv"), DataError);
+    EXPECT_THROW(packets::parse_angle_correction("Channel,Elevation,Azimuth\n1,2,north\n", "a.csv"),
+                 DataError);
 }
 
 TEST(BlockPackets, AngleFilesNextToABag) {
@@ -216,19 +223,19 @@ TEST(BlockPackets, AngleFilesNextToABag) {
     write("drive/metadata.yaml", "");
     write("poses.csv", "time,x,y\n1,2,3\n");
     write("damaged.csv", "Laser id,Elevation,Azimuth\n1,2,north\n");
-    EXPECT_TRUE(packets::find_corrections({recording}).empty());
+    EXPECT_TRUE(packets::find_angle_corrections({recording}).empty());
     write("PandarXT.csv", "Channel,Elevation,Azimuth\n1,2,0\n2,1,0\n");
-    const auto any = packets::find_corrections({recording});
+    const auto any = packets::find_angle_corrections({recording});
     ASSERT_EQ(any.size(), 1u);
     EXPECT_EQ(any[0].where, "PandarXT.csv");
     EXPECT_FALSE(any[0].is_named);
     write("drive.csv", "Laser id,Elevation,Azimuth\n1,3,0\n");
-    const auto named = packets::find_corrections({recording});
+    const auto named = packets::find_angle_corrections({recording});
     ASSERT_EQ(named.size(), 1u);
     EXPECT_TRUE(named[0].is_named);
     EXPECT_EQ(named[0].lasers.size(), 1u);
     write("drive.csv", "Laser id,Elevation,Azimuth\n2,3,0\n");
-    EXPECT_THROW(packets::find_corrections({recording}), DataError);
+    EXPECT_THROW(packets::find_angle_corrections({recording}), DataError);
 }
 
 /// Returns a packet of an OT128 with a return per laser, written byte by byte from the
@@ -251,7 +258,7 @@ TEST(BlockPackets, Ot128) {
     const std::string standard = make_ot128_packet(1, 0), fine = make_ot128_packet(0, 0x10);
     const auto all = make_decoder(standard, "OT128"), states = make_decoder(fine, "OT128 in high resolution");
     ASSERT_TRUE(all && states);
-    const packets::Packet packet = all->decode(standard);
+    const packets::DecodedPacket packet = all->decode_packet(standard);
     ASSERT_EQ(packet.firings.size(), 2u);
     EXPECT_EQ(packet.clock_ns, 1000000000);
     EXPECT_NEAR(packet.firings[0].azimuth_deg, 0.0, 1e-9);
@@ -264,10 +271,10 @@ TEST(BlockPackets, Ot128) {
     std::size_t n_returns = 0;
     for (std::size_t ring = 0; ring < 128; ++ring) n_returns += packet.echoes[ring][0].range_m > 0.0f;
     EXPECT_EQ(n_returns, 124u);
-    EXPECT_NEAR(all->timing().offset_us[0], 49.758 - 2.378, 1e-9);
+    EXPECT_NEAR(all->get_laser_timing().offset_us[0], 49.758 - 2.378, 1e-9);
     // 29 lasers do not fire in state 0, and 31 different lasers do not fire in state 1
-    EXPECT_EQ(states->timing().offset_us.size(), 256u - 29u - 31u);
-    const packets::Packet half = states->decode(fine);
+    EXPECT_EQ(states->get_laser_timing().offset_us.size(), 256u - 29u - 31u);
+    const packets::DecodedPacket half = states->decode_packet(fine);
     EXPECT_EQ(half.firings[0].part, 0);
     EXPECT_EQ(half.firings[1].part, 1);
 }
@@ -288,7 +295,7 @@ TEST(BlockPackets, TheTwoBrightestOfThreeReturns) {
             set(block, laser, returns[laser][block][0], returns[laser][block][1]);
     const auto decoder = make_decoder(bytes, "XT32M");
     ASSERT_TRUE(decoder);
-    const packets::Packet packet = decoder->decode(bytes);
+    const packets::DecodedPacket packet = decoder->decode_packet(bytes);
     ASSERT_EQ(packet.firings.size(), 2u);
     const double unit_m = 0.005;
     EXPECT_NEAR(packet.echoes[0][0].range_m, unit_m * 1400, 1e-6);
@@ -319,7 +326,7 @@ TEST(BlockPackets, RsLidar16) {
     const std::string bytes = make_rs16_packet();
     const auto decoder = make_decoder(bytes, "RS-LiDAR-16");
     ASSERT_TRUE(decoder);
-    const packets::Packet packet = decoder->decode(bytes);
+    const packets::DecodedPacket packet = decoder->decode_packet(bytes);
     ASSERT_EQ(packet.firings.size(), 24u);
     EXPECT_EQ(packet.clock_ns, 258007000);
     EXPECT_NEAR(packet.firings[0].azimuth_deg, 90.0, 1e-9);
@@ -327,9 +334,9 @@ TEST(BlockPackets, RsLidar16) {
     EXPECT_NEAR(packet.firings[23].azimuth_deg, 94.6, 1e-9);
     EXPECT_NEAR(packet.firings[23].after_us, 23 * 55.5, 1e-9);
     // ring 0 is laser 9 at +15 degrees, ring 15 is laser 1 at -15 degrees
-    const std::vector<Beam> beams = decoder->sensor(1800, kStill_hz).beams;
+    const std::vector<Beam> beams = decoder->make_spinning_sensor_model(1800, kStill_hz).beams;
     EXPECT_NEAR(beams[0].elevation_rad / kDegree, 15.0, 1e-9);
-    EXPECT_NEAR(decoder->timing().offset_us[0], 8 * 2.8, 1e-9);
+    EXPECT_NEAR(decoder->get_laser_timing().offset_us[0], 8 * 2.8, 1e-9);
     EXPECT_NEAR(packet.echoes[0][0].range_m, 0.005 * (0x300 + 8), 1e-6);
     EXPECT_NEAR(packet.echoes[16 + 15][0].range_m, 0.005 * (0x300 + 16), 1e-6);
     EXPECT_NEAR(packet.echoes[15][0].intensity, 0.2, 1e-6);
@@ -351,9 +358,9 @@ std::vector<std::string> rs16_packets(int step_us) {
 
 TEST(BlockPackets, RsLidar16WithTwoReturns) {
     const auto have_two = [](const std::vector<std::string>& all) {
-        std::vector<packets::PacketView> views;
+        std::vector<packets::ReceivedPacket> views;
         for (const std::string& bytes : all) views.push_back({0, bytes});
-        return packets::have_dual_returns(views);
+        return packets::has_two_returns_per_firing(views);
     };
     // A packet has 12 blocks, of two firings or of one firing with two returns. A firing
     // takes 55.5 us.
@@ -365,7 +372,7 @@ TEST(BlockPackets, RsLidar16WithTwoReturns) {
     const std::string bytes = make_rs16_packet();
     const auto decoder = make_decoder(bytes, "RS-LiDAR-16", {.has_two_returns = true});
     ASSERT_TRUE(decoder);
-    const packets::Packet packet = decoder->decode(bytes);
+    const packets::DecodedPacket packet = decoder->decode_packet(bytes);
     ASSERT_EQ(packet.firings.size(), 12u);
     EXPECT_NEAR(packet.firings[1].azimuth_deg, 90.4, 1e-9);
     EXPECT_NEAR(packet.firings[11].after_us, 11 * 55.5, 1e-9);
@@ -389,10 +396,10 @@ TEST(BlockPackets, OtherRoboSenseSensorsAreRefusedByName) {
         {solid, "RS-LiDAR-M1"},
     };
     for (const auto& [bytes, name] : cases) {
-        const packets::Product* product = packets::find_product(bytes, {});
+        const packets::LidarProduct* product = packets::find_product_of_packet(bytes, {});
         ASSERT_TRUE(product) << name;
         EXPECT_FALSE(product->make) << name;
-        const std::string text = packets::describe_unknown_packet(product, bytes);
+        const std::string text = packets::format_unsupported_packet_error(product, bytes);
         EXPECT_NE(text.find("packets of a " + name), std::string::npos) << text;
         EXPECT_THAT(text, test::Names("55 AA"));
         EXPECT_NE(text.find("RS-LiDAR-16"), std::string::npos) << text;

@@ -27,7 +27,7 @@ std::string parse_hex(std::string_view text) {
 /// This packet contains the last two columns.
 struct Written {
     const char *profile, *head, *first, *second, *foot;  ///< columns without their time stamps
-    std::array<packets::Echo, 2> lower, upper;           ///< echoes of the first column
+    std::array<packets::DecodedReturn, 2> lower, upper;  ///< echoes of the first column
 };
 // 28 bytes
 constexpr std::string_view kZeros = "00000000 00000000 00000000 00000000 00000000 00000000 00000000";
@@ -72,17 +72,17 @@ std::string bytes_of(const Written& written) {
 TEST(OusterBytes, ByHandAreWhatTheManualSays) {
     for (const Written& written : kAllWritten) {
         SCOPED_TRACE(written.profile);
-        const auto format = packets::read_ouster_metadata(
+        const auto format = packets::parse_ouster_metadata(
             fmt::format(
                 R"({{"beam_altitude_angles": [-1, 1], "beam_azimuth_angles": [0, 0], "lidar_origin_to_beam_origin_mm": 10,
                 "lidar_mode": "4x10", "data_format": {{"columns_per_packet": 2, "udp_profile_lidar": "{}"}}}})",
                 written.profile),
             "metadata");
         const std::string bytes = bytes_of(written);
-        const packets::Calibration calibration{{}, format};
-        const packets::Product* product = packets::find_product(bytes, calibration);
+        const packets::DecoderCalibration calibration{{}, format};
+        const packets::LidarProduct* product = packets::find_product_of_packet(bytes, calibration);
         ASSERT_TRUE(product) << bytes.size() << " bytes, expected " << format->packet_bytes;
-        const packets::Packet packet = product->make(product->name, calibration)->decode(bytes);
+        const packets::DecodedPacket packet = product->make(product->name, calibration)->decode_packet(bytes);
         ASSERT_EQ(packet.firings.size(), 2u);
         EXPECT_EQ(packet.clock_ns, 26000000);
         EXPECT_EQ(packet.firings[0].azimuth_deg, 0.0);  // forward

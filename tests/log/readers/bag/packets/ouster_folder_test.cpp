@@ -44,11 +44,11 @@ struct OusterScans {
         };
         frames = array("range_mm").shape[0], rows = array("range_mm").shape[1],
         columns = array("range_mm").shape[2];
-        range_m = array("range_mm").as_double(), time_s = array("ts").as_double();
+        range_m = array("range_mm").convert_to_doubles(), time_s = array("ts").convert_to_doubles();
         for (double& r : range_m) r *= 1e-3;
-        for (double& t : time_s) t = (t - array("ts").as_double()[0]) * 1e-9;
-        altitude_deg = array("alt").as_double(), azimuth_deg = array("az").as_double();
-        n_m = array("n_mm").as_double()[0] * 1e-3;
+        for (double& t : time_s) t = (t - array("ts").convert_to_doubles()[0]) * 1e-9;
+        altitude_deg = array("alt").convert_to_doubles(), azimuth_deg = array("az").convert_to_doubles();
+        n_m = array("n_mm").convert_to_doubles()[0] * 1e-3;
     }
     double range(std::size_t frame, std::size_t row, std::size_t column) const {
         return range_m[(frame * rows + row) * columns + column];
@@ -120,7 +120,7 @@ Found compare(const OusterScans& scans, std::size_t f, const Scan& actual_scan, 
                 row * scans.columns +
                 (firing + scans.columns - std::size_t(shift + sensor.columns)) % scans.columns;
             const double off_m =
-                glm::distance(glm::dvec3(actual_scan.point(at)), scans.point(f, row, column));
+                glm::distance(glm::dvec3(actual_scan.compute_end_point(at)), scans.point(f, row, column));
             counts.right += actual_scan.rays.channel[at] == row &&
                             std::abs(double(actual_scan.range_m[at]) - (range_m - scans.n_m)) < 1e-3 &&
                             off_m < 1e-3;
@@ -136,15 +136,15 @@ TEST(OusterFolder, EveryReturnFindsItsBeamAndColumn) {
         const OusterScans scans(file);
         DatasetOptions options;
         options.max_range_m = 400.0;
-        const Sequence log = load_sequence(write_folder(scans, name, true).string(), options);
+        const LidarSequence log = load_sequence(write_folder(scans, name, true).string(), options);
         ASSERT_EQ(log.frames.size(), scans.frames);
         for (std::size_t f = 0; f < scans.frames; ++f) {
             std::size_t right = 0, all = 0;
             for (const std::size_t first :
                  // a firing at exactly +180 degrees may be the last
                  {std::size_t(0), std::size_t(1), scans.columns - 1}) {
-                const Found found = compare(scans, f, log.frames[f].scan, log.lidars[0].sensor, first);
-                right = std::max(right, found.right), all = found.all;
+                const Found match_counts = compare(scans, f, log.frames[f].scan, log.lidars[0].sensor, first);
+                right = std::max(right, match_counts.right), all = match_counts.all;
             }
             EXPECT_GE(double(right), 0.999 * double(all)) << name << " frame " << f;
             EXPECT_EQ(log.frames[f].scan.count_returns(), all);
@@ -158,7 +158,7 @@ TEST(OusterFolder, BeamsAreFoundInThePoints) {
     const OusterScans scans(file);
     DatasetOptions options;
     options.max_range_m = 400.0;
-    const Sequence log = load_sequence(write_folder(scans, "found", false).string(), options);
+    const LidarSequence log = load_sequence(write_folder(scans, "found", false).string(), options);
     const SpinningSensor& sensor = log.lidars[0].sensor;
     EXPECT_EQ(sensor.columns, int(scans.columns));
     ASSERT_EQ(sensor.beams.size(), scans.rows);

@@ -74,13 +74,14 @@ std::optional<OusterImages> load_real_images(const std::string& name, const std:
     images.product = product, images.profile = profile;
     images.frames = array("range_mm").shape[0], images.rows = array("range_mm").shape[1],
     images.columns = array("range_mm").shape[2];
-    images.altitude_deg = array("alt").as_double(), images.azimuth_deg = array("az").as_double();
-    images.n_mm = array("n_mm").as_double()[0];
-    for (const double mm : array("range_mm").as_double())
+    images.altitude_deg = array("alt").convert_to_doubles(),
+    images.azimuth_deg = array("az").convert_to_doubles();
+    images.n_mm = array("n_mm").convert_to_doubles()[0];
+    for (const double mm : array("range_mm").convert_to_doubles())
         // 15 bits in units of 8 mm
         images.range_mm.push_back(images.is_low_rate() && mm > 262136.0 ? 0 : std::uint32_t(mm));
-    for (const double v : array("refl").as_double()) images.reflectivity.push_back(std::uint32_t(v));
-    for (const double ns : array("ts").as_double()) images.time_ns.push_back(std::uint64_t(ns));
+    for (const double v : array("refl").convert_to_doubles()) images.reflectivity.push_back(std::uint32_t(v));
+    for (const double ns : array("ts").convert_to_doubles()) images.time_ns.push_back(std::uint64_t(ns));
     if (images.is_dual()) add_second_returns(images);
     return images;
 }
@@ -142,13 +143,13 @@ std::string make_points(const OusterImages& images, std::size_t frame) {
     std::string head = fmt::format("{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, 7), }}", n);
     head.append(63 - (10 + head.size()) % 64, ' ').append("\n");
     std::string bytes("\x93NUMPY\1\0", 8);
-    append(bytes, std::uint16_t(head.size()));
+    append_binary_value(bytes, std::uint16_t(head.size()));
     bytes += head;
-    for (const double v : values) append(bytes, v);
+    for (const double v : values) append_binary_value(bytes, v);
     return bytes;
 }
 
-Sequence read_folder(const OusterImages& images, const RangeLimits& limits) {
+LidarSequence read_folder(const OusterImages& images, const RangeLimits& limits) {
     const fs::path folder = make_fresh_folder("folder");
     std::string beams, frames, poses;
     std::vector<std::size_t> order(images.rows);
@@ -197,7 +198,7 @@ fs::path write_capture(const OusterImages& images) {
 /// Log from load_sequence(), or its error message. Tests are skipped if relidar was built
 /// without the reader of captures.
 struct Loaded {
-    Sequence log;
+    LidarSequence log;
     std::string error;
 
     explicit Loaded(const fs::path& file, DatasetOptions options = {}) {
@@ -266,10 +267,10 @@ void expect_same_scan(const Scan& actual, const Scan& expected, const SpinningSe
     EXPECT_EQ(n_wrong, 0u) << "of " << cells.size();
 }
 
-void expect_same_log(const OusterImages& images, const Sequence& log) {
+void expect_same_log(const OusterImages& images, const LidarSequence& log) {
     SCOPED_TRACE(images.product + " " + images.profile);
     const SpinningSensor& sensor = log.lidars[0].sensor;
-    const Sequence folder = read_folder(images, sensor.range_limits());
+    const LidarSequence folder = read_folder(images, sensor.range_limits());
     ASSERT_EQ(log.frames.size(), images.frames);
     EXPECT_EQ(sensor.columns, int(images.columns));
     ASSERT_EQ(sensor.beams.size(), images.rows);
@@ -332,7 +333,7 @@ TEST(OusterPackets, ReflectivitiesOf16BitsCountAsThoseOfClouds) {
 struct Columns {
     std::vector<std::size_t> rays, returns;
 
-    Columns(const Sequence& log, std::size_t frame)
+    Columns(const LidarSequence& log, std::size_t frame)
         : rays(std::size_t(log.lidars[0].sensor.columns)), returns(rays.size()) {
         const Scan& scan = log.frames[frame].scan;
         for (std::size_t ray = 0; ray < scan.rays.size(); ++ray) {
