@@ -914,7 +914,7 @@ checking() {
     faults=float_swaps,ray_query
     if grep -q '"ray_query": true' devices.json; then wrong+=", tree of ray query"; fi
     # Uses a memory limit, because writing 2 GiB takes a long time.
-    RELIDAR_MEMORY_LIMIT_MIB=512 RELIDAR_FAULTS=$faults bad 4 "checks of .* are wrong: $wrong\$" check --run run --json check.json
+    RELIDAR_MEMORY_LIMIT_MIB=512 RELIDAR_FAULTS=$faults bad 4 "checks gave wrong results .*: $wrong\$" check --run run --json check.json
     for row in "run, software +right" "subgroups +right" "sort +right" "tree of software +right" "gradients, software +right" "Adam +right" "points on the device +right"; do
         says "^$row"
     done

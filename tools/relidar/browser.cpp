@@ -27,7 +27,9 @@ void open_in_browser(const std::string& url_or_path) {
     const int failed = posix_spawnp(&process, program.c_str(), &quiet, nullptr, arguments, environ);
     posix_spawn_file_actions_destroy(&quiet);
     if (failed != 0)
-        print_note(fmt::format("cannot open a browser: xdg-open is missing; open {} yourself", url_or_path));
+        print_note(
+            fmt::format("cannot start a browser, because the program xdg-open is missing; open {} yourself",
+                        url_or_path));
 }
 
 }  // namespace relidar::cli

@@ -128,9 +128,10 @@ void run_device_checks(const CheckOptions& options) {
     }
     if (!options.json.empty()) write_text_file(options.json, make_check_report_json(info, rows));
     if (wrong_names.empty()) return;
-    throw DeviceError(fmt::format("{} of {} checks of {} ({}) are wrong: {}{}", wrong_names.size(),
-                                  rows.size(), info.name, info.driver, fmt::join(wrong_names, ", "),
-                                  is_lost ? "; the device was lost, so the other checks did not run" : ""));
+    throw DeviceError(
+        fmt::format("{} of {} checks gave wrong results on the device {} ({}): {}{}", wrong_names.size(),
+                    rows.size(), info.name, info.driver, fmt::join(wrong_names, ", "),
+                    is_lost ? "; the driver has lost the device, so the other checks did not run" : ""));
 }
 
 void run_check_command(const CheckOptions& options) {
@@ -148,11 +149,11 @@ void run_check_command(const CheckOptions& options) {
 }
 
 constexpr const char* kCheckHelp =
-    R"(Each check compares kernels with results that the host knows exactly or computes in
-double precision. If a check is wrong, the exit code is 4. docs/devices.md says how to report
-the results of your device.
---speed measures a street of 100000 surfels and 64 x 1024 rays, or a run. Times are wall
-times until the device has finished.
+    R"(Each check compares the results of the device with exact results, or with results that the CPU
+computes in double precision. If a result is wrong, the exit code is 4. docs/devices.md says how
+to report the results of your device.
+--speed renders and trains a synthetic street of 100000 surfels with 64 x 1024 rays, or the scene
+of a run. Times are wall times until the device has finished.
 Examples:
   relidar check
   relidar check --run run
@@ -164,12 +165,14 @@ Examples:
 
 void add_check_command(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command =
-        app.add_subcommand("check", "check that a device gives right results, or measure its speed");
+        app.add_subcommand("check", "check that a device computes correct results, or measure its speed");
     const auto options = std::make_shared<CheckOptions>();
-    command->add_flag("--speed", options->speed, "measure the speed of the device instead");
+    command->add_flag("--speed", options->speed,
+                      "measure the speed of the device instead of checking its results");
     command
         ->add_option("--run", options->run,
-                     "also check the images of this run; with --speed: measure on its scene and sensor")
+                     "also check the rendered images of this run; with --speed: measure the speed with its "
+                     "scene and sensor")
         ->type_name("RUN");
     command
         ->add_option(

@@ -20,9 +20,12 @@ CheckResult check_long_kernel_dispatch(CheckedDevice& tested_device) {
         const double error =
             measure_compare_and_swap_error(tested_device.get_default_device(), n_threads, seconds);
         if (error != 0.0)
-            return make_failed_check_result(
-                fmt::format("after {:.2f} s, the sums have an error of {:.1e}", seconds, error));
-        if (seconds >= kLong_s) return {CheckResult::CheckOutcome::right, fmt::format("{:.2f} s", seconds)};
+            return make_failed_check_result(fmt::format(
+                "a computation of {:.2f} s gave sums with an error of {:.1e}, expected exact sums", seconds,
+                error));
+        if (seconds >= kLong_s)
+            return {CheckResult::CheckOutcome::right,
+                    fmt::format("exact sums after a computation of {:.2f} s", seconds)};
     }
     return {CheckResult::CheckOutcome::right, "the GPU needs less than 0.25 s for 268 million threads"};
 }

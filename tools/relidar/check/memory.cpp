@@ -54,8 +54,9 @@ CheckResult check_largest_buffer(CheckedDevice& tested_device) {
             fmt::format("a buffer of {} contains other values than were written", format_byte_size(n_bytes)));
     return {CheckResult::CheckOutcome::right,
             fmt::format("{}{}", format_byte_size(n_bytes),
-                        n_bytes < limit / 64 * 64 ? fmt::format(" of at most {}", format_byte_size(limit))
-                                                  : ", the limit of the device")};
+                        n_bytes < limit / 64 * 64
+                            ? fmt::format(" tested; the driver allows at most {}", format_byte_size(limit))
+                            : ", which is the limit of the device")};
 }
 
 CheckResult check_device_memory(CheckedDevice& tested_device) {
@@ -70,13 +71,14 @@ CheckResult check_device_memory(CheckedDevice& tested_device) {
     }
     stream.submit_and_wait();
     if (pieces.empty())
-        return make_unsupported_check_result("less than 256 MiB of device memory may be used");
+        return make_unsupported_check_result("the driver allows less than 256 MiB of device memory");
     for (std::size_t i = 0; i < pieces.size(); ++i)
         if (!is_buffer_filled_with(*pieces[i], static_cast<std::uint32_t>(i + 1)))
             return make_failed_check_result(
                 fmt::format("buffer {} of {} contains other values than were written", i + 1, pieces.size()));
     return {CheckResult::CheckOutcome::right,
-            fmt::format("{} of the memory budget of {}", format_byte_size(pieces.size() * kPiece),
+            fmt::format("{} of memory tested, of {} that the driver allows to use",
+                        format_byte_size(pieces.size() * kPiece),
                         format_byte_size(gpu::query_memory_budget(device.impl().physical).n_bytes))};
 }
 

@@ -65,7 +65,9 @@ CheckResult check_prefix_sum(CheckedDevice& tested_device) {
         prefix_sum.run(stream, {in.address()}, out.address(), n);
         stream.submit_and_wait();
         std::exclusive_scan(counts.begin(), counts.end(), counts.begin(), 0u);
-        if (out.download() != counts) return make_failed_check_result(fmt::format("{} counts", n));
+        if (out.download() != counts)
+            return make_failed_check_result(
+                fmt::format("found wrong prefix sums of {} numbers, expected exact sums", n));
     }
     return {CheckResult::CheckOutcome::right, "exact"};
 }
@@ -78,7 +80,7 @@ CheckResult check_radix_sort(CheckedDevice& tested_device) {
     for (const auto& [n_keys, capacity] :
          {std::pair{0u, 10u}, {1u, 1u}, {4097u, 4097u}, {12'345u, 30'000u}, {most, most}})
         if (!is_radix_sort_correct(device, n_keys, capacity))
-            return make_failed_check_result(fmt::format("{} keys", n_keys));
+            return make_failed_check_result(fmt::format("{} keys are not sorted correctly", n_keys));
     return {CheckResult::CheckOutcome::right, fmt::format("exact results for up to {} keys", most)};
 }
 

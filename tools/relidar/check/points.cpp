@@ -14,7 +14,9 @@ namespace relidar::cli {
 
 CheckResult check_device_point_cloud(CheckedDevice& tested_device) {
     const DeviceInfo& info = tested_device.get_default_device().info();
-    if (!info.software && !info.ray_query) return make_unsupported_check_result("no traversal");
+    if (!info.software && !info.ray_query)
+        return make_unsupported_check_result(
+            "the device cannot trace rays, neither by ray query nor in software");
     const LidarSequence log = make_synthetic_street({.n_frames = 3, .rows = 16, .columns = 128});
     const Scene scene = initialise_scene(log, {0, 1, 2}, {});
     const Config config;

@@ -123,10 +123,10 @@ CheckResult check_bvh_ray_hits(CheckedDevice& tested_device, RayTracingBackend b
               n_refitted = count_wrongly_traced_rays(tested_device.get_device_with_backend(backend),
                                                      AccelTreeState::refitted);
     if (n_built + n_refitted == 0)
-        return {CheckResult::CheckOutcome::right, "all rays find the same surfels"};
+        return {CheckResult::CheckOutcome::right, "all rays hit the same surfels as on the host"};
     return make_failed_check_result(
-        fmt::format("{} of 256 rays find other surfels after a build of the tree, and {} after a "
-                    "refit",
+        fmt::format("{} of 256 rays hit other surfels than on the host after the tree was built, and {} "
+                    "after it was refitted",
                     n_built, n_refitted));
 }
 

@@ -120,13 +120,12 @@ CheckResult check_run_rendering(CheckedDevice& tested_device, RayTracingBackend 
             rendering, i, reference::render_all_at_once(world, brute, settings, exact_rays[i])));
     const auto n_wrong = std::ranges::count_if(differences, [](double d) { return !(d <= kValueTolerance); });
     std::ranges::sort(differences);
-    return {
-        double(n_wrong) <= kEdgeShare * double(rays.size()) ? CheckResult::CheckOutcome::right
-                                                            : CheckResult::CheckOutcome::wrong,
-        fmt::format("{} of {} rays differ by more than {:.0e}, expected at most {:.0f}; median difference "
-                    "{:.1e}",
-                    n_wrong, rays.size(), kValueTolerance, kEdgeShare * double(rays.size()),
-                    differences[differences.size() / 2])};
+    return {double(n_wrong) <= kEdgeShare * double(rays.size()) ? CheckResult::CheckOutcome::right
+                                                                : CheckResult::CheckOutcome::wrong,
+            fmt::format("{} of {} rays differ from the reference by more than {:.0e}, expected at most "
+                        "{:.0f} rays; median difference {:.1e}",
+                        n_wrong, rays.size(), kValueTolerance, kEdgeShare * double(rays.size()),
+                        differences[differences.size() / 2])};
 }
 
 }  // namespace relidar::cli

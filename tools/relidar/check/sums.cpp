@@ -15,14 +15,16 @@ namespace {
 /// which are exact in float.
 CheckResult make_sum_check_result(double relative_error) {
     if (relative_error == 0.0) return {CheckResult::CheckOutcome::right, "exact"};
-    return make_failed_check_result(fmt::format("a sum has a relative error of {:.3g}", relative_error));
+    return make_failed_check_result(
+        fmt::format("found a sum with a relative error of {:.3g}, expected an exact sum", relative_error));
 }
 
 }  // namespace
 
 CheckResult check_float_atomics(CheckedDevice& tested_device) {
     if (!tested_device.get_default_device().info().float_atomics)
-        return make_unsupported_check_result("no VK_EXT_shader_atomic_float");
+        return make_unsupported_check_result(
+            "the device lacks the Vulkan extension VK_EXT_shader_atomic_float");
     return make_sum_check_result(compute_atomic_sum_error(tested_device.get_default_device(), false));
 }
 
@@ -39,9 +41,10 @@ CheckResult check_subgroup_operations(CheckedDevice& tested_device) {
         const ScopedDeviceTestResults trusting(DeviceTestResults{.subgroup_size = lanes});
         Device device(tested_device.get_device_options());
         const std::string text = describe_subgroup_failure(device);
-        if (!text.empty()) return make_failed_check_result(fmt::format("{} lanes, {}", lanes, text));
+        if (!text.empty())
+            return make_failed_check_result(fmt::format("subgroups of {} lanes: {}", lanes, text));
     }
-    return {CheckResult::CheckOutcome::right, fmt::format("{} lanes", fmt::join(sizes, ", "))};
+    return {CheckResult::CheckOutcome::right, fmt::format("subgroups of {} lanes", fmt::join(sizes, ", "))};
 }
 
 }  // namespace relidar::cli

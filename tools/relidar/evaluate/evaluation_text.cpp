@@ -146,8 +146,8 @@ std::vector<std::vector<std::string>> make_worst_actor_table_rows(const Evaluati
         const auto it = row.find(name);
         return it == row.end() ? "-" : fmt::format("{:.{}f}", it->second, digits);
     };
-    TextTableRows rows{{"actor, worst first", "class", "points", "real points", "median m", "bias m",
-                        "above 0.3 m", "f1", "tail", "real tail"}};
+    TextTableRows rows{{"actor, worst first", "class", "points", "real points", "median error, m", "bias, m",
+                        "errors above 0.3 m", "F1", "trail points", "real trail points"}};
     for (const ActorScore& actor : evaluation.actors) {
         if (rows.size() > kMost) break;
         const MetricValues& m = actor.metrics;
@@ -173,11 +173,11 @@ std::string format_score_summary(const EvaluationResult& evaluation) {
         const char* unit;
     };
     constexpr ScoreColumn kScores[] = {
-        {"points/depth_medae_m", "range error of points, median", " m"},
+        {"points/depth_medae_m", "median range error of all points", " m"},
         {"points/cd_mean_m", "distance between point clouds (Chamfer)", " m"},
-        {"moving_boxes/depth_medae_m", "range error on moving boxes, median", " m"},
-        {"strict/intensity_rmse", "intensity error, RMSE", ""},
-        {"strict/drop_f1", "dropped rays, F1", ""},
+        {"moving_boxes/depth_medae_m", "median range error on moving objects", " m"},
+        {"strict/intensity_rmse", "root mean square error of intensity", ""},
+        {"strict/drop_f1", "F1 score of dropped rays, 1 is best", ""},
     };
     std::string text = fmt::format("held-out scans: {}\n", evaluation.frames.size());
     for (const ScoreColumn& score : kScores)

@@ -51,8 +51,8 @@ void print_devices_json(const std::vector<DeviceInfo>& devices) {
 }
 
 void print_device_table(const std::vector<DeviceInfo>& devices) {
-    std::vector<std::vector<std::string>> rows{
-        {"", "name", "type", "API", "memory", "ray query", "software", "float atomics", "traversal"}};
+    std::vector<std::vector<std::string>> rows{{"device", "name", "type", "Vulkan", "memory", "ray query",
+                                                "software", "float atomics", "traversal"}};
     std::string notes;
     for (const DeviceInfo& d : devices) {
         rows.push_back({fmt::format("{}", d.index), d.name, d.type, d.api_version,
@@ -60,11 +60,13 @@ void print_device_table(const std::vector<DeviceInfo>& devices) {
                         d.software ? "yes" : "no", d.float_atomics ? "yes" : "no",
                         get_automatic_backend_name(d)});
         notes += fmt::format("\n{}  driver: {}", d.index, d.driver);
-        if (!d.why_not_usable.empty()) notes += fmt::format("\n   not usable: missing {}", d.why_not_usable);
+        if (!d.why_not_usable.empty())
+            notes += fmt::format("\n   relidar cannot use this device: missing {}", d.why_not_usable);
         if (!d.why_not_ray_query.empty())
-            notes += fmt::format("\n   no ray query: missing {}", d.why_not_ray_query);
+            notes +=
+                fmt::format("\n   traversal ray_query is not available: missing {}", d.why_not_ray_query);
         if (!d.why_not_software.empty())
-            notes += fmt::format("\n   no software traversal: missing {}", d.why_not_software);
+            notes += fmt::format("\n   traversal software is not available: missing {}", d.why_not_software);
         if (d.why_not_usable.empty() && !d.float_atomics)
             notes += "\n   no float atomics: gradients are added with compare-and-swap, which is slower";
     }
@@ -78,7 +80,10 @@ void add_list_devices_command(CLI::App& list_command, ParsedCommand& selected_co
         "devices", "list all Vulkan devices, their features and the traversal that relidar would use");
     const auto json = std::make_shared<bool>(false);
     command->add_flag("--json", *json, "print JSON");
-    command->footer("The first column is the number for --device.\nExample: relidar list devices");
+    command->footer(
+        "The first column is the number for the option --device. \"traversal\" is the method to trace rays "
+        "that\nrelidar selects. \"software\" says whether relidar can search its own tree on the "
+        "device.\nExample: relidar list devices");
     command->callback([&selected_command, json] {
         selected_command.run = [json] {
             const std::vector<DeviceInfo> devices = list_devices();

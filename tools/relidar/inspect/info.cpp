@@ -35,7 +35,8 @@ void print_run_info(const InfoOptions& options) {
 /// yet.
 void print_unfinished_run_info(const std::filesystem::path& folder) {
     const Config config = load_saved_config(folder / "config.toml");
-    print(fmt::format("{}: {}, at iteration {} of {}; no scene has been saved yet; log {}\n", folder.string(),
+    print(fmt::format("{}: {}, at iteration {} of {}; it has no saved scene yet; its log is {}\n",
+                      folder.string(),
                       FolderLock::is_folder_locked(folder) ? "a run that is being trained"
                                                            : "a run whose training was interrupted",
                       read_last_logged_iteration(folder), config.train.iterations, config.dataset.path));

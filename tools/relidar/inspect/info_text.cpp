@@ -55,19 +55,19 @@ std::string format_box_notes(const std::vector<BoxSummary>& boxes) {
     std::string text;
     if (!guesses.empty())
         text += fmt::format(
-            "sizes that are estimated from the class, because only one side of the object "
-            "was observed: {}\n",
+            "Tracks whose size is estimated from their class, because only one side of the object was "
+            "observed: {}\n",
             fmt::join(guesses, ", "));
     if (!continued.empty())
-        text +=
-            fmt::format("tracks that were extended beyond their labels: {}\n", fmt::join(continued, ", "));
+        text += fmt::format("Tracks that were extended to frames without labels: {}\n",
+                            fmt::join(continued, ", "));
     return text;
 }
 
 std::string format_box_table(const std::vector<BoxSummary>& boxes, bool show_instance_columns) {
     if (boxes.empty()) return "";
-    std::vector<std::vector<std::string>> rows{
-        {"track", "class", "length", "width", "height", "frames", "path", "speed", "start x,y,z,yaw_deg"}};
+    std::vector<std::vector<std::string>> rows{{"track", "class", "length", "width", "height", "frames",
+                                                "path length", "mean speed", "start x,y,z,yaw_deg"}};
     if (show_instance_columns) rows[0].insert(rows[0].end(), {"instance", "surfels"});
     for (const BoxSummary& b : boxes) {
         rows.push_back({b.id, format_box_class(b), fmt::format("{:.2f} m", b.size_m.x),
@@ -229,9 +229,9 @@ std::string format_summary_text(const LogSummary& summary, bool show_instance_co
     if (summary.returns_share)
         text += format_name_value_line(
             "returns",
-            fmt::format("{:.1f} % of all rays{}", 100.0 * *summary.returns_share,
+            fmt::format("{:.1f} % of all rays return{}", 100.0 * *summary.returns_share,
                         summary.is_look
-                            ? fmt::format(" of {} scans spread over the log; --all reads every scan",
+                            ? fmt::format(" in a sample of {} scans of the log; --all reads all scans",
                                           summary.n_scans_read)
                             : ""));
     const auto n_moving = std::ranges::count_if(summary.boxes, &BoxSummary::moves);
@@ -314,12 +314,13 @@ std::string to_text(const RunSummary& run) {
     std::string text = format_name_value_line("surfels", fmt::format("{}{}", run.n_surfels, other));
     if (run.n_blocks > 0)
         text += format_name_value_line(
-            "blocks", fmt::format("the background consists of {} blocks, each loaded when a scan needs it",
+            "blocks", fmt::format("the background consists of {} blocks; each is loaded when a scan needs it",
                                   run.n_blocks));
     for (const auto& [name, count] : run.models)
         text += format_name_value_line("  model", fmt::format("{}: {} surfels", name, count));
-    text += format_name_value_line("instances",
-                                   fmt::format("{}, of which number 0 is the background", run.n_instances));
+    text += format_name_value_line(
+        "instances", fmt::format("{} models with poses; number 0 is the background, the others are actors",
+                                 run.n_instances));
     if (run.n_drop_parameters > 0)
         text += format_name_value_line(
             "ray drop", fmt::format("corrected by a network of {} parameters that reads {} images",

@@ -58,7 +58,7 @@ std::string format_beam_divergence(const RayTable& rays) {
 
 void print_sensor_table() {
     std::vector<std::vector<std::string>> rows{
-        {"name", "rays", "azimuth", "elevation", "scan", "range", "divergence", "figures"}};
+        {"name", "rays", "azimuth", "elevation", "scan time", "range", "divergence", "source of the values"}};
     for (const std::string& name : list_sensor_names()) {
         const SensorModel sensor = *find_built_in_sensor(name);
         const RayTable rays = make_rays(sensor);
@@ -67,7 +67,7 @@ void print_sensor_table() {
         rows.push_back(
             {name,
              rays.rows > 1 ? fmt::format("{} x {}", rays.rows, rays.columns) : fmt::format("{}", rays.size()),
-             round ? "all round" : fmt::format("{:+.1f} to {:+.1f}", e.left_deg, e.right_deg),
+             round ? "full turn" : fmt::format("{:+.1f} to {:+.1f}", e.left_deg, e.right_deg),
              fmt::format("{:+.2f} to {:+.2f}", e.top_deg, e.bottom_deg),
              fmt::format("{:.0f} ms", 1e3 * compute_scan_period_s(sensor, rays)),
              fmt::format("{:g} to {:g} m", sensor.limits.min_m, sensor.limits.max_m),
@@ -75,7 +75,8 @@ void print_sensor_table() {
              sensor.about});
     }
     print(format_table(rows) +
-          "\nAngles are in degrees; left and up are positive. A divergence of - is unknown.\n");
+          "\nAngles are in degrees; left and up are positive. Divergence is the full angle of a beam; - if "
+          "unknown.\n");
 }
 
 void print_sensor_description(const SensorsOptions& options) {
@@ -104,7 +105,9 @@ void print_sensor_description(const SensorsOptions& options) {
     }
     if (!options.out.empty()) {
         write_png(options.out, draw_ray_pattern(rays), {{"relidar", fmt::format("rays of {}", sensor.name)}});
-        print(fmt::format("\npicture     {}: azimuth by elevation, colour by firing time\n", options.out));
+        print(fmt::format(
+            "\npicture     {}: x is the azimuth, y the elevation, the colour is the firing time\n",
+            options.out));
     }
 }
 
@@ -120,12 +123,13 @@ void run_list_sensors_command(const SensorsOptions& options) {
 
 void add_list_sensors_command(CLI::App& list_command, ParsedCommand& selected_command) {
     CLI::App* command = list_command.add_subcommand(
-        "sensors", "list the sensors that can be simulated, or show one and its pattern");
+        "sensors", "list the sensors that can be simulated, or show the properties of one sensor");
     const auto options = std::make_shared<SensorsOptions>();
     command->add_option("SENSOR", options->sensor, "name or file of a sensor (default: list all names)");
     command
         ->add_option("--out", options->out,
-                     "picture of the pattern: azimuth by elevation, colour by firing time")
+                     "PNG file for a picture of the rays: x is the azimuth, y the elevation, the colour is "
+                     "the firing time")
         ->type_name("FILE.png");
     command
         ->add_option("--time", options->time_s,
