@@ -136,7 +136,7 @@ void TerminalProgress::show_step_progress(const std::string& description, std::s
     const double seconds = std::chrono::duration<double>(Clock::now() - start_).count();
     const double rate = static_cast<double>(n_done) / std::max(seconds, 1e-9);
     show_progress_text(
-        fmt::format("{} {}/{}  {:.2f}/s  eta {}", description, n_done, n_total, rate,
+        fmt::format("{} {}/{}  {:.2f}/s  remaining {}", description, n_done, n_total, rate,
                     format_duration(static_cast<double>(n_total - n_done) / std::max(rate, 1e-9))),
         n_done == n_total);
 }

@@ -81,7 +81,8 @@ EvaluationResult evaluate_shifted_sensor(Device& device, const TrainedRun& run,
                          cast_rays_into_synthetic_street(street_options, rays, track, frame.time_s)};
         remove_returns_outside_limits(exact.scan, run.sequence.lidars[0].sensor.range_limits());
         frames.push_back(score_frame(renderer, run.config, run.sequence, exact, kShift));
-        progress.show_step_progress("shifted sensor, frame", frames.size(), run.split.test.size());
+        progress.show_step_progress("scoring the shifted sensor: frame", frames.size(),
+                                    run.split.test.size());
     }
     return summarise_evaluation(std::move(frames), renderer.times());
 }
@@ -103,7 +104,7 @@ void write_evaluated_scans(const fs::path& folder, const EvaluationResult& evalu
 
 std::string format_demo_metrics_table(const EvaluationResult& held_out_evaluation,
                                       const EvaluationResult& shifted_evaluation) {
-    std::vector<std::vector<std::string>> rows{{"metric", "held out", "shifted sensor"}};
+    std::vector<std::vector<std::string>> rows{{"metric", "held-out frames", "shifted sensor"}};
     const auto cell = [](const MetricValues& row, const char* name) {
         return row.contains(name) ? format_four_significant_digits(row.at(name)) : std::string("-");
     };

@@ -41,7 +41,7 @@ bool is_interrupted() { return first_signal_ms != 0; }
 
 void throw_if_interrupted() {
     if (is_interrupted())
-        throw Error(ExitCode::interrupted, "interrupted; files already written are complete");
+        throw Error(ExitCode::interrupted, "interrupted; the files that were already written are complete");
 }
 
 }  // namespace relidar::cli

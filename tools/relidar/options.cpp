@@ -80,7 +80,7 @@ void add_weather_option(CLI::App& command, std::string& weather, const std::stri
         .add_option(
             "--weather", weather,
             fmt::format(
-                "{}; applies to {} (default: clear); the channel `source` holds the cause of each point",
+                "{}; applies to {} (default: clear); the channel `source` says what caused each point",
                 make_weather_help(), scope_help_text))
         ->type_name("WEATHER");
 }
@@ -242,7 +242,7 @@ LidarSequence load_dataset(const Config& config, bool quiet, int max_scans_per_l
                                   sequence.frames.back().index, sequence.source);
     if (const ScanMemoryUse use = get_scan_memory_use(); use.in_file > 0 && !quiet)
         print_note(
-            fmt::format("{} of scan data are kept in memory and {} in a temporary file in {}; the setting "
+            fmt::format("{} of scan data are stored in memory and {} in a temporary file in {}; the setting "
                         "dataset.memory_mib is the limit",
                         format_byte_size(use.in_memory), format_byte_size(use.in_file),
                         fs::temp_directory_path().string()));

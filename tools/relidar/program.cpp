@@ -56,7 +56,8 @@ void parse_and_run_command(const ProgramDescription& program, int argc, char** a
         throw UsageError(make_usage_error_message(app, error.what()));
     }
     if (!call.run)
-        throw UsageError(fmt::format("no command is given; `{} --help` lists all commands", program.name));
+        throw UsageError(
+            fmt::format("found no command; expected one; `{} --help` lists all commands", program.name));
     call.run();
     flush_stdout_or_throw();
 }
@@ -83,11 +84,13 @@ int run_program(const ProgramDescription& program, int argc, char** argv) {
     } catch (const std::filesystem::filesystem_error& error) {
         // Uses the exit code for invalid data, because a file system error is not a bug
         // of relidar.
-        return report(ExitCode::data, fmt::format("{}: {}", error.path1().string(), error.code().message()));
+        return report(ExitCode::data,
+                      fmt::format("cannot access {}: {}", error.path1().string(), error.code().message()));
     } catch (const std::exception& error) {
-        return report(ExitCode::bug, std::string("internal error of relidar: ") + error.what());
+        return report(ExitCode::bug,
+                      std::string("internal error of relidar, please report it: ") + error.what());
     } catch (...) {
-        return report(ExitCode::bug, "internal error of relidar: unknown exception");
+        return report(ExitCode::bug, "internal error of relidar, please report it: unknown exception");
     }
 }
 

@@ -56,7 +56,7 @@ std::string make_usage_error_message(const CLI::App& app, const std::string& par
     const std::string help = path + " --help";
     std::vector<std::string> unexpected = app.remaining(true);
     if (unexpected.empty() && parser_message.find("subcommand") != std::string::npos)
-        return fmt::format("no subcommand is given; expected one of {} (see `{}`)",
+        return fmt::format("found no subcommand; expected one of {} (see `{}`)",
                            fmt::join(list_command_names(command), ", "), help);
     if (unexpected.empty())
         return fmt::format("{} (see `{}`)", rewrite_conversion_error(parser_message), help);
@@ -68,7 +68,7 @@ std::string make_usage_error_message(const CLI::App& app, const std::string& par
     if (const std::vector<std::string> names = list_command_names(command); !names.empty())
         return fmt::format("unknown command {}{} (see `{}`)", word, format_name_suggestion(word, names),
                            help);
-    return fmt::format("unexpected argument {} (see `{}`)", word, help);
+    return fmt::format("unexpected argument {}; the command does not accept it (see `{}`)", word, help);
 }
 
 }  // namespace relidar::cli

@@ -177,8 +177,8 @@ std::string format_benchmark_report(const BenchCase& bench_case, const BenchTime
     if (bench_times.separate_scans_per_s)
         text += fmt::format("            {:.1f} per second if the sensors are rendered one after the other\n",
                             *bench_times.separate_scans_per_s);
-    return text +
-           fmt::format("relidar {}; wall times, medians of {}\n", RELIDAR_VERSION, bench_times.repetitions);
+    return text + fmt::format("relidar {}; wall times, medians of {} repetitions\n", RELIDAR_VERSION,
+                              bench_times.repetitions);
 }
 
 std::string make_benchmark_report_json(const BenchCase& bench_case, const BenchTimes& bench_times,

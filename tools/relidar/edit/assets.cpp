@@ -55,12 +55,12 @@ std::string explain_asset_rejection(const AssetDescription& asset_description,
     if (observations.points_m.empty()) return "no ray of the training frames hits this actor";
     if (asset_description.compute_covered_fraction() >= min_score) return "";
     return fmt::format(
-        "the score of the actor is {:.2f}, expected at least {:.2f} (--least); the observed shares of its "
-        "sides are {}{}",
+        "the score of the actor is {:.2f}, expected at least {:.2f} (option --least); the log observed these "
+        "shares of its sides: {}{}",
         asset_description.compute_covered_fraction(), min_score,
         format_observed_side_fractions(asset_description),
         asset_description.completed > 0.0
-            ? fmt::format("; its mirror image completed a share of {:.2f} of the surface",
+            ? fmt::format("; mirroring completed a share of {:.2f} of its surface",
                           asset_description.completed)
             : "");
 }
@@ -111,7 +111,7 @@ void run_assets_command(const AssetOptions& options) {
     const std::map<std::string, ActorObservations> sightings =
         collect_actor_observations(device, run, make_progress_callback(progress));
     std::vector<std::vector<std::string>> rows{{"asset", "class", "score", "front", "rear", "left", "right",
-                                                "top", "completed", "nearest_m", "surfels"}};
+                                                "top", "mirrored", "nearest_m", "surfels"}};
     std::set<std::string> used_names;
     std::string skipped;
     for (const std::string& track : tracks) {
@@ -133,8 +133,9 @@ void run_assets_command(const AssetOptions& options) {
     }
     end_progress_line();
     if (rows.size() == 1)
-        throw DataError(fmt::format("no actor of run {} has a sufficient score: {}", options.run,
-                                    replace_control_characters(skipped)));
+        throw DataError(
+            fmt::format("no asset is saved, because no actor of run {} has a sufficient score: {}",
+                        options.run, replace_control_characters(skipped)));
     folder.move_folder_to_final_path();
     if (options.quiet) return;
     print(format_table(rows) + skipped +

@@ -66,8 +66,8 @@ std::string format_sparse_actor_warnings(const SceneWithLog& driving_scene,
         const ActorModelResolution detail = measure_actor_resolution(driving_scene, track);
         if (!detail.has_too_few_surfels()) continue;
         text += fmt::format(
-            "note: actor {} comes within {:.1f} m of the sensor at {:.2f} s, where {} rays hit its box, but "
-            "it has only {} surfels because it was recorded from farther away; it will show holes\n",
+            "note: actor {} is {:.1f} m from the sensor at {:.2f} s, where {} rays hit its box. It will show "
+            "holes, because it has only {} surfels: the log recorded it from farther away\n",
             track, detail.nearest_m, detail.time_s, detail.rays, detail.surfels);
     }
     return text;
@@ -147,8 +147,8 @@ void add_edit_command(CLI::App& app, ParsedCommand& selected_command) {
     }
     command
         ->add_option("--from-ply", options->ply,
-                     "before all edits, replace the surfels by those of a PLY file that `relidar export` "
-                     "wrote and another tool edited")
+                     "before all other edits, replace the surfels by those of a PLY file that `relidar "
+                     "export` wrote and that another program has changed")
         ->type_name("FILE.ply");
     command->add_flag("--force", options->force, "overwrite the run in DIR");
     command->add_flag("--quiet", options->quiet, "print errors only");

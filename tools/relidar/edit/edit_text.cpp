@@ -51,7 +51,7 @@ std::vector<double> parse_edit_numbers(const EditArgument& edit, const std::stri
     if (values.size() < min_count || values.size() > max_count)
         throw_edit_error(edit, get_edit_value_syntax(edit));
     for (const double v : values)
-        if (std::abs(v) > 1e9) throw_edit_error(edit, "numbers below 1e9");
+        if (std::abs(v) > 1e9) throw_edit_error(edit, "numbers from -1e9 to 1e9");
     return values;
 }
 
@@ -94,7 +94,7 @@ NewActorMotion parse_start_pose_and_speed(const EditArgument& edit, const std::s
     const std::size_t colon = text.find(':');
     const double speed_mps =
         colon == std::string::npos ? 0.0 : parse_edit_numbers(edit, text.substr(colon + 1), 1, 1)[0];
-    if (std::abs(speed_mps) > kFarOff_m) throw_edit_error(edit, "a speed in m/s");
+    if (std::abs(speed_mps) > kFarOff_m) throw_edit_error(edit, "a speed from -1e6 to 1e6 m/s");
     const std::string position_text = text.substr(0, colon);
     if (std::optional<GroundPlacement> ground = parse_ground_placement(edit, position_text)) {
         ground->speed_mps = speed_mps;
@@ -124,8 +124,8 @@ std::string describe_pose_on_ground(const NewActorMotion& start, const std::stri
 std::string format_unobserved_ground_warning(const NewActorMotion& start, const std::string& track_id) {
     if (start.unseen_m == 0.0) return "";
     return fmt::format(
-        "track {}: the log has not seen the ground below {:.0f} m of its path, so the height there is a "
-        "guess: the actor keeps the mean slope of its path",
+        "actor {}: the log did not record the ground below {:.0f} m of its path, so the height there is only "
+        "estimated from the mean slope of the path",
         track_id, start.unseen_m);
 }
 
@@ -145,12 +145,14 @@ std::string format_unobserved_sides_note(const SceneWithLog& driving_scene, cons
     std::string text;
     if (!parts.empty())
         text = fmt::format(
-            "track {}: not seen by the log and completed by the mirror image of the other "
+            "actor {}: the log did not observe these parts of it, so they are mirror images of the other "
             "side: {}",
             track_id, fmt::join(parts, ", "));
     if (!unseen.empty())
-        text += fmt::format("{}track {}: the log has not seen these sides of it: {}; rays pass through them",
-                            text.empty() ? "" : "; ", track_id, unseen);
+        text += fmt::format(
+            "{}actor {}: the log did not observe these sides of it: {}; they have no surfels, so rays pass "
+            "through them",
+            text.empty() ? "" : "; ", track_id, unseen);
     return text;
 }
 
@@ -191,7 +193,8 @@ std::string format_actor_absence_warning(const SceneWithLog& driving_scene, cons
                                          const BoxTrack* original_box) {
     if (!is_actor_in_any_frame(driving_scene, track_id))
         return fmt::format(
-            "track {} is not visible in any frame, because all its times are outside the log's time",
+            "actor {} is not visible in any frame, because all times of its trajectory are outside the time "
+            "of the log",
             track_id);
     return original_box ? describe_frames_without_actor(*original_box, driving_scene.sequence) : "";
 }
@@ -260,7 +263,7 @@ std::string format_sensor_mismatch_warning(const ExternalActor& actor, const Sce
     if (actor_sensor.name == run_sensor.name && actor_sensor.beams.size() == run_sensor.beams.size())
         return "";
     return fmt::format(
-        "{} was recorded by another sensor ({} with {} beams; this run has {} with {} beams): "
+        "actor {} was recorded by another sensor ({} with {} beams; this run has {} with {} beams); "
         "the shape and motion of {} are correct, but its intensities and dropped rays look like "
         "those of the other sensor",
         actor.folder, actor_sensor.name, actor_sensor.beams.size(), run_sensor.name, run_sensor.beams.size(),
@@ -303,7 +306,8 @@ std::map<std::string, std::string> parse_entity_actor_pairs(const EditArgument& 
     std::istringstream words(text);
     for (std::string word; std::getline(words, word, ',');) {
         auto [entity, actor] = split_edit_value_at(edit, word, word.find('='));
-        if (!roles.emplace(entity, actor).second) throw_edit_error(edit, fmt::format("{} once", entity));
+        if (!roles.emplace(entity, actor).second)
+            throw_edit_error(edit, fmt::format("the entity {} only once", entity));
     }
     return roles;
 }
@@ -322,7 +326,9 @@ void move_actor_along_entity_path(const EditArgument& edit, const ScenarioEntity
     const BoxTrack before = copy_box_track_if_known(driving, actor_text);
     if (!is_in_scene) {
         if (actor_text.find('#') == std::string::npos && !std::filesystem::exists(actor_text))
-            throw_edit_error(edit, fmt::format("{}=TRACK of the run, RUN#TRACK or ASSET", entity.name));
+            throw_edit_error(edit, fmt::format("{0}=TRACK with a track of this run, {0}=RUN#TRACK, or "
+                                               "{0}=ASSET with the folder of an asset",
+                                               entity.name));
         const ExternalActor actor = load_external_actor(edit, actor_text);
         append_warning_note(applied_edit.note, format_sensor_mismatch_warning(actor, driving));
         driving = insert_track(std::move(driving), actor.owner, actor.track, {});
@@ -357,20 +363,24 @@ EditResult apply_scenario_edit(SceneWithLog driving_scene, const EditArgument& e
                                                                            : "";
         if (role && what != "-" && !follows)
             throw_edit_error(
-                edit, fmt::format("an entity with a trajectory, but {} has no trajectory", entity.name));
+                edit,
+                fmt::format("an entity with a trajectory, but the entity {} has no trajectory in the file",
+                            entity.name));
         if (what.empty() && follows)
             throw_edit_error(
-                edit, fmt::format("also {0}=TRACK, {0}=RUN#TRACK, {0}=ASSET or {0}=-, because the run has "
-                                  "no actor of that name",
+                edit, fmt::format("also an actor for the entity {0} ({0}=TRACK, {0}=RUN#TRACK or {0}=ASSET), "
+                                  "or {0}=- to ignore it, because the run has no actor of that name",
                                   entity.name));
         if (follows && what != "-") move_actor_along_entity_path(edit, entity, what, applied);
         else
-            append_warning_note(applied.note, fmt::format("{} {}", entity.name,
-                                                          follows ? "is ignored" : "has no trajectory"));
+            append_warning_note(applied.note,
+                                fmt::format("entity {} {}", entity.name,
+                                            follows ? "is ignored, because the option says so"
+                                                    : "is ignored, because it has no trajectory"));
     }
     if (!roles.empty())
-        throw_edit_error(edit,
-                         fmt::format("entities of the file; {} is not in the file", roles.begin()->first));
+        throw_edit_error(edit, fmt::format("only entities of the file, but the file has no entity {}",
+                                           roles.begin()->first));
     if (applied.said.empty())
         throw_edit_error(edit, "a scenario with at least one entity that follows a trajectory");
     return applied;
@@ -392,19 +402,20 @@ const std::vector<EditOption>& list_edit_options() {
         {"--move", "TRACK:dx,dy,dz[,yaw_deg]",
          "shift an actor along its full path, in the frame of its box (forward, left, up), and "
          "turn it to the left by yaw_deg"},
-        {"--retime", "TRACK:seconds", "delay all motion of an actor by this time"},
+        {"--retime", "TRACK:seconds",
+         "delay all motion of an actor by this time in seconds; negative values make it earlier"},
         {"--trajectory", "TRACK:FILE.csv",
          "replace the poses of an actor: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg]; an "
          "optional header line names the columns in any order, and names that end in _rad are in "
          "radians"},
         {"--copy", "TRACK@x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed] or TRACK@x,y,ground[,yaw_deg][:speed]",
-         "add a copy of an actor that drives straight ahead at speed m/s; ground: take height and tilt from "
-         "the surface below"},
+         "add a copy of an actor that starts at this pose and drives straight ahead at speed m/s; with "
+         "`ground` instead of z, the surface below gives its height and tilt"},
         {"--insert", "RUN#TRACK@PLACE|ASSET@PLACE",
          "add an actor of another run, or an asset of `relidar assets`; PLACE has the same form as in "
          "--copy"},
         {"--scenario", "FILE.xosc[@ENTITY=TRACK,ENTITY=RUN#TRACK,ENTITY=ASSET,ENTITY=-]",
-         "move actors along the timed polylines of the entities of an OpenSCENARIO file. An entity moves the "
+         "move actors along the timed trajectories of an OpenSCENARIO file. An entity of the file moves the "
          "actor of the same name, the actor given here, or an inserted actor; -: ignore the entity"},
         {"--keep", "background|actors", "keep only the background or only the actors"}};
     return options;

@@ -296,7 +296,7 @@ constexpr const char* kEvalHelp =
 RELIDAR_LPIPS_WEIGHTS is the file with the weights of LPIPS, made by tools/lpips_weights. LPIPS is
 left out if the variable is not set.
 Metrics: peer/* follow published tables, strict/* use pixels that return in both scans,
-moving_boxes/* and others are of a region. Each name ends with its unit.
+moving_boxes/* and similar names score a part of the scan. The name of a metric ends with its unit.
 An edited run of a synthetic street is compared with the street rendered with the same edits
 (edited/*: pixels that the edits change). An edited run of a real log is compared with the log,
 which does not have the edits.
@@ -339,7 +339,7 @@ void add_eval_command(CLI::App& app, ParsedCommand& selected_command) {
     add_setting_override_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine,
-                      "use the ray-drop of the surfels, without the run's network");
+                      "do not use the ray-drop network of the run; the surfels alone decide which rays drop");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command
         ->add_option("--table", options->tables,

@@ -50,7 +50,8 @@ std::vector<ReportFigure> make_comparison_figures(const ScoredFrame& frame, cons
         RangeImage surfels = rendered;
         surfels.drop_prob = *of_surfels;
         drops.images.emplace_back("drop probability of the surfels", draw_drop_picture(surfels));
-        drops.images.emplace_back("its absolute error", error(real.drop_prob, surfels.drop_prob, 1.0f, {}));
+        drops.images.emplace_back("absolute error of the drop probability of the surfels",
+                                  error(real.drop_prob, surfels.drop_prob, 1.0f, {}));
         drops.images.emplace_back("rendered drop probability, corrected by the network",
                                   draw_drop_picture(rendered));
     } else {

@@ -68,10 +68,10 @@ Report make_training_report(const TrainedRun& run, const TrainResult& result, co
     if (const std::vector<BoxTrack> masked =
             find_boxes_without_model(run.scene, run.sequence, run.config.init);
         !masked.empty())
-        report.facts.emplace_back("Moving boxes masked out", format_box_list(masked));
+        report.facts.emplace_back("Moving objects that are not trained", format_box_list(masked));
     report.curves = make_loss_curves(result);
     if (const MetricValues times = compute_mean_kernel_ms(result.times); !times.empty())
-        report.timings_ms.emplace_back("Training: mean of one launch", times);
+        report.timings_ms.emplace_back("Training: mean time of one kernel launch", times);
     return report;
 }
 
@@ -103,18 +103,19 @@ void add_evaluation_to_report(Report& report, const EvaluationResult& evaluation
     report.facts.emplace_back(fmt::format("Rendering, {}", title.column),
                               fmt::format("{:.1f} ms per frame", evaluation.trace_ms));
     if (!evaluation.kernel_ms.empty())
-        report.timings_ms.emplace_back(fmt::format("Rendering, {}: mean of one launch", title.column),
-                                       evaluation.kernel_ms);
+        report.timings_ms.emplace_back(
+            fmt::format("Rendering, {}: mean time of one kernel launch", title.column), evaluation.kernel_ms);
     const ScoredFrame& shown = evaluation.frames[evaluation.frames.size() / 2];
     const std::string name = fmt::format("Frame {}, {}", shown.frame, title.column);
     report.views.push_back(make_point_comparison_view(shown, run.config, name + ": points", title.real));
     report.bars.push_back(
         make_error_by_range_chart(evaluation, fmt::format("Errors by range, {}", title.column)));
-    report.tables.push_back({fmt::format("Moving objects, {}", title.column),
-                             "Points of all frames in each moving box, the highest share of errors above "
-                             "0.3 m first. Bias: median of simulated minus real ranges. F1: rays that "
-                             "return from the box. Tail: points where the object is at another time.",
-                             make_worst_actor_table_rows(evaluation)});
+    report.tables.push_back(
+        {fmt::format("Moving objects, {}", title.column),
+         "Points of all frames in each moving box. The box with the highest share of errors above 0.3 m is "
+         "first. Bias: median of simulated minus real ranges. F1: score of the rays that return from the "
+         "box. Trail points: simulated points where the object is only at other times.",
+         make_worst_actor_table_rows(evaluation)});
     for (ReportFigure& figure :
          make_comparison_figures(shown, name, title.real, run.config.dataset.max_range_m))
         report.figures.push_back(std::move(figure));

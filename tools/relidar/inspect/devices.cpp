@@ -89,7 +89,8 @@ void add_list_devices_command(CLI::App& list_command, ParsedCommand& selected_co
             const std::vector<DeviceInfo> devices = list_devices();
             if (devices.empty())
                 throw DeviceError(
-                    "this machine has no Vulkan device; expected at least one; tools/dev/setup installs a "
+                    "found no Vulkan device on this machine; expected at least one; tools/dev/setup installs "
+                    "a "
                     "driver that renders on the CPU");
             *json ? print_devices_json(devices) : print_device_table(devices);
         };

@@ -97,8 +97,8 @@ constexpr const char* kConvertHelp =
     R"(The folder holds all rays, including dropped rays and second returns, and the beams, mountings,
 poses and boxes. Reading it gives the same log. docs/datasets.md describes the format; a short
 Python script can write it too.
-With --out FILE.pcap it is the capture of the packets that the sensor sends, for the drivers of
-its maker. The log must have one LiDAR of a product whose packets relidar can write.
+With --out FILE.pcap the command writes a capture with the packets that the sensor would send, for
+the driver of its manufacturer. The log must have a single LiDAR whose packet format relidar can write.
 Examples:
   relidar convert data/2011_09_26_drive_0005_sync --out log --frames 0:50
   relidar train log --out run
@@ -107,8 +107,8 @@ Examples:
 }  // namespace
 
 void add_convert_command(CLI::App& app, ParsedCommand& selected_command) {
-    CLI::App* command =
-        app.add_subcommand("convert", "write a log as a folder (npz, text, JSON) or as packets");
+    CLI::App* command = app.add_subcommand(
+        "convert", "convert a log to a folder of npz, text and JSON files, or to sensor packets");
     const auto options = std::make_shared<ConvertOptions>();
     command->add_option("DATASET", options->dataset, "log: a path, or kind:path")->required();
     command->add_option("--out", options->out, "folder or capture to create")

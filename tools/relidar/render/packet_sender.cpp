@@ -35,7 +35,9 @@ public:
         if (const int error = ::getaddrinfo(address.host.c_str(), port.c_str(), &hints, &addresses);
             error != 0)
             throw UsageError(
-                fmt::format("--udp {}: {}; expected a reachable host", address.host, ::gai_strerror(error)));
+                fmt::format("cannot send packets to the host {} (--udp): {}; expected the name or IP address "
+                            "of a reachable host",
+                            address.host, ::gai_strerror(error)));
         socket_ = ::socket(addresses->ai_family, addresses->ai_socktype, addresses->ai_protocol);
         const int on = 1;
         (void)::setsockopt(socket_, SOL_SOCKET, SO_BROADCAST, &on, sizeof on);
@@ -44,7 +46,9 @@ public:
         const std::string why = std::strerror(errno);
         ::freeaddrinfo(addresses);
         if (!is_connected && socket_ >= 0) ::close(socket_);
-        if (!is_connected) throw DataError(fmt::format("--udp {}:{}: {}", address.host, address.port, why));
+        if (!is_connected)
+            throw DataError(
+                fmt::format("cannot send packets to {}:{} (--udp): {}", address.host, address.port, why));
     }
     UdpSocket(UdpSocket&& other) noexcept : socket_(std::exchange(other.socket_, -1)) {}
     ~UdpSocket() {
@@ -78,13 +82,15 @@ void add_packet_options(CLI::App& command, PacketDestination& target, const std:
 void check_packet_target(const PacketDestination& target) {
     if (!target.address.empty()) (void)parse_host_port(target.address, "--udp", 1);
     else if (target.is_realtime)
-        throw UsageError("--realtime: found no --udp; expected the address of the receiver");
+        throw UsageError("--realtime can only be used with --udp HOST:PORT, the address of the receiver");
 }
 
 void check_packet_options(const PacketDestination& target, const std::vector<std::string>& formats,
                           bool merges_scans, int n_processes) {
     if (!target.address.empty() && n_processes > 1)
-        throw UsageError(fmt::format("--udp: found {} MPI processes; expected one", n_processes));
+        throw UsageError(fmt::format(
+            "--udp: found {} MPI processes; expected one, because a single process sends the packets",
+            n_processes));
     const bool writes_packets =
         !target.address.empty() || std::ranges::find(formats, "pcap") != formats.end();
     if (writes_packets && merges_scans)
@@ -150,7 +156,7 @@ void PacketSender::send_queued_packets() { impl_->queue.send_queued_packets(); }
 std::string PacketSender::send_remaining_packets() {
     impl_->queue.send_or_queue_packets(impl_->packets.flush_remaining_packets());
     impl_->queue.send_queued_packets();
-    return fmt::format("{} packets sent\n", impl_->queue.get_sent_packet_count());
+    return fmt::format("{} packets sent by UDP\n", impl_->queue.get_sent_packet_count());
 }
 
 }  // namespace relidar::cli

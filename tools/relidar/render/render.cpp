@@ -414,7 +414,8 @@ void run_render_command(const RenderOptions& command_options) {
 
     if (options.sample && run.sequence.lidars[std::size_t(lidar)].range_noise.sigma_m.empty() &&
         !options.quiet)
-        print_note(fmt::format("{} has no range noise: sampled ranges are exact", run.folder.string()));
+        print_note(
+            fmt::format("{} has no range noise, so --sample does not change ranges", run.folder.string()));
     if (options.sample && !options.quiet) print_missing_intensity_noise_note(run, lidar);
     if (!options.quiet) print_weather_assumptions_note(parse_weather(options.weather));
     for (const MountedSimulatedSensor& w : targets)
@@ -472,7 +473,7 @@ void add_output_file_options(CLI::App& command, RenderOptions& options) {
                      "write the boxes of actors that a ray would hit to scans.json, with class, points and "
                      "visible share; traces the rays near each actor a second time");
     command.add_flag("--deskew", options.deskew,
-                     "transform all points of a scan to the sensor's frame at the scan's time, as in a "
+                     "transform all points of a scan to the sensor frame at the time of the scan, as in a "
                      "motion-compensated log; in mcap and rosbag to the frame at the stamp");
     add_recording_options(command, options.names);
     add_packet_options(command, options.packets,
@@ -482,7 +483,7 @@ void add_output_file_options(CLI::App& command, RenderOptions& options) {
     command.add_flag("--merge", options.merge,
                      "merge the scans of a rig's sensors into one scan in the frame of the rig (default: a "
                      "folder for each sensor)");
-    command.add_flag("--force", options.overwrite, "replace the rendering in DIR");
+    command.add_flag("--force", options.overwrite, "replace the rendered scans in DIR");
 }
 
 }  // namespace
@@ -532,7 +533,7 @@ void add_render_command(CLI::App& app, ParsedCommand& selected_command) {
     add_setting_override_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine,
-                      "use the ray-drop of the surfels, without the run's network");
+                      "do not use the ray-drop network of the run; the surfels alone decide which rays drop");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(make_output_files_help_text() + make_channels_help_text() + make_sensor_file_help() +
                     "\n"

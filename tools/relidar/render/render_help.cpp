@@ -10,14 +10,15 @@ namespace relidar::cli {
 std::string make_output_files_help_text() {
     return R"(Files are named DIR/frame_000123.npz and so on, by the dataset's frame number; with --trajectory
 they are counted from 0. DIR/scans.json holds run, sensor, offset, poses, times and settings, and
-`unseen`: the share of rays that cross mainly space that the log has not seen. `unseen_sides`: sides
-of actors that the log has not seen and rays pass through; `completed_sides`: filled by mirroring.
-`boxes`, with --boxes: each actor at the time
-at which the sensor faces it, in the dataset's world; first returns on it; and the share of the
-rays that hit it of those that would hit it if nothing else existed.
+`unseen`: the share of rays that mainly cross space that the log did not observe.
+`unseen_sides`: sides of actors that the log did not observe, so that rays pass through them.
+`completed_sides`: sides of actors that are mirror images of the other side.
+`boxes` (with --boxes): the box of each actor at the time at which the sensor faces it, in the
+dataset's world; the number of first returns from it; and its visible share, which is the share of
+its rays that no other object blocks.
 npz: range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions,
 origin [rows,columns,3]; pose [4,4], sensor to the dataset's world at time_s. Metres, seconds.
-ply, pcd, bin: points of rays with drop_prob < 0.5, on the dominant surface. With --set
+ply, pcd, bin: the points of rays with drop_prob < 0.5, on the surface with the largest weight. With --set
 render.points=range they use the mean range, which lies between two surfaces at edges. The
 VIEWPOINT of a pcd is the pose in the dataset's world.
 ring: beam, 0 is the highest. time: firing time of the ray, seconds from time_s.

@@ -15,10 +15,10 @@ void print_motion_compensation_note(const TrainedRun& run, const SimulatedSensor
     if (run.config.sensor.rolling_shutter != RollingShutter::automatic ||
         has_rolling_shutter(sensor, run.config))
         return;
-    print_note(
-        fmt::format("scans of {} are motion-compensated like the log, which means that all rays are fired at "
-                    "the scan's time; use --set sensor.rolling_shutter=true to fire each ray at its own time",
-                    sensor.name));
+    print_note(fmt::format(
+        "scans of the sensor {} are motion-compensated like the log: all rays are fired at the time of the "
+        "scan; use --set sensor.rolling_shutter=true to fire each ray at its real firing time",
+        sensor.name));
 }
 
 void print_unused_drop_network_note(const TrainedRun& run, const ScanRenderer& renderer,
@@ -26,8 +26,8 @@ void print_unused_drop_network_note(const TrainedRun& run, const ScanRenderer& r
     if (!run.config.refine.enabled || run.drop_network.empty() || renderer.has_drop_network_for(sensor))
         return;
     print_note(
-        fmt::format("the ray-drop network of {} needs {} images of at least {} x {} pixels; scans of {} "
-                    "therefore use the ray-drop of the surfels",
+        fmt::format("the ray-drop network of run {} needs {} images of at least {} x {} pixels; for scans of "
+                    "the sensor {} the surfels alone therefore decide which rays drop",
                     run.folder.string(), run.drop_network.image, run.drop_network.compute_min_image_side(),
                     run.drop_network.compute_min_image_side(), sensor.name));
 }
@@ -35,15 +35,15 @@ void print_unused_drop_network_note(const TrainedRun& run, const ScanRenderer& r
 void print_missing_intensity_noise_note(const TrainedRun& run, int lidar_index) {
     const auto at = std::size_t(lidar_index);
     if (at < run.intensity_scatter.size() && !run.intensity_scatter[at].empty()) return;
-    print_note(fmt::format("{} has no intensity noise: sampled intensities are the most likely values",
+    print_note(fmt::format("{} has no intensity noise, so --sample does not change intensities",
                            run.folder.string()));
 }
 
 void print_weather_assumptions_note(const Weather& weather) {
     if (weather.is_clear()) return;
     print_note(
-        fmt::format("weather {}: the sensors' wavelength is unknown and assumed to be 905 nm; an unknown "
-                    "beam divergence is assumed to be 3 mrad",
+        fmt::format("weather {}: the wavelength of the sensors is unknown, so 905 nm is assumed; if a beam "
+                    "divergence is unknown, 3 mrad is assumed",
                     format_weather(weather)));
 }
 
@@ -69,9 +69,9 @@ void print_unobserved_sides_note(const std::vector<nlohmann::json>& scans, const
     for (const auto& [name, sum] : sums)
         texts.push_back(fmt::format("{} in {} scans ({} rays)", name, sum.scans, sum.rays));
     if (texts.empty()) return;
-    print_note(
-        fmt::format("{}: rays meet sides of actors that the log has not seen, and {}: {} (scans.json: {})",
-                    folder, effect_text, fmt::join(texts, ", "), sides_json_key));
+    print_note(fmt::format(
+        "{}: rays reach sides of actors that the log did not observe, and {}: {} (see \"{}\" in scans.json)",
+        folder, effect_text, fmt::join(texts, ", "), sides_json_key));
 }
 
 }  // namespace
@@ -80,8 +80,10 @@ void print_unobserved_space_note(const std::vector<std::string>& scan_json_entri
                                  const std::string& scan_folder) {
     std::vector<nlohmann::json> scans;
     for (const std::string& entry : scan_json_entries) scans.push_back(nlohmann::json::parse(entry));
-    print_unobserved_sides_note(scans, scan_folder, "unseen_sides", "pass through them");
-    print_unobserved_sides_note(scans, scan_folder, "completed_sides", "return from mirrored surfaces");
+    print_unobserved_sides_note(scans, scan_folder, "unseen_sides",
+                                "pass through them, because these sides have no surfels");
+    print_unobserved_sides_note(scans, scan_folder, "completed_sides",
+                                "return from mirror images of the other side");
     std::size_t n_unseen = 0, n_scans_with_value = 0;
     double worst = 0.0;
     int worst_number = 0;

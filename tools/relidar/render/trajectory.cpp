@@ -90,8 +90,9 @@ void print_trajectory_outside_log_notes(const TrainedRun& run, const PoseTrack& 
     const auto beyond =
         std::count_if(times_s.begin(), times_s.end(), [&](double t) { return t < begin || t > end; });
     if (beyond > 0 && run.scene.instances.size() > 1)
-        print_note(fmt::format("{} of {} scans are outside the log's time of {} to {} s and show no actors",
-                               beyond, times_s.size(), begin, end));
+        print_note(
+            fmt::format("{} of {} scans are outside the time of the log ({} to {} s), so they show no actors",
+                        beyond, times_s.size(), begin, end));
 }
 
 }  // namespace relidar::cli

@@ -168,7 +168,7 @@ void add_view_command(CLI::App& app, ParsedCommand& selected_command) {
     add_setting_override_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine,
-                      "use the ray-drop of the surfels, without the run's network");
+                      "do not use the ray-drop network of the run; the surfels alone decide which rays drop");
     command->add_flag("--quiet", options->quiet, "print the address and errors only");
     command->footer(kViewHelp);
     command->callback(

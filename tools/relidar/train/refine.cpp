@@ -62,16 +62,18 @@ std::string make_resume_command(const RefineCommandOptions& options) {
 void train_and_save_drop_network(Device& device, TrainedRun& run, const RefineCommandOptions& options,
                                  const Checkpoint* start_checkpoint) {
     if (start_checkpoint && !options.quiet)
-        print(fmt::format("resume  from step {}\n", start_checkpoint->iteration));
+        print(fmt::format("resume  training of the network continues from step {}\n",
+                          start_checkpoint->iteration));
     const std::filesystem::path checkpoints = get_network_checkpoint_folder(run.folder);
     install_interrupt_handlers();
     if (train_drop_network_with_progress(device, run, options.quiet,
                                          {.checkpoints = checkpoints, .start = start_checkpoint}) ==
         TrainingEndReason::stopped) {
         const bool can_go_on = !list_checkpoints(checkpoints).empty();
-        throw Error(ExitCode::interrupted,
-                    fmt::format("interrupted: the network of {} is unchanged{}", run.folder.string(),
-                                can_go_on ? "; continue with: " + make_resume_command(options) : ""));
+        throw Error(
+            ExitCode::interrupted,
+            fmt::format("interrupted: the ray-drop network of run {} is unchanged{}", run.folder.string(),
+                        can_go_on ? "; continue with: " + make_resume_command(options) : ""));
     }
     save_run(run);
 }
@@ -98,7 +100,8 @@ void score_with_and_without_network(Device& device, const TrainedRun& run,
                                       {make_absolute_path(run.folder.string()), device.info().name,
                                        device.peak_allocated_bytes(), 0.0}));
     if (!options.quiet)
-        print(format_metric_tables(after, &before) + "\nThe column \"baseline\" is without the network.\n");
+        print(format_metric_tables(after, &before) +
+              "\nThe column \"baseline\" has the scores without the ray-drop network.\n");
 }
 
 void run_refine_command(const RefineCommandOptions& options) {
@@ -149,8 +152,7 @@ void add_refine_command(CLI::App& app, ParsedCommand& selected_command) {
                       "continue an interrupted training, with its settings, from its newest checkpoint");
     add_setting_override_option(*command, options->sets);
     add_device_options(*command, options->device);
-    command->add_flag("--no-eval", options->no_eval,
-                      "do not score the held-out frames with and without the network");
+    command->add_flag("--no-eval", options->no_eval, "do not score the held-out frames after the training");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(kRefineHelp);
     command->callback(

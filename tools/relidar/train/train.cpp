@@ -174,7 +174,8 @@ void print_training_start(const LidarSequence& sequence, const TrainTestSplit& s
                     sequence.frames.size(), split.train.size(), split.test.size(), device.info().name,
                     device.traversal() == RayTracingBackend::software ? "software traversal" : "ray query"));
     for (const std::string& note : sequence.notes) print("note    " + note + "\n");
-    if (start_checkpoint) print(fmt::format("resume  from iteration {}\n", start_checkpoint->iteration));
+    if (start_checkpoint)
+        print(fmt::format("resume  training continues from iteration {}\n", start_checkpoint->iteration));
     std::fflush(stdout);
 }
 
@@ -202,7 +203,7 @@ TrainResult train_with_resume_hint(Device& device, const TrainedRun& run, const 
         const bool has_checkpoint = !list_checkpoints(checkpoints).empty();
         if (!has_checkpoint && error.code() != ExitCode::interrupted) throw;
         throw Error(error.code(), fmt::format("{}; {}: {}", error.what(),
-                                              has_checkpoint ? "the last checkpoint is kept; continue with"
+                                              has_checkpoint ? "the last checkpoint is saved; continue with"
                                                              : "start again with",
                                               make_resume_command(options)));
     }
@@ -309,7 +310,8 @@ void refine_and_save_drop_network(Device& device, TrainedRun& run, const TrainOp
     const std::optional<Checkpoint> start = find_network_resume_checkpoint(run);
     if (!start) remove_network_checkpoints(run.folder);
     else if (!options.quiet)
-        print(fmt::format("resume  the ray-drop network from step {}\n", start->iteration));
+        print(fmt::format("resume  training of the ray-drop network continues from step {}\n",
+                          start->iteration));
     const auto leave_out = [](const Error& error) {
         end_progress_line();
         print_note(error.what());
@@ -360,7 +362,7 @@ void run_missing_training_steps(const TrainOptions& options, const Config& confi
     copy_scans_into_run(run, run.split.test, log);
     if (!options.quiet) {
         print_training_start(run.sequence, run.split, device, nullptr);
-        print("resume  after the last iteration\n");
+        print("resume  all iterations are done; continuing with the steps after them\n");
     }
     install_interrupt_handlers();
     if (!run.held_out_placed) align_scans_and_learn_noise_or_throw(device, run, options, stages);

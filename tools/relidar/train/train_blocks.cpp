@@ -185,14 +185,15 @@ private:
         const auto show = [&](int step, int n_steps) {
             const double s = std::chrono::duration<double>(Clock::now() - start).count();
             progress.show_progress_text(
-                fmt::format("actors in front of the joined background, step {}/{}  {:.2f} it/s  eta {}", step,
-                            n_steps, step / s, format_duration(s / step * (n_steps - step))),
+                fmt::format(
+                    "training actors with the joined background, step {}/{}  {:.2f} steps/s  remaining {}",
+                    step, n_steps, step / s, format_duration(s / step * (n_steps - step))),
                 step == n_steps);
         };
         try {
             if (relidar::train_actors(device_, run_, {show, is_interrupted}) == TrainingEndReason::stopped)
                 throw Error(ExitCode::interrupted,
-                            "interrupted while actors were trained in front of the joined background");
+                            "interrupted while actors were trained together with the joined background");
         } catch (const Error& error) {
             throw Error(error.code(), append_resume_hint(error.what()));
         }
@@ -201,7 +202,7 @@ private:
 
     /// Appends the command that resumes the training to an error message.
     std::string append_resume_hint(const std::string& error_message) const {
-        return fmt::format("{}; the trained blocks are kept; continue with: {}", error_message, how_.resume);
+        return fmt::format("{}; the trained blocks are saved; continue with: {}", error_message, how_.resume);
     }
 
     std::string format_block_name(std::size_t block_index) const {
@@ -233,11 +234,11 @@ private:
         if (how_.quiet) return;
         const double left_s =
             trained_ > 0 ? seconds_ / double(trained_) * double(blocks_.size() - block_index) : 0.0;
-        print(fmt::format("block   {} of {}, metres {:.0f} to {:.0f}: {} training frames, {} held out{}\n",
-                          block_index + 1, blocks_.size(), blocks_[block_index].begin_m,
-                          blocks_[block_index].end_m, block_log.split.train.size(),
-                          block_log.split.test.size(),
-                          left_s > 0.0 ? fmt::format("; about {} left", format_duration(left_s)) : ""));
+        print(fmt::format(
+            "block   {} of {}, metres {:.0f} to {:.0f}: {} training frames, {} held out{}\n", block_index + 1,
+            blocks_.size(), blocks_[block_index].begin_m, blocks_[block_index].end_m,
+            block_log.split.train.size(), block_log.split.test.size(),
+            left_s > 0.0 ? fmt::format("; about {} left for all blocks", format_duration(left_s)) : ""));
         std::fflush(stdout);
     }
 

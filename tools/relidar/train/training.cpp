@@ -80,8 +80,8 @@ void align_held_out_scans_with_progress(Device& device, TrainedRun& run, bool qu
     end_progress_line();
     if (quiet || placed.scans == 0) return;
     print(
-        fmt::format("aligned {} of {} held-out scans to the scene; they moved by {:.1f} mm (median), at most "
-                    "{:.1f} mm\n",
+        fmt::format("corrected the poses of {} of {} held-out scans by {:.1f} mm (median), at most {:.1f} "
+                    "mm, so that they fit the scene\n",
                     placed.placed, placed.scans, 1e3 * placed.median_m, 1e3 * placed.largest_m));
     std::fflush(stdout);
 }
@@ -110,7 +110,7 @@ TrainResult train_scene_with_progress(Device& device, const LidarSequence& seque
     TerminalProgress progress(quiet);
     session.progress = [show = make_progress_callback(progress)](std::string_view description, double done) {
         if (is_interrupted())
-            throw Error(ExitCode::interrupted, "interrupted while the training was prepared");
+            throw Error(ExitCode::interrupted, "interrupted before the first iteration of training");
         show(description, done);
     };
     session.stop = is_interrupted;
@@ -161,10 +161,10 @@ TrainingEndReason train_drop_network_with_progress(Device& device, TrainedRun& r
     session.step = [&](const RayDropTrainProgress& p) {
         const double eta_s = p.seconds / p.step * (p.n_steps - p.step);
         progress.show_progress_text(
-            fmt::format(
-                "ray-drop network, epoch {}/{}  step {}/{}  {:.2f} it/s  eta {}  entropy {}  accuracy {:.4f}",
-                p.epoch, p.n_epochs, p.step, p.n_steps, p.step / p.seconds, format_duration(eta_s),
-                format_four_significant_digits(p.entropy), p.accuracy),
+            fmt::format("ray-drop network, epoch {}/{}  step {}/{}  {:.2f} steps/s  remaining {}  loss "
+                        "(cross-entropy) {}  accuracy {:.4f}",
+                        p.epoch, p.n_epochs, p.step, p.n_steps, p.step / p.seconds, format_duration(eta_s),
+                        format_four_significant_digits(p.entropy), p.accuracy),
             p.step == p.n_steps);
     };
     RayDropNetwork network = refine_drops(device, run, session);
@@ -181,7 +181,7 @@ std::string format_progress_line(const TrainProgress& progress) {
             terms += fmt::format("{}{} {}", terms.empty() ? "" : " ", kLossTermNames[k],
                                  format_four_significant_digits(progress.terms[k]));
     }
-    return fmt::format("iteration {}/{}  {:.2f} it/s  eta {}  loss {} ({})", progress.iteration,
+    return fmt::format("iteration {}/{}  {:.2f} iterations/s  remaining {}  loss {} ({})", progress.iteration,
                        progress.n_iterations, progress.iterations_per_second, format_duration(progress.eta_s),
                        format_four_significant_digits(progress.loss), terms);
 }
