@@ -101,7 +101,8 @@ void measure_actor_move_times(Device& device, const DevCase& bench_case, int n_r
 TimePercentiles get_iteration_wall_time(const BenchResult& result) {
     const auto row = std::ranges::find(result.phases, "iteration_wall", &KernelBenchTime::name);
     if (row == result.phases.end())
-        throw DeviceError("timing actors: found a device without timestamps, expected one that has them");
+        throw DeviceError(
+            "cannot measure actors: found a device without timestamps, expected a device with timestamps");
     return row->ms;
 }
 
@@ -133,9 +134,9 @@ ActorBenchTimes measure_actor_times(Device& device, int n_actors, bool one_model
 
 std::string format_actor_times(const std::vector<ActorBenchTimes>& times) {
     std::vector<std::vector<std::string>> rows{{"actors", "models", "surfels", "build ms", "move ms",
-                                                "scan ms", "step ms", "memory MiB", "bottom levels rebuilt"}};
+                                                "scan ms", "step ms", "memory MiB", "actor trees rebuilt"}};
     for (const ActorBenchTimes& t : times)
-        rows.push_back({fmt::format("{}", t.n_actors), t.copy_shared_models ? "own" : "one",
+        rows.push_back({fmt::format("{}", t.n_actors), t.copy_shared_models ? "separate" : "shared",
                         fmt::format("{}", t.n_surfels()), fmt::format("{:.2f}", t.build_ms),
                         format_median_ms(t.move_ms), format_median_ms(t.scan_ms), format_median_ms(t.step_ms),
                         fmt::format("{:.1f}", double(t.memory) / double(1 << 20)),

@@ -91,26 +91,28 @@ void run_bench_command(const BenchOptions& options, const std::string& command_l
     check_bench_choice(options.choice);
     if (!options.choice.run.empty() && options.describes_street)
         throw UsageError(
-            "--run: found --scene, --surfels or --rays beside it, expected the run alone: it brings its "
-            "scene and rays");
+            "--run: found --scene, --surfels or --rays in the same command; expected only --run, because the "
+            "run defines scene and rays");
     BenchSettings settings = options.settings;
     settings.backward = !options.no_backward;
     if (settings.repeat < 1 || settings.repeat > kMaxRepeat)
-        throw UsageError(fmt::format("--repeat: found {}, expected 1 to {}", settings.repeat, kMaxRepeat));
+        throw UsageError(
+            fmt::format("--repeat: found {}, expected a number from 1 to {}", settings.repeat, kMaxRepeat));
     const std::filesystem::path json = options.json;
     if (std::error_code failed; std::filesystem::is_directory(json, failed))
         throw DataError(fmt::format("--json {}: found a folder, expected the name of a file", options.json));
     if (!options.actors.empty()) parse_actor_counts(options.actors);
     if (options.scans.n_scans != 0 && options.choice.run.empty())
-        throw UsageError("--scans: found no --run beside it, expected the run that is to be rendered");
+        throw UsageError("--scans: the option --run is missing; expected --run RUN with the run to render");
     if (options.n_steps != 0 && options.choice.run.empty())
-        throw UsageError("--steps: found no --run beside it, expected the run that is to be trained on");
+        throw UsageError("--steps: the option --run is missing; expected --run RUN with the run to train");
     if (options.n_steps != 0 && options.scans.n_scans != 0)
         throw UsageError(
-            "--steps: found --scans beside it, expected one of them: scans are rendered, steps train");
+            "--steps: found --scans in the same command; expected only one of them, because --scans measures "
+            "rendering and --steps measures training");
     if (options.n_steps < 0 || options.n_steps > kMostTimedSteps)
-        throw UsageError(
-            fmt::format("--steps: found {}, expected 1 to {}", options.n_steps, kMostTimedSteps));
+        throw UsageError(fmt::format("--steps: found {}, expected a number from 1 to {}", options.n_steps,
+                                     kMostTimedSteps));
     std::optional<OutputFolder> folder;
     if (!json.empty()) folder.emplace(json.has_parent_path() ? json.parent_path() : ".");
     Device device(make_device_options(options.device));
@@ -134,16 +136,15 @@ void run_bench_command(const BenchOptions& options, const std::string& command_l
 void add_training_benchmark_options(CLI::App& command, BenchCaseOptions& choice) {
     command
         .add_option("--keep-hits", choice.keep_hits,
-                    "hits a ray that the backward pass need not search again; 0: it casts every ray again "
-                    "(default: 64, or as the run says, and "
-                    "more where training would keep more)")
+                    "number of hits per ray that the forward pass stores for the backward pass; 0: the "
+                    "backward pass traces all rays again (default: at least 64, or the value of the run)")
         ->type_name("N");
     command
         .add_option("--likelihood", choice.likelihood,
-                    "weight of loss.likelihood (default: 0, or as the run says)")
+                    "weight of loss.likelihood (default: 0, or the value of the run)")
         ->type_name("WEIGHT");
     command.add_flag("--deterministic", choice.deterministic,
-                     "gather gradients in a fixed order instead of adding them with atomics");
+                     "add gradients in a fixed order instead of with atomic operations");
 }
 
 /// Adds options that select measurements of complete scans: scans with many actors, scans
@@ -151,75 +152,84 @@ void add_training_benchmark_options(CLI::App& command, BenchCaseOptions& choice)
 void add_scan_benchmark_options(CLI::App& command, BenchOptions& options) {
     command
         .add_option("--actors", options.actors,
-                    "time scans, training and moves of so many copies of an actor of 1000 surfels; several "
-                    "numbers parted by commas")
+                    "measure scans, training and moves with this number of copies of an actor of 1000 "
+                    "surfels; several numbers are separated by commas")
         ->type_name("LIST");
     command
         .add_option("--scans", options.scans.n_scans,
-                    "time so many scans along the way of --run instead, from poses to scans")
+                    "instead measure this number of complete scans along the path of --run")
         ->type_name("N");
     command
         .add_option("--together", options.scans.together,
-                    "so many scans of --scans go to the device at once; a GPU renders them side by side "
-                    "(default: all of a rig, else 1)")
+                    "number of scans of --scans that are submitted to the device together; a GPU renders "
+                    "them in parallel (default: all sensors of a rig, otherwise 1)")
         ->type_name("N");
     command
         .add_option("--steps", options.n_steps,
-                    "time so many steps of training on from --run instead, on its own batches, and what lies "
-                    "between their kernels")
+                    "instead measure this number of training steps that continue --run: the time of each "
+                    "kernel and the time between kernels")
         ->type_name("N");
     command.add_flag("--sampled", options.scans.sampled,
-                     "scans of --scans are drawn by a seed, with the sensor's noise");
+                     "with --scans: draw random drops and noise, like `relidar render --sample`");
     ServeBenchOptions& service = options.service;
     command
         .add_option("--serve", service.address,
-                    "time calls of a running `relidar serve` at this address instead")
+                    "instead measure calls of a running `relidar serve` at this address")
         ->type_name("HOST:PORT");
-    command.add_option("--serve-scene", service.scene, "which of its scenes (default: the first)")
+    command
+        .add_option("--serve-scene", service.scene,
+                    "with --serve: name of the scene to render (default: the first)")
         ->type_name("NAME");
     command
         .add_option("--sensor", service.sensor,
-                    "of these scans: one of `relidar list sensors`, as HDL-32E:512x10, or with --scans a rig "
-                    "(default: the log's own)")
+                    "with --scans or --serve: sensor to render, from `relidar list sensors`, for example "
+                    "HDL-32E:512x10; with --scans also a rig (default: the sensor of the log)")
         ->type_name("NAME|RIG.json");
-    command.add_option("--clients", service.clients, "that call at the same time (default: 1)")
+    command
+        .add_option("--clients", service.clients,
+                    "with --serve: number of clients that call at the same time (default: 1)")
         ->type_name("N");
-    command.add_option("--calls", service.calls, "of all of them together (default: 100)")->type_name("N");
+    command
+        .add_option("--calls", service.calls,
+                    "with --serve: number of calls of all clients together (default: 100)")
+        ->type_name("N");
 }
 
 /// Adds the options for ray tracing to the command.
 void add_ray_tracing_options(CLI::App& command, BenchCaseOptions& choice) {
     command
         .add_option("--chunk", choice.chunk,
-                    "hits sorted at a time, 1 to 64 (default: 16, or as the run says)")
+                    "number of hits of a ray that are sorted together, 1 to 64 (default: 16, or the value of "
+                    "the run)")
         ->type_name("N");
     command
         .add_option("--proxy", choice.proxy,
-                    "what stands for a surfel in ray query: auto, triangles or boxes (default: auto, or as "
-                    "the run says)")
+                    "shape that represents a surfel in ray queries: auto, triangles or boxes (default: auto, "
+                    "or the value of the run)")
         ->type_name("WHAT");
     command
-        .add_option(
-            "--walk", choice.traversal_mode,
-            "how rays walk the software tree: auto, lane or subgroup (default: auto, or as the run says)")
+        .add_option("--walk", choice.traversal_mode,
+                    "unit that searches the software tree for a ray: auto, lane or subgroup (default: auto, "
+                    "or the value of the run)")
         ->type_name("HOW");
     command
         .add_option("--order", choice.order,
-                    "how hits come in order: auto, chunks as they are found, or lists that are sorted "
-                    "(default: auto: lists on a GPU)")
+                    "how hits are sorted: chunks during the search, or complete lists after it (default: "
+                    "auto, which uses lists on a GPU)")
         ->type_name("HOW");
     command
         .add_option("--sh", choice.sh,
-                    "harmonics evaluated along each ray, or once a surfel (default: ray, or as the run says)")
+                    "evaluate spherical harmonics for each ray or once per surfel (default: ray, or the "
+                    "value of the run)")
         ->type_name("ray|surfel");
 }
 
 constexpr const char* kBenchHelp =
     R"(One repetition: a rebuild (proxies, bottom level, top level), an iteration (activation, refit,
 forward, loss, backward, and Adam with learning rate 0, so that the scene does not change), and
-one instance moved (top level). Times are device timestamps. A kernel that runs several times in
-an iteration counts with their sum. Mrays/s is the median of forward and backward tracing. The
-floor of a kernel is the time in which a copy moves the bytes that the kernel has to move.
+one instance moved (top level). Times are device timestamps. If a kernel runs several times in an
+iteration, its times are added. Mrays/s is the median of forward and backward tracing. The floor of
+a kernel is the time that a copy of its minimum memory traffic takes.
 Examples:
   relidar-dev bench --json bench.json
   relidar-dev bench --scene B --surfels 1000000 --rays waymo --sh surfel
@@ -235,35 +245,40 @@ Examples:
 
 void add_bench_command(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand(
-        "bench", "time every kernel of a training iteration, on a benchmark street or a run");
+        "bench", "measure the time of each kernel of a training iteration, on a synthetic street or a run");
     const auto options = std::make_shared<BenchOptions>();
     BenchCaseOptions& choice = options->choice;
-    const CLI::Option* scene = command
-                                   ->add_option("--scene", choice.street,
-                                                "street A: surfels of 0.1 to 0.3 m; B: smaller the more "
-                                                "there are; C: as B, all of opacity 0.1 (default: A)")
-                                   ->type_name("A|B|C");
-    const CLI::Option* surfels =
-        command->add_option("--surfels", choice.n_surfels, "surfels of the street (default: 100000)")
-            ->type_name("N");
-    const CLI::Option* rays =
+    const CLI::Option* scene =
         command
-            ->add_option(
-                "--rays", choice.rays,
-                "waymo (64 x 2650), kitti (66 x 1030) or a size, +2.0 to -24.9 degrees (default: 64x1024)")
-            ->type_name("NAME|ROWSxCOLUMNS");
+            ->add_option("--scene", choice.street,
+                         "synthetic street; A: surfels of 0.1 to 0.3 m; B: the more surfels, the smaller "
+                         "they are; C: like B, but with opacity 0.1 (default: A)")
+            ->type_name("A|B|C");
+    const CLI::Option* surfels =
+        command
+            ->add_option("--surfels", choice.n_surfels, "number of surfels of the street (default: 100000)")
+            ->type_name("N");
+    const CLI::Option* rays = command
+                                  ->add_option("--rays", choice.rays,
+                                               "size of the image: waymo (64 x 2650), kitti (66 x 1030) or "
+                                               "ROWSxCOLUMNS; +2.0 to -24.9 degrees (default: 64x1024)")
+                                  ->type_name("NAME|ROWSxCOLUMNS");
     command
         ->add_option("--run", choice.run,
-                     "bench a run instead: its scene, and its sensor's rays at the first held-out frame")
+                     "measure a run instead of a street: its scene, and the rays of its sensor at the first "
+                     "held-out frame")
         ->type_name("RUN");
     add_ray_tracing_options(*command, choice);
     add_training_benchmark_options(*command, choice);
-    command->add_option("--repeat", options->settings.repeat, "repetitions after warming up (default: 10)")
+    command
+        ->add_option("--repeat", options->settings.repeat,
+                     "number of measured repetitions, after a few that are not measured (default: 10)")
         ->type_name("N");
-    command->add_flag("--no-backward", options->no_backward,
-                      "rendering alone: no loss, gradients or optimiser, nor their memory");
+    command->add_flag(
+        "--no-backward", options->no_backward,
+        "measure only rendering: without loss, gradients and optimiser, and without their memory");
     add_scan_benchmark_options(*command, *options);
-    command->add_option("--json", options->json, "write the numbers to this file too")->type_name("FILE");
+    command->add_option("--json", options->json, "also write the results to this file")->type_name("FILE");
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->settings.quiet, "print errors only");
     command->footer(kBenchHelp);

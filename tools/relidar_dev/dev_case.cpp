@@ -48,8 +48,8 @@ std::optional<ImageSize> parse_ray_grid_size(const std::string& text) {
     ImageSize size;
     if (words.size() != 2 || !try_parse_positive_integer(words[0], size.rows) ||
         !try_parse_positive_integer(words[1], size.columns)) {
-        throw UsageError(
-            fmt::format("--rays: found \"{}\", expected waymo, kitti or ROWSxCOLUMNS, as in 64x1024", text));
+        throw UsageError(fmt::format(
+            "--rays: found \"{}\", expected waymo, kitti or ROWSxCOLUMNS, for example 64x1024", text));
     }
     if (size.rows > kMaxRows || size.columns > kMaxRays / size.rows) {
         throw UsageError(
@@ -116,7 +116,8 @@ void check_bench_choice(const BenchCaseOptions& choice) {
     if (choice.street != "A" && choice.street != "B" && choice.street != "C")
         throw UsageError(fmt::format("--scene: found \"{}\", expected A, B or C", choice.street));
     if (choice.n_surfels < 1 || choice.n_surfels > kMaxSurfels)
-        throw UsageError(fmt::format("--surfels: found {}, expected 1 to {}", choice.n_surfels, kMaxSurfels));
+        throw UsageError(fmt::format("--surfels: found {}, expected a number from 1 to {}", choice.n_surfels,
+                                     kMaxSurfels));
     parse_ray_grid_size(choice.rays);
     Config unused;
     apply_bench_options(choice, unused);

@@ -14,7 +14,8 @@ void add_dev_commands(CLI::App& app, relidar::cli::ParsedCommand& selected_comma
 }  // namespace
 
 int main(int argc, char** argv) {
-    return relidar::cli::run_program({"relidar-dev", "relidar-dev: measurements for developers of relidar",
-                                      "Exit codes as of relidar.", add_dev_commands},
-                                     argc, argv);
+    return relidar::cli::run_program(
+        {"relidar-dev", "relidar-dev: measurements for developers of relidar",
+         "The exit codes are those of relidar (see `relidar --help`).", add_dev_commands},
+        argc, argv);
 }

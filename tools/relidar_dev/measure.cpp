@@ -248,8 +248,8 @@ BenchResult BenchRunner::make_bench_result() {
     Renderer& r = get_renderer();
     if (const std::uint32_t capped = r.forward_pass().get_truncated_ray_count().download()[0])
         throw DeviceError(
-            fmt::format("tracing {} rays: {} reached the cap of passes or filled the traversal stack, "
-                        "expected every ray to end",
+            fmt::format("cannot trace {} rays: {} of them reached the maximum number of passes or filled the "
+                        "traversal stack, expected none",
                         rays_.size(), capped));
     // Adds the kernels that do not run in an iteration, such as the build of the
     // acceleration structure.
@@ -323,7 +323,7 @@ TimePercentiles compute_p10_median_p90(std::vector<double> samples) {
 
 BenchResult run_benchmark(Device& device, const DevCase& bench_case_case, const BenchSettings& settings) {
     const bool device_clock = device.info().timestamps;
-    TerminalProgress(settings.quiet).show_progress_text("warming up");
+    TerminalProgress(settings.quiet).show_progress_text("running repetitions that are not measured");
     BenchRunner bench(device, bench_case_case);
     const auto repeat = [&] { device_clock ? bench.run_repetition() : bench.run_repetition_by_wall_clock(); };
     bench.prepare_renderers(settings.backward && device_clock);

@@ -90,13 +90,15 @@ void add_pipelines_command(CLI::App& app, ParsedCommand& selected_command) {
                                            "compile every kernel as the program uses it and print what the "
                                            "device's compiler says: registers, spills, waves");
     const auto options = std::make_shared<PipelinesOptions>();
-    command->add_option("--device", options->device, "number of `relidar list devices`");
-    command->add_option("--traversal", options->traversal, "software, ray_query or both")
+    command->add_option("--device", options->device, "number of the device in `relidar list devices`");
+    command
+        ->add_option("--traversal", options->traversal, "method to trace rays: software, ray_query or both")
         ->check(CLI::IsMember({"software", "ray_query", "both"}));
-    command->add_option("--kernel", options->kernel, "only kernels whose name contains this");
-    command->add_flag("--tsv", options->tsv, "one line a pipeline, columns separated by tabs");
+    command->add_option("--kernel", options->kernel, "only kernels whose name contains this text");
+    command->add_flag("--tsv", options->tsv, "print one line per pipeline, with columns separated by tabs");
     command->footer(
-        "Nothing is run, so a driver without hardware will do (tools/dev/gpu_report).\nExample: relidar-dev "
+        "No kernel runs, so a driver without hardware is sufficient (tools/dev/gpu_report).\nExample: "
+        "relidar-dev "
         "pipelines --kernel trace");
     command->callback([&selected_command, options] {
         selected_command.run = [options] { print_pipeline_statistics(*options); };

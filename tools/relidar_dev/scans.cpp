@@ -78,11 +78,11 @@ double get_thread_cpu_time_ms() {
 ScanBenchTimes measure_scan_times(Device& device, const ScanBenchOptions& bench_options) {
     using Send = ScanRenderer::SubmissionTiming;
     if (bench_options.n_scans < 1 || bench_options.n_scans > kMostInOneGo)
-        throw UsageError(
-            fmt::format("--scans: found {}, expected 1 to {}", bench_options.n_scans, kMostInOneGo));
+        throw UsageError(fmt::format("--scans: found {}, expected a number from 1 to {}",
+                                     bench_options.n_scans, kMostInOneGo));
     if (bench_options.together < 0 || bench_options.together > kMostTogether)
-        throw UsageError(
-            fmt::format("--together: found {}, expected 1 to {}", bench_options.together, kMostTogether));
+        throw UsageError(fmt::format("--together: found {}, expected a number from 1 to {}",
+                                     bench_options.together, kMostTogether));
     const TrainedRun run = load_run(bench_options.run);
     ScanRenderer renderer(device, run);
     const LogPathRequests drive(run, bench_options);
@@ -135,12 +135,12 @@ ScanBenchTimes measure_scan_times(Device& device, const ScanBenchOptions& bench_
 std::string format_scan_times(const ScanBenchTimes& times) {
     return fmt::format(
         "{}: {} scans of {:.0f} rays, {:.0f} points each{}\n"
-        "{:.1f} scans/s, {:.2f} ms a scan (median), of it kernels {:.2f}; the thread that asks works "
-        "{:.2f}\n",
+        "{:.1f} scans/s, {:.2f} ms per scan (median); kernels {:.2f} ms per scan; processor time of the "
+        "calling thread {:.2f} ms per scan\n",
         times.sensor, times.n_scans, times.rays, times.points,
-        times.together > 1
-            ? fmt::format(", {} sent at once, {} side by side", times.together, times.side_by_side)
-            : "",
+        times.together > 1 ? fmt::format(", {} submitted together, {} rendered in parallel", times.together,
+                                         times.side_by_side)
+                           : "",
         times.scans_per_s, times.scan_ms, times.device_ms, times.host_ms);
 }
 

@@ -17,10 +17,11 @@ constexpr int kMostClients = 256, kMostCalls = 1'000'000;
 
 void run_service_benchmark(const ServeBenchOptions& bench_options) {
     if (bench_options.clients < 1 || bench_options.clients > kMostClients)
-        throw UsageError(
-            fmt::format("--clients: found {}, expected 1 to {}", bench_options.clients, kMostClients));
+        throw UsageError(fmt::format("--clients: found {}, expected a number from 1 to {}",
+                                     bench_options.clients, kMostClients));
     if (bench_options.calls < 1 || bench_options.calls > kMostCalls)
-        throw UsageError(fmt::format("--calls: found {}, expected 1 to {}", bench_options.calls, kMostCalls));
+        throw UsageError(fmt::format("--calls: found {}, expected a number from 1 to {}", bench_options.calls,
+                                     kMostCalls));
     (void)parse_host_port(bench_options.address, "--serve", 1);
     const serve::LatencyResult r =
         serve::measure_latency({bench_options.address, bench_options.scene, bench_options.sensor,
@@ -29,12 +30,12 @@ void run_service_benchmark(const ServeBenchOptions& bench_options) {
         return {name, fmt::format("{:.1f}", p.p50), fmt::format("{:.1f}", p.p99)};
     };
     print(fmt::format(
-        "{} at {}: {} calls by {} clients, {} rays and {:.0f} points a scan\n{}{:.1f} scans/s\n", r.scene,
+        "{} at {}: {} calls by {} clients, {} rays and {:.0f} points per scan\n{}{:.1f} scans/s\n", r.scene,
         bench_options.address, bench_options.calls, bench_options.clients, r.rays, r.points,
         format_table({{"ms", "p50", "p99"},
                       row("latency", r.latency_ms),
-                      row("of it queued", r.queued_ms),
-                      row("of it rendering", r.rendered_ms)}),
+                      row("waiting in the queue", r.queued_ms),
+                      row("rendering", r.rendered_ms)}),
         r.scans_per_s));
 }
 

@@ -8,8 +8,8 @@ namespace relidar::cli {
 
 void run_service_benchmark(const ServeBenchOptions&) {
     throw UsageError(
-        "--serve: this program was built without gRPC, expected one with it: `tools/dev/setup --serve`, then "
-        "build again");
+        "--serve is not available, because relidar-dev was built without gRPC; run `tools/dev/setup --serve` "
+        "and build it again");
 }
 
 }  // namespace relidar::cli

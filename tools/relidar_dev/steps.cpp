@@ -29,7 +29,8 @@ std::string format_step_times(const TrainingStepTimes& times, const Device& devi
         return first.second.ms > second.second.ms;
     });
     std::string text = fmt::format(
-        "{}\n{} surfels, {} rays a step, {} hits kept a ray; means of {} steps\n\n{:<28}{:>9}{:>10}{:>8}\n",
+        "{}\n{} surfels, {} rays per step, {} hits stored per ray; means of {} "
+        "steps\n\n{:<28}{:>9}{:>10}{:>8}\n",
         device.info().name, times.surfels, times.rays, times.stored_hits_per_ray, times.n_steps, "kernel",
         "launches", "ms", "share");
     const auto row = [&](const std::string& name, const std::string& launches, double ms) {
@@ -37,7 +38,7 @@ std::string format_step_times(const TrainingStepTimes& times, const Device& devi
             fmt::format("{:<28}{:>9}{:>10.3f}{:>7.1f}%\n", name, launches, ms, 100.0 * ms / times.wall_ms);
     };
     for (const auto& [name, kernel] : rows) row(name, fmt::format("{:.3g}", kernel.launches), kernel.ms);
-    if (rows.empty()) text += "the device has no timestamps\n";
+    if (rows.empty()) text += "The times of the kernels are unknown, because the device has no timestamps.\n";
     else row("between kernels", "", times.compute_idle_ms());
     row("step, wall time", "", times.wall_ms);
     return text + fmt::format("{:.2f} steps/s\n", 1e3 / times.wall_ms);

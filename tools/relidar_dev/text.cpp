@@ -22,10 +22,10 @@ std::string format_milliseconds(double ms) {
 }
 
 std::string format_phase_name(const std::string& phase_id, bool includes_training) {
-    if (phase_id == "iteration") return includes_training ? "whole iteration" : "whole frame";
+    if (phase_id == "iteration") return includes_training ? "complete iteration" : "complete frame";
     if (phase_id == "iteration_wall")
-        return includes_training ? "whole iteration, wall time" : "whole frame, wall time";
-    if (phase_id == "rebuild") return "rebuild";
+        return includes_training ? "complete iteration, wall time" : "complete frame, wall time";
+    if (phase_id == "rebuild") return "rebuild of the tree";
     return "move of one instance";
 }
 
@@ -60,9 +60,8 @@ double compute_bytes_per_item(std::uint64_t n_bytes, std::size_t count) {
 
 std::string format_memory_report(const BenchMemory& memory, std::size_t n_surfels, std::size_t n_rays) {
     return fmt::format(
-        "memory    {} at peak; {:.0f} bytes a surfel (scene {:.0f}, acceleration structure {:.0f}, gradients "
-        "and moments {:.0f}), {:.0f} "
-        "bytes a ray\n",
+        "memory    {} at peak; {:.0f} bytes per surfel (scene {:.0f}, acceleration structure {:.0f}, "
+        "gradients and moments {:.0f}), {:.0f} bytes per ray\n",
         format_byte_size(memory.peak), compute_bytes_per_item(sum_surfel_memory_bytes(memory), n_surfels),
         compute_bytes_per_item(memory.scene, n_surfels), compute_bytes_per_item(memory.accel, n_surfels),
         compute_bytes_per_item(memory.training, n_surfels), compute_bytes_per_item(memory.rays, n_rays));
@@ -84,15 +83,17 @@ std::map<std::string, double> compute_min_kernel_times_ms(const BenchResult& res
 }
 
 std::string format_time_lower_bounds(const BenchResult& result) {
-    if (!result.copy_bytes_per_s) return "floors    none: no room for a copy to compare with\n";
+    if (!result.copy_bytes_per_s)
+        return "floors    unknown, because too little device memory is free to measure a copy\n";
     std::string text = fmt::format(
-        "floors    bytes that must move once, at the {:.1f} GB/s of a copy; latency, divergence and "
-        "arithmetic are left out\n",
+        "floors    minimum memory traffic at the speed of a copy ({:.1f} GB/s), without latency, divergence "
+        "and arithmetic\n",
         *result.copy_bytes_per_s * 1e-9);
     const std::map<std::string, double> cached = compute_cache_load_bytes_per_kernel(result.sizes);
     for (const auto& [kernel, bytes] : cached)
-        text += fmt::format("caches    {} asks for {:.3f} GB, {} ms at the copy's rate\n", kernel,
-                            bytes * 1e-9, format_milliseconds(bytes / *result.copy_bytes_per_s * 1000.0));
+        text +=
+            fmt::format("caches    {} loads {:.3f} GB, which takes {} ms at the speed of a copy\n", kernel,
+                        bytes * 1e-9, format_milliseconds(bytes / *result.copy_bytes_per_s * 1000.0));
     if (!cached.empty())
         text += fmt::format("search    about {:.3f} G operations in {}\n",
                             count_traversal_operations(result.sizes) * 1e-9,
@@ -148,12 +149,13 @@ std::string format_bench_result(const DevCase& bench_case, const BenchResult& re
                         describe_traversal_variant(device, bench_case, result), bench_case.config.trace.chunk,
                         get_sh_direction_name(bench_case));
     text += result.sizes.training
-                ? fmt::format(", {} hits kept a ray, gradients by {}\n", result.stored_hits_per_ray,
+                ? fmt::format(", {} hits stored per ray, gradients by {}\n", result.stored_hits_per_ray,
                               get_gradient_reduction_name(result))
                 : "\n";
     if (!result.device_clock)
         text +=
-            "note      the device has no timestamps: wall time of the forward pass alone, waits included\n";
+            "note      the device has no timestamps; times are wall times of the forward pass, including "
+            "waits\n";
     std::vector<std::vector<std::string>> rows{
         {"kernel", "p10 ms", "median ms", "p90 ms", "floor ms", "median / floor"}};
     const std::map<std::string, double> floors = compute_min_kernel_times_ms(result);
@@ -168,11 +170,11 @@ std::string format_bench_result(const DevCase& bench_case, const BenchResult& re
     for (const KernelBenchTime& row : result.phases)
         add(row, format_phase_name(row.name, result.backward_mrays_per_s.has_value()));
     text += "\n" + format_table(rows) +
-            fmt::format("\nforward   {:.3f} Mrays/s, {:.2f} blended hits a ray\n", result.forward_mrays_per_s,
-                        result.hits_per_ray);
+            fmt::format("\nforward   {:.3f} Mrays/s, {:.2f} blended hits per ray\n",
+                        result.forward_mrays_per_s, result.hits_per_ray);
     if (result.visits)
-        text += fmt::format("visits    {:.1f} nodes and {:.1f} surfels tested a ray\n", result.visits->nodes,
-                            result.visits->surfels);
+        text += fmt::format("visits    {:.1f} nodes and {:.1f} surfels tested per ray\n",
+                            result.visits->nodes, result.visits->surfels);
     if (result.backward_mrays_per_s)
         text += fmt::format("backward  {:.3f} Mrays/s\n", *result.backward_mrays_per_s);
     return text + format_time_lower_bounds(result) +

@@ -322,10 +322,10 @@ void add_eval_command(CLI::App& app, ParsedCommand& selected_command) {
                      "JSON file for the scores (default: RUN/metrics.json for a run, no file for a log)")
         ->type_name("FILE");
     command
-        ->add_option("--baseline", options->baseline,
-                     "also score a prediction that is made only of the two neighbouring real scans, moved to "
-                     "the held-out pose: nearest, or nearest-actors, which also moves the points in boxes "
-                     "along their tracks")
+        ->add_option(
+            "--baseline", options->baseline,
+            "also score a simple baseline for comparison: nearest uses the two neighbouring real scans, "
+            "moved to the held-out pose; nearest-actors also moves the points in boxes along their tracks")
         ->type_name("NAME");
     add_log_selection_options(*command, options->part);
     command

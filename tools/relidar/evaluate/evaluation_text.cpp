@@ -20,43 +20,42 @@ using Json = nlohmann::ordered_json;
 using TextTableRows = std::vector<std::vector<std::string>>;
 
 constexpr const char* kPeer =
-    "all pixels, dropped ones at 0, ranges clamped to [1e-6, max_range_m], intensity to [1e-6, 1]; PSNR peak "
-    "max_range_m and 1; SSIM 7 x 7 "
-    "uniform; "
-    "squared Chamfer distance and F-score at 0.05 m^2 squared distance over returned points; returned: "
-    "drop_prob < 0.4";
+    "all pixels; dropped pixels count as 0; ranges are clamped to [1e-6, max_range_m], intensities to [1e-6, "
+    "1]; PSNR: the peak is max_range_m or 1; SSIM: uniform window of 7 x 7; Chamfer distance (squared) and "
+    "F-score (squared distance below 0.05 m^2): over returned points; a ray returns if drop_prob < 0.4";
 constexpr const char* kStrict =
-    "returned: drop_prob < 0.5; image_*: all pixels, dropped ones at 0; depth_*, intensity_*: pixels "
-    "returned in both; Chamfer distance: "
-    "both ways summed; "
-    "F-score at 5 cm and 22.4 cm; drop_*: dropped is positive; drop_rmse: of the drop probabilities, all "
-    "pixels, no threshold";
+    "a ray returns if drop_prob < 0.5; image_*: all pixels, dropped pixels count as 0; depth_* and "
+    "intensity_*: pixels that return in both scans; Chamfer distance: sum of both directions; F-score: at 5 "
+    "cm and 22.4 cm; drop_*: a dropped ray is a positive; drop_rmse: error of the drop probabilities of all "
+    "pixels";
 constexpr const char* kPoints =
-    "as strict/depth_*, cd_* and f_*, of point clouds as files hold them: render.points, by default the "
-    "dominant surface; strict/* is of "
-    "the image, render.range";
+    "same metrics as strict/depth_*, cd_* and f_*, but for the points that are written to files (setting "
+    "render.points, by default the dominant surface); strict/* uses the range image (setting render.range)";
 constexpr const char* kRegions =
-    "pixels with a real return, the rendered value whatever its drop probability; `returned`: share of them "
-    "with drop_prob < 0.5; "
-    "moving_boxes: labelled ones; discovered_boxes: those without a label that training found";
+    "all pixels with a real return, also if the rendered ray drops; returned: share of these pixels with "
+    "drop_prob < 0.5; moving_boxes: inside labelled moving boxes; discovered_boxes: inside boxes of moving "
+    "objects without a label that training found";
 constexpr const char* kActors =
-    "tail_share: of the returned points (drop_prob < 0.5), those above ground where a moving box is at "
-    "another time of the log but none is now; tail_share_real: the same share of the real points; people_*, "
-    "vehicles_*: labelled moving boxes with 10 real points or more, people and cyclists or all others, boxes "
-    "enlarged by 0.1 m, without the lowest 0.15 m: median and signed median of the range errors, share of "
-    "errors above 0.3 m; Chamfer distance, both ways summed; share of the simulated points within 3 cm of a "
-    "real one; F1 of the rays that return from a box enlarged by 0.3 m; the table of actors has the same "
-    "for each moving box, labelled or discovered, with sums of points and means weighted by real points";
+    "trail points: simulated points above ground where a moving box is at another time of the log, but no "
+    "box is now; tail_share: trail points as a share of the returned points (drop_prob < 0.5); "
+    "tail_share_real: the same share for the real points; people_*: labelled moving boxes of people and "
+    "cyclists with at least 10 real points; vehicles_*: the same for all other labelled moving boxes; the "
+    "boxes are enlarged by 0.1 m, without the lowest 0.15 m; bias: signed median of the range errors; "
+    "Chamfer distance: sum of both directions; within 3 cm: share of the simulated points that are within 3 "
+    "cm of a real point; F1: score of the rays that return from the box, enlarged by 0.3 m; the table of "
+    "actors has these values for each labelled or discovered moving box; points are summed over the frames, "
+    "other values are means weighted by real points";
 constexpr const char* kClasses =
-    "labelled returns, the class of the rendered ray whatever its drop probability; accuracy: share with the "
-    "same class; mean_iou: mean over the labels of the frame";
+    "all returns with a label, also if the rendered ray drops; accuracy: share of these rays with the same "
+    "class; mean_iou: intersection over union, mean over the labels of the frame";
 constexpr const char* kColumns[] = {"pixels",      "returned",     "depth_medae_m",
                                     "depth_mae_m", "depth_rmse_m", "intensity_rmse"};
 
 Json make_metric_protocol_json(const Config& config) {
     const std::string lpips = find_lpips_weights_path();
     return {
-        {"frames", "held out of training; mean over frames, metric by metric, over the frames that have it"},
+        {"frames",
+         "frames that did not train the scene; each metric is the mean over the frames that have a value"},
         {"grid", config.sensor.grid},
         {"grid_method", config.sensor.grid == "native" ? "rays of the real scan" : config.sensor.grid_method},
         {"range", config.render.range},
@@ -66,7 +65,8 @@ Json make_metric_protocol_json(const Config& config) {
         {"lpips",
          lpips.empty()
              ? "no weights"
-             : "AlexNet, v0.1, on metres and intensity, x -> 2 x - 1 without a clamp; weights " + lpips},
+             : "AlexNet, v0.1, computed on metres and intensity, x -> 2 x - 1 without clamping; weights " +
+                   lpips},
         {"peer", kPeer},
         {"strict", kStrict},
         {"points", kPoints},
@@ -125,7 +125,7 @@ TextTableRows make_metric_table_rows(const EvaluationResult& evaluation, const E
 }
 
 TextTableRows make_region_metric_rows(const EvaluationResult& evaluation) {
-    TextTableRows rows{{evaluation.title + ", by region"}};
+    TextTableRows rows{{evaluation.title + ", metrics by region"}};
     for (const char* column : kColumns) rows.back().emplace_back(column);
     std::set<std::string> regions;
     for (const auto& [name, value] : evaluation.mean)

@@ -414,8 +414,7 @@ void run_render_command(const RenderOptions& command_options) {
 
     if (options.sample && run.sequence.lidars[std::size_t(lidar)].range_noise.sigma_m.empty() &&
         !options.quiet)
-        print_note(
-            fmt::format("{} has no range noise, so --sample does not change ranges", run.folder.string()));
+        print_note(fmt::format("{} has no range noise: --sample keeps ranges exact", run.folder.string()));
     if (options.sample && !options.quiet) print_missing_intensity_noise_note(run, lidar);
     if (!options.quiet) print_weather_assumptions_note(parse_weather(options.weather));
     for (const MountedSimulatedSensor& w : targets)
@@ -473,12 +472,12 @@ void add_output_file_options(CLI::App& command, RenderOptions& options) {
                      "write the boxes of actors that a ray would hit to scans.json, with class, points and "
                      "visible share; traces the rays near each actor a second time");
     command.add_flag("--deskew", options.deskew,
-                     "transform all points of a scan to the sensor frame at the time of the scan, as in a "
-                     "motion-compensated log; in mcap and rosbag to the frame at the stamp");
+                     "transform all points of a scan to the sensor frame at the time of the scan (in mcap "
+                     "and rosbag: of its stamp), as in a motion-compensated log");
     add_recording_options(command, options.names);
     add_packet_options(command, options.packets,
-                       "also send the packets of the sensor to this address; the sensors of a rig use the "
-                       "ports after it",
+                       "also send the scans as packets of the sensor to this address; each further sensor of "
+                       "a rig uses the next port",
                        "render first, then send the packets with the timing of the sensor");
     command.add_flag("--merge", options.merge,
                      "merge the scans of a rig's sensors into one scan in the frame of the rig (default: a "

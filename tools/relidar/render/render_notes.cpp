@@ -35,7 +35,7 @@ void print_unused_drop_network_note(const TrainedRun& run, const ScanRenderer& r
 void print_missing_intensity_noise_note(const TrainedRun& run, int lidar_index) {
     const auto at = std::size_t(lidar_index);
     if (at < run.intensity_scatter.size() && !run.intensity_scatter[at].empty()) return;
-    print_note(fmt::format("{} has no intensity noise, so --sample does not change intensities",
+    print_note(fmt::format("{} has no intensity noise: --sample keeps the most likely intensities",
                            run.folder.string()));
 }
 

@@ -459,8 +459,8 @@ void run_train_command(const TrainOptions& command_options, const std::string& c
 void add_resume_option(CLI::App& command, const std::shared_ptr<TrainOptions>& options) {
     command
         .add_option("--resume", options->resume_folder,
-                    "resume the run in --out, or in RUN, from its newest checkpoint, with the log and the "
-                    "settings of the run unless the command line replaces them")
+                    "continue the training of the run in --out, or in RUN, from its newest checkpoint; log "
+                    "and settings are those of the run, unless the command line replaces them")
         ->type_name("[RUN]")
         ->expected(0, 1);
 }
