@@ -66,10 +66,10 @@ TEST(ViewRequest, RefusesWhatIsNoScan) {
         {"[1]", "JSON object"},
         {std::string(100'000, '['), "JSON object"},
         {"{\"do\": \"scan\"", "JSON object"},
-        {"{}", "do ... member"},
+        {"{}", "do ... missing"},
         {R"({"do": 5})", "do ... text"},
         {R"({"do": "quit"})", "found \"quit\""},
-        {R"({"do": "scan"})", "place ... member"},
+        {R"({"do": "scan"})", "place ... missing"},
         {scan("[0, 0, 0]"), "place ... 6 numbers"},
         {scan("[0, 0, null, 0, 0, 0]"), "place 3 ... number"},
         {scan("[0, 1e5, 0, 0, 0, 0]"), "place 2 ... -10000 to 10000"},
@@ -78,7 +78,7 @@ TEST(ViewRequest, RefusesWhatIsNoScan) {
         {scan(zero, kNoEdits, "1.5", std::string(65, 'f')), "weather ... 1 to 64 bytes"},
         {scan(zero, kNoEdits, "1e999"), "JSON object"},
         {scan(zero, "[]"), "edits ... object"},
-        {scan(zero, R"({"copies": [1], "moves": {}, "removed": [], "hidden": []})"), "copies ... objects"},
+        {scan(zero, R"({"copies": [1], "moves": {}, "removed": [], "hidden": []})"), "copies ... list"},
         {scan(
              zero,
              R"({"copies": [{"of": "0", "from": "", "at": [1, 2, 3, 90, 5]}], "moves": {}, "removed": [], "hidden": []})"),
@@ -121,7 +121,7 @@ TEST(ViewRequest, TakesSensorFiles) {
         parse_page_request(R"({"do": "sensor", "file": "beams.csv", "text": "elevation_deg\n5\n"})"));
     EXPECT_EQ(file.name, "beams.csv");
     EXPECT_EQ(file.text, "elevation_deg\n5\n");
-    EXPECT_THAT(refusal(R"({"do": "sensor", "file": "beams.csv"})"), Names("text ... member"));
+    EXPECT_THAT(refusal(R"({"do": "sensor", "file": "beams.csv"})"), Names("text ... missing"));
 }
 
 }  // namespace

@@ -141,7 +141,7 @@ void print_points_in_air_table(const std::string& run_folder, int device_index) 
     fmt::print(
         "| sensor | points | other range than the street's by 5 cm | in the air by 5 cm | by 30 cm "
         "|\n|---|--:|--:|--:|--:|\n");
-    const std::vector<std::pair<std::string, glm::dvec3>> offsets{{"where it was", {0, 0, 0}},
+    const std::vector<std::pair<std::string, glm::dvec3>> offsets{{"original position", {0, 0, 0}},
                                                                   {"1 m to the left", {0, 1, 0}},
                                                                   {"2 m to the left", {0, 2, 0}},
                                                                   {"2 m left, 1 m up", {0, 2, 1}}};
@@ -171,10 +171,11 @@ int main(int argc, char** argv) {
     std::string folder;
     int device = -1;
     CLI::App app(
-        "points in the air of a trained synthetic street, from where its sensor was and from beside there",
+        "counts points in the air in scans of a trained synthetic street, at the position of its sensor and "
+        "at shifted positions",
         "relidar_bench_air");
     app.add_option("RUN", folder, "run trained on a folder with street.toml")->required();
-    app.add_option("--device", device, "as of `relidar render`");
+    app.add_option("--device", device, "number of the device in `relidar list devices`");
     CLI11_PARSE(app, argc, argv);
     try {
         print_points_in_air_table(folder, device);

@@ -58,17 +58,19 @@ void benchmark_drop_network(const DeviceOptions& device_options, const RayDropNe
 
 int main(int argc, char** argv) {
     CLI::App app(
-        "the ray-drop network: milliseconds of a training step and of an inference, medians of wall times, "
-        "and peak memory");
+        "measures the ray-drop network: wall times of a training step and of an inference (medians, in "
+        "milliseconds), and peak memory");
     int repeat = 5, index = -1, rows = 0, columns = 0;
     RayDropNetworkOptions options{.batch = 1};
     app.add_option("--network", options.network, "small, paper or pixel");
-    app.add_option("--width", options.width, "channels at full size; 0: the network's own");
-    app.add_option("--batch", options.batch, "images a step")->check(CLI::Range(1, 1024));
-    app.add_option("--rows", rows, "of the image; not given: 66 x 1030 and 64 x 2650");
+    app.add_option("--width", options.width,
+                   "number of channels at full resolution; 0: the default of the network");
+    app.add_option("--batch", options.batch, "number of images per training step")
+        ->check(CLI::Range(1, 1024));
+    app.add_option("--rows", rows, "rows of the image (default: measures 66 x 1030 and 64 x 2650)");
     app.add_option("--columns", columns)->needs("--rows");
-    app.add_option("--repeat", repeat, "runs of each")->check(CLI::Range(1, 10000));
-    app.add_option("--device", index, "as `relidar list devices` lists them");
+    app.add_option("--repeat", repeat, "number of repetitions")->check(CLI::Range(1, 10000));
+    app.add_option("--device", index, "number of the device in `relidar list devices`");
     CLI11_PARSE(app, argc, argv);
     try {
         DeviceOptions chosen;

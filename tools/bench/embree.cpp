@@ -286,12 +286,14 @@ int main(int argc, char** argv) {
     std::string scene = "A", rays_name = "64x1024";
     unsigned n_surfels = 100000;
     int chunk = 16, repeat = 10, n_threads = 2;
-    app.add_option("--scene", scene, "A or B")->check(CLI::IsMember({"A", "B"}));
-    app.add_option("--surfels", n_surfels, "surfels of the street")->check(CLI::Range(1u, 50000000u));
+    app.add_option("--scene", scene, "benchmark street: A or B")->check(CLI::IsMember({"A", "B"}));
+    app.add_option("--surfels", n_surfels, "number of surfels of the street")
+        ->check(CLI::Range(1u, 50000000u));
     app.add_option("--rays", rays_name, "waymo, kitti or ROWSxCOLUMNS");
-    app.add_option("--chunk", chunk, "hits sorted at a time")->check(CLI::Range(1, kMaxChunk));
-    app.add_option("--repeat", repeat, "images timed")->check(CLI::Range(1, 10000));
-    app.add_option("--threads", n_threads, "threads")->check(CLI::Range(1, 256));
+    app.add_option("--chunk", chunk, "number of hits that are sorted together")
+        ->check(CLI::Range(1, kMaxChunk));
+    app.add_option("--repeat", repeat, "number of measured images")->check(CLI::Range(1, 10000));
+    app.add_option("--threads", n_threads, "number of threads")->check(CLI::Range(1, 256));
     CLI11_PARSE(app, argc, argv);
 
     const EmbreeRenderer renderer(make_benchmark_street_surfels(n_surfels, 20261120, scene == "B"), chunk,

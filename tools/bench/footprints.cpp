@@ -198,14 +198,16 @@ int main(int argc, char** argv) {
     std::string folder, sensor = "OS1-64";
     double divergence_mrad = 0.0;
     int device = -1;
-    CLI::App app("sub-rays and second returns against a synthetic street cast with the same divergence",
-                 "relidar_bench_footprints");
+    CLI::App app(
+        "compares sub-rays and second returns with rays cast into the synthetic street with the same "
+        "divergence",
+        "relidar_bench_footprints");
     app.add_option("RUN", folder,
                    "run trained on a synthetic street, such as DIR/run of `relidar demo --out DIR`")
         ->required();
     app.add_option("--sensor", sensor, "as of `relidar render`");
     app.add_option("--divergence", divergence_mrad,
-                   "full beam divergence, milliradians (default: the sensor's own)");
+                   "full beam divergence in milliradians (default: the value of the sensor)");
     app.add_option("--device", device, "as of `relidar render`");
     CLI11_PARSE(app, argc, argv);
     try {

@@ -137,11 +137,11 @@ void benchmark_convolution(Device& device, const ConvolutionSize& size, int n_re
 
 int main(int argc, char** argv) {
     CLI::App app(
-        "convolutions 3x3 of the ray-drop network on the device and by oneDNN on the host, in turn: medians "
-        "and their ratio");
+        "compares the 3x3 convolutions of the ray-drop network on the device with oneDNN on the host: median "
+        "times and their ratio");
     int repeat = 15, index = -1;
-    app.add_option("--repeat", repeat, "runs of each")->check(CLI::Range(1, 10000));
-    app.add_option("--device", index, "as `relidar list devices` lists them");
+    app.add_option("--repeat", repeat, "number of repetitions")->check(CLI::Range(1, 10000));
+    app.add_option("--device", index, "number of the device in `relidar list devices`");
     CLI11_PARSE(app, argc, argv);
     try {
         DeviceOptions options;
@@ -149,11 +149,12 @@ int main(int argc, char** argv) {
         Device device(apply_environment_variables(options));
         const dnnl_version_t* version = dnnl_version();
         fmt::print(
-            "{}; oneDNN {}.{}.{}; medians of {} runs in turn; ratio: device / oneDNN, by the wall and by "
-            "processor time\n",
+            "{}; oneDNN {}.{}.{}; medians of {} alternating repetitions; ratio: device / oneDNN, of wall "
+            "times and of "
+            "processor times\n",
             device.info().name, version->major, version->minor, version->patch, repeat);
         fmt::print("{:>7} {:>7} {:<10} {:>19} {:>19} {:>19} {:>19} {:>15}\n", "image", "layers", "pass",
-                   "wall ms", "processor ms", "GFLOP/s (wall)", "GFLOP/s a core", "ratio");
+                   "wall ms", "processor ms", "GFLOP/s (wall)", "GFLOP/s per core", "ratio");
         for (const ConvolutionSize& size :
              {ConvolutionSize{64, 2000, 16, 16}, ConvolutionSize{64, 2650, 32, 32},
               ConvolutionSize{33, 515, 64, 64}})

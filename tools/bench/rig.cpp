@@ -128,8 +128,10 @@ void print_score_of_other_sensor(ScanRenderer& renderer, const TrainedRun& run,
                                  const SyntheticOptions& street, const std::string& sensor_name) {
     const SimulatedSensor sensor = choose_sensor(sensor_name, run.config, run.sequence);
     if (sensor.rays.direction.empty())
-        throw UsageError(fmt::format(
-            "{}: the rays change from scan to scan, expected a sensor with constant rays", sensor_name));
+        throw UsageError(
+            fmt::format("cannot use the sensor {}: its rays change from scan to scan, expected a sensor with "
+                        "constant rays",
+                        sensor_name));
     const PoseTrack track = run.sequence.get_world_from_sensor(0);
     RigScanScore score;
     for (const int position : run.split.test) {
@@ -140,7 +142,8 @@ void print_score_of_other_sensor(ScanRenderer& renderer, const TrainedRun& run,
     }
     std::sort(score.errors_m.begin(), score.errors_m.end());
     if (score.errors_m.empty())
-        throw DataError(fmt::format("{}: nothing returned, expected some returns", sensor_name));
+        throw DataError(fmt::format(
+            "cannot score the sensor {}: none of its rays returned, expected some returns", sensor_name));
     fmt::print("| {} | {} | {} | {:.1f} % | {:.1f} % | {:.4f} m | {:.2f} m | {:.1f} % |\n", sensor_name,
                score.rays, score.returns, compute_percentage(score.missed, score.returns),
                compute_percentage(score.behind, score.returns), score.errors_m[score.errors_m.size() / 2],
@@ -155,7 +158,9 @@ void print_rig_scores(const std::string& run_folder, int device_index, float lat
     const auto rig = read_sensor_rig(street.rig);
     if (!rig)
         throw UsageError(
-            fmt::format("{}: its street was not logged by a rig, expected one with rig = FILE", run_folder));
+            fmt::format("cannot use the run {}: its street was not recorded with a rig, expected a "
+                        "street.toml with rig = FILE",
+                        run_folder));
     Device device(apply_environment_variables({.index = device_index}));
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
     std::vector<RigScanScore> scores(run.sequence.lidars.size()), beside(scores.size());
@@ -203,15 +208,16 @@ int main(int argc, char** argv) {
     int device = -1;
     float aside_m = 0.0f;
     std::vector<std::string> others;
-    CLI::App app("held-out sweeps of each LiDAR of a rig against the synthetic street itself",
+    CLI::App app("compares held-out sweeps of each LiDAR of a rig with the synthetic street",
                  "relidar_bench_rig");
     app.add_option("RUN", folder, "run trained on a street.toml with rig = FILE")->required();
-    app.add_option("--device", device, "as of `relidar render`");
+    app.add_option("--device", device, "number of the device in `relidar list devices`");
     app.add_option("--aside", aside_m,
-                   "also score the street itself, cast from this many metres to the left and above");
-    app.add_option(
-        "--sensor", others,
-        "also score these in the place of the first LiDAR: names of `relidar list sensors`, or files");
+                   "also score exact scans of the street from a position shifted by this many metres to the "
+                   "left and up");
+    app.add_option("--sensor", others,
+                   "also score these sensors at the position of the first LiDAR: names of `relidar list "
+                   "sensors`, or files");
     CLI11_PARSE(app, argc, argv);
     try {
         print_rig_scores(folder, device, aside_m, others);

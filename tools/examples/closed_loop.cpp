@@ -29,7 +29,7 @@ int main(int argc, char** argv) try {
     if (argc != 2) return std::fprintf(stderr, "usage: %s RUN\n", argv[0]), 2;
     const TrainedRun run = load_run(argv[1]);
     if (run.scene.instances.size() < 2)
-        throw UsageError("closed loop: found a run without actors, expected one at least");
+        throw UsageError("closed_loop: found a run without actors, expected at least one actor");
     const std::string actor = run.scene.instances[1].track;
     Device device;
     ScanRenderer renderer(device, run);

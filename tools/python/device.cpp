@@ -23,7 +23,8 @@ SharedDevice open_device(int index, const std::string& traversal_name, std::uint
                          bool enable_validation) {
     if (index < -1)
         throw UsageError(fmt::format(
-            "cannot open a device: index: found {}, expected an index from relidar.devices(), or -1", index));
+            "cannot open a device: found the index {}, expected an index of relidar.devices(), or -1",
+            index));
     DeviceOptions options;
     options.index = index;
     options.traversal = parse_traversal_method(traversal_name);
@@ -53,7 +54,7 @@ SharedDevice get_device_or_default(SharedDevice device) {
 DeviceLock::DeviceLock(LockableDevice& device) : device_(device) {
     if (device.user == std::this_thread::get_id())
         throw UsageError(
-            "cannot use this device: it is busy with the call that runs this callback; use another "
+            "cannot use this device: it is busy with the call that runs the current callback; use another "
             "relidar.Device in callbacks");
     lock_ = std::unique_lock(device.in_use);
     device.user = std::this_thread::get_id();
@@ -98,7 +99,7 @@ void bind_device_class(py::module_& module) {
              "validation: enable the Khronos validation layer\n"
              "These environment variables also have an effect: RELIDAR_VALIDATION, "
              "RELIDAR_MEMORY_LIMIT_MIB, RELIDAR_PIPELINE_CACHE.\n\n"
-             "Raises DeviceError naming what is missing.")
+             "Raises DeviceError that names the missing feature.")
         .def_property_readonly("info", [](const LockableDevice& open) { return open.device.info(); })
         .def_property_readonly(
             "traversal",

@@ -123,7 +123,7 @@ RenderedGradients read_output_gradients(const py::dict& arrays, std::size_t n_ra
                                         [&](const auto& p) { return p.first == name; });
         if (match == gradient_arrays.end())
             throw UsageError(fmt::format("d_rendered: found \"{}\", expected one of " RELIDAR_IMAGE_VALUES(
-                                             RELIDAR_NAME) "which are the values with gradients",
+                                             RELIDAR_NAME) "which are the values that have gradients",
                                          name));
         *match->second = copy_array_to_vector<float, float>(array, "d_rendered: " + name,
                                                             {static_cast<py::ssize_t>(n_rays)});

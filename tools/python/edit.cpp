@@ -65,7 +65,7 @@ std::string format_vector(const glm::dvec3& vector) {
 RunBeingEdited& keep_background_or_actors(RunBeingEdited& edits, const std::string& kept_part) {
     if (kept_part == "background") return edits.apply_edit("keep background", remove_all_actors);
     if (kept_part == "actors") return edits.apply_edit("keep actors", remove_background);
-    throw UsageError(fmt::format("keep: found \"{}\", expected background or actors", kept_part));
+    throw UsageError(fmt::format("keep(): found \"{}\", expected background or actors", kept_part));
 }
 
 RunBeingEdited& move_actor(RunBeingEdited& edits, const std::string& track_name,

@@ -42,7 +42,7 @@ struct RenderArguments {
 PointCoordinateFrame find_point_frame_by_name(const std::string& frame_name) {
     if (frame_name == "sensor") return PointCoordinateFrame::sensor;
     if (frame_name == "world") return PointCoordinateFrame::world;
-    throw UsageError(fmt::format("frame: found \"{}\", expected sensor or world", frame_name));
+    throw UsageError(fmt::format("argument frame: found \"{}\", expected sensor or world", frame_name));
 }
 
 /// Returns the path of one LiDAR of the log in the world frame of the dataset.
@@ -214,7 +214,7 @@ constexpr const char* kHelpBeforeWeather =
     "weather: text; ";
 constexpr const char* kHelpAfterWeather =
     "\n\n"
-    "Returns the arrays of an npz of `relidar render`: range, median_range (metres), "
+    "Returns the same arrays as an npz file of `relidar render`: range, median_range (metres), "
     "intensity, drop_prob, weight, time (seconds\n"
     "from `time`) [rows,columns] float32; ring uint16, instance int32 (-1: no hit) "
     "[rows,columns]; directions, origin, points (the ends of the rays)\n"
@@ -234,9 +234,10 @@ constexpr const char* kHelpAfterWeather =
 /// Returns the documentation of Run.render(). The list of weather effects is inserted in
 /// the middle.
 std::string make_render_help_text() {
-    return fmt::format("{}{}; drawn by `sample`, 0 without;\n    adds `source` [rows,columns] int32: {}{}",
-                       kHelpBeforeWeather, make_weather_help(), parse_channel_names("source").front().meaning,
-                       kHelpAfterWeather);
+    return fmt::format(
+        "{}{}; `sample` is its seed, or 0 without it;\n    adds `source` [rows,columns] int32: {}{}",
+        kHelpBeforeWeather, make_weather_help(), parse_channel_names("source").front().meaning,
+        kHelpAfterWeather);
 }
 
 /// Adds the methods of the Python class for runs.

@@ -18,7 +18,7 @@ namespace relidar::serve {
 namespace {
 
 static_assert(std::endian::native == std::endian::little,
-              "arrays of messages are sent with the byte order of this machine, which must be little-endian");
+              "relidar sends arrays in the byte order of this machine, which must be little-endian");
 
 template <class T>
 void set_bytes_of_array(std::string& bytes, const std::vector<T>& values) {

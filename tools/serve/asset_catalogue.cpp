@@ -14,9 +14,9 @@ AssetCatalogue::AssetCatalogue(const std::vector<std::string>& folders) {
         for (const std::filesystem::path& entry : list_asset_folders(folder)) {
             AssetDescription facts = read_asset_facts(entry);
             if (const CatalogueEntry* same = find_asset(facts.name))
-                throw UsageError(
-                    fmt::format("cannot serve the assets of {}: found {} also in {}, expected each name once",
-                                folder, facts.name, same->folder.parent_path().string()));
+                throw UsageError(fmt::format(
+                    "cannot serve the assets of {}: the asset {} is also in {}, expected different names",
+                    folder, facts.name, same->folder.parent_path().string()));
             entries_.push_back({entry, std::move(facts)});
         }
     }

@@ -41,7 +41,8 @@ Pose read_pose(const v1::Pose& message, const std::string& field_name) {
     pose.rotation = glm::dquat(q.w(), q.x(), q.y(), q.z());
     const double length = glm::length(pose.rotation);
     if (!(std::abs(length - 1.0) <= kUnitSlack))
-        throw_invalid_field(field_name + ".rotation", fmt::format("a quaternion of length {}", length), "1");
+        throw_invalid_field(field_name + ".rotation", fmt::format("a quaternion of length {}", length),
+                            "length 1");
     if (std::abs(length - 1.0) > kDoublePrecision) pose.rotation = glm::normalize(pose.rotation);
     return pose;
 }
@@ -50,7 +51,7 @@ PoseTrack read_track(const google::protobuf::RepeatedPtrField<v1::TimedPose>& me
                      const std::string& field_name) {
     if (messages.empty() || messages.size() > kMostPoses)
         throw_invalid_field(field_name, fmt::format("{} poses", messages.size()),
-                            fmt::format("1 to {}", kMostPoses));
+                            fmt::format("1 to {} poses", kMostPoses));
     PoseTrack track;
     for (int i = 0; i < messages.size(); ++i) {
         const std::string entry = fmt::format("{}[{}]", field_name, i);

@@ -20,7 +20,7 @@ void throw_invalid_field(const std::string& field_name, const std::string& found
 void throw_unknown_name(const std::string& field_name, const std::string& name,
                         const std::vector<std::string>& known_names) {
     const std::string nearest = find_most_similar_name(name.substr(0, 80), known_names);
-    const std::string expected = nearest.empty() ? "no name, because none exists"
+    const std::string expected = nearest.empty() ? "an empty field, because no names are available"
                                                  : fmt::format("an existing name such as \"{}\"", nearest);
     throw RejectedRequest(grpc::StatusCode::NOT_FOUND,
                           fmt::format("cannot read {}: found {}, expected {}", field_name,
@@ -54,7 +54,7 @@ grpc::Status call_and_get_grpc_status(const std::function<void()>& function) {
                 "cannot answer the request: the server is out of memory; send a smaller request"};
     } catch (const DeviceLost& error) {
         return {grpc::StatusCode::UNAVAILABLE,
-                fmt::format("{}; this server process ends and must be restarted", error.what())};
+                fmt::format("{}; this server process is ending; restart the server", error.what())};
         // Other exceptions come from the device, from a changed run folder, or from a
         // bug.
     } catch (const std::exception& error) {

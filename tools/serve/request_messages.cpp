@@ -220,7 +220,8 @@ void RequestReader::add_actors_to_request(const std::vector<RequestedActor>& act
         if (match == by_name.end())
             throw_unknown_name(wish.field, wish.name, list_actor_names(visible_actors));
         if (!poses.emplace(match->second->track, wish.dataset_from_actor).second)
-            throw_invalid_field(wish.field, quote_for_error_message(wish.name) + " again", "each actor once");
+            throw_invalid_field(wish.field, quote_for_error_message(wish.name) + " a second time",
+                                "each actor at most once");
         render_request.placed.push_back(*match->second);
     }
 }
@@ -250,7 +251,7 @@ std::vector<ActorToSpawn> RequestReader::read_actors_to_spawn(const v1::SpawnAct
                 {spawn.name(), {true, spawn.asset()}, asset->facts.size_m, asset->facts.surfels});
             continue;
         }
-        if (!spawn.has_actor()) throw_invalid_field(field, "neither actor nor asset", "one of them");
+        if (!spawn.has_actor()) throw_invalid_field(field, "neither an actor nor an asset", "one of them");
         const auto actor = std::ranges::find(run_actors, spawn.actor());
         if (actor == run_actors.end()) throw_unknown_name(field + ".actor", spawn.actor(), run_actors);
         // The index also fits `visible_actors`, because this list begins with the actors
@@ -298,7 +299,7 @@ RenderRequest RequestReader::read_lidar_request(const v1::RenderLidarRequest& me
 std::vector<RenderRequest> RequestReader::read_rig_request(const v1::RenderRigRequest& message) {
     if (message.sensors().empty() || message.sensors_size() > kMostSensors)
         throw_invalid_field("sensors", fmt::format("a rig with {} sensors", message.sensors_size()),
-                            fmt::format("1 to {}", kMostSensors));
+                            fmt::format("1 to {} sensors", kMostSensors));
     std::vector<RenderRequest> scans;
     // names of the sensors, to detect duplicates; a name is optional
     std::set<std::string_view> names;
@@ -306,7 +307,7 @@ std::vector<RenderRequest> RequestReader::read_rig_request(const v1::RenderRigRe
         const v1::RigSensor& sensor = message.sensors(i);
         const std::string field = fmt::format("sensors[{}]", i);
         if (!sensor.name().empty() && !names.insert(sensor.name()).second)
-            throw_invalid_field(field + ".name", quote_for_error_message(sensor.name()) + " again",
+            throw_invalid_field(field + ".name", quote_for_error_message(sensor.name()) + " a second time",
                                 "a different name for each sensor");
         const Pose rig_from_sensor = read_pose(sensor.rig_from_sensor(), field + ".rig_from_sensor");
         scans.push_back(read_request_of_one_sensor(

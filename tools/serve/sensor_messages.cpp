@@ -26,13 +26,13 @@ constexpr double kFarthestOrigin_m = 1000.0, kLongestScan_s = 60.0, kFarthestRan
 void check_scan_ray_count(const std::string& field_name, std::uint64_t n_rays) {
     if (n_rays < 1 || n_rays > kMostRaysOfScan)
         throw_invalid_field(field_name, fmt::format("{} rays per scan", n_rays),
-                            fmt::format("1 to {}", kMostRaysOfScan));
+                            fmt::format("1 to {} rays", kMostRaysOfScan));
 }
 
 void check_row_count(const std::string& field_name, std::uint64_t n_rows) {
     if (n_rows > kMostRows)
         throw_invalid_field(field_name, fmt::format("{} rows per scan", n_rows),
-                            fmt::format("at most {}, because ring numbers have 16 bits", kMostRows));
+                            fmt::format("at most {} rows, because ring numbers have 16 bits", kMostRows));
 }
 
 double require_number_in_range(const std::string& field_name, double value, double min_value,
@@ -67,11 +67,12 @@ void check_rays_in_limits(const RayTable& rays, const std::string& field_name) {
         if (!(std::abs(double(length) - 1.0) <= kUnitSlack)) fail("direction", length, "a length of 1");
         for (int axis = 0; axis < 3; ++axis)
             if (const float x = rays.origin[i][axis]; !(std::abs(double(x)) <= kFarthestOrigin_m))
-                fail("origin_m", x, fmt::format("metres of at most {}", kFarthestOrigin_m));
+                fail("origin_m", x, fmt::format("a distance of at most {} metres", kFarthestOrigin_m));
         if (const double angle = rays.get_beam_divergence_rad(i); !(angle >= 0.0 && angle <= kWidestBeam_rad))
-            fail("divergence_rad", float(angle), fmt::format("radians in [0, {}]", kWidestBeam_rad));
+            fail("divergence_rad", float(angle),
+                 fmt::format("an angle from 0 to {} radians", kWidestBeam_rad));
         if (!(std::abs(double(time_s)) <= kLongestScan_s))
-            fail("time_s", time_s, fmt::format("seconds of at most {}", kLongestScan_s));
+            fail("time_s", time_s, fmt::format("a time of at most {} seconds", kLongestScan_s));
     }
 }
 
@@ -79,7 +80,7 @@ RayTable read_ray_table_message(const v1::RayTable& message, const std::string& 
     static_assert(sizeof(glm::vec3) == 12);
     if (message.direction().size() % sizeof(glm::vec3) != 0)
         throw_invalid_field(field_name + ".direction", fmt::format("{} bytes", message.direction().size()),
-                            "a multiple of 12");
+                            "a multiple of 12 bytes (three floats for each ray)");
     const std::size_t n = message.direction().size() / sizeof(glm::vec3);
     check_scan_ray_count(field_name + ".direction", n);
     const bool has_order = message.rows() != 0 || message.columns() != 0;
@@ -215,7 +216,7 @@ SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& fi
             sensor.pattern = read_rosette(message.rosette(), field_name + ".rosette");
             break;
         case v1::SensorSpec::PATTERN_NOT_SET:
-            throw_invalid_field(field_name, "no pattern", "rays, spinning, window or rosette");
+            throw_invalid_field(field_name, "no pattern", "one of rays, spinning, window and rosette");
     }
     const double divergence_rad = require_number_in_range(field_name + ".divergence_rad",
                                                           message.divergence_rad(), 0.0, kWidestBeam_rad);

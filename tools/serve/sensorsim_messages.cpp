@@ -77,7 +77,7 @@ std::shared_ptr<const SimulatedSensor> SensorsimReader::find_or_make_sensor(
     const bool is_of_log = type == sensorsim::OTHER;
     const std::vector<Lidar>& lidars = outlines_[scene_index].sequence.lidars;
     if (is_of_log && id.empty() && lidars.size() > 1)
-        throw_invalid_field("lidar.logical_id", "none with lidar_type OTHER",
+        throw_invalid_field("lidar.logical_id", "no name, although lidar_type is OTHER",
                             fmt::format("the name of one of the log's {} LiDARs", lidars.size()));
     const int lidar = reader_.find_lidar_index(scene_index, id, "lidar.logical_id");
     const std::string name = is_of_log ? "native" : find_sensor_of_lidar_type(type).name;
@@ -98,7 +98,9 @@ std::shared_ptr<const SimulatedSensor> SensorsimReader::find_or_make_sensor(
 
 Pose SensorsimReader::read_pose(const sensorsim::Pose& message, const std::string& field_name) const {
     if (!message.has_translation() || !message.has_rotation())
-        throw_invalid_field(field_name, message.has_translation() ? "no rotation" : "no translation", "both");
+        throw_invalid_field(
+            field_name, message.has_translation() ? "a pose without rotation" : "a pose without translation",
+            "both");
     v1::Pose wide;
     wide.mutable_translation()->set_x(double(message.translation().x()));
     wide.mutable_translation()->set_y(double(message.translation().y()));

@@ -20,11 +20,11 @@ namespace {
 constexpr int kMostScans = 64;
 
 [[noreturn]] void throw_unsupported_images(const std::string& call, const std::string& found_value) {
-    throw RejectedRequest(
-        grpc::StatusCode::UNIMPLEMENTED,
-        fmt::format("cannot answer {}: found {}, expected only LiDAR scans (render_lidar), because relidar "
-                    "renders no camera images",
-                    call, found_value));
+    throw RejectedRequest(grpc::StatusCode::UNIMPLEMENTED,
+                          fmt::format("cannot answer {}: found {}, expected only requests for LiDAR scans "
+                                      "(render_lidar), because relidar "
+                                      "renders no camera images",
+                                      call, found_value));
 }
 
 // Packages of the service. NuRec used the first name until version 26.09 and has used the

@@ -123,7 +123,7 @@ void ScanServer::Impl::start_listening(const ServerOptions& options) {
     server = builder.BuildAndStart();
     if (!server)
         throw UsageError(
-            fmt::format("cannot listen at {}: gRPC does not start{}", options.listen,
+            fmt::format("cannot listen at {}: the gRPC server does not start{}", options.listen,
                         options.tls_cert.empty() ? "" : ", expected a certificate that matches its key"));
     set_health_status(true);
     acceptor->start_accepting([this](int listener, int connection) {

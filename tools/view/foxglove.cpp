@@ -57,20 +57,23 @@ std::string make_topic_advertisement_json(const std::vector<ScanTopic>& topics) 
 const Json& get_required_list(const Json& message, const char* member_name) {
     const auto list = message.find(member_name);
     if (list == message.end() || !list->is_array())
-        throw UsageError(fmt::format("{}: expected a list in the message", member_name));
+        throw UsageError(
+            fmt::format("cannot read the message: expected a list in the field \"{}\"", member_name));
     return *list;
 }
 
 std::uint32_t require_uint32(const Json& value, const char* name_for_errors) {
     if (!value.is_number_unsigned() || value.get<std::uint64_t>() > std::numeric_limits<std::uint32_t>::max())
-        throw UsageError(fmt::format("{}: expected an integer from 0 to 2^32 - 1", name_for_errors));
+        throw UsageError(
+            fmt::format("cannot read the message: expected an integer from 0 to 2^32 - 1 in the field \"{}\"",
+                        name_for_errors));
     return value.get<std::uint32_t>();
 }
 
 std::uint32_t get_required_uint32_member(const Json& object, const char* member_name) {
     const auto member = object.find(member_name);
     if (member == object.end())
-        throw UsageError(fmt::format("{}: expected this member in the message", member_name));
+        throw UsageError(fmt::format("cannot read the message: the field \"{}\" is missing", member_name));
     return require_uint32(*member, member_name);
 }
 
@@ -118,7 +121,7 @@ bool FoxglovePlayer::handle_client_message(ClientId id, const std::string& messa
 
 void FoxglovePlayer::update_subscriptions(Client& client, const std::string& message_text) const {
     const Json message = Json::parse(message_text, nullptr, false);
-    if (!message.is_object()) throw UsageError("cannot read a message: expected a JSON object");
+    if (!message.is_object()) throw UsageError("cannot read the message: expected a JSON object");
     const auto operation = message.find("op");
     if (operation != message.end() && *operation == "subscribe") {
         for (const Json& request : get_required_list(message, "subscriptions")) {
@@ -127,18 +130,21 @@ void FoxglovePlayer::update_subscriptions(Client& client, const std::string& mes
             const auto is_of_topic = [&](const auto& known) { return known.second == topic; };
             if (topic >= topics_.size())
                 throw UsageError(
-                    fmt::format("channelId: found {}, expected at most {}", topic, topics_.size() - 1));
+                    fmt::format("cannot subscribe: found channelId {}, expected a number from 0 to {}", topic,
+                                topics_.size() - 1));
             if (client.subscriptions.contains(id) || std::ranges::any_of(client.subscriptions, is_of_topic))
-                throw UsageError(fmt::format(
-                    "subscription {} to channel {}: expected a new id, and one subscription for each channel",
-                    id, topic));
+                throw UsageError(
+                    fmt::format("cannot add subscription {} to channel {}: expected an unused id and at most "
+                                "one subscription to each channel",
+                                id, topic));
             client.subscriptions.emplace(id, topic);
         }
     } else if (operation != message.end() && *operation == "unsubscribe") {
         for (const Json& id : get_required_list(message, "subscriptionIds"))
             client.subscriptions.erase(require_uint32(id, "subscriptionIds"));
     } else {
-        throw UsageError("op: expected \"subscribe\" or \"unsubscribe\"");
+        throw UsageError(
+            "cannot read the message: expected \"subscribe\" or \"unsubscribe\" in the field \"op\"");
     }
 }
 

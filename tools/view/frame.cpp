@@ -16,7 +16,7 @@ namespace relidar::view {
 namespace {
 
 static_assert(std::endian::native == std::endian::little,
-              "arrays are sent with the byte order of this "
+              "relidar sends arrays in the byte order of this "
               "machine, which must be little-endian");
 
 using Json = nlohmann::json;

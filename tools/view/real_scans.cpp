@@ -41,7 +41,7 @@ std::string RecordedScans::get_missing_reason() const {
 void RecordedScans::load_measured_scans() {
     try {
         const ProgressReporter until_stopped = [this](std::string_view, double) {
-            if (stop_) throw Error(ExitCode::interrupted, "interrupted while the log was read");
+            if (stop_) throw Error(ExitCode::interrupted, "interrupted while the log was being read");
         };
         const LidarSequence log = load_log(frames_->config, until_stopped);
         std::vector<int> all(frames_->sequence.frames.size());

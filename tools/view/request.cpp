@@ -27,12 +27,13 @@ constexpr std::size_t kMaxName = 64;
 constexpr std::size_t kMaxRunName = 1024;
 
 [[noreturn]] void throw_request_error(const std::string& description, const std::string& expected) {
-    throw UsageError(fmt::format("{}: expected {}", description, expected));
+    throw UsageError(
+        fmt::format("cannot read the field \"{}\" of the request: expected {}", description, expected));
 }
 
 const Json& get_required_member(const Json& object, const char* member_name) {
     const auto member = object.find(member_name);
-    if (member == object.end()) throw_request_error(member_name, "this member in the message");
+    if (member == object.end()) throw_request_error(member_name, "a value, but the field is missing");
     return *member;
 }
 
@@ -87,13 +88,13 @@ std::set<std::string> read_track_names(const Json& value, const char* name_for_e
 }
 
 ActorEdits parse_actor_edits(const Json& json) {
-    if (!json.is_object()) throw_request_error("edits", "an object");
+    if (!json.is_object()) throw_request_error("edits", "a JSON object");
     ActorEdits edits;
     const Json& copies = get_required_member(json, "copies");
     if (!copies.is_array() || copies.size() > kMaxActors)
         throw_request_error("copies", fmt::format("a list of at most {} copies", kMaxActors));
     for (const Json& copy : copies) {
-        if (!copy.is_object()) throw_request_error("copies", "objects");
+        if (!copy.is_object()) throw_request_error("copies", "a list of JSON objects");
         edits.copies.push_back(
             {read_request_text(get_required_member(copy, "of"), "of"),
              read_run_name(get_required_member(copy, "from")),
@@ -102,7 +103,7 @@ ActorEdits parse_actor_edits(const Json& json) {
     }
     const Json& moves = get_required_member(json, "moves");
     if (!moves.is_object() || moves.size() > kMaxActors)
-        throw_request_error("moves", fmt::format("an object of at most {} tracks", kMaxActors));
+        throw_request_error("moves", fmt::format("a JSON object with at most {} tracks", kMaxActors));
     for (const auto& [track, by] : moves.items())
         edits.moves[track] = read_number_array<4>(by, "moves", {kFar_m, kFar_m, kFar_m, 360.0});
     edits.removed = read_track_names(get_required_member(json, "removed"), "removed");
@@ -151,7 +152,7 @@ std::string read_new_folder_name(const Json& value) {
 
 BrowserRequest parse_page_request(const std::string& json_text) {
     const Json json = Json::parse(json_text, nullptr, false);
-    if (!json.is_object()) throw UsageError("cannot read a message of the page: expected a JSON object");
+    if (!json.is_object()) throw UsageError("cannot read the request: expected a JSON object");
     const std::string kind = read_request_text(get_required_member(json, "do"), "do");
     if (kind == "scan") return parse_scan_request(json);
     if (kind == "sensor")
@@ -165,7 +166,9 @@ BrowserRequest parse_page_request(const std::string& json_text) {
             read_request_text(get_required_member(json, "of"), "of"),
             read_run_name(get_required_member(json, "from")),
             read_number_array<2>(get_required_member(json, "at"), "at", {kFarAway_m, kFarAway_m})};
-    throw UsageError(fmt::format("do: found \"{}\", expected scan, sensor, ground or save", kind));
+    throw UsageError(fmt::format(
+        "cannot read the field \"do\" of the request: found \"{}\", expected scan, sensor, ground or save",
+        kind));
 }
 
 }  // namespace relidar::view

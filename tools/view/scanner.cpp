@@ -82,7 +82,9 @@ public:
     UploadedFile(const std::string& text, const std::string& ending) {
         std::string pattern = (std::filesystem::temp_directory_path() / "relidar-sensor-XXXXXX").string();
         if (mkdtemp(pattern.data()) == nullptr)
-            throw DataError("cannot read the sensor file: creating a temporary folder failed");
+            throw DataError(
+                "cannot read the sensor file: relidar cannot create a temporary folder in the folder for "
+                "temporary files (TMPDIR)");
         folder_ = pattern;
         std::ofstream(get_file_path(ending), std::ios::binary) << text;
     }
@@ -109,10 +111,11 @@ Json make_sensor_json(const SimulatedSensor& sensor, double time_s) {
 
 void check_ray_limit(const SimulatedSensor& sensor) {
     if (sensor.rays.size() > kMaxRays)
-        throw UsageError(fmt::format(
-            "{} has {} rays per scan, expected at most {} in the viewer; use `relidar render` for "
-            "this sensor",
-            sensor.name, sensor.rays.size(), kMaxRays));
+        throw UsageError(
+            fmt::format("cannot show the sensor {}: found {} rays per scan, expected at most {}; use "
+                        "`relidar render` for "
+                        "this sensor",
+                        sensor.name, sensor.rays.size(), kMaxRays));
 }
 
 Json make_channels_json(const Config& config) {
@@ -173,10 +176,11 @@ Json BrowserScanRenderer::describe_run_as_json() const {
 SimulatedSensor BrowserScanRenderer::make_sensor_for_tab(TabCache& tab_cache,
                                                          const LiveScanRequest& request) const {
     if (request.lidar < 0 || std::size_t(request.lidar) >= run_.sequence.lidars.size())
-        throw UsageError(fmt::format("lidar: found {}, expected the index of one of {} LiDARs", request.lidar,
-                                     run_.sequence.lidars.size()));
+        throw UsageError(fmt::format("cannot select a LiDAR: found the index {}, but the log has {} LiDARs",
+                                     request.lidar, run_.sequence.lidars.size()));
     if (request.sensor == kFileSensor) {
-        if (!tab_cache.file_sensor) throw UsageError("sensor: no sensor file is loaded; choose a file first");
+        if (!tab_cache.file_sensor)
+            throw UsageError("cannot use a sensor file: none is loaded; choose a file first");
         SimulatedSensor sensor = *tab_cache.file_sensor;
         sensor.lidar = request.lidar;
         return sensor;
@@ -187,8 +191,8 @@ SimulatedSensor BrowserScanRenderer::make_sensor_for_tab(TabCache& tab_cache,
         // of the server.
         const std::vector<std::string> names = list_built_in_sensor_names();
         if (std::find(names.begin(), names.end(), request.sensor) == names.end())
-            throw UsageError(fmt::format(
-                "sensor: \"{}\" is unknown, expected a name from the list of sensors", request.sensor));
+            throw UsageError(fmt::format("unknown sensor \"{}\"; expected a name from the list of sensors",
+                                         request.sensor));
         tab_cache.sensor.emplace(key,
                                  choose_sensor(request.sensor, run_.config, run_.sequence, request.lidar));
         check_ray_limit(tab_cache.sensor->second);

@@ -58,7 +58,8 @@ void ViewerSession::send_error_message(TabId tab_id, const char* request_name,
 void ViewerSession::handle_tab_message(TabId id, const std::string& message) {
     std::optional<BrowserRequest> request;
     std::string why =
-        "too many requests are pending; send the next request after the previous one is answered";
+        "cannot accept the request: too many requests are pending; wait for the answer before you send the "
+        "next one";
     try {
         request = parse_page_request(message);
     } catch (const UsageError& error) {

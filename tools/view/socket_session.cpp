@@ -123,7 +123,7 @@ void SocketSession::reject_client() {
         outgoing_.erase(outgoing_.begin() + 1, outgoing_.end());
         return;
     }
-    close_with_reason(websocket::close_code::unknown_data, "expected a text message");
+    close_with_reason(websocket::close_code::unknown_data, "found a binary message, expected a text message");
 }
 
 void SocketSession::remove_client_from_hub() {

@@ -6,7 +6,7 @@ import { instanceColour } from './colours.js';
 import { headingOf, transform } from './matrix.js';
 
 // Label, step and limit of each field.
-const MOVES = [['forward m', 0.5, 10000], ['left m', 0.5, 10000], ['up m', 0.25, 10000], ['turn °', 5, 360]];
+const MOVES = [['forward m', 0.5, 10000], ['left m', 0.5, 10000], ['up m', 0.25, 10000], ['turn left °', 5, 360]];
 const COPY_BESIDE_M = 3.5;
 
 const button = (label, onClick) => {
@@ -104,7 +104,7 @@ export class Actors {
   }
 
   change() {
-    this.say(this.isEdited ? 'The actors are edited. Hidden actors are saved, too.' : '', false);
+    this.say(this.isEdited ? 'The actors are edited. Saving also stores hidden actors.' : '', false);
     this.checkSave();
     this.onChange();
   }
@@ -136,7 +136,7 @@ export class Actors {
     summary.append(swatch, `${track} · ${category}`);
     const buttons = Object.assign(document.createElement('div'), { className: 'row' });
     const place = button('Place …', () => this.place(this.placing?.of === track ? null : { of: track, from: '' }));
-    place.title = 'Place a copy on the ground at the position of the next click';
+    place.title = 'Place a copy of this actor on the ground where you click next';
     place.hidden = !this.own.has(track);
     const hide = this.toggle('Hide', 'hidden', track);
     const remove = this.toggle('Remove', 'removed', track);
@@ -159,7 +159,7 @@ export class Actors {
 
   makeMoves(track) {
     const fields = document.createElement('fieldset');
-    fields.append(Object.assign(document.createElement('legend'), { textContent: 'moved, as it faces' }));
+    fields.append(Object.assign(document.createElement('legend'), { textContent: 'shift relative to its heading' }));
     const inputs = MOVES.map(([label, step], i) => {
       const input = Object.assign(document.createElement('input'), { type: 'number', step, value: this.moves[track]?.[i] ?? 0 });
       input.addEventListener('input', () => {

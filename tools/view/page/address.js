@@ -68,7 +68,7 @@ export function readAddress(hash) {
   const wrong = [];
   for (const [name, given] of new URLSearchParams(hash.replace(/^#/, ''))) {
     try {
-      parts[name] = (Object.hasOwn(READERS, name) ? READERS[name] : () => fail('a known part'))(given);
+      parts[name] = (Object.hasOwn(READERS, name) ? READERS[name] : () => fail('a name that this page uses'))(given);
     } catch (error) {
       wrong.push(`${name.slice(0, 20)}=${given.slice(0, 40)} (expected ${error.message})`);
     }

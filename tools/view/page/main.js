@@ -248,7 +248,7 @@ function showStrips(colours, realColours) {
   element('strip').hidden = !simulated;
   element('real-strip').hidden = !real;
   const images = [simulated && strip.show(simulated, colours), real && realStrip.show(real, realColours)];
-  if (images.includes(false)) tellPixel('Rays of this sensor have no rows and columns, so there is no image of it.');
+  if (images.includes(false)) tellPixel('This sensor has no rows and columns, so its scan has no range image.');
 }
 
 const shortNumber = (x) => String(Number(x.toPrecision(3)));
@@ -288,7 +288,7 @@ function clicked(xy) {
   if (!frame || !actors.placing) return;
   const scan = frame.simulated ?? frame.real;
   const at = pickGround(camera, view.aspect, xy, scan, shownOf(scan), frame.header.pose[14] - SENSOR_HEIGHT_M);
-  if (!at) actors.say('There is no ground at this position, because the click points at the sky.', true);
+  if (!at) actors.say('There is no ground where you clicked, because the click points at the sky. Click on the ground.', true);
   else if (!send({ do: 'ground', ...actors.placing, at })) actors.say('The server cannot be reached.', true);
 }
 

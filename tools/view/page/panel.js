@@ -87,7 +87,7 @@ export class Panel {
   /** Reports whether the scans of the log are available. */
   setLog({ state, why }) {
     this.hasLog = state === 'ready';
-    document.getElementById('log-state').textContent = this.hasLog ? '' : `Cannot show the real scans of the log: ${why}`;
+    document.getElementById('log-state').textContent = this.hasLog ? '' : `Cannot show the real scans, because the log cannot be read: ${why}`;
     if (!this.hasLog) this.setMode('simulated');
     else if (this.wanted) this.setMode(this.wanted);
     else this.markMode();

@@ -3,7 +3,7 @@
 // the log's sensor. The six numbers of the pose can be typed, or changed with keys and
 // mouse.
 
-const FIELDS = [['x', 'forward m', 0.5], ['y', 'left m', 0.5], ['z', 'up m', 0.25], ['yaw', 'turn °', 5], ['pitch', 'pitch °', 1],
+const FIELDS = [['x', 'forward m', 0.5], ['y', 'left m', 0.5], ['z', 'up m', 0.25], ['yaw', 'turn left °', 5], ['pitch', 'pitch °', 1],
   ['roll', 'roll °', 1]];
 const LIMITS = [10000, 10000, 10000, 360, 360, 360];
 
@@ -54,7 +54,7 @@ export class SensorPanel {
    */
   load({ sensors, lidars, weather }) {
     const { sensor, lidar } = this.wish;
-    this.weather.title = `${weather.help}; colour source says why there is a point`;
+    this.weather.title = `${weather.help}; the colour "source" shows what caused each point`;
     document.getElementById('weathers').replaceChildren(...weather.examples.split(' ').map((text) => new Option(text)));
     const file = [...this.choice.options].find((o) => o.value === 'file');
     this.choice.replaceChildren(...sensors.map((name) => new Option(name === 'native' ? "native (the log's)" : name, name)), ...(file ? [file] : []));

@@ -32,7 +32,7 @@ export class Strip {
     const column = Math.min(this.scan.columns - 1, Math.floor(((event.clientX - box.left) / box.width) * this.scan.columns));
     if (row < 0 || column < 0) return '\u00a0';
     const i = row * this.scan.columns + column;
-    const range = this.scan.range[i] > 0 ? `${this.scan.range[i].toFixed(2)} m` : 'nothing met';
+    const range = this.scan.range[i] > 0 ? `${this.scan.range[i].toFixed(2)} m` : 'no hit';
     return `row ${row}, column ${column}: ${range}, intensity ${(this.scan.intensity[i] / 255).toFixed(2)}, drop probability ${(this.scan.drop[i] / 255).toFixed(2)}`;
   }
 }

@@ -41,7 +41,7 @@ export class Timeline {
     const { index, time_s: frameTime, held_out: heldOut } = this.nearest;
     const beside = this.time - frameTime;
     const place = Math.abs(beside) < 1e-6 ? '' : ` ${beside > 0 ? '+' : '−'} ${Math.abs(beside).toFixed(3)} s`;
-    this.text.textContent = `${(this.time - this.first).toFixed(2)} s · frame ${index}${place}${heldOut && !place ? ' (held out)' : ''}`;
+    this.text.textContent = `${(this.time - this.first).toFixed(2)} s · frame ${index}${place}${heldOut && !place ? ' (held out of training)' : ''}`;
     this.slider.setAttribute('aria-valuetext', this.text.textContent);
     this.onChange();
   }
