@@ -37,7 +37,8 @@ fs::file_status get_file_status(const fs::path& path) {
 std::string read_file(const fs::path& path) {
     const fs::file_status status = get_file_status(path);
     if (!fs::exists(status)) throw DataError(fmt::format("{}: no such file", path.string()));
-    if (!fs::is_regular_file(status)) throw DataError(fmt::format("{}: not a file", path.string()));
+    if (!fs::is_regular_file(status))
+        throw DataError(fmt::format("{}: the path is not a regular file", path.string()));
     std::ifstream in(path, std::ios::binary);
     if (!in) throw make_unreadable_error(path, {errno, std::generic_category()});
     std::error_code failed;
@@ -66,7 +67,7 @@ void check_is_folder(const fs::path& path, const std::string& expected_descripti
     const fs::file_status status = get_file_status(path);
     if (!fs::is_directory(status))
         throw DataError(fmt::format("{}: {}, expected {}", path.string(),
-                                    fs::exists(status) ? "not a folder" : "no such folder",
+                                    fs::exists(status) ? "the path is not a folder" : "no such folder",
                                     expected_description));
 }
 

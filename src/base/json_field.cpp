@@ -54,7 +54,7 @@ JsonField JsonField::at(const std::string& key) const {
     if (!value_->is_object()) throw_field_error(describe_json_value(*value_), "expected an object");
     const auto it = value_->find(key);
     const std::string name = name_.empty() ? key : name_ + "." + key;
-    if (it == value_->end()) throw DataError(fmt::format("{}: {} is missing", *file_, name));
+    if (it == value_->end()) throw DataError(fmt::format("{}: the key {} is missing", *file_, name));
     return {*it, *file_, name};
 }
 
@@ -150,7 +150,8 @@ nlohmann::json parse_json(const std::string& text, const std::string& file_name)
         // Removes the end of the message. It quotes the file and can be very long.
         why = why.substr(0, why.find("; last read"));
         for (char& c : why) c = static_cast<unsigned char>(c) < 0x20 ? ' ' : c;
-        throw DataError(fmt::format("{}: not valid JSON, truncated or damaged: {}", file_name, why));
+        throw DataError(
+            fmt::format("{}: the file is not valid JSON, or it is truncated or damaged: {}", file_name, why));
     }
 }
 

@@ -47,15 +47,15 @@ void check_toml_nesting_depth(std::string_view toml_text, const std::string& fil
         if (c == '{' || c == '[') ++depth;
         if (c == '}' || c == ']') depth = std::max(depth - 1, 0);
         if (parts > kMostParts)
-            throw DataError(fmt::format(
-                "{}:{}: found a key with more than {} parts, expected settings with two parts such as "
-                "train.iterations",
-                file_name, line, kMostParts));
+            throw DataError(
+                fmt::format("{}:{}: found a key with more than {} parts, expected keys with two parts such "
+                            "as train.iterations",
+                            file_name, line, kMostParts));
         if (depth > kDeepest)
-            throw DataError(fmt::format(
-                "{}:{}: found brackets that are nested more than {} deep, expected settings with one "
-                "value each",
-                file_name, line, kDeepest));
+            throw DataError(
+                fmt::format("{}:{}: found brackets that are nested more than {} deep, expected one value for "
+                            "each setting",
+                            file_name, line, kDeepest));
         line += c == '\n';
         ++at;
     }

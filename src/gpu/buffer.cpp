@@ -29,7 +29,7 @@ double to_mib(std::uint64_t bytes) { return double(bytes) / 1048576.0; }
                                          const gpu::MemoryBudget& budget) {
     throw OutOfDeviceMemory(
         fmt::format("cannot allocate {:.1f} MiB for {} on {}: {}; relidar uses {:.1f} MiB, and {:.1f} MiB of "
-                    "the budget of {:.1f} MiB are free; use fewer frames or a device with more memory",
+                    "the memory budget of {:.1f} MiB are free; use fewer frames or a device with more memory",
                     to_mib(size), description, device.info.name, cause, to_mib(device.allocated),
                     to_mib(budget.get_free_bytes()), to_mib(budget.n_bytes)));
 }
@@ -49,15 +49,16 @@ void check_memory_budget(const Device::Impl& device, std::size_t size_bytes, con
     constexpr std::size_t kLarge = gpu::DeviceMemoryAllocator::kBlockBytes / 2;
     if (device.memory_limit_bytes != 0 && device.allocated + size_bytes > device.memory_limit_bytes)
         throw OutOfDeviceMemory(fmt::format(
-            "cannot allocate {:.1f} MiB for {}: {:.1f} MiB are in use, and the memory limit is "
-            "{:.1f} MiB (RELIDAR_MEMORY_LIMIT_MIB)",
+            "cannot allocate {:.1f} MiB for {}: relidar uses {:.1f} MiB, and its memory limit is {:.1f} MiB "
+            "(environment variable RELIDAR_MEMORY_LIMIT_MIB)",
             to_mib(size_bytes), description, to_mib(device.allocated), to_mib(device.memory_limit_bytes)));
     if (size_bytes < kLarge) return;
     gpu::MemoryBudget budget = gpu::query_memory_budget(device.physical);
     // Without VK_EXT_memory_budget, the driver does not report used memory (n_used is 0).
     budget.n_used = std::max(budget.n_used, device.allocated.load());
     if (budget.n_bytes > 0 && size_bytes > budget.get_free_bytes())
-        throw_allocation_error(device, size_bytes, description, "the array does not fit", budget);
+        throw_allocation_error(device, size_bytes, description,
+                               "the array is larger than the free device memory", budget);
 }
 
 }  // namespace

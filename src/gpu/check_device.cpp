@@ -47,12 +47,17 @@ double measure_atomic_sum_error(Stream& stream, const Kernel<shared::CheckAtomic
 }
 
 constexpr std::array<const char*, RELIDAR_CHECK_RESULTS> kOperations = {
-    "gl_SubgroupSize",         "subgroupAdd",
-    "subgroupExclusiveAdd",    "subgroupMax",
-    "subgroupBallot",          "subgroupShuffle",
-    "subgroupAny and All",     "subgroupBroadcast",
-    "subgroupAdd in a branch", "prefix sum of workgroup",
-    "sum of the workgroup",
+    "gl_SubgroupSize",
+    "subgroupAdd",
+    "subgroupExclusiveAdd",
+    "subgroupMax",
+    "subgroupBallot",
+    "subgroupShuffle",
+    "functions subgroupAny and subgroupAll",
+    "subgroupBroadcast",
+    "function subgroupAdd in a branch",
+    "prefix sum over a workgroup",
+    "sum over a workgroup",
 };
 /// Index of the operation "subgroupAdd in a branch". Its result is defined only on
 /// devices whose lanes reconverge after a branch.

@@ -93,7 +93,9 @@ bool has_debug_utils_extension() {
 
 VulkanInstance::VulkanInstance(bool validation) {
     if (volkInitialize() != VK_SUCCESS)
-        throw DeviceError("cannot use Vulkan: the Vulkan loader (libvulkan.so.1) is not installed");
+        throw DeviceError(
+            "cannot use Vulkan: the Vulkan loader (libvulkan.so.1) is not installed; install it with the "
+            "package manager of your system");
     VkApplicationInfo app{VK_STRUCTURE_TYPE_APPLICATION_INFO};
     app.pApplicationName = "relidar";
     app.apiVersion = VK_API_VERSION_1_3;
@@ -394,7 +396,7 @@ void Device::Impl::read_device_limits() {
     largest_allocation = {allocations.maxMemoryAllocationSize, "maxMemoryAllocationSize"};
     largest_buffer = {sizes.maxBufferSize, "maxBufferSize"};
     if (info.memory_bytes && info.memory_bytes < largest_buffer.n_bytes)
-        largest_buffer = {info.memory_bytes, "its memory"};
+        largest_buffer = {info.memory_bytes, "the device memory"};
     // lavapipe reports a limit of 2 GiB for sparse buffers, but larger ones work.
     const std::uint64_t sparse_bytes = properties.properties.limits.sparseAddressSpaceSize;
     if (binds_sparse && sparse_bytes < largest_buffer.n_bytes && !info.driver.starts_with("llvmpipe"))

@@ -27,8 +27,8 @@ namespace {
 /// A GPU raises its clock only under load, so the copies run without pauses. A CPU runs
 /// each kind of copy only once, because each copy takes seconds there.
 double measure_copy_seconds(Device& device, std::size_t n_vectors) {
-    const Array<glm::vec4, shared::CopySource> from(device, n_vectors, "source of the copy");
-    const Array<glm::vec4, shared::CopyTarget> to(device, n_vectors, "target of the copy");
+    const Array<glm::vec4, shared::CopySource> from(device, n_vectors, "source of a test copy");
+    const Array<glm::vec4, shared::CopyTarget> to(device, n_vectors, "target of a test copy");
     const Kernel<shared::CopyParams> copy(device, "gpu/copy",
                                           {{SpecialisationConstantId::WORKGROUP_SIZE, 256u}});
     Stream stream(device, true);

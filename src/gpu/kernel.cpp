@@ -260,8 +260,8 @@ std::string list_features_missing_for_networks(const Device& device) {
 KernelVariant choose_float_atomics_variant(const Device& device, const KernelVariant& base_variant) {
     if (device.impl().wrong_sums)
         throw DeviceError(
-            fmt::format("cannot add gradients on {}: the device gives wrong sums of floats; `relidar check` "
-                        "shows details",
+            fmt::format("cannot add gradients on {}: the device computes wrong sums of floating-point "
+                        "numbers; `relidar check` shows details",
                         device.info().name));
     return KernelVariant(base_variant.suffix + (device.info().float_atomics ? "_atomics" : "_swap"));
 }

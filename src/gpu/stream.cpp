@@ -272,8 +272,9 @@ Stream::Impl::Dispatch make_dispatch(VkPipeline pipeline, const std::array<std::
 void Stream::Impl::launch_kernel(const KernelBase& kernel, std::uint32_t n_threads, const void* bytes,
                                  std::size_t n_bytes) {
     if (device->compile_only)
-        throw Error(ExitCode::bug, fmt::format("cannot launch {}: the device was opened only for compilation",
-                                               kernel.impl().name));
+        throw Error(ExitCode::bug,
+                    fmt::format("cannot run kernel {}: the device was opened only to compile kernels",
+                                kernel.impl().name));
     const VkPipeline pipeline = kernel.impl().get_compiled_pipeline();
     const std::array<std::uint64_t, 2> pushed{store_parameters(kernel, bytes, n_bytes),
                                               device->nothing->address};
@@ -376,8 +377,8 @@ ConcurrentSequenceScope::ConcurrentSequenceScope(Stream& stream, std::size_t cou
     Stream::Impl& s = stream.impl();
     if (count == 0 || !s.lanes.empty() || s.n_concurrent > 0)
         throw Error(ExitCode::bug,
-                    "cannot record in lanes: expected at least one lane, no other lanes and no open "
-                    "Concurrent scope");
+                    "cannot record commands in lanes: expected at least one lane, no other lanes and no open "
+                    "ConcurrentLaunchScope");
     s.lanes.resize(count);
     s.lane = 0;
 }
@@ -393,11 +394,9 @@ ConcurrentSequenceScope::~ConcurrentSequenceScope() {
 void ConcurrentSequenceScope::select_command_lane(std::size_t lane_index) {
     Stream::Impl& s = stream_.impl();
     if (lane_index >= s.lanes.size() || s.n_concurrent > 0)
-        throw Error(
-            ExitCode::bug,
-            fmt::format("cannot choose lane {} of {}: expected the index of a lane and no open Concurrent "
-                        "scope",
-                        lane_index, s.lanes.size()));
+        throw Error(ExitCode::bug, fmt::format("cannot select command lane {} of {}: expected the index of a "
+                                               "lane and no open ConcurrentLaunchScope",
+                                               lane_index, s.lanes.size()));
     s.lane = lane_index;
 }
 
@@ -405,7 +404,7 @@ std::uint64_t Stream::submit_commands() {
     Impl& s = *impl_;
     if (s.device->compile_only) return 0;
     if (s.n_concurrent > 0)
-        throw Error(ExitCode::bug, "cannot submit commands: a Concurrent scope is still open");
+        throw Error(ExitCode::bug, "cannot submit commands: a ConcurrentLaunchScope is still open");
     s.record_stored_lane_commands();
     VkCommandBuffer commands = s.get_command_buffer();
     // Marks the end of a frame. RenderDoc and GFXReconstruct need this label to capture a

@@ -129,23 +129,29 @@ void apply_device_check_results(Device::Impl& device, const DeviceTestResults& t
     };
     if (!trust.float_atomics && info.float_atomics) {
         info.float_atomics = false;
-        note("float atomics give wrong sums; gradients are gathered without them");
+        note(
+            "atomic additions of floats give wrong sums on this device, so relidar adds gradients without "
+            "them");
     }
     if (!trust.float_swaps && !info.float_atomics) {
         device.wrong_sums = true;
         note(
-            "every method of adding floats gives wrong sums; relidar renders on this device, but does not "
-            "train");
+            "all methods of adding floats give wrong sums on this device; relidar can render on it, but "
+            "cannot train");
     }
     if (trust.subgroup_size != 0 && trust.subgroup_size != info.subgroup_size) {
-        note(fmt::format("subgroups of {} lanes give wrong results; subgroups of {} lanes are used",
-                         info.subgroup_size, trust.subgroup_size));
+        note(
+            fmt::format("subgroups of {} lanes give wrong results on this device; relidar uses subgroups of "
+                        "{} lanes instead",
+                        info.subgroup_size, trust.subgroup_size));
         info.subgroup_size = trust.subgroup_size;
         device.forced_lanes = true;
     }
     if (trust.ray_query != CheckVerdict::wrong || device.traversal != RayTracingBackend::ray_query) return;
-    note(fmt::format("ray queries find other surfels than a full search; {}",
-                     info.software ? "the software tree is used" : "its renderings are wrong"));
+    note(fmt::format(
+        "hardware ray queries of this device find other surfels than a search through all surfels; {}",
+        info.software ? "relidar uses software traversal instead"
+                      : "images that are rendered with them are wrong"));
     if (info.software) device.traversal = RayTracingBackend::software;
 }
 

@@ -122,7 +122,7 @@ TEST_F(TrustTest, WrongAtomicsAreReplacedAndReported) {
     const Device opened(options);
     EXPECT_FALSE(opened.info().float_atomics);
     EXPECT_EQ(choose_float_atomics_variant(opened).suffix, "@_swap");
-    EXPECT_THAT(notes, ElementsAre(test::Names("float atomics ... gathered")));
+    EXPECT_THAT(notes, ElementsAre(test::Names("atomic additions ... gradients")));
 }
 
 TEST_F(TrustTest, WrongSumsAllowNoTraining) {

@@ -23,7 +23,8 @@ constexpr std::uint8_t kHeaderDictionary = 2, kHeaderRecords = 3;
 constexpr std::int8_t kCodecLz4 = 0, kCodecZstd = 1;
 
 [[noreturn]] void throw_malformed_arrow_error(const char* description) {
-    throw DataError(fmt::format("the metadata are malformed ({}), expected an Arrow IPC file", description));
+    throw DataError(fmt::format(
+        "the Arrow metadata of the file are malformed ({}), expected an Arrow IPC file", description));
 }
 
 /// Aligned copy of a flatbuffer. The flatbuffer verifier rejects unaligned data.
@@ -33,7 +34,8 @@ struct AlignedFlatbuffer {
 
     explicit AlignedFlatbuffer(std::string_view bytes)
         : words(bytes.size() / 8 + 1), verifier(data(), bytes.size(), make_verifier_options()) {
-        if (bytes.size() >= FLATBUFFERS_MAX_BUFFER_SIZE) throw_malformed_arrow_error("too long");
+        if (bytes.size() >= FLATBUFFERS_MAX_BUFFER_SIZE)
+            throw_malformed_arrow_error("their size exceeds the limit of the flatbuffers library");
         std::memcpy(words.data(), bytes.data(), bytes.size());
     }
     const std::uint8_t* data() const { return reinterpret_cast<const std::uint8_t*>(words.data()); }

@@ -98,8 +98,8 @@ Image apply_colour_map(const std::vector<float>& values, int rows, int columns, 
 
 Image stack_images_vertically(const std::vector<Image>& images, int vertical_scale) {
     if (vertical_scale < 1)
-        throw UsageError(
-            fmt::format("cannot stack images: found the stretch {}, expected at least 1", vertical_scale));
+        throw UsageError(fmt::format(
+            "cannot stack images: found the vertical scale factor {}, expected at least 1", vertical_scale));
     Image result;
     for (const Image& image : images) {
         if (result.columns == 0) result.columns = image.columns;

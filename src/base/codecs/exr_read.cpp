@@ -98,7 +98,9 @@ void parse_compression(std::string_view attribute_bytes, ImageHeader& image_head
     const std::size_t kind = attribute_bytes.empty()
                                  ? std::size(kRowsAtOnce)
                                  : std::size_t(static_cast<unsigned char>(attribute_bytes[0]));
-    if (kind >= std::size(kRowsAtOnce)) throw DataError("the compression of the image is unknown");
+    if (kind >= std::size(kRowsAtOnce))
+        throw DataError(
+            "the compression of the image is unknown, expected a compression of the OpenEXR format");
     image_header.rows_at_once = kRowsAtOnce[kind];
 }
 
@@ -118,9 +120,11 @@ void parse_channel_list(std::string_view attribute_bytes, ImageHeader& image_hea
                 fmt::format("channel '{}' occurs twice, expected it once", shorten_for_error_message(name)));
         image_header.channels.push_back(name);
         if (image_header.channels.size() > kMostChannels)
-            throw DataError(fmt::format("the image has more than {} channels", kMostChannels));
+            throw DataError(
+                fmt::format("the image has too many channels, expected at most {}", kMostChannels));
     }
-    if (!items.is_at_end()) throw DataError("the list of channels is shorter than the size in its header");
+    if (!items.is_at_end())
+        throw DataError("the list of channels ends before the size that the header gives for the list");
 }
 
 /// Checks that the size of an attribute matches its type. OpenEXR ignores the stored
@@ -174,7 +178,7 @@ void check_attribute_size(const std::string& attribute_name, const std::string& 
 
 void check_magic_and_version(ExrHeaderReader& header_reader) {
     if (header_reader.read_int32() != std::int32_t(kExrMagic))
-        throw DataError("the file does not begin like an OpenEXR file");
+        throw DataError("the file does not begin like an OpenEXR file, expected the format OpenEXR");
     const auto version = std::uint32_t(header_reader.read_int32());
     if ((version & kVersionBits) > 2)
         throw DataError(
@@ -198,7 +202,8 @@ ImageHeader parse_exr_header(const std::string& exr_file_bytes) {
                                         shorten_for_error_message(name), size));
         const std::string_view bytes = header.read_bytes(std::size_t(size));
         if (!attribute_names.insert(name).second)
-            throw DataError(fmt::format("attribute '{}' occurs twice", shorten_for_error_message(name)));
+            throw DataError(fmt::format("attribute '{}' occurs twice, expected it once",
+                                        shorten_for_error_message(name)));
         // Attributes of these types contain further sizes. They are rejected, because
         // nothing checks these sizes.
         if (type == "idmanifest" || type == "preview" || type == "bytes")
@@ -243,7 +248,8 @@ public:
 
     bool read(char out[], int count) override {
         const std::size_t n_bytes = std::size_t(std::max(count, 0));
-        if (n_bytes > bytes_.size() - std::min(position_, bytes_.size())) throw DataError("it is truncated");
+        if (n_bytes > bytes_.size() - std::min(position_, bytes_.size()))
+            throw DataError("the image file is truncated");
         std::memcpy(out, bytes_.data() + position_, n_bytes);
         position_ += n_bytes;
         return position_ < bytes_.size();
@@ -261,7 +267,7 @@ ExrImage decode_exr_image(const std::string& exr_file_bytes) {
     check_image_size(image_header, exr_file_bytes.size());
     ExrMemoryReader stream(exr_file_bytes);
     imf::InputFile input(stream);
-    if (!input.isComplete()) throw DataError("it is truncated");
+    if (!input.isComplete()) throw DataError("the image file is truncated");
     ExrImage image{int(image_header.rows), int(image_header.columns), {}, std::move(image_header.notes)};
     const auto window = input.header().dataWindow();
     imf::FrameBuffer buffer;

@@ -95,7 +95,7 @@ std::string read_decompressed_buffer(const Batch& batch, std::size_t buffer_inde
         if (!compressed) n = std::int64_t(stored.size());
     }
     if (n < std::int64_t(n_expected_bytes) || n > std::int64_t(n_expected_bytes + kPadding))
-        throw DataError(fmt::format("found a buffer of {} bytes, expected {}", n, n_expected_bytes));
+        throw DataError(fmt::format("found a buffer of {} bytes, expected {} bytes", n, n_expected_bytes));
     if (!compressed) return std::string(stored.substr(0, n_expected_bytes));
     std::string bytes(std::size_t(n), '\0');
     if (batch.layout.codec == ArrowCompression::lz4_frame) decompress_lz4(stored, bytes);
@@ -108,12 +108,14 @@ std::string read_decompressed_buffer(const Batch& batch, std::size_t buffer_inde
 std::size_t get_checked_row_count(const Batch& batch, std::size_t node_index, std::size_t last_buffer_index) {
     if (node_index >= batch.layout.nodes.size() || last_buffer_index >= batch.layout.buffers.size())
         throw DataError(
-            fmt::format("found a record batch with {} columns and {} buffers, expected more of them",
+            fmt::format("found a record batch with {} columns and {} buffers, which is fewer than the schema "
+                        "of the file requires",
                         batch.layout.nodes.size(), batch.layout.buffers.size()));
     const arrow::ArrowFieldNode& field_node = batch.layout.nodes[node_index];
     if (field_node.length != batch.layout.length)
-        throw DataError(fmt::format("the column has {} rows in a batch of {} rows", field_node.length,
-                                    batch.layout.length));
+        throw DataError(
+            fmt::format("the column has {} rows in a record batch of {} rows, expected the same number",
+                        field_node.length, batch.layout.length));
     if (field_node.null_count != 0)
         throw DataError(fmt::format("{} values are missing (null), expected none", field_node.null_count));
     return std::size_t(field_node.length);
@@ -197,7 +199,7 @@ std::size_t count_rows_of_batches(const std::vector<Batch>& batches, std::size_t
         const std::int64_t n = batch.layout.length;
         if (n < 0 || std::uint64_t(n) > max_rows - rows)
             throw DataError(
-                fmt::format("found a batch of {} rows, expected at most {} rows", n, max_rows - rows));
+                fmt::format("found a record batch of {} rows, expected at most {} rows", n, max_rows - rows));
         rows += std::size_t(n);
     }
     return rows;
@@ -224,7 +226,8 @@ Feather::Feather(std::string name, std::string bytes) : name_(std::move(name)), 
             for (const arrow::ArrowFileBlock& block : blocks) {
                 batches.push_back(read_record_batch(bytes_, block));
                 left -= block.metadata_bytes + block.body_bytes;
-                if (left < 0) throw DataError("the record batches are longer than the file");
+                if (left < 0)
+                    throw DataError("the sizes of the record batches add up to more bytes than the file has");
             }
         };
         read(footer.dictionaries, dictionaries_);
@@ -303,9 +306,12 @@ std::vector<std::string> Feather::read_text_column(const std::string& column_nam
         for (const std::int64_t index : indices) {
             if (index < 0 || std::uint64_t(index) >= words.size())
                 throw DataError(
-                    fmt::format("found the index {} into a dictionary of {} entries", index, words.size()));
+                    fmt::format("found the index {} of a dictionary entry, but the dictionary has {} entries",
+                                index, words.size()));
             length += words[std::size_t(index)].size();
-            if (length > most) throw DataError(fmt::format("found more than {} bytes of text", most));
+            if (length > most)
+                throw DataError(
+                    fmt::format("found too much text in a column, expected at most {} bytes", most));
             values.push_back(words[std::size_t(index)]);
         }
         return values;

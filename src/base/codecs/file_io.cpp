@@ -67,7 +67,7 @@ std::vector<std::byte> read_file(const std::filesystem::path& path) {
     std::error_code error;
     const auto status = std::filesystem::status(path, error);
     if (!std::filesystem::exists(status)) fail(get_system_error_message(error ? error.value() : ENOENT));
-    if (!std::filesystem::is_regular_file(status)) fail("it is not a regular file");
+    if (!std::filesystem::is_regular_file(status)) fail("the path is not a regular file");
     const auto size = std::filesystem::file_size(path, error);
     if (error) fail(error.message());
 

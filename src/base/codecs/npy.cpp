@@ -92,7 +92,7 @@ private:
         is_next_character(' ');
         std::size_t value = 0;
         const auto [end, error] = std::from_chars(text_.data(), text_.data() + text_.size(), value);
-        if (error != std::errc()) throw_header_error("contains an invalid shape");
+        if (error != std::errc()) throw_header_error("contains an invalid shape, expected whole numbers");
         text_.remove_prefix(std::size_t(end - text_.data()));
         skip_character_if_next('L');  // Accepts the suffix L, which Python 2 writes after long integers.
         return value;
@@ -116,7 +116,7 @@ std::string parse_numpy_type(const std::string& type_descriptor) {
     const std::size_t size = get_element_size_bytes(type);
     if (size == 0) throw DataError(fmt::format("type '{}' is not supported", type_descriptor));
     if (order != '<' && !(order == '|' && (size == 1 || type.starts_with('S'))))
-        throw DataError(fmt::format("type '{}' is not little-endian", type_descriptor));
+        throw DataError(fmt::format("type '{}' is big-endian, expected little-endian", type_descriptor));
     return std::string(type);
 }
 

@@ -176,7 +176,7 @@ std::vector<std::byte> inflate_bytes(std::span<const std::byte> compressed_bytes
 }
 
 std::vector<std::byte> decompress_zip_entry(const ZipArchiveBytes& archive, const NpzEntry& entry) {
-    if (entry.flags & 1) throw DataError("it is encrypted");
+    if (entry.flags & 1) throw DataError("the entry is encrypted, expected an entry without encryption");
     const auto local = archive.get_byte_range(entry.offset, kLocalSize);
     if (read_zip_field<std::uint32_t>(local, 0) != kLocalSignature)
         throw DataError("the zip header is damaged");

@@ -87,7 +87,8 @@ std::string make_safetensors_header(const std::vector<NamedArray>& arrays,
     std::string text = header.dump();
     // Pads the header, so that the data starts at a multiple of 8 bytes.
     text.resize((text.size() + 7) / 8 * 8, ' ');
-    if (text.size() > kMaxHeader) throw DataError("the header would exceed 4 MiB");
+    if (text.size() > kMaxHeader)
+        throw DataError("the header would exceed its limit of 4 MiB; write fewer arrays, or shorter names");
     return text;
 }
 
@@ -122,7 +123,8 @@ SafetensorsHeader parse_safetensors_header(const std::vector<std::byte>& file_by
         false);
     if (header.json.is_discarded()) throw DataError("the header is not valid JSON");
     if (!header.json.is_object()) throw DataError("the header is not a JSON object");
-    if (header.json.size() != header.names.size()) throw DataError("the header contains an array twice");
+    if (header.json.size() != header.names.size())
+        throw DataError("the header contains an array twice, expected each array once");
     for (const std::string& name : header.names) {
         if (name.size() > kMaxName)
             throw DataError(fmt::format("the name of array '{}' has {} bytes, expected at most {}",
@@ -143,7 +145,7 @@ std::vector<std::size_t> parse_integer_list(const std::string& array_name, const
     for (const Json& value : array_json[key]) {
         if (!value.is_number_unsigned())
             throw DataError(
-                fmt::format("array '{}': '{}' contains a value of type {}, expected integers from 0",
+                fmt::format("array '{}': '{}' contains a value of type {}, expected integers of at least 0",
                             array_name, key, value.type_name()));
         result.push_back(value.get<std::size_t>());
     }

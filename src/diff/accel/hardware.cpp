@@ -160,7 +160,7 @@ struct RayQueryAccel::Impl {
           radii(device, std::max<std::size_t>(layout.models.size(), 1), "radii of models"),
           moving(device, std::max<std::size_t>(layout.instances.size(), 1), "moving instances") {
         if (&mesh == &kIcosahedron && proxy == ProxyShape::triangles)
-            reach = Array<std::uint32_t>(device, 1, "reach of proxies");
+            reach = Array<std::uint32_t>(device, 1, "sizes of the proxies of surfels");
     }
 
     void append_model_build_input(const SurfelModel& model);
@@ -266,7 +266,7 @@ RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShap
             a.blas_input.back().query_build_sizes(device.impl(), n);
         a.blas.push_back(std::make_unique<VulkanAccelStructure>(
             device, VK_ACCELERATION_STRUCTURE_TYPE_BOTTOM_LEVEL_KHR, sizes.accelerationStructureSize,
-            "bottom level of " + model.name));
+            "acceleration structure of " + model.name));
         scratch_bytes += (std::max(sizes.buildScratchSize, sizes.updateScratchSize) + alignment - 1) /
                          alignment * alignment;
     }

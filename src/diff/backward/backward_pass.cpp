@@ -83,7 +83,7 @@ struct BackwardPass::Impl {
           gather(should_sum_hits_without_atomics(device, backward.reduction, m.sh_direction)
                      ? std::make_unique<HitGradientGather>(device, m, backward.hits_per_ray, o)
                      : nullptr),
-          pass_cap(device, 1, "pass cap count") {}
+          pass_cap(device, 1, "number of truncated rays") {}
 };
 
 BackwardPass::BackwardPass(Device& device, const ImageFormationModel& model, ProxyShape proxy,

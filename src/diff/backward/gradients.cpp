@@ -8,7 +8,7 @@ DeviceGradients::DeviceGradients(Device& device, const DeviceScene& scene, const
                                  std::uint32_t n_rays)
     : surfels(device, scene.size(), "gradient", scene.get_surfel_parameters().get_parameter_set()),
       records(device, 16 * std::size_t(scene.count_gradient_rows()), "record gradient"),
-      touched(device, scene.size(), "touched surfels") {
+      touched(device, scene.size(), "list of surfels with a gradient") {
     if (selection.rays) rays = {device, 6 * std::size_t(n_rays), "ray gradient"};
     if (!selection.poses) return;
     poses = {device, 6 * scene.get_scene_layout().instances.size(), "pose gradient"};

@@ -31,7 +31,7 @@ HitGradientGather::HitGradientGather(Device& device, const ImageFormationModel& 
               make_gather_kernel_constants(model, options)),
       heads_kernel_(device, "diff/backward/gather_heads", choose_float_atomics_variant(device),
                     make_gather_kernel_constants(model, options)),
-      most_hits_(device, std::vector<std::uint32_t>{0u}, "most hits of a batch"),
+      most_hits_(device, std::vector<std::uint32_t>{0u}, "largest number of hits in a batch"),
       n_hits_(device, 1, "hits of a batch"),
       prefix_sum_(device) {}
 
@@ -45,7 +45,7 @@ void HitGradientGather::reserve_hit_records(std::uint64_t n_hits) {
         rows_[set] = {device_, capacity, "rows of hits"};
         slots_[set] = {device_, capacity, "sorted hits"};
     }
-    hits_ = Array<shared::HitRecord>(device_, capacity, "hit records");
+    hits_ = Array<shared::HitRecord>(device_, capacity, "gradients of hits");
     parts_ = {device_, 2 * std::size_t(part_floats_) * (capacity / RELIDAR_GATHER_BLOCK + 1),
               "sums of hit records"};
 }

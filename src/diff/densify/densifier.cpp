@@ -187,7 +187,8 @@ DensifyReport Densifier::Impl::densify_surfels(Stream& stream, DeviceScene& scen
     if (surfel_capacity < plan.size()) {
         memory_limit = surfel_capacity;
         plan = limit_growth_plan(plan, surfel_capacity);
-        note = fmt::format("densification stops at {} surfels: {}", surfel_capacity, failure_reason);
+        note =
+            fmt::format("training stops adding surfels at {} surfels: {}", surfel_capacity, failure_reason);
     }
     DensifyReport report = make_densify_report(counted, plan);
     report.note = note;

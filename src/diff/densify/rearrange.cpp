@@ -29,11 +29,11 @@ SurfelReorderer::SurfelReorderer(Device& device, std::uint32_t n_surfels, std::u
 void SurfelReorderer::reserve_surfel_memory(std::uint32_t n_surfels) {
     const std::size_t n_words = std::size_t(n_surfels) * statistics.n_words;
     prefix_sum_.reserve(device_, n_surfels);
-    scratch_surfels_.reserve(device_, n_surfels, "spare surfel");
+    scratch_surfels_.reserve(device_, n_surfels, "copy of surfels");
     statistics.gradient_sum.reserve(device_, n_surfels, "gradient statistics");
-    statistics.n_observing_batches.reserve(device_, n_surfels, "seen batches");
-    statistics.frames.reserve(device_, n_words, "seen frames");
-    scratch_frames_.reserve(device_, n_words, "spare seen frames");
+    statistics.n_observing_batches.reserve(device_, n_surfels, "batches in which surfels were visible");
+    statistics.frames.reserve(device_, n_words, "frames in which surfels were visible");
+    scratch_frames_.reserve(device_, n_words, "copy of the frames in which surfels were visible");
     for (Array<std::uint32_t>* array :
          std::initializer_list<Array<std::uint32_t>*>{&action, &weight, &starts, &n_rows})
         array->reserve(device_, n_surfels, "densification");

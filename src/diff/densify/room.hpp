@@ -23,7 +23,7 @@ inline std::string try_allocation_and_get_error(Device& device, double n_bytes) 
     try {
         for (; n_bytes > 0.0; n_bytes -= kPiece)
             pieces.emplace_back(device, static_cast<std::size_t>(std::min(std::max(n_bytes, 4.0), kPiece)),
-                                "more surfels");
+                                "additional surfels");
     } catch (const OutOfDeviceMemory& error) {
         return error.what();
     }

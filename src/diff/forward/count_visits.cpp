@@ -21,7 +21,7 @@ std::optional<VisitCounts> count_bvh_visits(Device& device, const DeviceScene& s
                                               constants);
     const Array<shared::RenderedRay> rendered(device, batch.n_rays, "rendered rays");
     const Array<std::uint32_t, shared::PassCapCount> pass_cap(device, std::vector<std::uint32_t>{0u},
-                                                              "pass cap count");
+                                                              "number of truncated rays");
     const Array<std::uint32_t, shared::VisitCounters> visits(device, std::vector<std::uint32_t>{0u, 0u},
                                                              "visits");
     shared::TraceScene traced =

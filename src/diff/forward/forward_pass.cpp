@@ -27,8 +27,9 @@ struct ForwardPass::Impl {
           options(o),
           trace(device, "diff/forward/trace", get_traversal_kernel_variant(device),
                 make_trace_kernel_constants(device, proxy, o, m)),
-          pass_cap(device, std::vector<std::uint32_t>{0u}, "pass cap count"),
-          n_overfull(device, std::vector<std::uint32_t>{0u}, "rays with more hits than are kept") {
+          pass_cap(device, std::vector<std::uint32_t>{0u}, "number of truncated rays"),
+          n_overfull(device, std::vector<std::uint32_t>{0u},
+                     "number of rays with more hits than are stored") {
         if (should_use_hit_lists(device, o))
             lists.emplace(device, get_traversal_kernel_variant(device),
                           make_trace_kernel_constants(device, proxy, o, m), o.initial_list_capacity);
@@ -40,7 +41,7 @@ ForwardPass::ForwardPass(Device& device, const ImageFormationModel& model, Proxy
     if (options.chunk < 1 || options.chunk > 64)
         throw UsageError(fmt::format("setting trace.chunk: found {}, expected 1 to 64", options.chunk));
     if (options.initial_list_capacity < 1 || options.initial_list_capacity > RELIDAR_MOST_ROOM)
-        throw UsageError(fmt::format("TraceOptions::list_room: found {}, expected 1 to {}",
+        throw UsageError(fmt::format("TraceOptions::initial_list_capacity: found {}, expected 1 to {}",
                                      options.initial_list_capacity, RELIDAR_MOST_ROOM));
     impl_ = std::make_unique<Impl>(device, model, proxy, options);
 }

@@ -151,7 +151,7 @@ void Renderer::check_rays_fully_traced() {
     if (const std::uint32_t capped = r.forward.reset_truncated_ray_count())
         throw DeviceError(
             fmt::format("cannot trace {} rays: {} of them exceeded the maximum of {} traversal passes or the "
-                        "traversal stack; too many surfels may overlap",
+                        "traversal stack; the scene may have too many overlapping surfels",
                         r.batch.rays.n_rays, capped, RELIDAR_MAX_PASSES));
 }
 
@@ -190,7 +190,7 @@ void Renderer::set_sh_degree(int degree) {
 
 void Renderer::upload_surfels(const Surfels& surfels) {
     if (surfels.size() != impl_->scene.size())
-        throw DataError(fmt::format("cannot upload surfels: found {}, expected {} like in the scene",
+        throw DataError(fmt::format("cannot upload surfels: found {} surfels, expected {} like in the scene",
                                     surfels.size(), impl_->scene.size()));
     impl_->stream.submit_and_wait();
     impl_->scene.get_surfel_parameters().upload(surfels);

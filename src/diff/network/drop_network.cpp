@@ -37,7 +37,8 @@ const NetworkPreset& find_predefined_network(const std::string& name) {
     const auto match = std::find_if(std::begin(networks), std::end(networks),
                                     [&](const NetworkPreset& preset) { return name == preset.name; });
     if (match == std::end(networks))
-        throw UsageError(fmt::format("refine.network: found \"{}\", expected small, paper or pixel", name));
+        throw UsageError(
+            fmt::format("setting refine.network: found \"{}\", expected small, paper or pixel", name));
     return *match;
 }
 
@@ -62,10 +63,10 @@ RayDropNetwork make_network_architecture(const RayDropNetworkOptions& options) {
     const int width = options.width > 0 ? options.width : int(preset.width);
     const int levels = options.levels >= 0 ? options.levels : int(preset.factors.size()) - 1;
     if (width > kMostWidth || levels > kMostLevels)
-        throw UsageError(fmt::format(
-            "cannot create the ray-drop network: found {} channels and {} levels, expected at most "
-            "{} channels and {} levels",
-            width, levels, kMostWidth, kMostLevels));
+        throw UsageError(
+            fmt::format("cannot create the ray-drop network: found a width of {} channels and {} levels, "
+                        "expected at most {} channels and {} levels",
+                        width, levels, kMostWidth, kMostLevels));
     RayDropNetwork network;
     network.inputs = list_network_input_channels(options);
     for (int l = 0; l <= levels; ++l)
@@ -119,7 +120,7 @@ void check_network_input_image(const RayDropNetwork& network, const RayDropImage
     if (bad != image.channels.end()) {
         const auto at = std::size_t(bad - image.channels.begin());
         throw DataError(
-            fmt::format("{}: the input {} at row {} and column {} is {}, expected a finite number",
+            fmt::format("{}: the value of input {} at row {} and column {} is {}, expected a finite number",
                         description, network.inputs[at / pixels], at % pixels / std::size_t(image.columns),
                         at % std::size_t(image.columns), *bad));
     }

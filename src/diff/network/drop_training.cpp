@@ -31,7 +31,9 @@ void check_training_images(const RayDropNetwork& network, const std::vector<RayD
                 i, image.rows, image.columns, images[0].rows, images[0].columns));
         if (image.dropped.empty())
             throw DataError(
-                fmt::format("cannot train the ray-drop network: image {} has no measured drops", i));
+                fmt::format("cannot train the ray-drop network: image {} has no measured drops, expected one "
+                            "value per pixel",
+                            i));
         for (const float dropped : image.dropped) drops += dropped > 0.5f;
     }
     if (drops == 0.0)

@@ -77,10 +77,10 @@ struct TrainingRunState {
         report.seconds =
             before_s + std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
         if (!std::isfinite(score.entropy))
-            throw DataError(fmt::format(
-                "training the ray-drop network failed: the loss is {} in step {}, expected a finite "
-                "number; use a smaller refine.rate",
-                score.entropy, report.step));
+            throw DataError(
+                fmt::format("training the ray-drop network failed: the loss is {} in step {}, expected a "
+                            "finite number; use a smaller value of the setting refine.rate",
+                            score.entropy, report.step));
     }
     RayDropTrainState add_progress_to_state(RayDropTrainState state) const {
         state.step = report.step;

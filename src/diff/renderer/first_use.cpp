@@ -78,7 +78,8 @@ int find_working_subgroup_size(const DeviceOptions& options, const Device& devic
         if (describe_subgroup_failure(other).empty()) return *lanes;
     }
     throw DeviceError(fmt::format(
-        "cannot use {} ({}): subgroups of {} lanes give wrong results ({}), and no other size is right",
+        "cannot use {} ({}): subgroups of {} lanes give wrong results ({}), and no other subgroup size gives "
+        "correct results",
         device.info().name, device.info().driver, device.info().subgroup_size, default_size_error));
 }
 

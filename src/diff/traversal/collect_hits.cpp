@@ -25,7 +25,7 @@ CollectedHits collect_ray_hits(Device& device, const PosedScene& placed_scene, c
     const std::size_t n = rays.size();
     const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(to_device_rays(rays)), "rays");
     const Array<std::uint32_t, shared::PassCapCount> pass_cap(device, std::vector<std::uint32_t>{0u},
-                                                              "pass cap count");
+                                                              "number of truncated rays");
     const Array<std::uint32_t, shared::HitCounts> counts(device, n, "hit counts");
     const Array<std::uint32_t, shared::HitInstances> instance(device, n * max_hits_per_ray, "hit instances");
     const Array<std::uint32_t, shared::HitSurfels> surfel(device, n * max_hits_per_ray, "hit surfels");
@@ -45,7 +45,7 @@ CollectedHits collect_ray_hits(Device& device, const PosedScene& placed_scene, c
     if (const std::uint32_t capped = pass_cap.download()[0])
         throw DeviceError(
             fmt::format("cannot collect the hits of {} rays: {} of them exceeded the maximum of {} traversal "
-                        "passes or the traversal stack",
+                        "passes or the size of the traversal stack",
                         n, capped, RELIDAR_MAX_PASSES));
     return {max_hits_per_ray, counts.download(), t.download(), instance.download(), surfel.download()};
 }

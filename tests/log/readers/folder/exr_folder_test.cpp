@@ -295,7 +295,7 @@ TEST_F(ExrDamage, OfHeaders) {
     std::int32_t list_bytes = 0;
     const std::string list = std::string("channels") + '\0' + "chlist" + '\0';
     std::memcpy(&list_bytes, bytes.data() + bytes.find(list) + list.size(), sizeof list_bytes);
-    expect_bytes(patch_bytes(bytes, "channels", "chlist", -4, list_bytes + 9), "channels ... shorter");
+    expect_bytes(patch_bytes(bytes, "channels", "chlist", -4, list_bytes + 9), "channels ... size");
     std::string other = bytes;
     other[5] = 0x02;
     expect_bytes(other, "tiles");
