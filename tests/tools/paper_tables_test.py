@@ -84,7 +84,7 @@ class PaperTables(unittest.TestCase):
 
     def test_bad_options(self):
         for words, message in [(["--kitti360", "K", "--parts", "kd1,kd7"], "found kd7"), ([], "found no dataset"),
-                               (["--kitti360", "K", "--relidar", "none"], "found no program none")]:
+                               (["--kitti360", "K", "--relidar", "none"], "program none")]:
             done = call(*words)
             self.assertEqual(done.returncode, 2)
             self.assertIn(message, done.stderr)

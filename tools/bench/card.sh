@@ -40,9 +40,9 @@ first_of() {
     done
 }
 relidar=$(first_of "${RELIDAR:-}" "$here/../../bin/relidar" "$here/../../build/release/tools/relidar/relidar" "$(command -v relidar || true)")
-[[ -n $relidar ]] || fail "no program: looked for \$RELIDAR, bin/relidar of a bundle and build/release; build it or unpack the bundle"
+[[ -n $relidar ]] || fail "found no program relidar in \$RELIDAR, in bin of a bundle or in build/release; build it or unpack the bundle"
 relidar_dev=$(first_of "${RELIDAR_DEV:-}" "$here/../../tests/bin/relidar-dev" "$here/../../build/ci/tools/relidar_dev/relidar-dev")
-[[ -n $relidar_dev || $only == suites ]] || fail "no relidar-dev: looked for \$RELIDAR_DEV, tests/bin of a bundle and build/ci; build preset ci, or pack the bundle with --tests"
+[[ -n $relidar_dev || $only == suites ]] || fail "found no program relidar-dev in \$RELIDAR_DEV, in tests/bin of a bundle or in build/ci; build preset ci, or make the bundle with --tests"
 tests=$(first_of "${RELIDAR_TESTS:-}" "$here/../../tests/bin" "$here/../../build/ci/tests")
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
@@ -65,11 +65,11 @@ step() {
     shift 2
     [[ $limit -le $left ]] || limit=$left
     if [[ $limit -lt 5 ]]; then
-        summary+=("$(printf '%-24s not run: no time left' "$name")")
+        summary+=("$(printf '%-24s not run, because no time is left' "$name")")
         return 1
     fi
     timeout "$limit" "$@" >"$out/$name.log" 2>&1 || rc=$?
-    if [[ $rc -eq 124 ]]; then result="stopped after its $limit s"
+    if [[ $rc -eq 124 ]]; then result="stopped after the time limit of $limit s"
     elif [[ $rc -ne 0 ]]; then result="FAILED, exit code $rc"; fi
     [[ $rc -eq 0 ]] || failed=1
     summary+=("$(printf '%-24s %4d s  %s' "$name" $((SECONDS - start)) "$result"; [[ $rc -eq 0 ]] || findings "$out/$name.log")")
@@ -133,7 +133,7 @@ if wants suites; then suites traversal:60 accel:60 forward:60 backward:200; fi
 bench() {
     local scene surfels rays build forward backward iteration memory file peak largest_A="" largest_B="" chunk walk
     if command -v nvidia-smi >/dev/null; then nvidia-smi -L; fi
-    printf '\nmilliseconds, median of %s; peer / ours; iteration = one training step on all rays\n' "$repeat"
+    printf '\nmilliseconds, median of %s repetitions; reference implementation / relidar; iteration: a training step on all rays\n' "$repeat"
     printf '%-5s %9s %-6s | %14s %9s | %15s | %15s | %15s | %13s | %6s\n' scene surfels rays build refit forward backward iteration "memory MiB" hits
     while read -r scene surfels rays build forward backward iteration memory; do
         [[ -n $scene && $surfels -le $surfels_max ]] || continue
@@ -157,7 +157,7 @@ bench() {
     # The complete training program at KITTI size: wall time of real steps, scaled to the
     # paper's 30,000 steps.
     file=$out/B_400000_kitti.json
-    [[ ! -e $file ]] || awk -v wall="$(median "$file" iteration_wall)" 'BEGIN {printf "\n30 000 iterations at KITTI size (B 400k, 66 x 1030, wall clock of an iteration %.2f ms): %.1f minutes; the peer 30 to 50; aim 3\n", wall, wall * 30000 / 60000}'
+    [[ ! -e $file ]] || awk -v wall="$(median "$file" iteration_wall)" 'BEGIN {printf "\n30 000 iterations at KITTI size (B 400k, 66 x 1030, wall clock of an iteration %.2f ms): %.1f minutes; reference implementation 30 to 50 minutes; goal 3 minutes\n", wall, wall * 30000 / 60000}'
 
     # Finds the best chunk and walk: forward and backward pass of the two largest cases.
     printf '\n%-30s %12s %12s   (ms)\n' 'chunk, walk' 'forward' 'backward'

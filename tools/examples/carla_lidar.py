@@ -80,7 +80,7 @@ class Traffic:
             self.service.DespawnActors(v1.DespawnActorsRequest(scene=self.scene, names=gone))
         self.names = {id: name for id, name in self.names.items() if id in actors}
         if new and not self.models:
-            raise SystemExit(f"{self.scene} has no actors and the server no assets: nothing can stand for CARLA's traffic")
+            raise SystemExit(f"cannot show the traffic of CARLA: the scene {self.scene} has no actors and the server has no assets; use relidar serve --assets FOLDER")
         if new:
             spawns = [v1.Spawn(name=f"carla {id}", **self.model_of(actor)) for id, actor in new.items()]
             self.service.SpawnActors(v1.SpawnActorsRequest(scene=self.scene, actors=spawns))
@@ -113,7 +113,7 @@ class CarlaLidar:
         for actor in self.world.get_actors().filter("vehicle.*"):
             if actor.attributes.get("role_name") == self.options.ego:
                 return actor
-        raise SystemExit(f"--ego: found no vehicle of the role {self.options.ego} in CARLA's world")
+        raise SystemExit(f"--ego: found no vehicle with role_name {self.options.ego} in CARLA's world")
 
     def tick(self, snapshot):
         """@return [n,4] x, y, z, intensity in CARLA's frame of the sensor, or None while the sweep lasts."""
@@ -122,7 +122,7 @@ class CarlaLidar:
         others = {a.id: a for kind in ("vehicle.*", "walker.*") for a in everybody.filter(kind) if a.id != self.ego.id}
         found = {id: snapshot.find(id) for id in [self.ego.id, *others]}
         if found[self.ego.id] is None:
-            raise SystemExit("CARLA's ego vehicle has gone")
+            raise SystemExit("the ego vehicle no longer exists in CARLA's world")
         others = {id: actor for id, actor in others.items() if found[id] is not None}
         boxes = {id: self.dataset_from_carla @ box_matrix(actor, found[id].get_transform()) for id, actor in others.items()}
         sensor = self.dataset_from_carla @ right_handed(found[self.ego.id].get_transform()) @ self.ego_from_sensor
@@ -160,18 +160,18 @@ def numbers(text):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("address", nargs="?", default="127.0.0.1:50051", help="of relidar serve")
-    parser.add_argument("--carla", default="127.0.0.1:2000", help="CARLA's own address")
-    parser.add_argument("--scene", default="", help="of the server (default: its first)")
+    parser.add_argument("address", nargs="?", default="127.0.0.1:50051", help="address of `relidar serve`")
+    parser.add_argument("--carla", default="127.0.0.1:2000", help="address of the CARLA server")
+    parser.add_argument("--scene", default="", help="scene of the server (default: the first)")
     parser.add_argument("--ego", default="hero", help="role_name of the vehicle that carries the sensor")
-    parser.add_argument("--sensor", default="", help="a name of `relidar list sensors` (default: the log's own)")
-    parser.add_argument("--rate", type=float, default=10.0, help="sweeps a second; that of the sensor")
+    parser.add_argument("--sensor", default="", help="sensor, a name of `relidar list sensors` (default: the sensor of the log)")
+    parser.add_argument("--rate", type=float, default=10.0, help="sweeps per second; must be the rate of the sensor")
     parser.add_argument("--mount", type=numbers, default=[0, 0, 1.8, 0], metavar="X,Y,Z,YAW",
-                        help="of the sensor on the ego, right-handed: metres forward, left, up and degrees to the left")
+                        help="pose of the sensor on the ego vehicle, right-handed: metres forward, left, up and degrees to the left")
     parser.add_argument("--dataset-from-carla", type=numbers, default=[0, 0, 0, 0], metavar="X,Y,Z,YAW",
-                        help="where CARLA's map has its origin in the dataset's world, right-handed")
-    parser.add_argument("--scans", type=int, default=0, help="so many, then end (default: until Ctrl-C)")
-    parser.add_argument("--out", type=pathlib.Path, help="folder for FRAME.bin")
+                        help="pose of the origin of CARLA's map in the dataset's world, right-handed")
+    parser.add_argument("--scans", type=int, default=0, help="number of scans to receive (default: until Ctrl-C)")
+    parser.add_argument("--out", type=pathlib.Path, help="folder for the scans, as FRAME.bin")
     options = parser.parse_args()
     import carla
     host, port = options.carla.rsplit(":", 1)

@@ -59,7 +59,7 @@ def lead_of(service, scene, asset):
         spawned = service.SpawnActors(v1.SpawnActorsRequest(scene=scene.name, actors=[lead])).actors[0]
         return spawned.name, spawned.size_m.z
     if not scene.actors:
-        raise SystemExit(f"{scene.name} has no actors, expected one at least, or an asset")
+        raise SystemExit(f"scene {scene.name} has no actors; expected at least one actor, or the name of an asset as the third argument")
     return scene.actors[0].name, scene.actors[0].size_m.z
 
 
@@ -100,7 +100,7 @@ def main(address="127.0.0.1:50051", sensor="", asset=""):
         ego_m += ego_mps * STEP_S
         actor_m += actor_mps * STEP_S
     for name in coarse:
-        print(f"{name} was learnt from farther away and shows holes")
+        print(f"actor {name} shows holes, because the log recorded it from farther away")
     if asset:
         service.DespawnActors(v1.DespawnActorsRequest(scene=scene.name, names=[lead]))
     print(f"stopped {actor_m - ego_m:.1f} m behind the actor")

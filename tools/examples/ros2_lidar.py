@@ -81,7 +81,7 @@ class Sweeps:
         self.period_s = 1.0 / options.rate
         self.count = int((self.path[-1].time_s - self.path[0].time_s) * options.rate + 1e-6)
         if self.count < 1:
-            raise SystemExit(f"the log of {self.scene.name} is shorter than a sweep of {self.period_s:g} s")
+            raise SystemExit(f"cannot render a sweep: the log of {self.scene.name} is shorter than {self.period_s:g} s")
 
     def scan(self, number):
         """@return v1.LidarScan, and the moment of its points in the log's time"""
@@ -103,15 +103,15 @@ def read_parameters(node, options):
 
 def options_parser():
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("address", nargs="?", default="127.0.0.1:50051", help="of relidar serve")
-    parser.add_argument("--scene", default="", help="of the server (default: its first)")
-    parser.add_argument("--lidar", default="", help="of the log, whose way is driven (default: its first)")
-    parser.add_argument("--sensor", default="", help="a name of `relidar list sensors` (default: that LiDAR itself)")
-    parser.add_argument("--rate", type=float, default=10.0, help="sweeps a second; that of the sensor")
+    parser.add_argument("address", nargs="?", default="127.0.0.1:50051", help="address of `relidar serve`")
+    parser.add_argument("--scene", default="", help="scene of the server (default: the first)")
+    parser.add_argument("--lidar", default="", help="LiDAR of the log whose path is used (default: the first)")
+    parser.add_argument("--sensor", default="", help="sensor, a name of `relidar list sensors` (default: the LiDAR of --lidar)")
+    parser.add_argument("--rate", type=float, default=10.0, help="sweeps per second; must be the rate of the sensor")
     parser.add_argument("--topic", default="/points")
-    parser.add_argument("--frame", default="lidar", help="of the points")
-    parser.add_argument("--world", default="map", help="frame of the dataset's world")
-    parser.add_argument("--loop", action="store_true", help="begin again where the log ends")
+    parser.add_argument("--frame", default="lidar", help="frame id of the points")
+    parser.add_argument("--world", default="map", help="frame id of the dataset's world")
+    parser.add_argument("--loop", action="store_true", help="start again at the end of the log")
     parser.add_argument("--clock", action="store_true", help="publish /clock, and use times of the log as stamps")
     return parser
 
@@ -140,7 +140,7 @@ def main(arguments=None):
                 time.sleep(wait_s)
             elif not late:
                 late = True
-                log.warning(f"a sweep of {1e3 * sweeps.period_s:.0f} ms takes longer than that: stamps fall behind the clock")
+                log.warning(f"rendering a sweep of {1e3 * sweeps.period_s:.0f} ms takes longer than the sweep, so the stamps fall behind the clock")
             if clock:
                 clock.publish(Clock(clock=time_message(stamp_ns)))
             transforms.publish(transform_message(scan.dataset_from_points, stamp_ns, options.world, options.frame))

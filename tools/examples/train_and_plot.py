@@ -55,7 +55,7 @@ print(f"{len(points)} points, the farthest {np.linalg.norm(points, axis=1).max()
 try:
     import matplotlib.pyplot as plt
 except ImportError:
-    print("no matplotlib: no view from above")
+    print("matplotlib is not installed, so no view from above is drawn")
 else:
     plt.scatter(points[:, 0], points[:, 1], s=1, c=points[:, 2], cmap="turbo")
     plt.axis("equal")

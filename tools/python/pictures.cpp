@@ -51,7 +51,7 @@ void bind_picture_functions(py::module_& module) {
             write_png(path, draw_scan_picture(convert_to_rendered_scan(scan)));
         },
         py::arg("path"), py::arg("scan"),
-        "Writes a scan as PNG with the range in false colours, the intensity and the drop "
+        "Writes a PNG image of a scan: range in false colours, intensity and drop "
         "probability below each other.\n\n"
         "scan: range, intensity and drop_prob, [rows,columns] float32; a scan of a log needs no "
         "drop_prob");
