@@ -525,7 +525,7 @@ XOSC
     bad 2 'expected FILE.xosc\[@ENTITY=TRACK' edit run --out x --scenario cut_in.xosc@Van
     bad 3 'none.xosc' edit run --out x --scenario none.xosc
     good edit run --out late --retime 0:100
-    says "note: track 0 .*visible"
+    says "note: actor 0 .*visible"
     sed 's/"name": "synthetic"/"name": "other"/' -i removed/scene.json
     good edit run --out both --force --insert "removed#1@$start"
     says "note: removed .*sensor"

@@ -55,7 +55,7 @@ std::string explain_asset_rejection(const AssetDescription& asset_description,
     if (observations.points_m.empty()) return "no ray of the training frames hits this actor";
     if (asset_description.compute_covered_fraction() >= min_score) return "";
     return fmt::format(
-        "the score of the actor is {:.2f}, expected at least {:.2f} (option --least); the log observed these "
+        "the score of the actor is {:.2f}, expected at least {:.2f} (--least); the log observed these "
         "shares of its sides: {}{}",
         asset_description.compute_covered_fraction(), min_score,
         format_observed_side_fractions(asset_description),

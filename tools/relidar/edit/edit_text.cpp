@@ -263,8 +263,8 @@ std::string format_sensor_mismatch_warning(const ExternalActor& actor, const Sce
     if (actor_sensor.name == run_sensor.name && actor_sensor.beams.size() == run_sensor.beams.size())
         return "";
     return fmt::format(
-        "actor {} was recorded by another sensor ({} with {} beams; this run has {} with {} beams); "
-        "the shape and motion of {} are correct, but its intensities and dropped rays look like "
+        "{} was recorded with another sensor ({} with {} beams; this run has {} with {} beams); "
+        "shape and motion of actor {} are correct, but its intensities and dropped rays look like "
         "those of the other sensor",
         actor.folder, actor_sensor.name, actor_sensor.beams.size(), run_sensor.name, run_sensor.beams.size(),
         actor.track);
@@ -367,10 +367,10 @@ EditResult apply_scenario_edit(SceneWithLog driving_scene, const EditArgument& e
                 fmt::format("an entity with a trajectory, but the entity {} has no trajectory in the file",
                             entity.name));
         if (what.empty() && follows)
-            throw_edit_error(
-                edit, fmt::format("also an actor for the entity {0} ({0}=TRACK, {0}=RUN#TRACK or {0}=ASSET), "
-                                  "or {0}=- to ignore it, because the run has no actor of that name",
-                                  entity.name));
+            throw_edit_error(edit,
+                             fmt::format("also an actor for the entity: {0}=TRACK, {0}=RUN#TRACK, {0}=ASSET "
+                                         "or {0}=- (ignore), because the run has no actor with the name {0}",
+                                         entity.name));
         if (follows && what != "-") move_actor_along_entity_path(edit, entity, what, applied);
         else
             append_warning_note(applied.note,

@@ -319,8 +319,8 @@ std::string to_text(const RunSummary& run) {
     for (const auto& [name, count] : run.models)
         text += format_name_value_line("  model", fmt::format("{}: {} surfels", name, count));
     text += format_name_value_line(
-        "instances", fmt::format("{} models with poses; number 0 is the background, the others are actors",
-                                 run.n_instances));
+        "instances",
+        fmt::format("{}, of which number 0 is the background and all others are actors", run.n_instances));
     if (run.n_drop_parameters > 0)
         text += format_name_value_line(
             "ray drop", fmt::format("corrected by a network of {} parameters that reads {} images",

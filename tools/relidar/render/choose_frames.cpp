@@ -34,7 +34,7 @@ std::vector<int> select_frame_positions(const TrainedRun& run, const std::option
                                         bool quiet) {
     if (!frames_text && run.split.test.empty()) {
         if (!quiet)
-            print_note(fmt::format("run {} has no held-out frames, so all {} frames are rendered instead",
+            print_note(fmt::format("{} has no held-out frames, so all {} frames are rendered instead",
                                    run.folder.string(), run.sequence.frames.size()));
         return list_all_frame_positions(run);
     }
