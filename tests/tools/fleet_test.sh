@@ -38,14 +38,14 @@ score_tables() {
     has t.md '| scored/a | logs/a | 2 | 12.5 | 0.25 | 0.5 |'
     has t.md '| scored/b\|c | logs/b\|c | 1 | 12.5 | 0.75 | - |'
     has t.md '| mean of 2 runs |  |  |  | 0.5 | 0.5 |'
-    check "equal protocols are called different" test "$(grep -c "protocols differ" t.md)" = 0
+    check "equal protocols are called different" test "$(grep -c "different settings" t.md)" = 0
     has t.csv 'run,log,frames,training_s,own/metric,strict/depth_medae_m,strict/drop_accuracy'
     has t.csv '"scored/a","logs/a",2,12.5,7,0.25,0.5'
     has t.csv '"scored/b|c","logs/b|c",1,12.5,,0.75,'
     for text in "scored/a" "scored/b|c" "2 of 2 runs have scores" "Typical range error"; do has t.html "$text"; done
     run d '[{}]' kitti360 '"strict/depth_medae_m": 1'
     good eval scored/a scored/d --table t.md
-    has t.md "Compare the runs with care, because their protocols differ in grid."
+    has t.md "Compare the runs with care, because they were scored with different settings: grid."
     bad 2 "2 runs .*--table" eval scored/a scored/d
     bad 2 "table: found t.txt; .*\.md, \.csv or \.html" eval scored/a --table t.txt
     bad 2 "--set .*--table" eval scored/a --table t.md --set render.range=median

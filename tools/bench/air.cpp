@@ -139,7 +139,7 @@ void print_points_in_air_table(const std::string& run_folder, int device_index) 
     Device device(apply_environment_variables({.index = device_index}));
     ScanRenderer renderer(device, run);
     fmt::print(
-        "| sensor | points | other range than the street's by 5 cm | in the air by 5 cm | by 30 cm "
+        "| sensor | points | range error above 5 cm | more than 5 cm in the air | more than 30 cm in the air "
         "|\n|---|--:|--:|--:|--:|\n");
     const std::vector<std::pair<std::string, glm::dvec3>> offsets{{"original position", {0, 0, 0}},
                                                                   {"1 m to the left", {0, 1, 0}},

@@ -280,8 +280,9 @@ RayTable make_named_benchmark_rays(const std::string& rays_name) {
 
 int main(int argc, char** argv) {
     CLI::App app(
-        "render a benchmark street with Embree and print a line: Mrays/s by wall time and by processor time, "
-        "blended hits a ray, mean "
+        "renders a benchmark street with Embree and prints one line: Mrays/s by wall time, Mrays/s by "
+        "processor time, "
+        "blended hits per ray, mean "
         "depth");
     std::string scene = "A", rays_name = "64x1024";
     unsigned n_surfels = 100000;
@@ -289,7 +290,7 @@ int main(int argc, char** argv) {
     app.add_option("--scene", scene, "benchmark street: A or B")->check(CLI::IsMember({"A", "B"}));
     app.add_option("--surfels", n_surfels, "number of surfels of the street")
         ->check(CLI::Range(1u, 50000000u));
-    app.add_option("--rays", rays_name, "waymo, kitti or ROWSxCOLUMNS");
+    app.add_option("--rays", rays_name, "size of the image: waymo, kitti or ROWSxCOLUMNS");
     app.add_option("--chunk", chunk, "number of hits that are sorted together")
         ->check(CLI::Range(1, kMaxChunk));
     app.add_option("--repeat", repeat, "number of measured images")->check(CLI::Range(1, 10000));

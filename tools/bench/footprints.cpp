@@ -165,7 +165,8 @@ void print_footprint_scores(const std::string& run_folder, const std::string& se
                divergence_rad > 0.0 ? divergence_mrad : 1e3 * rays.find_max_divergence_rad(), cones.size(),
                run_folder);
     fmt::print(
-        "| sub-rays | edge beams | RMSE | MAE | in the air | second returns | found | invented, of reported "
+        "| sub-rays | edge beams | RMSE | MAE | in the air | second returns | reported correctly | reported "
+        "but wrong "
         "|\n|--:|--:|--:|--:|--:|--:|--:|--:|\n");
     for (const int n : {1, 5, 9}) {
         run.config.sensor.sub_rays = n;

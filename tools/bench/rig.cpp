@@ -96,7 +96,7 @@ void add_returns_to_score(RigScanScore& score, const ScanRanges& rendered_return
 
 std::string format_score_row(const std::string& name, RigScanScore& score) {
     std::sort(score.errors_m.begin(), score.errors_m.end());
-    if (score.errors_m.empty()) return fmt::format("| {} | {} | nothing returned |\n", name, score.rays);
+    if (score.errors_m.empty()) return fmt::format("| {} | {} | no ray returned |\n", name, score.rays);
     const std::string seconds = score.second_returns == 0
                                     ? std::string("– | – | –")
                                     : fmt::format("{} | {:.1f} % | {:.1f} %", score.second_returns,
@@ -181,20 +181,22 @@ void print_rig_scores(const std::string& run_folder, int device_index, float lat
                 cast_exact_returns(street, rays, track, frame.time_s, sensor, lateral_offset_m), truth);
     }
     fmt::print(
-        "| LiDAR | rays | median range error | RMSE | drops right | second returns | found | of those "
-        "reported, not there |\n"
+        "| LiDAR | rays | median range error | RMSE | correct drops | second returns | reported correctly | "
+        "reported but wrong |\n"
         "|---|--:|--:|--:|--:|--:|--:|--:|\n");
     for (std::size_t l = 0; l < scores.size(); ++l) {
         const std::string& name = run.sequence.lidars[l].name;
         fmt::print("{}", format_score_row(name, scores[l]));
         const std::string from =
-            fmt::format("{}, the street from {:g} cm to the left and above", name, 100.0f * lateral_offset_m);
+            fmt::format("{}, exact scan of the street from {:g} cm to the left and above", name,
+                        100.0f * lateral_offset_m);
         if (lateral_offset_m > 0.0f) fmt::print("{}", format_score_row(from, beside[l]));
     }
     if (!other_sensor_names.empty())
         fmt::print(
-            "\n| instead of {} | rays | returns | missed | {} m behind and more | median range error | RMSE "
-            "| drops right |\n"
+            "\n| sensor instead of {} | rays | returns | missed | more than {} m too far | median range "
+            "error | RMSE "
+            "| correct drops |\n"
             "|---|--:|--:|--:|--:|--:|--:|--:|\n",
             run.sequence.lidars[0].name, kOnSurface_m);
     for (const std::string& other : other_sensor_names)

@@ -80,9 +80,9 @@ SceneSet::SceneLoadNumber SceneSet::call_with_scene(std::size_t scene_index,
 void SceneSet::call_with_loaded_scene(std::size_t scene_index, SceneLoadNumber load_number,
                                       const std::function<void(ScanRenderer&)>& function) {
     if (!loaded_[scene_index].renderer || loaded_[scene_index].load != load_number)
-        throw DeviceError(
-            fmt::format("cannot render a scan of {}: the scene was unloaded for a later request",
-                        sources_[scene_index].name));
+        throw DeviceError(fmt::format(
+            "cannot render a scan of {}: the scene was unloaded for a later request; send it again",
+            sources_[scene_index].name));
     call_with_renderer(scene_index, function);
 }
 

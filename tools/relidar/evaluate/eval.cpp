@@ -293,11 +293,11 @@ void check_table_option_conflicts(const CLI::App& command) {
 constexpr const char* kEvalHelp =
     R"(The log is read from the path that the run was trained from. If the log has moved, use
 --set dataset.path=PATH.
-RELIDAR_LPIPS_WEIGHTS is the file with the weights of LPIPS, made by tools/lpips_weights. LPIPS is
-left out if the variable is not set.
+The environment variable RELIDAR_LPIPS_WEIGHTS names the file with the weights of LPIPS, which
+tools/lpips_weights writes. Without the variable, LPIPS is not computed.
 Metrics: peer/* follow published tables, strict/* use pixels that return in both scans,
 moving_boxes/* and similar names score a part of the scan. The name of a metric ends with its unit.
-An edited run of a synthetic street is compared with the street rendered with the same edits
+An edited run of a synthetic street is compared with the street after the same edits
 (edited/*: pixels that the edits change). An edited run of a real log is compared with the log,
 which does not have the edits.
 Examples:

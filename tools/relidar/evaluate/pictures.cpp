@@ -45,7 +45,7 @@ std::vector<ReportFigure> make_comparison_figures(const ScoredFrame& frame, cons
                                 scale, "heat", shown);
     };
     ReportFigure drops{title + ": ray drop",
-                       {{real_caption_caption + ", white: dropped", draw_drop_picture(real)}}};
+                       {{real_caption_caption + ", white: dropped rays", draw_drop_picture(real)}}};
     if (const auto* of_surfels = find_channel_values<float>(frame.rendered.channels, "surfel_drop_prob")) {
         RangeImage surfels = rendered;
         surfels.drop_prob = *of_surfels;
@@ -57,20 +57,22 @@ std::vector<ReportFigure> make_comparison_figures(const ScoredFrame& frame, cons
     } else {
         drops.images.emplace_back("rendered drop probability", draw_drop_picture(rendered));
     }
-    drops.images.emplace_back("absolute error, black 0 to white 1",
+    drops.images.emplace_back("absolute error of the drop probability, black: 0, white: 1",
                               error(real.drop_prob, rendered.drop_prob, 1.0f, {}));
     std::vector<ReportFigure> figures = {
         {title + ": range",
          {{real_caption_caption, draw_range_picture(real, max_range_m)},
           {"rendered", draw_range_picture(rendered, max_range_m)},
-          {fmt::format("absolute error where both return, black 0 to white {} m", kRangeErrorScale_m),
+          {fmt::format("absolute error of rays that return in both scans, black: 0, white: {} m",
+                       kRangeErrorScale_m),
            error(real.range_m, rendered.range_m, kRangeErrorScale_m, mask)}}}};
     if (has_intensities(real))
         figures.push_back(
             {title + ": intensity",
              {{real_caption_caption, draw_intensity_picture(real)},
               {"rendered", draw_intensity_picture(rendered)},
-              {fmt::format("absolute error where both return, black 0 to white {}", kIntensityErrorScale),
+              {fmt::format("absolute error of rays that return in both scans, black: 0, white: {}",
+                           kIntensityErrorScale),
                error(real.intensity, rendered.intensity, kIntensityErrorScale, mask)}}});
     figures.push_back(std::move(drops));
     return figures;

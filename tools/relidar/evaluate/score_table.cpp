@@ -79,7 +79,9 @@ std::string format_protocol_warning(const std::vector<ScoredRun>& runs) {
     const std::string keys = list_protocol_differences(runs);
     return keys.empty()
                ? ""
-               : fmt::format("Compare the runs with care, because their protocols differ in {}.", keys);
+               : fmt::format(
+                     "Compare the runs with care, because they were scored with different settings: {}.",
+                     keys);
 }
 
 /// Returns the names of the most important metrics for which at least one run has a

@@ -237,7 +237,8 @@ std::string format_summary_text(const LogSummary& summary, bool show_instance_co
     const auto n_moving = std::ranges::count_if(summary.boxes, &BoxSummary::moves);
     text += format_name_value_line("boxes", fmt::format("{}: {} moving, {} parked", summary.boxes.size(),
                                                         n_moving, std::ssize(summary.boxes) - n_moving));
-    text += format_name_value_line("masked", summary.masked);
+    if (!summary.masked.empty())
+        text += format_name_value_line("masked", summary.masked + ": these moving objects are not trained");
     return text + format_box_table(summary.boxes, show_instance_columns);
 }
 

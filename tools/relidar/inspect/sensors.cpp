@@ -85,7 +85,7 @@ void print_sensor_description(const SensorsOptions& options) {
     const SensorFieldOfView e = compute_angular_extent(rays);
     print(fmt::format(
         "{}{}{}\nrays        {} ({} rows of {})\nazimuth     {:+.2f} to {:+.2f} degrees, left positive\n"
-        "elevation   {:+.2f} to {:+.2f} degrees\nscan        {:.4g} s\nrange       {:g} to {:g} "
+        "elevation   {:+.2f} to {:+.2f} degrees\nscan time   {:.4g} s\nrange       {:g} to {:g} "
         "m\ndivergence  {}\n",
         sensor.name, sensor.about.empty() ? "" : ": ", sensor.about, e.rays, rays.rows, rays.columns,
         e.left_deg, e.right_deg, e.top_deg, e.bottom_deg, compute_scan_period_s(sensor, rays),

@@ -55,7 +55,7 @@ void write_log_as_packets(const LidarSequence& sequence, const ConvertOptions& o
         });
     end_progress_line();
     if (!options.quiet)
-        print(fmt::format("{}: {} packets of {} scans\n", make_absolute_path(options.out), n,
+        print(fmt::format("wrote {}: {} packets of {} scans\n", make_absolute_path(options.out), n,
                           sequence.frames.size()));
     if (!queue) return;
     queue->send_queued_packets();

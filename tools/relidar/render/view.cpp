@@ -121,7 +121,7 @@ void run_view_command(const ViewOptions& options) {
     std::fflush(stdout);
     const char* who = server_settings.token.empty() ? "open this address in a browser"
                                                     : "only clients that know this address have access";
-    if (!options.quiet) print_note(fmt::format("{}; Ctrl-C ends it", who));
+    if (!options.quiet) print_note(fmt::format("{}; Ctrl-C ends the program", who));
     if (options.open) open_in_browser(server.get_page_url());
     while (!is_interrupted()) session.run_next_job(foxglove.send_next_scan_if_due(kViewPatience));
     session.finish_pending_jobs();
@@ -143,7 +143,7 @@ Examples:
 }  // namespace
 
 void add_view_command(CLI::App& app, ParsedCommand& selected_command) {
-    CLI::App* command = app.add_subcommand("view", "show a run in the browser and drive the sensor");
+    CLI::App* command = app.add_subcommand("view", "show a run in the browser and move the sensor");
     const auto options = std::make_shared<ViewOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train` or `relidar edit`")->required();
     command->add_option("--port", options->port, "port to listen on (default: 8080; 0: a free port)")
