@@ -86,9 +86,10 @@ void print_pipeline_statistics(const PipelinesOptions& options) {
 }  // namespace
 
 void add_pipelines_command(CLI::App& app, ParsedCommand& selected_command) {
-    CLI::App* command = app.add_subcommand("pipelines",
-                                           "compile every kernel as the program uses it and print what the "
-                                           "device's compiler says: registers, spills, waves");
+    CLI::App* command =
+        app.add_subcommand("pipelines",
+                           "compile each kernel as relidar uses it and print statistics from the "
+                           "compiler of the driver: registers, spills, waves");
     const auto options = std::make_shared<PipelinesOptions>();
     command->add_option("--device", options->device, "number of the device in `relidar list devices`");
     command

@@ -81,7 +81,7 @@ void SceneSet::call_with_loaded_scene(std::size_t scene_index, SceneLoadNumber l
                                       const std::function<void(ScanRenderer&)>& function) {
     if (!loaded_[scene_index].renderer || loaded_[scene_index].load != load_number)
         throw DeviceError(fmt::format(
-            "cannot render a scan of {}: the scene was unloaded for a later request; send it again",
+            "cannot render a scan of {}: the scene was unloaded for a later request; send your request again",
             sources_[scene_index].name));
     call_with_renderer(scene_index, function);
 }

@@ -9,7 +9,7 @@ const KEYS = [
   [['Space'], 'play, pause'],
   [[',', '.'], 'previous frame, next frame'],
   [['1', '2', '3'], 'show the simulated scan, the real scan, both'],
-  [['C'], 'next camera: follow, orbit, fly'],
+  [['C'], 'change the camera mode: follow, orbit, fly'],
   [['←', '→', '↑', '↓'], 'move the camera'],
   [['drag'], 'rotate the camera; with the right button or Ctrl: move the camera; wheel: zoom'],
   [['Shift', 'drag'], 'move the sensor over the ground'],
