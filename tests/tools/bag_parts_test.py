@@ -86,7 +86,7 @@ def check(name, columns, clockwise=True, lost=(), turns=range(N)):
     """@param columns first column of each part, and end of the last part"""
     parts = [message(*firings(a, b, clockwise)) for k, (a, b) in enumerate(zip(columns, columns[1:])) if k not in lost]
     head, notes, scans = converted(parts)
-    expect("part of a turn" in notes, f"{name}: {notes}")
+    expect("part of a revolution" in notes, f"{name}: {notes}")
     expect(len(scans) == len(turns), f"{name}: {len(scans)} turns, expected {len(turns)}\n{notes}")
     for (_, shape, times, points), turn in zip(scans, turns):
         truth, t_ns = firings(turn * COLUMNS, (turn + 1) * COLUMNS, clockwise)
@@ -118,7 +118,7 @@ def test_said():
     bag = WORK / "said.mcap"
     bags.write_mcap(bag, halves)
     said = run("info", bag, code=3)
-    expect("part of a turn, about 180 degrees" in said and "no usable times" in said, f"halves without times: {said}")
+    expect("part of a revolution, about 180 degrees" in said and "no usable times" in said, f"halves without times: {said}")
     for frame in ("map", "base_link"):
         turns = [message(*firings(k * COLUMNS, (k + 1) * COLUMNS), frame=frame) for k in range(N)]
         bags.write_mcap(bag, turns)
@@ -130,7 +130,7 @@ def test_said():
         merged.append(message(np.concatenate([a, b], 1), np.concatenate([t, t])))
     bags.write_mcap(bag, merged)
     said = run("info", bag)
-    expect(names(said, "merged") and names(said, "dropped"), f"a merged cloud: {said}")
+    expect(names(said, "merged") and names(said, "without return"), f"a merged cloud: {said}")
 
 
 def test_left_alone():
@@ -139,7 +139,7 @@ def test_left_alone():
     window = lambda k: firings(COLUMNS // 3, 2 * COLUMNS // 3)[0]
     times = lambda k: k * TURN + np.arange(COLUMNS // 3) * (TURN // (COLUMNS // 3))
     _, notes, scans = converted([message(window(k), times(k)) for k in range(N)])
-    expect("part of a turn" not in notes and len(scans) == N, f"windows: {len(scans)} scans\n{notes}")
+    expect("part of a revolution" not in notes and len(scans) == N, f"windows: {len(scans)} scans\n{notes}")
     print("windows of a LiDAR without a head: a scan each")
 
 

@@ -239,7 +239,7 @@ def test_mcap():
     bags.write_mcap(bag, log(velodyne), compression="zstd", chunk=7)
     head = check("MCAP, zstd, Velodyne, /tf", bag, stamps="last")
     notes = "\n".join(head["notes"])
-    for text in ("topic /points: sensor_msgs/PointCloud2, 5 messages", "frame 'lidar'", "ring U16", "/chatter", "'map' from /tf", ": used",
+    for text in ("topic /points: sensor_msgs/PointCloud2, 5 messages", "frame 'lidar'", "ring U16", "/chatter", "'map' ... /tf", ": used",
                  "times of points ... in s, relative ... stamp"):
         expect(names(notes, text), f"info does not say '{text}':\n{notes}")
     bag = WORK / "ouster.mcap"
@@ -452,7 +452,7 @@ def test_packets():
     expect("VLS-128" in run("info", bag, code=3), "packets of another product")
     bags.TYPES["robosense_msgs/RobosenseScan"] = bags.TYPES["std_msgs/String"]
     bags.write_mcap(bag, [("/packets", "robosense_msgs/RobosenseScan", T0, {"data": "x"})])
-    expect("play the recording with nebula" in run("info", bag, code=3), "packets that are not decoded")
+    expect("nebula" in run("info", bag, code=3), "packets that are not decoded")
 
 
 shutil.rmtree(WORK, ignore_errors=True)

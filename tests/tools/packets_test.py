@@ -225,7 +225,7 @@ def test_ousters():
             bag.with_suffix(".json").write_text(metadata)
         log = converted(bag)
         notes = "\n".join(log[1]["notes"])
-        expect(names(notes, "32 packets ... 16-beam Ouster, OS-1-16") and "4 full turns: used" in notes, f"{name}: {notes}")
+        expect(names(notes, "32 packets ... 16-beam Ouster, OS-1-16") and "4 full revolutions: used" in notes, f"{name}: {notes}")
         expect(len(log[1]["frames"]) == 4 and len(log[1]["lidars"]) == 1 and "missing" not in notes, f"{name}: {log[1]['frames']}, {notes}")
         for frame in log[1]["frames"]:
             scan = np.load(log[0] / frame["scan"])
@@ -457,7 +457,7 @@ def test_network():
     late.insert(405, (spaced[405][0] + 1000, spaced[400][1]))
     doubled = [p for k, p in enumerate(spaced) for _ in range(2 if k == 250 else 1)]
     twice = [(ns + 20_000 * again, data) for ns, data in spaced for again in (0, 1)]
-    for name, datagrams, note in (("swapped", swapped, "packets were received late"), ("late", late, "1 packets were received late"),
+    for name, datagrams, note in (("swapped", swapped, "packets were received out of order"), ("late", late, "1 packets were received out of order"),
                                   ("doubled", doubled, "1 packets were received twice"), ("all twice", twice, "900 packets were received twice")):
         log = converted(capture(name, datagrams))
         near_scans(name, plain, log)
@@ -498,7 +498,7 @@ def test_network():
     text = run("info", capture("two sensors", mixed), code=3)
     expect(names(text, "sensors ... mixed"), f"two sensors: {text}")
     text = run("info", capture("half", spaced[:90]), code=3)
-    expect(names(text, "90 packets ... XT32") and names(text, "degrees ... turn"), f"half a turn: {text}")
+    expect(names(text, "90 packets ... XT32") and names(text, "degrees ... revolution"), f"half a turn: {text}")
     text = run("info", capture("one", spaced[:1]), code=3)
     expect(names(text, "1 packets ... XT32"), f"one packet: {text}")
     print("fragments, any, IPv6, two sensors, parts of a turn: as expected")
@@ -639,7 +639,7 @@ def test_others():
         return
     for name, turns, share, note in (("derived/dead-sector/xt32_rear_blanked.pcap", 3, 0.712, ""),
                                      ("derived/dead-sector/xt32_front_blanked.pcap", 3, 0.716, ""),
-                                     ("derived/packet-order/xt32_swap_middle.pcap", 3, 0.95, "1 packets were received late"),
+                                     ("derived/packet-order/xt32_swap_middle.pcap", 3, 0.95, "1 packets were received out of order"),
                                      ("derived/packet-order/xt32_dup_middle.pcap", 3, 0.95, "1 packets were received twice"),
                                      ("derived/packet-order/xt32_all_dup.pcap", 3, 0.95, "2000 packets were received twice"),
                                      ("derived/packet-order/os1_all_dup.pcap", 3, None, "192 packets were received twice"),
@@ -658,7 +658,7 @@ def test_others():
     for name, reason in (("ouster-duplicate_id/duplicate_id.pcap", "1 packets of a 128-beam Ouster, OS-2-128"),
                          ("ouster-OS-1-128_fusa/OS-1-128_767798045_1024x10_20230712_120049.pcap", "8 packets of a 128-beam Ouster, OS-1-128"),
                          ("ouster-same_ports/legacy/same_ports_legacy.pcap", "1 packets of a 64-beam Ouster, OS-1-64-AH"),
-                         ("ouster-shot_limiting/shot_limiting_test.pcap", "the packets cover only 5 degrees of a turn"),
+                         ("ouster-shot_limiting/shot_limiting_test.pcap", "the packets cover only 5 degrees of a revolution"),
                          ("gadomski-vlp16/position.pcap", "1 datagrams that relidar cannot decode as LiDAR packets")):
         text = run("info", data / name, code=3)
         expect(reason in text, f"{name}: {text}")

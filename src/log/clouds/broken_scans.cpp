@@ -21,10 +21,10 @@ void ScanErrorCollector::add_broken_scan(std::size_t scan_index, const std::stri
 
 void ScanErrorCollector::add_broken_scan_notes(LidarSequence& sequence, std::size_t n_scans) const {
     if (!reasons_.empty() && reasons_.size() == n_scans)
-        throw DataError(fmt::format("{}: all {} scans are broken; the first error is: {}", sequence.source,
-                                    n_scans, reasons_.begin()->second));
+        throw DataError(fmt::format("{}: none of the {} scans can be read; the first error is: {}",
+                                    sequence.source, n_scans, reasons_.begin()->second));
     for (const auto& [i, reason] : reasons_)
-        sequence.notes.push_back(fmt::format("a broken scan is skipped: {}", reason));
+        sequence.notes.push_back(fmt::format("a scan that cannot be read is skipped: {}", reason));
 }
 
 void ScanErrorCollector::remove_broken_frames(LidarSequence& sequence) const {

@@ -52,7 +52,8 @@ public:
     void remove_broken_frames(LidarSequence& sequence) const;
 
 private:
-    static constexpr const char* kSkipBrokenHint = "; use dataset.skip_broken=true to skip broken scans";
+    static constexpr const char* kSkipBrokenHint =
+        "; use dataset.skip_broken=true to skip scans that cannot be read";
 
     const bool skip_;
     mutable std::mutex lock_;

@@ -79,10 +79,10 @@ void check_lidars(const LidarSequence& sequence) {
         const SpinningSensor& sensor = lidar.sensor;
         if (sensor.beams.empty() != (sensor.columns == 0))
             fail(where, fmt::format("{} beams and {} columns", sensor.beams.size(), sensor.columns),
-                 "both numbers above 0, or both 0 for a sensor that does not spin");
+                 "two numbers above 0, or both 0 for a sensor that does not spin");
         if (!(sensor.period_s >= 0.0 && sensor.period_s < kLongestOffset_s))
-            fail(where, fmt::format("a period of {} s", sensor.period_s),
-                 fmt::format("a period from 0 to {} s", kLongestOffset_s));
+            fail(where, fmt::format("a sweep period of {} s", sensor.period_s),
+                 fmt::format("a sweep period from 0 to {} s", kLongestOffset_s));
         if (!sensor.beams.empty()) make_rays(sensor);
     }
 }
@@ -99,7 +99,8 @@ void check_frame_times(const LidarSequence& sequence) {
             fail(where, fmt::format("the LiDAR index {}", frame.lidar),
                  fmt::format("the index of a LiDAR, 0 to {}", sequence.lidars.size() - 1));
         if (!numbers.insert({frame.lidar, frame.index}).second)
-            fail(where, "a second frame with this number and this LiDAR", "each number once per LiDAR");
+            fail(where, "a second frame with the same number and LiDAR",
+                 "each frame number only once for each LiDAR");
         if (i > 0) {
             const LidarFrame& before = sequence.frames[i - 1];
             const double step_s = frame.time_s - before.time_s;
@@ -118,14 +119,15 @@ void check_frame_times(const LidarSequence& sequence) {
     }
     if (pose + 1 != times.size())
         fail(sequence.name, fmt::format("{} poses of the vehicle", times.size()),
-             fmt::format("{} poses, one for the time of each frame", pose + 1));
+             fmt::format("{} poses of the vehicle, one for the time of each frame", pose + 1));
 }
 
 void check_scan_array_sizes(const Scan& scan, const std::string& error_location) {
     const RayTable& rays = scan.rays;
     if (rays.rows < 0 || rays.columns < 0 || std::size_t(rays.rows) * std::size_t(rays.columns) > kMaxRays)
-        fail(error_location, fmt::format("{} rows and {} columns", rays.rows, rays.columns),
-             fmt::format("at most {} rays", kMaxRays));
+        fail(error_location,
+             fmt::format("a range image with {} rows and {} columns", rays.rows, rays.columns),
+             fmt::format("at most {} rays in a range image", kMaxRays));
     const std::size_t n = std::size_t(rays.rows) * std::size_t(rays.columns);
     const auto check = [&](const char* field, std::size_t size) {
         if (size != n)
@@ -165,7 +167,9 @@ void check_scan(const Scan& scan, std::size_t n_beams, const std::string& error_
             fail(ray("rays.origin"), fmt::format("({}, {}, {})", origin.x, origin.y, origin.z),
                  fmt::format("coordinates of at most {} m from the sensor", kLargestOrigin_m));
         if (!(std::abs(glm::length(direction) - 1.0) <= kUnit))
-            fail(ray("rays.direction"), fmt::format("length {}", glm::length(direction)), "length 1");
+            fail(ray("rays.direction"),
+                 fmt::format("a direction vector of length {}", glm::length(direction)),
+                 "a direction vector of length 1");
         if (!(std::abs(scan.rays.time_offset_s[i]) <= kLongestOffset_s))
             fail(ray("rays.time_offset_s"), fmt::format("{} s", scan.rays.time_offset_s[i]),
                  fmt::format("an offset of at most {} s from the time of the frame", kLongestOffset_s));
@@ -175,7 +179,7 @@ void check_scan(const Scan& scan, std::size_t n_beams, const std::string& error_
         if (const double angle = scan.rays.get_beam_divergence_rad(i);
             !(angle >= 0.0 && angle <= kWidestBeam_rad))
             fail(ray("divergence"), fmt::format("{}", angle),
-                 fmt::format("an angle from 0 to {} rad", kWidestBeam_rad));
+                 fmt::format("a beam divergence from 0 to {} rad", kWidestBeam_rad));
         if (const char* field = find_invalid_return_field(scan.range_m[i], scan.intensity[i]))
             fail(ray(field),
                  fmt::format("a range of {} m and an intensity of {}", scan.range_m[i], scan.intensity[i]),
@@ -245,12 +249,12 @@ void check_time_gaps(LidarSequence& sequence) {
         fail(fmt::format("{}: frame {}", sequence.name, after),
              fmt::format("the time {} s, which is {:.1f} s after frame {}", longest.after->time_s,
                          longest.get_duration_s(), before),
-             fmt::format("a step of at most {} s (the median step is {:.3g} s); use --frames to read only "
-                         "the frames on one side of the gap",
+             fmt::format("a step of at most {} s (the median step is {:.3g} s); use --frames to select "
+                         "frames before or after the gap",
                          kJump_s, usual_s));
     sequence.notes.push_back(fmt::format(
-        "the times of the frames have {} gap{}; the longest is {:.1f} s, between frames {} and "
-        "{} (the median step is {:.3g} s); poses in gaps are interpolated",
+        "the sequence of frame times has {} gap{}; the longest is {:.1f} s, between frames {} and {} (the "
+        "median step is {:.3g} s); poses in gaps are interpolated",
         steps.size(), steps.size() > 1 ? "s" : "", longest.get_duration_s(), before, after, usual_s));
 }
 

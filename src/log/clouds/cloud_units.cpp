@@ -75,23 +75,22 @@ void estimate_time_unit(PointCloudUnits& units, const std::vector<TimeRange>& ti
         units.zero = estimate_time_zero(time_ranges, unit.seconds);
         units.time_unit_s = unit.seconds;
         units.about = fmt::format(
-            "times of points are read in {}, {}; a cloud lasts {:.1f} ms from its first to "
-            "its last point",
+            "the times of points are read in {}, {}; a cloud lasts {:.1f} ms from its first to its last "
+            "point",
             unit.name,
-            units.zero == PointTimeReference::stamp ? "relative to the stamp"
+            units.zero == PointTimeReference::stamp ? "relative to the stamp of the cloud"
             : units.zero == PointTimeReference::epoch
-                ? "in the same clock as the stamps"
-                : "in the clock of the sensor, whose first time in a cloud is set to the "
-                  "stamp",
+                ? "in the same clock as the stamps of clouds"
+                : "in the clock of the sensor; the first time in a cloud is set to the stamp of the cloud",
             1e3 * span * unit.seconds);
         return;
     }
     units.about = units.is_deskewed
-                      ? "all points of a cloud have the same time, so clouds are read as "
-                        "motion-compensated to their stamp"
+                      ? "all points of a cloud have the same time, so each cloud is assumed to be "
+                        "motion-compensated to its stamp"
                       : fmt::format(
-                            "times of points are ignored: a cloud spans {:.4g} of an unknown unit, clouds "
-                            "are {:.3g} s apart, and no unit of time fits both",
+                            "the times of points are ignored, because no unit of time fits them: the points "
+                            "of a cloud span {:.4g} units, but clouds are {:.3g} s apart",
                             span, cloud_interval_s);
 }
 

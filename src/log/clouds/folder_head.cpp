@@ -63,7 +63,7 @@ glm::dquat read_quaternion(const JsonField& field) {
     const glm::dquat rotation(q[0], q[1], q[2], q[3]);
     if (std::abs(glm::length(rotation) - 1.0) > 1e-3)
         field.throw_field_error(fmt::format("found a quaternion of length {}", glm::length(rotation)),
-                                "expected 1");
+                                "expected a quaternion of length 1");
     // Does not normalise the quaternion, because this would only change its last digits.
     // check_sequence() accepts small errors of its length.
     return rotation;
@@ -278,7 +278,7 @@ SequenceHeader read_log_description(const fs::path& log_folder, double default_m
                          [](const std::string& c) { return !is_known_point_field(c); });
     if (!skipped.empty())
         head.notes.push_back(
-            fmt::format("columns of the scans that are not read: {}", fmt::join(skipped, ", ")));
+            fmt::format("these columns of the scans are not read: {}", fmt::join(skipped, ", ")));
     if (root.has_member("world_offset_m")) {
         const auto v = root.at("world_offset_m").get_numbers<3>();
         for (std::size_t i = 0; i < 3; ++i)

@@ -249,15 +249,13 @@ private:
         else if (head_.lidars[lidar_index].spins) fit_beams_to_samples(lidar_index, samples);
         if (!plan.ordered) sensor.period_s = 0.0;
         if (plan.ordered && !plan.has_times && !head_.motion_compensated)
-            add_note_once(
-                lidar_index,
-                "the points have no times; their times are computed from their azimuths for a head that "
-                "faces forward at the time of the frame");
+            add_note_once(lidar_index,
+                          "the points have no times; relidar computes them from the azimuths and assumes "
+                          "that the LiDAR's head faces forward at the time of the frame");
         if (head_.motion_compensated && !plan.undo)
-            add_note_once(
-                lidar_index,
-                "the scans are motion-compensated, which cannot be undone without times of points and "
-                "poses; all rays start at the position of the sensor at the time of the frame");
+            add_note_once(lidar_index,
+                          "the scans are motion-compensated. This cannot be undone without times of points "
+                          "and poses, so all rays start at the sensor's position at the time of the frame");
         for (std::size_t k = 0; k < samples.size(); ++k) {
             // Removes ring numbers that were estimated only to fit the sensor.
             if (!plan.has_rings) samples[k].ring.clear();
@@ -296,12 +294,10 @@ private:
         if (fitted_sensor && why.empty() && !plan.has_rings)
             why = explain_removed_points(sample_scans, *fitted_sensor);
         if (!why.empty()) {
-            add_note_once(
-                lidar_index,
-                fmt::format(
-                    "{}; therefore no spinning sensor is used: each point becomes one ray, and dropped "
-                    "rays are unknown{}",
-                    why, plan.has_rings ? "" : suggest_sensor_setting(lidar_index)));
+            add_note_once(lidar_index,
+                          fmt::format("{}; therefore the LiDAR is not modelled as a spinning sensor: each "
+                                      "point becomes one ray, and rays without return are unknown{}",
+                                      why, plan.has_rings ? "" : suggest_sensor_setting(lidar_index)));
             fitted_sensor = std::nullopt;
         }
         if (!fitted_sensor) plan.order.reset();
@@ -342,8 +338,7 @@ private:
     std::string suggest_sensor_setting(std::size_t lidar_index) const {
         return head_.lidars[lidar_index].is_guessed
                    ? ""
-                   : "; use \"sensor\" of the LiDAR in sequence.json to set its "
-                     "beams";
+                   : "; set the key \"sensor\" of the LiDAR in sequence.json to define its beams";
     }
 
     std::optional<SpinningSensor> fit_sensor_to_samples(std::size_t lidar_index,
@@ -362,8 +357,9 @@ private:
             if (head_.lidars[lidar_index].is_guessed) {
                 add_note_once(
                     lidar_index,
-                    fmt::format("{}; therefore each point becomes one ray, and dropped rays are unknown",
-                                error.what()));
+                    fmt::format(
+                        "{}; therefore each point becomes one ray, and rays without return are unknown",
+                        error.what()));
                 return std::nullopt;
             }
             throw DataError(
@@ -453,7 +449,8 @@ void complete_point_units(SequenceHeader& head, const std::vector<fs::path>& sca
     std::erase(meaning.notes, meaning.scale.about);
     if (!head.units.intensity_max && meaning.scale.is_sure && meaning.scale.max > 1.0) {
         head.units.intensity_max = meaning.scale.max;
-        notes.push_back(meaning.scale.about + "; use intensity_max in sequence.json to set another scale");
+        notes.push_back(meaning.scale.about +
+                        "; set the key \"intensity_max\" in sequence.json to use another scale");
     }
     notes.insert(notes.end(), meaning.notes.begin(), meaning.notes.end());
 }

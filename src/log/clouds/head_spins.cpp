@@ -79,13 +79,12 @@ std::string explain_why_not_spinning(const std::vector<LidarPoints>& scans,
     const double gap = compute_widest_azimuth_gap(scans);
     if (gap < kLeastGap_rad) return "";
     const std::string window =
-        fmt::format("all points are within {:.0f} degrees of azimuth", 360.0 - gap * 180.0 / kPi);
+        fmt::format("all points are within a sector of {:.0f} degrees of azimuth", 360.0 - gap * 180.0 / kPi);
     if (fullest->time_offset_s.empty()) return "";
     if (std::abs(fitted_sensor.period_s - frame_interval_s) < kOtherPeriod * frame_interval_s) return "";
     return fmt::format(
-        "{}, and the times of the points give a turn of {:.3f} s, but scans are {:.3f} s "
-        "apart",
-        window, fitted_sensor.period_s, frame_interval_s);
+        "{}, and the times of the points show a revolution of {:.3f} s, but scans are {:.3f} s apart", window,
+        fitted_sensor.period_s, frame_interval_s);
 }
 
 }  // namespace relidar

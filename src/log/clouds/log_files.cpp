@@ -25,8 +25,9 @@ constexpr double kFarthestReturn_m = 1e4;
 std::vector<SurfaceClass> read_semantic_kitti_classes(const fs::path& label_file, std::size_t n_points) {
     const std::string bytes = read_file(label_file);
     if (bytes.size() != 4 * n_points)
-        throw DataError(fmt::format("{} has {} bytes, expected 4 bytes for each of the {} points of the scan",
-                                    label_file.string(), bytes.size(), n_points));
+        throw DataError(
+            fmt::format("file {} has {} bytes, expected 4 bytes for each of the {} points of the scan",
+                        label_file.string(), bytes.size(), n_points));
     std::vector<SurfaceClass> classes;
     for (std::size_t i = 0; i < n_points; ++i) {
         std::uint32_t label;
@@ -77,7 +78,7 @@ std::string describe_missing_scans(const fs::path& folder, const std::vector<int
             shown.push_back(frame);
     }
     const std::string gaps =
-        fmt::format("{} of the scans {} to {} are missing ({}{})", n, frame_numbers.front(),
+        fmt::format("{} of the scans with numbers {} to {} are missing ({}{})", n, frame_numbers.front(),
                     frame_numbers.back(), fmt::join(shown, ", "), n > kShown ? ", ..." : "");
     if (!allow_missing) throw DataError(fmt::format("{}: {}, expected all scans", folder.string(), gaps));
     return gaps;
@@ -123,8 +124,8 @@ ScanPoints read_kitti_scan_points(const fs::path& scan_file, const fs::path& lab
     const std::string bytes = read_file(scan_file);
     static_assert(sizeof(glm::vec4) == 16);
     if (bytes.empty())
-        throw DataError(
-            fmt::format("{}: the file is empty, expected points of 16 bytes", scan_file.string()));
+        throw DataError(fmt::format("{}: the file is empty, expected at least one point of 16 bytes",
+                                    scan_file.string()));
     if (bytes.size() % 16 != 0) {
         throw DataError(
             fmt::format("{}: the file is truncated: it has {} bytes, which are {} points of 16 bytes and "

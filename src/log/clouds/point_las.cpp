@@ -46,7 +46,7 @@ struct LasHeader {
 
 LasHeader parse_las_header(std::string_view bytes, const std::string& error_location) {
     if (bytes.size() < kHeaderBytes || !bytes.starts_with("LASF"))
-        throw DataError(fmt::format("{}: {} bytes, expected a LAS file, which begins with LASF",
+        throw DataError(fmt::format("{}: found {} bytes that do not begin with LASF, expected a LAS file",
                                     error_location, bytes.size()));
     LasHeader header;
     header.format = read_unaligned<std::uint8_t>(bytes, kFormatAt);
@@ -55,8 +55,8 @@ LasHeader parse_las_header(std::string_view bytes, const std::string& error_loca
             "{}: found compressed points (LAZ), expected LAS; 'laszip IN.laz OUT.las' unpacks them",
             error_location));
     if (header.format > kMostFormat)
-        throw DataError(
-            fmt::format("{}: point format {}, expected 0 to {}", error_location, header.format, kMostFormat));
+        throw DataError(fmt::format("{}: found the point format {}, expected a format from 0 to {}",
+                                    error_location, header.format, kMostFormat));
     header.begin = read_unaligned<std::uint32_t>(bytes, kPointsAt);
     header.record = read_unaligned<std::uint16_t>(bytes, kRecordAt);
     header.n = read_unaligned<std::uint32_t>(bytes, kCountAt);
@@ -68,8 +68,9 @@ LasHeader parse_las_header(std::string_view bytes, const std::string& error_loca
     }
     if (header.record < header.get_min_record_bytes() || header.begin > bytes.size() ||
         header.n > (bytes.size() - header.begin) / header.record)
-        throw DataError(fmt::format("{}: truncated: {} bytes, expected {} points of {} bytes from byte {}",
-                                    error_location, bytes.size(), header.n, header.record, header.begin));
+        throw DataError(fmt::format(
+            "{}: the file is truncated: found {} bytes, expected {} points of {} bytes from byte {}",
+            error_location, bytes.size(), header.n, header.record, header.begin));
     return header;
 }
 
@@ -81,10 +82,10 @@ void check_points_near_origin(const std::array<std::vector<double>, 3>& coordina
     for (std::size_t axis = 0; axis < 2; ++axis) {
         const auto [least, most] = std::ranges::minmax(coordinates_m[axis]);
         if (least <= kMostAway_m && most >= -kMostAway_m) continue;
-        throw DataError(fmt::format(
-            "{}: {} is from {:.6g} to {:.6g} m, so the points are a map or in survey coordinates; expected "
-            "one scan with the sensor at the origin",
-            error_location, axis == 0 ? "x" : "y", least, most));
+        throw DataError(
+            fmt::format("{}: the {} coordinates are from {:.6g} to {:.6g} m, so the points are probably a "
+                        "map or in survey coordinates; expected one scan with the sensor at the origin",
+                        error_location, axis == 0 ? "x" : "y", least, most));
     }
 }
 

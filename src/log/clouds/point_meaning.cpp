@@ -50,7 +50,8 @@ void choose_intensity_field(const std::vector<PointTable>& clouds, PointFieldSem
     const bool is_usual = meaning.intensity_field == "intensity" || meaning.intensity_field == "reflectivity";
     if (used == names.end())
         meaning.notes.push_back(
-            fmt::format("the intensity field '{}' is 0 for all points", shorten_for_error_message(names[0])));
+            fmt::format("the field '{}', which usually contains intensities, is 0 for all points",
+                        shorten_for_error_message(names[0])));
     else if (used != names.begin())
         meaning.notes.push_back(
             fmt::format("intensities are read from the field '{}', because '{}' is 0 for all points",
@@ -66,9 +67,8 @@ void add_note_on_unread_fields(const std::vector<PointTable>& clouds, PointField
         for (const std::string& name : cloud.unread) unread.insert(shorten_for_error_message(name));
     if (unread.empty()) return;
     meaning.notes.push_back(fmt::format(
-        "fields of the points that are not read: {} (intensities: {})", fmt::join(unread, ", "),
-        meaning.intensity_field.empty() ? "none, because no field has a known name of "
-                                          "intensities"
+        "these fields of the points are not read: {} (field of the intensities: {})", fmt::join(unread, ", "),
+        meaning.intensity_field.empty() ? "none, because no field has a usual name of intensities"
                                         : "'" + shorten_for_error_message(meaning.intensity_field) + "'"));
 }
 

@@ -57,7 +57,7 @@ void parse_ply_header_line(const std::string& line, PlyHeader& header, int& n_el
         if (n_elements == 1) header.n = std::size_t(*n);
     } else if (keyword == "property" && n_elements == 1) {
         if (header.fields.size() >= kMostPlyFields)
-            throw DataError(fmt::format("{}: found more than {} properties of a vertex, expected fewer",
+            throw DataError(fmt::format("{}: found too many properties of a vertex, expected at most {}",
                                         error_location, kMostPlyFields));
         header.fields.push_back(make_ply_field(a, b, error_location));
     }

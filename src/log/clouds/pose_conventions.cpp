@@ -114,8 +114,8 @@ std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& in
     }
     if (best > 0)
         notes.push_back(
-            fmt::format("{}: poses are read as {}, because then {:.2f} m of each metre of driving are "
-                        "forward, but only {:.2f} m if poses are read as {}",
+            fmt::format("{}: poses are read as {}, because the vehicle then moves {:.2f} m forward per metre "
+                        "of its path, but only {:.2f} m if poses are read as {}",
                         error_location, interpretations[best].about, forward[best], forward[0],
                         interpretations[0].about));
     return best;

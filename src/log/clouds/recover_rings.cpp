@@ -170,8 +170,8 @@ std::vector<Beam> estimate_beams(const std::vector<LidarPoints>& scans) {
 void assign_points_to_rings(LidarPoints& points, const std::vector<Beam>& beams) {
     if (beams.empty() || beams.size() > kNoBeam)
         throw UsageError(
-            "cannot compute the rings of points: found no beam or too many beams, expected 1 "
-            "to 65535");
+            "cannot compute the rings of points: the sensor has no beams or too many beams, expected 1 to "
+            "65535 beams");
     std::vector<std::uint16_t> rising(beams.size());
     std::iota(rising.begin(), rising.end(), std::uint16_t(0));
     const auto elevation = [&](std::uint16_t index) { return beams[index].elevation_rad; };

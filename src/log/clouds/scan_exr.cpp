@@ -48,8 +48,9 @@ std::vector<NamedArray> convert_channels_to_arrays(const ExrImage& image, const 
         std::vector<std::string> names;
         for (const auto& [name, values] : image.channels)
             if (names.size() < 8) names.push_back(shorten_for_error_message(name));
-        throw DataError(fmt::format("{}: the channel 'range' is missing; found the channels {}",
-                                    error_location, fmt::join(names, ", ")));
+        throw DataError(
+            fmt::format("{}: the channel 'range' is missing, expected it among the channels of the image: {}",
+                        error_location, fmt::join(names, ", ")));
     }
     std::vector<NamedArray> arrays;
     for (const auto& [name, values] : image.channels)

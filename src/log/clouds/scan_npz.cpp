@@ -39,7 +39,8 @@ public:
     }
     const NamedArray& get_required_array(const std::string& array_name) const {
         if (const NamedArray* array = find_optional_array(array_name)) return *array;
-        throw DataError(fmt::format("{}: the array '{}' is missing", where_, array_name));
+        throw DataError(
+            fmt::format("{}: the array '{}' is missing, expected it in every scan file", where_, array_name));
     }
     /// Returns the value of an array that contains a single number.
     double get_single_number(const std::string& array_name) const {
@@ -87,8 +88,7 @@ std::vector<float> read_ranges(const ScanNpzArrays& arrays, const std::string& a
         const bool has_return = is_valid_return_range(file_ranges_m[i]) && drop[i] < 0.5;
         if (has_return && file_ranges_m[i] > 1e6)
             throw DataError(
-                fmt::format("{} is {}, expected a range in metres, or 0 for a ray without "
-                            "return",
+                fmt::format("{} has the value {}, expected a range in metres, or 0 for a ray without return",
                             arrays.format_ray_location(array_name.c_str(), i), file_ranges_m[i]));
         range_m.push_back(has_return ? float(file_ranges_m[i]) : 0.0f);
     }
@@ -116,7 +116,7 @@ std::vector<SurfaceClass> read_ray_classes(const ScanNpzArrays& arrays, const st
     for (std::size_t i = 0; i < numbers.size(); ++i) {
         const double number = range_m[i] > 0.0f ? numbers[i] : 0.0;
         if (!(number >= 0.0 && number < double(kSurfaceClasses)) || number != std::floor(number))
-            throw DataError(fmt::format("{} is {}, expected a whole number below {}",
+            throw DataError(fmt::format("{} has the value {}, expected a whole number below {}",
                                         arrays.format_ray_location("class", i), number, kSurfaceClasses));
         classes.push_back(SurfaceClass(int(number)));
     }

@@ -78,11 +78,12 @@ std::string correct_rays_for_vehicle_motion(LidarSequence& sequence, const PoseL
         if (!track.pose.empty()) moved_m[std::size_t(index)] = correct_frame_rays(frame, track);
     });
     const auto n = std::ranges::count_if(moved_m, [](double m) { return m > 0.0; });
-    return n == 0 ? ""
-                  : fmt::format(
-                        "the ray origins of {0} sweeps use poses between frames; this moves points at "
-                        "{2:.0f} m by up to {1:.3f} m compared with a straight path between frames",
-                        n, std::ranges::max(moved_m), kReach_m);
+    return n == 0
+               ? ""
+               : fmt::format(
+                     "the ray origins of {0} sweeps are computed from poses between the frames. Compared "
+                     "with a straight path between frames, this moves points at {2:.0f} m by up to {1:.3f} m",
+                     n, std::ranges::max(moved_m), kReach_m);
 }
 
 }  // namespace relidar::bag

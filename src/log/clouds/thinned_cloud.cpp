@@ -51,7 +51,7 @@ std::string explain_removed_points(const std::vector<LidarPoints>& scans,
             100.0 * filled, fitted_sensor.beams.size(), fitted_sensor.columns);
     if (const double share = compute_regular_step_fraction(*fullest); share < kFewRegular)
         return fmt::format(
-            "only {:.0f} % of the azimuth steps between points are regular, so points were "
+            "only {:.0f} % of the azimuth steps between neighbouring points are equal, so points were "
             "probably removed from the cloud",
             100.0 * share);
     return "";

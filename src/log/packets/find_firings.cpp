@@ -137,8 +137,8 @@ std::vector<FiringColumn> extract_firings(const Scan& scan, double scan_time_s, 
     const auto [first, last] = std::ranges::minmax(scan.rays.time_offset_s);
     if (!(double(last - first) > kMinRevolutionFraction * sensor.period_s))
         throw UsageError(
-            fmt::format("cannot write packets of {}: the rays of a scan were fired within {:.3g} s, "
-                        "expected the {:.3g} s of a turn; motion-compensated scans have no firing times",
+            fmt::format("cannot write packets of {}: the rays of a scan were fired within {:.3g} s, expected "
+                        "the {:.3g} s of one revolution; motion-compensated scans have no firing times",
                         sensor.name, last - first, sensor.period_s));
     // The rays of a firing have different times in a recorded log, and equal times in a
     // rendered scan. Tests which case fits the times better.

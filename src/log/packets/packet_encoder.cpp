@@ -117,11 +117,10 @@ struct PacketEncoder::Impl {
         const double steps = count_firing_steps_between(*last, firing);
         if (steps < 1.0 && !firing.has_returns) return 0;
         if (steps < 1.0)
-            throw UsageError(
-                fmt::format("cannot write packets of {}: a scan starts {:.3g} s before the end of the "
-                            "previous scan, expected scans that do not overlap; a turn of the sensor takes "
-                            "{:.3g} s",
-                            sensor.name, last->time_s - firing.time_s, sensor.period_s));
+            throw UsageError(fmt::format(
+                "cannot write packets of {}: a scan starts {:.3g} s before the end of the previous scan, "
+                "expected scans that do not overlap; one revolution of the sensor takes {:.3g} s",
+                sensor.name, last->time_s - firing.time_s, sensor.period_s));
         return std::int64_t(steps);
     }
 

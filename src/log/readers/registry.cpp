@@ -156,9 +156,10 @@ void set_unknown_max_ranges(LidarSequence& sequence) {
         if (std::isfinite(sensor.max_range_m)) continue;
         sensor.max_range_m = find_farthest_return_m(sequence, static_cast<int>(l));
         const std::string& name = sequence.lidars[l].name;
-        sequence.notes.push_back(fmt::format(
-            "maximum range{}: {} m, the farthest return, because the limit of the sensor is unknown",
-            name.empty() ? "" : " of " + name, sensor.max_range_m));
+        sequence.notes.push_back(
+            fmt::format("maximum range{}: relidar uses the range of the farthest return, {} m, because the "
+                        "limit of the sensor is unknown",
+                        name.empty() ? "" : " of " + name, sensor.max_range_m));
     }
 }
 
@@ -198,12 +199,12 @@ void add_notes_about_dropped_returns(LidarSequence& sequence,
         n_all += sum.n_returns, n_within_limits += sum.n_returns - sum.n_below_min - sum.n_above_max;
         if (sum.n_below_min + sum.n_above_max == 0) continue;
         const Lidar& lidar = sequence.lidars[l];
-        std::string parts = sum.n_above_max > 0
-                                ? fmt::format("{} are beyond {} m", sum.n_above_max, lidar.sensor.max_range_m)
-                                : "";
+        std::string parts = sum.n_above_max > 0 ? fmt::format("{} returns are beyond {} m", sum.n_above_max,
+                                                              lidar.sensor.max_range_m)
+                                                : "";
         if (sum.n_below_min > 0)
-            parts += fmt::format("{}{} are nearer than {} m", parts.empty() ? "" : " and ", sum.n_below_min,
-                                 lidar.sensor.min_range_m);
+            parts += fmt::format("{}{} returns are nearer than {} m", parts.empty() ? "" : " and ",
+                                 sum.n_below_min, lidar.sensor.min_range_m);
         sequence.notes.push_back(fmt::format(
             "range{}: {} of {} returns ({:.3g} %) are read as dropped "
             "rays: {}",
@@ -255,7 +256,7 @@ void add_note_if_intensities_missing(LidarSequence& sequence) {
     for (const float intensity : common) add(all, intensity);
     if (all < 0.0f) return;
     const std::string note =
-        fmt::format("the log has no intensities (all are {}), so rendered intensities have no meaning{}",
+        fmt::format("all intensities of the log are {}, so rendered intensities have no meaning{}",
                     all == 0.0f ? "0" : fmt::format("{:.4g} of the maximum", all),
                     all == 0.0f ? " and are not scored" : "");
     // a converted log may already have the note
@@ -279,9 +280,9 @@ void keep_named_lidars(LidarSequence& sequence, const std::vector<std::string>& 
     std::erase_if(sequence.frames,
                   [&](const LidarFrame& frame) { return new_index_of_lidar[std::size_t(frame.lidar)] < 0; });
     if (sequence.frames.empty())
-        throw UsageError(
-            fmt::format("dataset.lidars: {} has none of the frames that are read; select another LiDAR",
-                        fmt::join(lidar_names, ", ")));
+        throw UsageError(fmt::format(
+            "dataset.lidars: the selected frames contain no scan of {}; select another LiDAR or other frames",
+            fmt::join(lidar_names, ", ")));
     PoseTrack track;
     for (LidarFrame& frame : sequence.frames) {
         frame.lidar = new_index_of_lidar[std::size_t(frame.lidar)];
@@ -292,7 +293,8 @@ void keep_named_lidars(LidarSequence& sequence, const std::vector<std::string>& 
     sequence.lidars = std::move(remaining_lidars);
     sequence.world_from_vehicle = std::move(track);
     if (!left_out.empty())
-        sequence.notes.push_back(fmt::format("LiDARs that are not read: {}", fmt::join(left_out, ", ")));
+        sequence.notes.push_back(
+            fmt::format("these LiDARs of the log are not read: {}", fmt::join(left_out, ", ")));
 }
 
 /// Splits a text of the form "kind:path". Returns an empty kind for a path alone.
@@ -321,7 +323,7 @@ const DatasetKind& find_dataset_reader(const std::string& dataset, const std::st
 
 void check_frame_range(const FrameRange& range) {
     if (range.begin < 0 || range.end < -1 || (range.end != -1 && range.begin >= range.end)) {
-        throw UsageError(fmt::format("frames {}:{} are an empty range, expected a:b with 0 <= a < b",
+        throw UsageError(fmt::format("the frame range {}:{} is empty, expected a:b with 0 <= a < b",
                                      range.begin, range.end));
     }
 }

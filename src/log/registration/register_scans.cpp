@@ -138,8 +138,8 @@ RegistrationResult register_scans(const LidarSequence& sequence, const TrainTest
         sweeps.track, scans,
         {first, kLastFollowed, options.use_pose_motion, proceed("tracking the scans"), options.group});
     if (result.stopped || !options.group.is_first_process()) return result;
-    const LoopClosureResult closed =
-        close_loops(followed, scans, {first, kLastFollowed, proceed("detecting loop closures")});
+    const LoopClosureResult closed = close_loops(
+        followed, scans, {first, kLastFollowed, proceed("detecting loops in the path of the vehicle")});
     if (result.stopped) return result;
     result.n_loop_closures = closed.n_closures;
     result.largest_loop_error_m = closed.largest_m;

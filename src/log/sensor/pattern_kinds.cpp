@@ -73,7 +73,8 @@ SensorModel read_sensor_json(const JsonField& field, const std::string& default_
     if (!kind) {
         std::vector<std::string> names;
         for (const PatternKind& k : list_pattern_kinds()) names.emplace_back(fmt::format("\"{}\"", k.name));
-        field.throw_field_error("found no sensor", fmt::format("expected one of {}", fmt::join(names, ", ")));
+        field.throw_field_error("found no scanning pattern",
+                                fmt::format("expected one of {}", fmt::join(names, ", ")));
     }
     field.check_no_unknown_members({kind->name});
     return kind->parse(field.at(kind->name), default_name);
@@ -154,8 +155,8 @@ void append_ray_from_sensor_origin(RayTable& rays, const glm::dvec3& direction, 
 
 void check_ray_count(const std::string& sensor_name, double n_rays) {
     if (!(n_rays >= 1.0 && n_rays <= double(kMaxRays)))
-        throw UsageError(
-            fmt::format("sensor '{}' has {} rays per scan, expected 1 to {}", sensor_name, n_rays, kMaxRays));
+        throw UsageError(fmt::format("sensor '{}': found {} rays per scan, expected 1 to {}", sensor_name,
+                                     n_rays, kMaxRays));
 }
 
 void check_finite_and_period(const std::string& sensor_name, double sum_of_values, double period_s) {
@@ -163,7 +164,7 @@ void check_finite_and_period(const std::string& sensor_name, double sum_of_value
         throw UsageError(
             fmt::format("sensor '{}': an angle or rate is not finite, expected finite numbers", sensor_name));
     if (!(period_s > 0.0) || !std::isfinite(period_s))
-        throw UsageError(fmt::format("sensor '{}' has a period of {} s, expected a positive number",
+        throw UsageError(fmt::format("sensor '{}': found a period of {} s, expected a positive number",
                                      sensor_name, period_s));
 }
 

@@ -39,7 +39,7 @@ void check_spinning_sensor(const SpinningSensor& sensor) {
     };
     if (sensor.beams.empty()) fail("no beams, expected at least one");
     if (sensor.beams.size() > 65535)
-        fail(fmt::format("{} beams, expected at most 65535", sensor.beams.size()));
+        fail(fmt::format("{} beams in total, expected at most 65535", sensor.beams.size()));
     if (sensor.columns <= 0) fail(fmt::format("{} columns, expected at least one", sensor.columns));
     if (sensor.beams.size() * static_cast<std::size_t>(sensor.columns) > kMaxRays) {
         fail(fmt::format("{} beams and {} columns, expected at most {} rays per sweep", sensor.beams.size(),

@@ -34,14 +34,15 @@ glm::dvec3 read_vector_or_zero(const Json& sensor_json, const char* key, double 
     for (int k = 0; numbers && k < 3; ++k) v[k] = list[std::size_t(k)].get<double>();
     if (!numbers ||
         !(std::abs(v.x) <= max_abs_value && std::abs(v.y) <= max_abs_value && std::abs(v.z) <= max_abs_value))
-        throw DataError(
-            fmt::format("{}: {}: expected three numbers of at most {}", error_location, key, max_abs_value));
+        throw DataError(fmt::format("{}: the value of {} is invalid, expected three numbers of at most {}",
+                                    error_location, key, max_abs_value));
     return v;
 }
 
 std::string read_required_text(const Json& sensor_json, const char* key, const std::string& error_location) {
     if (!sensor_json.is_object() || !sensor_json.contains(key) || !sensor_json.at(key).is_string())
-        throw DataError(fmt::format("{}: {}: expected a text", error_location, key));
+        throw DataError(fmt::format("{}: the value of {} is missing or is not a text, expected a text",
+                                    error_location, key));
     return sensor_json.at(key).get<std::string>();
 }
 
@@ -56,7 +57,7 @@ int read_return_count(const Json& sensor_json, const std::string& error_location
     if (!sensor_json.contains("returns")) return 1;
     const Json& returns = sensor_json.at("returns");
     if (returns != 1 && returns != 2)
-        throw DataError(fmt::format("{}: returns: expected 1 or 2", error_location));
+        throw DataError(fmt::format("{}: the value of returns is invalid, expected 1 or 2", error_location));
     return returns.get<int>();
 }
 
@@ -124,8 +125,8 @@ std::optional<std::vector<MountedSensor>> read_sensor_rig(const std::string& pat
     check_known_keys(json, {"sensors"}, path);
     if (!json.at("sensors").is_array() || json.at("sensors").empty() ||
         json.at("sensors").size() > kMostSensors)
-        throw DataError(
-            fmt::format("{}: expected a list \"sensors\" with 1 to {} entries", path, kMostSensors));
+        throw DataError(fmt::format(
+            "{}: the key \"sensors\" is invalid, expected a list with 1 to {} entries", path, kMostSensors));
     std::vector<MountedSensor> rig;
     std::set<std::string> names;
     for (const Json& sensor : json.at("sensors")) {

@@ -47,7 +47,8 @@ std::vector<double> read_optional_number_list(const Json* json, const std::strin
 double read_optional_number(const Json* json, double default_value, const std::string& error_location) {
     if (!json) return default_value;
     if (!json->is_number() || !std::isfinite(json->get<double>()))
-        throw DataError(fmt::format("{}: expected a number", error_location));
+        throw DataError(
+            fmt::format("{}: the value is not a number, expected a finite number", error_location));
     return json->get<double>();
 }
 

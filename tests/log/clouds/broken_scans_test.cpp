@@ -61,7 +61,7 @@ LidarSequence expect_left_out(const fs::path& log, const fs::path& scan, int num
     LidarSequence left = load_sequence(log.string(), make_skipping_options(part));
     EXPECT_EQ(numbers(left), expected);
     const auto n_notes = std::count_if(left.notes.begin(), left.notes.end(), [&](const std::string& note) {
-        return test::find_missing_part(note, "broken ... " + scan.filename().string()).empty();
+        return test::find_missing_part(note, "skipped ... " + scan.filename().string()).empty();
     });
     EXPECT_EQ(n_notes, 1) << testing::PrintToString(left.notes);
     for (const LidarFrame& frame : left.frames) EXPECT_GT(frame.scan.count_returns(), 0u) << frame.index;
@@ -103,7 +103,7 @@ TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
     const auto expect_left = [&](const std::string& reason) {
         const LidarSequence left = load_sequence(drive.folder.string(), {});
         EXPECT_EQ(numbers(left), (std::vector<int>{0, 2})) << reason;
-        EXPECT_THAT(left.notes, testing::Contains(Names("broken ... 0000000001.bin ... " + reason)));
+        EXPECT_THAT(left.notes, testing::Contains(Names("skipped ... 0000000001.bin ... " + reason)));
     };
     put(original.substr(0, 16 * (n / 3)));
     expect_left(fmt::format("{} points", n / 3));
@@ -115,7 +115,7 @@ TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
     expect_left("returns");
     for (int frame = 0; frame < 3; ++frame)
         test::write_text(drive.scan(frame), std::string(original.size(), '\0'));
-    EXPECT_THAT(get_complaint(drive), Names("all 3 scans ... broken"));
+    EXPECT_THAT(get_complaint(drive), Names("none of the 3 scans"));
     for (int frame = 0; frame < 3; ++frame) test::write_text(drive.scan(frame), original);
     const auto early = testing::Contains(Names("0000000001.bin ... ring ... azimuth"));
     // The cut is in the last ring or in the ring before the last. In addition, every
@@ -225,7 +225,7 @@ TEST_F(BareFolder, LeavesBrokenScansOut) {
         load_sequence(folder.string(), make_skipping_options());
         ADD_FAILURE() << "read a log without a scan";
     } catch (const DataError& error) {
-        EXPECT_THAT(error.what(), Names("all 5 scans ... broken"));
+        EXPECT_THAT(error.what(), Names("none of the 5 scans"));
     }
 }
 

@@ -131,10 +131,9 @@ TEST(CheckSequence, NamesFrameRayAndField) {
          "frame 1, rays.channel: found 0 "
          "entries"},
         {[](LidarSequence& s) { s.frames[1].scan.rays.rows = 1 << 30; },
-         "frame 1: found 1073741824 rows and 32 "
-         "columns"},
+         "frame 1 ... 1073741824 rows and 32 columns"},
         {[](LidarSequence& s) { s.frames[1].scan.rays.direction[5] *= 1.1f; },
-         "frame 1, ray 5, rays.direction: found length 1.1"},
+         "frame 1, ray 5, rays.direction ... length 1.1"},
         {[](LidarSequence& s) { s.frames[1].scan.rays.origin[5].z = kNan; }, "frame 1, ray 5, rays.origin"},
         {[](LidarSequence& s) { s.frames[1].scan.rays.time_offset_s[5] = 1e9f; },
          "frame 1, ray 5, rays.time_offset_s: found 1000000000 s"},

@@ -81,7 +81,7 @@ TEST_F(RangeLimit, OfATableWithoutOneIsTheFarthestReturn) {
     const LidarSequence log = load("", "");
     EXPECT_EQ(log.lidars[0].sensor.max_range_m, 150.0);
     EXPECT_EQ(count_returns(log), std::size_t(2 * kColumns * kScans)) << "no return is lost";
-    EXPECT_THAT(log.notes, Contains(Names("range: 150 m ... farthest")));
+    EXPECT_THAT(log.notes, Contains(Names("range ... farthest ... 150 m")));
     EXPECT_THAT(log.notes, testing::Not(Contains(Names("dropped"))));
 }
 
@@ -89,17 +89,19 @@ TEST_F(RangeLimit, OfATableCountsTheReturnsThatItExcludes) {
     const LidarSequence far = load(",max_range_m", ",100");
     EXPECT_EQ(far.lidars[0].sensor.max_range_m, 100.0);
     EXPECT_EQ(count_returns(far), std::size_t(2 * kColumns * kScans - 2));
-    EXPECT_THAT(far.notes, Contains(Names("2 of 144 returns (1.39 %) ... dropped ... 2 are beyond 100 m")));
+    EXPECT_THAT(far.notes,
+                Contains(Names("2 of 144 returns (1.39 %) ... dropped ... 2 returns are beyond 100 m")));
     const LidarSequence both = load(",min_range_m,max_range_m", ",1,100");
-    EXPECT_THAT(both.notes,
-                Contains(Names("4 of 144 returns (2.78 %) ... 2 are beyond 100 m ... 2 ... nearer ... 1 m")));
+    EXPECT_THAT(
+        both.notes,
+        Contains(Names("4 of 144 returns (2.78 %) ... 2 returns are beyond 100 m ... 2 ... nearer ... 1 m")));
 }
 
 TEST_F(RangeLimit, OfTheUserCountsTheReturnsThatItExcludes) {
     DatasetOptions options;
     options.max_range_m = 30.0;
     EXPECT_THAT(load("", "", options).notes,
-                Contains(Names("2 of 144 returns (1.39 %) ... dropped ... 2 are beyond 30 m")));
+                Contains(Names("2 of 144 returns (1.39 %) ... dropped ... 2 returns are beyond 30 m")));
     options.min_range_m = 1.0;
     options.max_range_m = 10.0;
     EXPECT_THAT([&] { load("", "", options); },

@@ -367,14 +367,14 @@ TEST(Rigs, WrongRigsAreNamed) {
         return std::string();
     };
     EXPECT_THAT(complaint("{\"sensors\": []}"), Names("\"sensors\" ... 1 to 64"));
-    EXPECT_THAT(complaint(R"({"sensors": [{"sensor": "VLP-16"}]})"), Names("sensor 0: name ... text"));
+    EXPECT_THAT(complaint(R"({"sensors": [{"sensor": "VLP-16"}]})"), Names("sensor 0 ... name ... text"));
     EXPECT_THAT(complaint(R"({"sensors": [{"name": "../x", "sensor": "VLP-16"}]})"),
                 Names("name: found \"../x\""));
     EXPECT_THAT(
         complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16"}, {"name": "a", "sensor": "VLP-16"}]})"),
         Names("sensor 1: name: \"a\" ... twice"));
     EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16", "translation_m": [1, 2]}]})"),
-                Names("sensor 0: translation_m ... 1000"));
+                Names("sensor 0 ... translation_m ... 1000"));
     EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16", "translation": [1, 2, 0]}]})"),
                 Names("sensor 0 ... 'translation' ... 'translation_m'"));
     EXPECT_THAT(
@@ -382,7 +382,7 @@ TEST(Rigs, WrongRigsAreNamed) {
         Names("'yaw_pitch_roll_deg' ... sensors"));
     EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP"}]})"), Names("VLP-16"));
     EXPECT_THAT(complaint(R"({"sensors": [{"name": "a", "sensor": "VLP-16", "returns": 3}]})"),
-                Names("sensor 0: returns: expected 1 or 2"));
+                Names("sensor 0 ... returns ... 1 or 2"));
 }
 
 }  // namespace

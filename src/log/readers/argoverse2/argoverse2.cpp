@@ -49,7 +49,8 @@ std::vector<SweepFile> list_sweeps(const fs::path& folder) {
         const auto [end, failed] = std::from_chars(stem.data(), stem.data() + stem.size(), time_ns);
         if (failed != std::errc() || end != stem.data() + stem.size() || time_ns < 0)
             throw DataError(
-                fmt::format("cannot use {} as a sweep: expected a file name that is its time in nanoseconds",
+                fmt::format("cannot use the file {} as a sweep: its name is not a number, expected a time in "
+                            "nanoseconds as the name",
                             path.string()));
         sweeps.push_back({0, time_ns, path});
     }
@@ -133,7 +134,8 @@ PoseTrack read_poses_at_sweeps(const fs::path& pose_file, const std::vector<Swee
         const double time_s = to_seconds_since(sweep.time_ns, origin_ns);
         if (!trajectory.contains_time(time_s))
             throw DataError(
-                fmt::format("{}, column 'timestamp_ns': no pose at {}, which is the time of a sweep",
+                fmt::format("{}, column 'timestamp_ns': found no pose at {}, which is the time of a sweep; "
+                            "expected poses for all sweeps",
                             table.name(), sweep.time_ns));
         at_sweeps.time_s.push_back(time_s);
         at_sweeps.pose.push_back(trajectory.interpolate_pose(time_s));
@@ -217,8 +219,8 @@ void append_sweeps_as_frames(LidarSequence& sequence, const std::vector<SweepFil
     }
     for (Lidar& lidar : sequence.lidars) {
         if (lidar.sensor.columns == 0)
-            throw DataError(
-                fmt::format("{} has no points of {}, expected at least one", sequence.source, lidar.name));
+            throw DataError(fmt::format("{} has no points of the LiDAR {}, expected at least one",
+                                        sequence.source, lidar.name));
         lidar.sensor.first_azimuth_rad = kPi - kPi / lidar.sensor.columns;
     }
     if (missing > 0)

@@ -51,10 +51,10 @@ LidarPoints BagScanProvider::read_points_of_frame(std::size_t frame_index) const
             frame_index, cloud,
             at.cloud_s + 1e-9 * double(cloud.get_time_ns(clock_) - at.entry.get_time_ns(clock_)));
         if (points.time_offset_s.empty())
-            throw DataError(fmt::format(
-                "{}: {}, and the points have no usable times, expected clouds of full turns, or times of "
-                "points",
-                get_frame_name(frame_index), lidars_[at.lidar].clouds->parts_about));
+            throw DataError(
+                fmt::format("{}: {}, and the points have no usable times, expected clouds of full "
+                            "revolutions, or times of points",
+                            get_frame_name(frame_index), lidars_[at.lidar].clouds->parts_about));
         const auto append = [](auto& to, const auto& from) { to.insert(to.end(), from.begin(), from.end()); };
         append(all.position_m, points.position_m), append(all.intensity, points.intensity),
             append(all.ring, points.ring);
@@ -63,8 +63,8 @@ LidarPoints BagScanProvider::read_points_of_frame(std::size_t frame_index) const
     if ((!all.ring.empty() && all.ring.size() != all.size()) ||
         (!all.return_number.empty() && all.return_number.size() != all.size()))
         throw DataError(
-            fmt::format("{}: some clouds of the turn have rings or return numbers and some have none, "
-                        "expected the same fields in all of them",
+            fmt::format("{}: only some clouds of the revolution have rings or return numbers, expected the "
+                        "same fields in all clouds",
                         get_frame_name(frame_index)));
     return all;
 }

@@ -106,8 +106,9 @@ BoxListMessage read_detections_with_layout(MessageReader reader, const Detection
         add_box_if_valid(list, box);
     }
     if (reader.count_remaining_bytes() > (reader.is_ros1() ? 0 : kPadding))
-        throw DataError(fmt::format("found {} bytes after the last of {} boxes, expected none",
-                                    reader.count_remaining_bytes(), n));
+        throw DataError(
+            fmt::format("found {} bytes after the last of {} boxes, expected no bytes after the boxes",
+                        reader.count_remaining_bytes(), n));
     return list;
 }
 

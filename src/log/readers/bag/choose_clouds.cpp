@@ -51,8 +51,8 @@ std::string explain_missing_clouds(const BagRecording& bag, const BagIndex& surv
         for (const PacketDriver& packet_driver : kDrivers)
             if (topic.type.starts_with(packet_driver.package))
                 text += fmt::format(
-                    " ({}: relidar cannot decode these packets; play the recording with {}, and record its "
-                    "point clouds)",
+                    " ({}: relidar cannot decode these packets; play the recording with the driver {}, and "
+                    "record its point clouds)",
                     shorten_for_error_message(topic.name), packet_driver.driver);
     for (std::size_t t = 0; t < survey.facts.size(); ++t) {
         const BagTopic& topic = bag.topics()[t];
@@ -114,8 +114,8 @@ void check_clouds_in_sensor_frame(const std::string& topic_name, const CloudTopi
                         topic_name, clouds.frame));
     if (is_cloud_frame_one_of(clouds, kOfVehicle))
         choice.notes.push_back(fmt::format(
-            "{}: the clouds are in the frame '{}' of the vehicle, so clouds of several LiDARs were "
-            "probably merged; all rays start at the origin of this frame, which is wrong near the vehicle",
+            "{}: the clouds are in the vehicle frame '{}', probably because clouds of several LiDARs were "
+            "merged. All rays start at the origin of this frame, which is inaccurate near the vehicle",
             topic_name, clouds.frame));
 }
 
@@ -208,8 +208,8 @@ SelectedCloudTopics choose_cloud_topics(const BagRecording& bag, const BagIndex&
             why = fmt::format("/tf_static has no transform between its frame '{}' and the frame '{}'",
                               clouds.frame, main.frame);
         else if (&clouds != &main && !(rate >= kLeastRate && rate <= kMostRate))
-            why =
-                fmt::format("it has {:.3g} times as many clouds as {}", rate, bag.topics()[main.topic].name);
+            why = fmt::format("it contains {:.3g} times as many clouds as topic {}", rate,
+                              bag.topics()[main.topic].name);
         if (why.empty()) {
             check_clouds_in_sensor_frame(name, clouds, choice);
             accepted_lidars.push_back(c);
@@ -218,8 +218,8 @@ SelectedCloudTopics choose_cloud_topics(const BagRecording& bag, const BagIndex&
                 "topic {} is ignored: {}; use dataset.lidars={} to read only this topic", name, why, name));
         } else {
             throw DataError(
-                fmt::format("topic {} cannot be read together with the others: {}; select other topics "
-                            "with dataset.lidars",
+                fmt::format("topic {} cannot be read together with the other selected topics: {}; select "
+                            "other topics with dataset.lidars",
                             name, why));
         }
     }

@@ -46,11 +46,11 @@ PoseSourceCandidate make_pose_source_from_tf(const FrameTree& frame_tree,
                                              const std::string& ancestor_frame) {
     PoseSourceCandidate source{
         ancestor_frame, nullptr, find_vehicle_frame(frame_tree, frames_to_root, ancestor_frame), {}};
-    source.about = fmt::format("poses are those of the frame '{}' in the frame '{}' from /tf (path {}){}",
+    source.about = fmt::format("poses of the frame '{}' in the frame '{}' are read from /tf (path {}){}",
                                source.vehicle, ancestor_frame, fmt::join(frames_to_root, " < "),
                                has_moving_transform_up_to(frame_tree, frames_to_root, ancestor_frame)
                                    ? ""
-                                   : "; they are constant, so the LiDAR does not move");
+                                   : "; these poses are constant, so the LiDAR does not move");
     return source;
 }
 
@@ -67,7 +67,7 @@ PoseSourceCandidate make_pose_source_from_topic(const BagRecording& bag, const F
                         lidar_frame, source.vehicle, name));
         source.vehicle = lidar_frame;
     }
-    source.about = fmt::format("poses are those of the frame '{}' in the frame '{}' from topic {}",
+    source.about = fmt::format("poses of the frame '{}' in the frame '{}' are read from the topic {}",
                                source.vehicle, pose_topic.parent, name);
     return source;
 }
@@ -153,7 +153,8 @@ SelectedPoseSource choose_vehicle_poses(const BagRecording& bag, const BagIndex&
         main_lidar_clouds.clouds, [](const CloudIndexEntry& cloud) { return cloud.stamp_ns != 0; });
     if (!has_stamps) {
         choice.clock = LogClock::recorder;
-        choice.notes.push_back("the clouds have no stamps, so their recording times are used");
+        choice.notes.push_back(
+            "the clouds have no time stamps, so the times at which they were recorded are used");
     }
     choice.zero_ns = find_first_cloud_time_ns(main_lidar_clouds, choice.clock);
     choice.vehicle = main_lidar_clouds.frame;

@@ -44,7 +44,7 @@ std::int64_t read_timestamp_ns(pbf_reader reader) {
     }
     constexpr std::int64_t kLatest_s = 4294967295;  // limit of ROS times
     if (seconds < 0 || seconds > kLatest_s)
-        throw DataError(fmt::format("found a time of {} s, expected 0 to {} s", seconds, kLatest_s));
+        throw DataError(fmt::format("found the message time {} s, expected 0 to {} s", seconds, kLatest_s));
     return seconds * 1000000000 + nanoseconds;
 }
 
@@ -77,7 +77,7 @@ CloudMessage::CloudField read_foxglove_point_field(pbf_reader reader) {
         else reader.skip();
     }
     if (type < 1 || type > 8)
-        throw DataError(fmt::format("the field '{}' has the type {}, expected 1 to 8",
+        throw DataError(fmt::format("the field '{}' has the type number {}, expected 1 to 8",
                                     shorten_for_error_message(field.name), type));
     field.kind = kTypes[type - 1].kind;
     field.size = kTypes[type - 1].size;
@@ -96,7 +96,8 @@ void check_pose_is_identity(pbf_reader reader) {
         const glm::dvec4 v = read_xyzw(reader.get_message());
         if (!(glm::length(glm::dvec3(v)) <= 1e-9))
             throw DataError(
-                fmt::format("the cloud is {} by a pose, expected points in the frame of the message",
+                fmt::format("the cloud has a pose by which its points are {}, expected points in the frame "
+                            "of the message",
                             turns ? "turned" : "moved"));
     }
 }

@@ -223,10 +223,9 @@ private:
             for (const std::string& text : lidars_.back().units.meaning.notes)
                 add_note_if_not_empty(get_topic_name(get_cloud_topic(l)) + ": " + text);
             if (is_deskewed_ && has_poses_ && lidars_.back().units.zero != PointTimeReference::none)
-                add_note_if_not_empty(
-                    get_topic_name(clouds) +
-                    ": the points were deskewed to the stamp by relidar; they are converted back to the "
-                    "sensor's frame at their own times");
+                add_note_if_not_empty(get_topic_name(clouds) +
+                                      ": relidar deskewed the points to the stamp of the cloud. They are "
+                                      "converted back to the sensor's frame at the time of each point");
         }
     }
 

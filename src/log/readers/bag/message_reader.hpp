@@ -24,14 +24,15 @@ public:
         if (is_ros1) return;
         constexpr std::size_t kHead = 4;
         if (bytes.size() < kHead)
-            throw DataError(fmt::format("the message has {} bytes, expected a message in CDR", bytes.size()));
+            throw DataError(
+                fmt::format("the message has only {} bytes, expected a CDR message with a header of 4 bytes",
+                            bytes.size()));
         // Encodings 0 and 1 are XCDR1, 6 and 7 are XCDR2. Odd numbers are little-endian.
         const auto kind = static_cast<unsigned char>(bytes[1]);
         if (bytes[0] != 0 || (kind != 0 && kind != 1 && kind != 6 && kind != 7))
-            throw DataError(
-                fmt::format("the message begins with {:02x} {:02x}, expected CDR: 00 00, 00 "
-                            "01, 00 06 or 00 07",
-                            static_cast<unsigned char>(bytes[0]), kind));
+            throw DataError(fmt::format(
+                "the message begins with {:02x} {:02x}, expected a CDR header: 00 00, 00 01, 00 06 or 00 07",
+                static_cast<unsigned char>(bytes[0]), kind));
         swapped_ = kind % 2 == 0;
         widest_ = kind >= 6 ? 4 : 8;
         bytes_ = bytes.substr(kHead);
@@ -70,7 +71,7 @@ public:
     }
     std::string_view read_bytes(std::size_t n_bytes) {
         if (n_bytes > bytes_.size() - at_)
-            throw DataError(fmt::format("the message is truncated: it has {} more bytes, expected {}",
+            throw DataError(fmt::format("the message is truncated: {} bytes are left, expected {} bytes",
                                         bytes_.size() - at_, n_bytes));
         at_ += n_bytes;
         return bytes_.substr(at_ - n_bytes, n_bytes);

@@ -63,7 +63,7 @@ CloudMessage::CloudField read_ros_point_field(MessageReader& reader) {
     const auto count = reader.read_number<std::uint32_t>();
     field.count = std::max<std::size_t>(count, 1);  // some drivers write 0
     if (type < 1 || type > std::size(kTypes))
-        throw DataError(fmt::format("the field '{}' has the type {}, expected 1 to {}",
+        throw DataError(fmt::format("the field '{}' has the type number {}, expected 1 to {}",
                                     shorten_for_error_message(field.name), type, std::size(kTypes)));
     field.kind = kTypes[type - 1].kind;
     field.size = kTypes[type - 1].size;

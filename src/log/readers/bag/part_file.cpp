@@ -44,11 +44,11 @@ std::string get_system_error_text() { return std::error_code(errno, std::generic
 RandomAccessFile::RandomAccessFile(const std::filesystem::path& path) : name_(path.string()) {
     handle_ = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
     if (handle_ < 0)
-        throw DataError(fmt::format("{}: cannot open the file: {}", name_, get_system_error_text()));
+        throw DataError(fmt::format("{}: the file cannot be opened: {}", name_, get_system_error_text()));
     struct stat status {};
     if (::fstat(handle_, &status) != 0 || !S_ISREG(status.st_mode)) {
         ::close(handle_);
-        throw DataError(fmt::format("{}: this is not a file", name_));
+        throw DataError(fmt::format("{}: this path is not a regular file", name_));
     }
     size_ = std::uint64_t(status.st_size);
 }
@@ -66,8 +66,9 @@ SharedBytes RandomAccessFile::read_bytes_at(std::uint64_t offset, std::uint64_t 
             const ssize_t k = ::pread(handle_, bytes.data() + got, bytes.size() - got, off_t(offset + got));
             if (k < 0 && errno == EINTR) continue;
             if (k <= 0)
-                throw DataError(fmt::format("cannot read {} bytes from byte {} on: {}", n_bytes, offset,
-                                            k < 0 ? get_system_error_text() : "the file ends before them"));
+                throw DataError(
+                    fmt::format("cannot read {} bytes that start at byte {}: {}", n_bytes, offset,
+                                k < 0 ? get_system_error_text() : "the file ends before these bytes"));
             got += std::size_t(k);
         }
     });

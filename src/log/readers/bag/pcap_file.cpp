@@ -189,8 +189,8 @@ public:
         pcap_.reset(pcap_fopen_offline_with_tstamp_precision(unpacked.file, PCAP_TSTAMP_PRECISION_NANO, why));
         if (!pcap_) std::fclose(unpacked.file);
         if (!unpacked.problem.empty())
-            problem_ =
-                fmt::format("{}: {}: the packets behind it are missing", path.string(), unpacked.problem);
+            problem_ = fmt::format("{}: {}; the packets after the damaged part are missing", path.string(),
+                                   unpacked.problem);
         if (!pcap_)
             throw DataError(
                 fmt::format("{}: cannot read the capture ({}), expected packets in the format "
@@ -246,8 +246,7 @@ public:
             streams_, [&](const auto& keyed) { return keyed.second.number == place.in_chunk; });
         if (stream == streams_.end())
             throw DataError(
-                "the capture has changed: one of its packet streams "
-                "is missing");
+                "the capture file changed while it was read: one of its packet streams is missing");
         seek_to_byte(place.at);
         IpReassembler fragments;
         std::string run;
@@ -316,7 +315,8 @@ private:
     }
     void seek_to_byte(std::uint64_t file_offset) const {
         if (fseeko(pcap_file(pcap_.get()), off_t(file_offset), SEEK_SET) != 0)
-            throw DataError(fmt::format("{}: cannot go to byte {} of the file", path_.string(), file_offset));
+            throw DataError(
+                fmt::format("{}: cannot read the file from byte {}", path_.string(), file_offset));
     }
 
     /// Reads the next UDP datagram of the file, with its UDP header.

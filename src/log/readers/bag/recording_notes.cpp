@@ -27,8 +27,9 @@ std::string format_cloud_topic_note(const CloudTopic& clouds) {
             n_missing += revolution.n_missing;
         const std::string problems = clouds.packets.describe_problems();
         return fmt::format(
-            ", frame '{}', {} packets of a {}: {} full turns{}{}{}", shorten_for_error_message(clouds.frame),
-            clouds.packets.size(), clouds.packets.describe_lidar_product(), clouds.revolutions.size(),
+            ", frame '{}', {} packets of a {}: {} full revolutions{}{}{}",
+            shorten_for_error_message(clouds.frame), clouds.packets.size(),
+            clouds.packets.describe_lidar_product(), clouds.revolutions.size(),
             n_missing == 0 ? ""
                            : fmt::format("; {} packets are missing, and their rays are left out", n_missing),
             problems.empty() ? "" : "; ", problems);
@@ -123,7 +124,8 @@ std::string describe_time_jumps(const CloudTopic& clouds) {
     }
     std::string text;
     if (n_falls > 0)
-        text = fmt::format("the stamps of {} clouds are not later than the previous stamp", n_falls);
+        text = fmt::format("the stamps of {} clouds are not later than the stamp of the previous cloud",
+                           n_falls);
     if (n_jumps > 0)
         text += fmt::format(
             "{}the clock of the stamps jumps {} times relative to the clock of the recorder, by at most "

@@ -61,7 +61,7 @@ public:
             sqlite3_open_v2(make_sqlite_uri(path, is_open ? "?mode=ro" : "?mode=ro&immutable=1").c_str(),
                             &database, SQLITE_OPEN_READONLY | SQLITE_OPEN_URI | SQLITE_OPEN_NOMUTEX, nullptr);
         database_.reset(database);
-        if (code != SQLITE_OK) throw_database_error("opening it");
+        if (code != SQLITE_OK) throw_database_error("opening the database");
         // No value can be larger than the file; 1 MiB is added as a margin.
         sqlite3_limit(database, SQLITE_LIMIT_LENGTH,
                       int(std::min<std::uint64_t>(bytes_ + (1 << 20), 1 << 30)));
@@ -128,19 +128,19 @@ private:
     [[noreturn]] void throw_database_error(const char* action) const {
         throw DataError(fmt::format(
             "{}: {} failed: {}; expected messages of rosbag2 in SQLite", name_, action,
-            shorten_for_error_message(database_ ? sqlite3_errmsg(database_.get()) : "no memory")));
+            shorten_for_error_message(database_ ? sqlite3_errmsg(database_.get()) : "not enough memory")));
     }
 
     Statement prepare_statement(const std::string& sql_text) const {
         sqlite3_stmt* statement = nullptr;
         if (sqlite3_prepare_v2(database_.get(), sql_text.c_str(), -1, &statement, nullptr) != SQLITE_OK)
-            throw_database_error("reading its tables");
+            throw_database_error("reading the list of tables");
         return Statement(statement);
     }
 
     bool read_next_row(sqlite3_stmt* statement) const {
         const int code = sqlite3_step(statement);
-        if (code != SQLITE_ROW && code != SQLITE_DONE) throw_database_error("reading its messages");
+        if (code != SQLITE_ROW && code != SQLITE_DONE) throw_database_error("reading the list of messages");
         return code == SQLITE_ROW;
     }
     /// Reads the next row of a query. In a damaged file, ends the query with a note, so
@@ -148,7 +148,8 @@ private:
     bool read_next_row_or_note_damage(sqlite3_stmt* statement, const MessageReadCallbacks& callbacks) const {
         const int code = sqlite3_step(statement);
         if (code != SQLITE_CORRUPT && (code & 0xFF) != SQLITE_IOERR) {
-            if (code != SQLITE_ROW && code != SQLITE_DONE) throw_database_error("reading its messages");
+            if (code != SQLITE_ROW && code != SQLITE_DONE)
+                throw_database_error("reading the list of messages");
             return code == SQLITE_ROW;
         }
         callbacks.note(fmt::format("{}: the file is damaged or truncated ({}); later messages are missing",

@@ -201,12 +201,12 @@ void join_partial_revolutions(CloudTopic& cloud_topic) {
             CloudIndexEntry{middle.stamp_ns, middle.log_ns, 0, middle.message_position, 0, revolution});
         for (const RevolutionPart& part : revolution) entry.n_points += part.n_points;
     }
-    cloud_topic.parts_about =
-        fmt::format("{}; the clouds were combined into {} full turns of {} clouds{}", joined.about,
-                    joined.revolutions.size(), joined.revolutions[joined.revolutions.size() / 2].size(),
-                    joined.n_left_out == 0
-                        ? ""
-                        : fmt::format("; {} clouds of incomplete turns are skipped", joined.n_left_out));
+    cloud_topic.parts_about = fmt::format(
+        "{}; these clouds were combined into {} full revolutions of {} clouds each{}", joined.about,
+        joined.revolutions.size(), joined.revolutions[joined.revolutions.size() / 2].size(),
+        joined.n_left_out == 0
+            ? ""
+            : fmt::format("; {} clouds of incomplete revolutions are skipped", joined.n_left_out));
 }
 
 }  // namespace

@@ -154,7 +154,7 @@ JoinedRevolutions join_clouds_to_revolutions(std::vector<RevolutionPart> partial
         if (revolution.size() >= clouds_per_revolution) joined.revolutions.push_back(std::move(revolution));
         else joined.n_left_out += revolution.size();
     }
-    joined.about = fmt::format("each cloud covers only a part of a turn, about {:.0f} degrees",
+    joined.about = fmt::format("each cloud covers only a part of a revolution, about {:.0f} degrees",
                                parts->extent_rad * kDegrees);
     return joined;
 }

@@ -214,8 +214,8 @@ double find_label_time_s(const JsonField& label, const std::vector<SequenceHeade
     const auto frame = std::find_if(all_frames.begin(), all_frames.end(),
                                     [&](const SequenceHeaderFrame& f) { return f.number == number; });
     if (frame == all_frames.end())
-        label.at("frame").throw_field_error(fmt::format("found {}", number),
-                                            "expected the number of a frame");
+        label.at("frame").throw_field_error(fmt::format("found frame {}", number),
+                                            "expected the number of a frame of the log");
     return frame->time_s;
 }
 

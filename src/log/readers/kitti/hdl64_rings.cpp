@@ -108,7 +108,8 @@ void estimate_unfitted_cones(BeamCones& cones,
         }
         if (good.size() < 2) {
             throw DataError(error_location +
-                            ": fewer than two of 32 beams have enough returns, expected a log of an HDL-64E");
+                            ": fewer than two beams of a block of 32 beams have enough returns, expected a "
+                            "log of an HDL-64E");
         }
         const LaserHeightFit line = fit_block_height_line(cones, good);
         for (std::size_t k = first; k < first + kRings / 2; ++k) {

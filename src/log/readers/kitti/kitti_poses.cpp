@@ -81,8 +81,9 @@ Pose read_imu_pose_from_oxts(const fs::path& oxts_file, std::optional<double>& m
     const std::vector<std::string> lines = split_lines(read_text_file(oxts_file));
     const std::vector<double> v = parse_finite_numbers(lines.empty() ? "" : lines[0], 30, oxts_file.string());
     if (std::abs(v[0]) > 89.0 || std::abs(v[1]) > 360.0) {
-        throw DataError(fmt::format("{}: found the latitude {} and the longitude {}, expected degrees",
-                                    oxts_file.string(), v[0], v[1]));
+        throw DataError(
+            fmt::format("{}: found the latitude {} and the longitude {}, expected angles in degrees",
+                        oxts_file.string(), v[0], v[1]));
     }
     constexpr double kEarthRadius_m = 6378137.0;
     const double lat = v[0] * kPi / 180.0, lon = v[1] * kPi / 180.0;

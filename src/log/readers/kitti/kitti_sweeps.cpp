@@ -87,11 +87,12 @@ public:
         // In complete scans, the azimuth at the end of the last ring varies by up to 20
         // degrees.
         constexpr double kEarly_deg = 60.0;
-        if (n_points_[scan_index] == 0) return fmt::format("{}: the scan has no returns", file_name);
+        if (n_points_[scan_index] == 0)
+            return fmt::format("{}: the scan contains no returns, expected at least one", file_name);
         if (const std::size_t usual = compute_median_of_neighbours(n_points_, scan_index);
             2 * n_points_[scan_index] < usual)
-            return fmt::format("{}: the scan has {} points, but the neighbouring scans have {}", file_name,
-                               n_points_[scan_index], usual);
+            return fmt::format("{}: the scan has only {} points, but the neighbouring scans have {} points",
+                               file_name, n_points_[scan_index], usual);
         if (const int usual = compute_median_of_neighbours(n_rings_, scan_index);
             n_rings_[scan_index] + kMissingRings <= usual)
             return fmt::format(
@@ -213,8 +214,8 @@ void read_hdl64_sweeps(LidarSequence& sequence, const std::filesystem::path& sca
                 firings[at] = find_fired_encoder_ticks(raw[at], lattice);
                 if (firings[at].empty())
                     throw DataError(
-                        fmt::format("{}: found {} points that do not share firings, expected a sweep of an "
-                                    "HDL-64E",
+                        fmt::format("{}: found {} points that cannot be assigned to firings of the sensor, "
+                                    "expected a sweep of an HDL-64E",
                                     file_of(at).string(), raw[at].points.size()));
             });
         });

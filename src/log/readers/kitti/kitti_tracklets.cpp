@@ -51,8 +51,9 @@ BoxTrack read_box_track(const pugi::xml_node& tracklet_item, const std::vector<i
                     read_number_field(tracklet_item, "w", error_location),
                     read_number_field(tracklet_item, "h", error_location)};
     if (!(std::min({track.size_m.x, track.size_m.y, track.size_m.z}) > 0.0)) {
-        throw DataError(fmt::format("{}: the size is l {} w {} h {} m, expected three lengths above 0",
-                                    error_location, track.size_m.x, track.size_m.y, track.size_m.z));
+        throw DataError(
+            fmt::format("{}: the size of a box is l {} w {} h {} m, expected three lengths above 0",
+                        error_location, track.size_m.x, track.size_m.y, track.size_m.z));
     }
     int frame = static_cast<int>(read_number_field(tracklet_item, "first_frame", error_location));
     for (const pugi::xml_node& pose : tracklet_item.child("poses").children("item")) {

@@ -41,7 +41,8 @@ public:
             }
             object_text += c;
             if (object_text.size() > kLongestRecord)
-                throw DataError(fmt::format("{}: an object has more than {} bytes", name_, kLongestRecord));
+                throw DataError(fmt::format("{}: a JSON object is too large, expected at most {} bytes",
+                                            name_, kLongestRecord));
             if (quoted) {
                 if (!escaped && c == '"') quoted = false;
                 escaped = !escaped && c == '\\';

@@ -248,7 +248,7 @@ private:
                 "it with dataset.lidars",
                 scene_.name, lidars_.size(), format_.ending));
         if (!left_out.empty())
-            add_note(fmt::format("LiDARs that are not read: {}", fmt::join(left_out, ", ")));
+            add_note(fmt::format("these LiDARs of the log are not read: {}", fmt::join(left_out, ", ")));
     }
 
     /// Assigns a frame number to each sweep of the selected LiDARs. Returns the sweeps,

@@ -63,8 +63,9 @@ TokenMap<LidarMount> read_lidar_mountings(const fs::path& table_folder) {
         if (channel.starts_with(kLidar)) channels[record.get_text("token")] = channel;
     });
     if (channels.empty())
-        throw DataError(fmt::format("{}, key 'channel': no channel begins with {}",
-                                    (table_folder / "sensor.json").string(), kLidar));
+        throw DataError(fmt::format(
+            "{}, key 'channel': found no channel that begins with {}, expected at least one LiDAR",
+            (table_folder / "sensor.json").string(), kLidar));
     TokenMap<LidarMount> mounted;
     for_each_json_record(table_folder / "calibrated_sensor.json", [&](const JsonRecord& record) {
         const auto channel = channels.find(record.get_text("sensor_token"));
@@ -132,11 +133,11 @@ std::vector<SceneLidar> read_lidars_of_scene(const fs::path& table_folder,
         lidar.ego_from_lidar = mounted.at(lidar.sweeps[0].calibration).ego_from_lidar;
         for (const SweepRecord& sweep : lidar.sweeps)
             if (sweep.calibration != lidar.sweeps[0].calibration)
-                throw DataError(
-                    fmt::format("{}, key 'calibrated_sensor_token': {} of {} has two mountings in one scene, "
-                                "expected one",
-                                (table_folder / "sample_data.json").string(), channel,
-                                shorten_for_error_message(sweep.file)));
+                throw DataError(fmt::format(
+                    "{}, key 'calibrated_sensor_token': the LiDAR {} of {} has two mountings in one "
+                    "scene, expected one",
+                    (table_folder / "sample_data.json").string(), channel,
+                    shorten_for_error_message(sweep.file)));
         lidars.push_back(std::move(lidar));
     }
     if (lidars.empty())
@@ -233,9 +234,9 @@ std::vector<BoxLabel> read_box_labels_of_scene(const fs::path& table_folder, con
         const auto category = category_of.find(label.id);
         const auto name = category == category_of.end() ? names.end() : names.find(category->second);
         if (name == names.end())
-            throw DataError(fmt::format("{}: the instance '{}' has no category",
-                                        (table_folder / "instance.json").string(),
-                                        shorten_for_error_message(label.id)));
+            throw DataError(
+                fmt::format("{}: the instance '{}' has no category, expected one in category.json",
+                            (table_folder / "instance.json").string(), shorten_for_error_message(label.id)));
         label.category = name->second;
     }
     std::stable_sort(labels.begin(), labels.end(), [](const BoxLabel& first, const BoxLabel& second) {

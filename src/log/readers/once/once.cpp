@@ -53,7 +53,7 @@ OncePose read_pose_of_once_dataset(const JsonField& pose_field, std::int64_t sta
     const double length = std::sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2] + n[3] * n[3]);
     if (!(std::abs(length - 1.0) <= kUnitLength))
         pose_field.throw_field_error(fmt::format("found a quaternion of length {:.4g}", length),
-                                     "expected 1");
+                                     "expected a quaternion of length 1");
     for (std::size_t i = 4; i < 7; ++i)
         if (!(std::abs(n[i]) <= kLargestCoordinate_m))
             pose_field.throw_field_error(

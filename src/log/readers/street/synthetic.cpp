@@ -42,7 +42,9 @@ void check_synthetic_options(const SyntheticOptions& options) {
     in_range("range_noise_m", options.range_noise_m, 0.0, 1.0);
     in_range("speed_mps", options.speed_mps, 0.0, 40.0);
     if (options.gait && !options.people)
-        throw UsageError("synthetic street: gait = true needs people = true");
+        throw UsageError(
+            "synthetic street: found gait = true with people = false, expected people = true if gait is "
+            "true");
 }
 
 SpinningSensor make_default_synthetic_sensor(const SyntheticOptions& options) {

@@ -328,8 +328,8 @@ void add_lidars_frames_and_boxes(LidarSequence& sequence, const TfRecordReader& 
         if (!images.first.empty() && (!only_top_lidar || images.laser == kTop))
             sequence.lidars.push_back(make_waymo_lidar(frame, images, period_s, where));
     if (sequence.lidars.empty())
-        throw DataError(fmt::format("{}: found no range image{}, expected at least one", where,
-                                    only_top_lidar ? " of TOP" : ""));
+        throw DataError(fmt::format("{}: found no range image{} in the record, expected at least one", where,
+                                    only_top_lidar ? " of the LiDAR TOP" : ""));
     const std::int64_t start_us =
         parse_frame_record(records.read_record_data(0), make_record_name(records, 0)).timestamp_us;
     std::vector<BoxLabel> labels;

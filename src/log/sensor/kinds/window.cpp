@@ -19,7 +19,7 @@ RayTable make_rays(const WindowScanSensor& window) {
         window.period_s);
     if (window.rows > 65535)
         throw UsageError(
-            fmt::format("sensor '{}' has {} rows, expected at most 65535", window.name, window.rows));
+            fmt::format("sensor '{}': found {} rows, expected at most 65535", window.name, window.rows));
     RayTable rays;
     rays.rows = window.rows;
     rays.columns = window.columns;

@@ -129,12 +129,13 @@ void check_and_set_packet_size(OusterMetadata& format, const Json& json) {
                         format.where, n, beams));
     if (format.columns_per_packet < 1 || columns % format.columns_per_packet != 0)
         throw DataError(
-            fmt::format("{}: columns_per_packet is {}, expected a divisor of the {} columns of a turn",
+            fmt::format("{}: columns_per_packet is {}, expected a divisor of the {} columns of a revolution",
                         format.where, format.columns_per_packet, columns));
     format.packet_bytes = compute_packet_bytes(*format.profile, beams, format.columns_per_packet);
     if (format.packet_bytes > kMostDatagram)
-        throw DataError(fmt::format("{}: found {}, expected at most {} bytes, the largest UDP packet",
-                                    format.where, format.describe_packets(), kMostDatagram));
+        throw DataError(fmt::format(
+            "{}: found {}, expected packets of at most {} bytes, the maximum size of a UDP packet",
+            format.where, format.describe_packets(), kMostDatagram));
 }
 
 /// Returns the UDP port in the topic name of a network capture, for example 7502 in
@@ -311,7 +312,7 @@ std::string format_ouster_packet_error(const OusterMetadataList& formats, const 
         return fmt::format(
             "found packets of {} bytes{}, expected exactly one metadata file that belongs to them ({}), "
             "but found {}",
-            packet_size, from, port > 0 ? "udp_port_lidar" : "a topic in the same name space",
+            packet_size, from, port > 0 ? "udp_port_lidar" : "the metadata topic in the same name space",
             listed_formats);
     return fmt::format(
         "found packets of {} bytes{}, but the metadata describes {}; use the metadata of the same sensor "

@@ -60,10 +60,9 @@ void PacketIndex::check_or_set_product(const ReceivedPacket& packet, const Decod
     if (product_ && product_ == find_product_of_packet(packet.bytes, calibration_)) return;
     const LidarProduct* product = find_product_of_packet(packet.bytes, calibration);
     if (product_)
-        throw DataError(
-            fmt::format("found a packet of {} bytes of {}, expected a packet of a {} like the "
-                        "previous ones",
-                        packet.bytes.size(), product ? product->name : "no known product", product_->name));
+        throw DataError(fmt::format(
+            "found a packet of {} bytes of {}, expected a packet of a {} like the previous packets",
+            packet.bytes.size(), product ? product->name : "an unknown product", product_->name));
     if (!product || !product->make) throw DataError(format_unsupported_packet_error(product, packet.bytes));
     decoder_ = product->make(product->name, calibration);
     product_ = product;
@@ -284,23 +283,23 @@ std::string PacketIndex::describe_problems() const {
         if (count > 0) texts.push_back(fmt::format("{} {}", count, text));
     };
     add(faults_.n_repeated, "packets were received twice");
-    add(faults_.n_late, "packets were received late and are sorted by the clock of the sensor");
+    add(faults_.n_late, "packets were received out of order and are sorted by the clock of the sensor");
     const double all_deg =
         packets_.back().azimuth_deg + double(packets_.back().turned_deg) - packets_.front().azimuth_deg;
     if (revolutions_.empty() && all_deg < 360.0)
-        texts.push_back(
-            fmt::format("the packets cover only {:.0f} degrees of a turn, expected at least "
-                        "one full turn",
-                        std::max(all_deg, 0.0)));
-    else add(left_out_.n_cut_off, "turns are skipped, because the recording begins or ends during them");
-    add(left_out_.n_lost, "turns are skipped, because at least a third of their packets is missing");
+        texts.push_back(fmt::format(
+            "the packets cover only {:.0f} degrees of a revolution, expected at least one full revolution",
+            std::max(all_deg, 0.0)));
+    else
+        add(left_out_.n_cut_off, "revolutions are skipped, because the recording begins or ends during them");
+    add(left_out_.n_lost, "revolutions are skipped, because at least a third of their packets is missing");
     add(left_out_.n_jumps,
-        "turns are skipped, because the clock of the sensor jumps during them, or because packets of two "
-        "sensors are mixed");
+        "revolutions are skipped, because the clock of the sensor jumps during them, or because packets of "
+        "two sensors are mixed");
     if (skipped_.width_deg > 0.0)
         texts.push_back(
-            fmt::format("the sensor fires in {:.0f} degrees of a turn, so the other {:.0f} degrees have no "
-                        "rays",
+            fmt::format("the sensor fires in {:.0f} degrees of a revolution, so the other {:.0f} "
+                        "degrees have no rays",
                         360.0 - skipped_.width_deg, skipped_.width_deg));
     return fmt::format("{}", fmt::join(texts, "; "));
 }
@@ -412,10 +411,13 @@ DecodedPacket PacketIndex::decode_packet_again(
     const std::vector<std::vector<ReceivedPacket>>& packets_of_message) const {
     const std::size_t m = message_index;
     if (m >= packets_of_message.size() || entry.in_message >= packets_of_message[m].size())
-        throw DataError("the recording has changed: a message has fewer packets than before");
+        throw DataError(
+            "the file of the recording changed while it was read: a message has fewer packets than before");
     const ReceivedPacket& view = packets_of_message[m][entry.in_message];
     if (find_product_of_packet(view.bytes, calibration_) != product_)
-        throw DataError("the recording has changed: a packet differs from the one that was read before");
+        throw DataError(
+            "the file of the recording changed while it was read: a packet differs from the one that was "
+            "read before");
     return decoder_->decode_packet(view.bytes);
 }
 

@@ -111,7 +111,7 @@ constexpr LidarProduct kProducts[] = {
     {"RS-LiDAR-M1", is_solid_state_robosense_packet<1210>, nullptr, "rslidar_sdk"},
     {"RS-LiDAR-M2", is_solid_state_robosense_packet<1342>, nullptr, "rslidar_sdk"},
     {"RS-LiDAR-E1", is_solid_state_robosense_packet<1200>, nullptr, "rslidar_sdk"},
-    {"RoboSense that relidar does not know",
+    {"RoboSense model that relidar does not know",
      [](string_view p) {
          return p.size() > 500 && (p.starts_with("\x55\xaa\x05") || p.starts_with("\x55\xaa\x5a"));
      },
