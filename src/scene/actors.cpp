@@ -193,9 +193,10 @@ void append_actor_to_scene(Scene& scene, const BoxTrack& box, const std::vector<
                                                   std::size_t(options.actor_points), progress);
         const bool is_rigid = !changing.why_rigid.empty();
         if (notes)
-            notes->push_back(fmt::format("{} ({}) {}{}", box.id, box.category,
-                                         is_rigid ? "is rigid: " : "changes from frame to frame",
-                                         changing.why_rigid));
+            notes->push_back(fmt::format(
+                "{} ({}) {}{}", box.id, box.category,
+                is_rigid ? "is modelled as rigid, because " : "changes its shape from frame to frame",
+                changing.why_rigid));
     }
     const Surfels surfels = changing.period_m > 0.0 ? std::move(changing.surfels)
                                                     : make_surfels_from_points(rigid, options, incidence);

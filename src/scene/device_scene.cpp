@@ -139,7 +139,7 @@ struct DeviceScene::Impl {
         : layout(copy_scene_without_surfels(scene)),
           placements(scene, static_cast<std::uint32_t>(scene.surfels.size())),
           models(device, make_model_table(scene, placements), "model table"),
-          more_rows(device, placements.more, "rows of further placements"),
+          more_rows(device, placements.more, "gradient rows of further instances"),
           parameters(device, static_cast<std::uint32_t>(scene.surfels.size()), "surfel",
                      scene.surfels.get_parameter_set()),
           records(device, scene.surfels.size(), "surfel records"),

@@ -172,13 +172,14 @@ std::vector<BoxTrack> fit_boxes_of_proven_movers(VisibilityChecker& visibility,
         for (const MoverObservation& o : tracks[i].observations)
             visibility.create_range_images(o.cluster.points_m);
     std::vector<std::optional<BoxTrack>> proven_boxes(share.end - share.begin);
-    parallel_for_with_progress(proven_boxes.size(), progress, "paths of movers", [&](std::size_t index) {
-        MoverTrack& track = tracks[share.begin + index];
-        proven_boxes[index] = track.label == kNoLabel
-                                  ? fit_box_if_motion_proven(visibility, track)
-                                  : extend_labelled_track_if_proven(visibility, track,
-                                                                    sequence.boxes[std::size_t(track.label)]);
-    });
+    parallel_for_with_progress(
+        proven_boxes.size(), progress, "paths of moving objects", [&](std::size_t index) {
+            MoverTrack& track = tracks[share.begin + index];
+            proven_boxes[index] = track.label == kNoLabel
+                                      ? fit_box_if_motion_proven(visibility, track)
+                                      : extend_labelled_track_if_proven(
+                                            visibility, track, sequence.boxes[std::size_t(track.label)]);
+        });
     return gather_boxes_of_all_processes(group, tracks, proven_boxes, share.begin, sequence);
 }
 

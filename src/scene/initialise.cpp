@@ -219,7 +219,7 @@ Surfels initialise_background(const LidarSequence& sequence, const std::vector<i
     if (samples.empty())
         throw DataError(
             fmt::format("cannot initialise the background of {}: none of its {} training frames has a return "
-                        "outside moving boxes",
+                        "outside moving boxes, expected at least one",
                         sequence.name, train_positions.size()));
     return make_surfels_from_points(samples, options, sequence.intensity_response.incidence, progress);
 }

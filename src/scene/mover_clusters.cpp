@@ -311,7 +311,8 @@ std::vector<std::vector<MoverCluster>> find_mover_clusters(const LidarSequence& 
     const ProcessGroup::PartRange share = group.compute_assigned_range(n_stretches);
     ClustersByFrame process_clusters;
     for (std::size_t s = share.begin; s < share.end; ++s) {
-        if (progress) progress("what moved", double(s - share.begin) / double(share.end - share.begin));
+        if (progress)
+            progress("finding moving objects", double(s - share.begin) / double(share.end - share.begin));
         const std::span<const int> stretch =
             std::span(frame_indices).subspan(first_of(s), first_of(s + 1) - first_of(s));
         ClustersByFrame section_clusters = find_clusters_in_frames(sequence, stretch, visibility);

@@ -93,7 +93,7 @@ void compile_all_pipelines(Device& device, const std::function<void(const std::s
         set_config_value(config, setting.key, setting.value);
         compile_training_pipelines(device, street, config);
     }
-    report("kernels of the ray traversal and of sums");
+    report("kernels of the ray traversal and of sums of gradients");
     compile_traversal_variants(device, street);
     for (const char* network : {"small", "paper", "pixel"}) {
         report(std::string("refine.network=") + network);
@@ -101,7 +101,7 @@ void compile_all_pipelines(Device& device, const std::function<void(const std::s
         options.network = network;
         compile_network_pipelines(device, options);
     }
-    report("summation of hits in a fixed order");
+    report("kernels that add gradients of hits in a fixed order");
     // Compiles the sort kernels of BackwardPass, which creates them only for its first
     // batch.
     const RadixSort by_row(device, 1, 1);

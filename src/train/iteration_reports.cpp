@@ -14,9 +14,9 @@ namespace relidar {
 
 IterationReports::ReportReadbackSlot::ReportReadbackSlot(Device& device)
     : terms(device, kRows * kLossTerms * sizeof(float), "loss terms"),
-      pass_cap(device, sizeof(std::uint32_t), "pass cap count"),
-      most_hits(device, sizeof(std::uint32_t), "most hits"),
-      overfull(device, sizeof(std::uint32_t), "rays with more hits than are kept") {}
+      pass_cap(device, sizeof(std::uint32_t), "number of truncated rays"),
+      most_hits(device, sizeof(std::uint32_t), "largest number of hits"),
+      overfull(device, sizeof(std::uint32_t), "number of rays with more hits than are stored") {}
 
 IterationReports::IterationReports(Device& device)
     : terms_(device, std::vector<float>(kRows * kLossTerms, 0.0f), "loss terms"), sums_(kLossTerms, 0.0) {

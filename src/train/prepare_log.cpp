@@ -102,8 +102,8 @@ std::string describe_path_length(const PoseTrack& track) {
 std::string describe_loop_closures(const RegistrationResult& registration) {
     if (registration.n_loop_closures == 0) return "";
     return fmt::format(
-        "; {} loops closed, where the vehicle returned to the same position, with corrections of "
-        "up to {:.2f} m",
+        "; {} loops were detected, where the vehicle returned to an earlier position; they corrected poses "
+        "by up to {:.2f} m",
         registration.n_loop_closures, registration.largest_loop_error_m);
 }
 
@@ -122,8 +122,9 @@ void report_unregistered_scans(const LidarSequence& sequence, const Registration
         if (is_lost && (frames.empty() || frames.back() != frame.index)) frames.push_back(frame.index);
     }
     const std::size_t n = sequence.world_from_vehicle.pose.size();
-    const std::string text = fmt::format("{} of {} scans could not be registered (frames {})", frames.size(),
-                                         n, format_number_list(frames));
+    const std::string text =
+        fmt::format("{} of {} scans could not be registered to their neighbours (frames {})", frames.size(),
+                    n, format_number_list(frames));
     if (double(frames.size()) > std::max(1.0, kMostLost * double(n)) && !config.train.allow_lost_scans)
         throw DataError(
             fmt::format("cannot register the scans of {}: {}; expected at most {:.0f} % of the scans. Use "
@@ -188,7 +189,7 @@ void calibrate_beam_range_offsets(LidarSequence& sequence, const TrainTestSplit&
             "range calibration of {} beams ({:.1f} million returns): mean distance from planes "
             "{:.1f} mm, {:.1f} mm with one offset per beam; {}",
             n, double(calibration.returns) * 1e-6, calibration.rms_before * 1e3, calibration.rms_after * 1e3,
-            calibration.adopted ? "the offsets are used" : "no offset is used"));
+            calibration.adopted ? "relidar uses the offsets" : "relidar does not use the offsets"));
     }
 }
 
@@ -269,7 +270,8 @@ std::string describe_box(const BoxTrack& box) {
         "{} ({:.1f} x {:.1f} m{}, {:.1f} m/s, {:.1f} s)", box.id, box.size_m.x, box.size_m.y,
         box.size_guess.empty()
             ? ""
-            : fmt::format(" estimated from the class {} because only one side was seen", box.size_guess),
+            : fmt::format(" estimated from the class {}, because the LiDAR observed only one side",
+                          box.size_guess),
         glm::distance(track.pose.front().translation, track.pose.back().translation) / seconds, seconds);
 }
 
@@ -302,8 +304,9 @@ void add_discovered_movers(LidarSequence& sequence, const TrainTestSplit& split,
                                     movers.size() == 1 ? "" : "s", movers.empty() ? "" : ": ",
                                     fmt::join(movers, ", ")));
     if (!extended.empty())
-        session.report_line(fmt::format("tracks of labelled objects extended to frames without a label: {}",
-                                        fmt::join(extended, ", ")));
+        session.report_line(
+            fmt::format("tracks of these labelled objects were extended to frames without a label: {}",
+                        fmt::join(extended, ", ")));
 }
 
 /// Refines the poses of moving boxes by registering their points. The first process
@@ -321,8 +324,8 @@ void refine_moving_box_poses(LidarSequence& sequence, const TrainTestSplit& spli
             session.group.broadcast_from_first_process(std::move(box.world_from_box.pose));
     if (registration.n_actors == 0) return;
     session.report_line(fmt::format(
-        "{} of {} moving boxes aligned to their points, moved by {:.3f} m (median); {} boxes "
-        "have moving labels but their points do not move",
+        "{} of {} moving boxes were aligned to their points and shifted by {:.3f} m (median); {} boxes have "
+        "moving labels, but their points do not move",
         registration.n_registered, registration.n_actors, registration.moved_m, registration.n_standing));
 }
 

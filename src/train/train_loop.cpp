@@ -319,8 +319,8 @@ void TrainLoop::check_iteration_reports(int last_step) {
                reports_.read_oldest_report(stream_, last_step)) {
         if (report->pass_cap > 0)
             throw DeviceError(fmt::format(
-                "training failed in iterations {} to {}: {} rays exceeded the maximum number of "
-                "traversal passes or the traversal stack; the scene may have too many overlapping surfels",
+                "training failed in iterations {} to {}: {} rays exceeded the maximum number of traversal "
+                "passes or the traversal stack; the scene probably has too many overlapping surfels",
                 report->first_step, report->last_step, report->pass_cap));
         increase_hit_capacity_if_needed(*report);
         increase_hits_kept_per_ray(*report);

@@ -117,7 +117,7 @@ TEST_F(Walkers, PeopleAndCyclistsChangeAndTheBackgroundDoesNot) {
                   0.8 * glm::distance(poses.front().translation, poses.back().translation))
             << track << ": the motion repeats after the recorded distance";
     }
-    EXPECT_TRUE(std::ranges::count(notes, "3 (Cyclist) changes from frame to frame"));
+    EXPECT_TRUE(std::ranges::count(notes, "3 (Cyclist) changes its shape from frame to frame"));
     EXPECT_FALSE(rigid.surfels.bends);
     for (std::size_t i = 0; i < model_of(walking, "background").count; ++i) {
         ASSERT_EQ(walking.surfels.gait[i].sharpness, 0.0f);

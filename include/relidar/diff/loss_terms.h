@@ -9,23 +9,24 @@
 /// loss is created only if at least one of these terms has a weight above 0.
 #define RELIDAR_LOSS_TERMS(TERM)                                                                             \
     TERM(0u, depth, depth, image, 0.1f, accept_at_least(0),                                                  \
-         "weight of the range loss, L1 over returned rays")                                                  \
+         "weight of the range loss: L1 distance over rays with a return")                                    \
     TERM(1u, intensity, intensity, image, 0.1f, accept_at_least(0),                                          \
-         "weight of the intensity loss over returned rays")                                                  \
+         "weight of the intensity loss over rays with a return")                                             \
     TERM(2u, drop, drop, image, 0.01f, accept_at_least(0),                                                   \
-         "weight of the ray-drop loss, cross-entropy over all rays")                                         \
-    TERM(3u, opacity, opacity, image, 0.0f, accept_at_least(0),                                              \
-         mark_expert("weight of the opacity loss (1 - W)^2 over returned rays"))                             \
+         "weight of the ray-drop loss: cross-entropy over all rays")                                         \
+    TERM(                                                                                                    \
+        3u, opacity, opacity, image, 0.0f, accept_at_least(0),                                               \
+        mark_expert(                                                                                         \
+            "weight of the opacity loss: (1 - W)^2 over rays with a return, where W is the sum of weights")) \
     TERM(4u, ssim, intensity_ssim, image, 0.0f, accept_between(0, 1),                                        \
-         mark_expert("share of 1 - SSIM in the intensity loss, the remainder is Huber or L1; needs rays in " \
-                     "rows and columns; 0: paper"))                                                          \
+         mark_expert("weight of 1 - SSIM within the intensity loss, from 0 to 1; the remaining weight is "   \
+                     "for Huber or L1; needs rays in rows and columns; 0: as in the paper"))                 \
     TERM(5u, box, box, surfel, 0.0f, accept_at_least(0),                                                     \
-         mark_expert("weight of the loss for surfels of actors outside their box; 0: paper"))                \
+         mark_expert("weight of the loss for surfels of actors outside their box; 0: as in the paper"))      \
     TERM(6u, chamfer, chamfer, chamfer, 0.01f, accept_at_least(0),                                           \
          mark_expert("weight of the Chamfer distance between simulated and real points, in squared metres")) \
     TERM(7u, likelihood, likelihood, likelihood, 0.0f, accept_at_least(0),                                   \
-         mark_expert(                                                                                        \
-             "weight of the negative log-likelihood of the measured range given the hits of the ray, "       \
-             "mean over returned rays; 0: paper"))
+         mark_expert("weight of the negative log-likelihood of the measured range given the hits of the "    \
+                     "ray, averaged over rays with a return; 0: as in the paper"))
 
 #endif

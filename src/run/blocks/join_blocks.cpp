@@ -83,9 +83,10 @@ void update_best_actors(const TrainedRun& block_run, const LidarSequence& full_s
         if (instance.track.empty()) continue;
         const BoxTrack* box = find_box(block_run.sequence, instance.track);
         if (!box)
-            throw DataError(fmt::format(
-                "{}: the scene has an instance of track \"{}\", but the log has no box with this track id",
-                block_run.folder.string(), instance.track));
+            throw DataError(
+                fmt::format("{}: the scene has an instance of track \"{}\", but the log has no box with this "
+                            "track id; expected the log that this block was trained with",
+                            block_run.folder.string(), instance.track));
         const std::size_t sightings = count_training_frames_near_box(*box, full_sequence, block);
         ActorModelCandidate& candidate = best_actors[instance.track];
         if (candidate.surfels.size() > 0 && sightings <= candidate.sightings) continue;

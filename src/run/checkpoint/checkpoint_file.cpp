@@ -59,7 +59,9 @@ std::string compute_checksum(const Texts& metadata, const std::vector<NamedArray
 /// format that callers should not see.
 std::string pop_metadata_value(Texts& metadata, const std::string& key) {
     const auto it = metadata.find(key);
-    if (it == metadata.end()) throw DataError(fmt::format("the metadata key \"{}\" is missing", key));
+    if (it == metadata.end())
+        throw DataError(
+            fmt::format("the metadata key \"{}\" is missing, expected a checkpoint of relidar", key));
     std::string value = std::move(it->second);
     metadata.erase(it);
     return value;
@@ -76,8 +78,9 @@ int parse_iteration_number(const std::string& text) {
     int iteration = -1;
     const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), iteration);
     if (error != std::errc() || stop != text.data() + text.size() || iteration < 0)
-        throw DataError(fmt::format("the metadata key \"iteration\" is \"{}\", expected an integer from 0",
-                                    shorten_for_error_message(text)));
+        throw DataError(
+            fmt::format("the metadata key \"iteration\" is \"{}\", expected an integer of at least 0",
+                        shorten_for_error_message(text)));
     return iteration;
 }
 
@@ -167,7 +170,7 @@ std::optional<Checkpoint> load_newest_checkpoint(
         try {
             return read_checkpoint(*path);
         } catch (const DataError& error) {
-            report_unreadable(fmt::format("{}; the previous checkpoint is used instead", error.what()));
+            report_unreadable(fmt::format("{}; relidar uses the previous checkpoint instead", error.what()));
         }
     }
     if (!paths.empty())

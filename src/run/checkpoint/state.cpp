@@ -33,7 +33,10 @@ void check_finite(const NamedArray& array) {
 const NamedArray& Checkpoint::get_array(const std::string& name) const {
     const NamedArray* match = find_array(arrays, name);
     if (!match)
-        throw DataError(fmt::format("the checkpoint of iteration {} has no array \"{}\"", iteration, name));
+        throw DataError(
+            fmt::format("the checkpoint of iteration {} has no array \"{}\", expected a checkpoint of the "
+                        "same version of relidar",
+                        iteration, name));
     return *match;
 }
 
@@ -41,7 +44,9 @@ const std::string& Checkpoint::get_text(const std::string& name) const {
     const auto it = texts.find(name);
     if (it == texts.end())
         throw DataError(
-            fmt::format("the checkpoint of iteration {} has no metadata key \"{}\"", iteration, name));
+            fmt::format("the checkpoint of iteration {} has no metadata key \"{}\", expected a checkpoint of "
+                        "the same version of relidar",
+                        iteration, name));
     return it->second;
 }
 

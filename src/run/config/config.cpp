@@ -112,7 +112,8 @@ void flatten_toml_table(const toml::table& table, const std::string& key_prefix,
 /// that to_toml() writes.
 /// @throws UsageError if a setting is missing or a key is unknown
 void check_settings_complete(const std::map<std::string, ParsedValue>& settings) {
-    constexpr const char* kAdvice = "a run that another version of relidar has written must be trained again";
+    constexpr const char* kAdvice =
+        "the run was probably written by another version of relidar, so it must be trained again";
     const std::vector<std::string> keys = list_all_setting_keys();
     for (const auto& [key, found] : settings)
         if (std::ranges::find(keys, key) == keys.end())

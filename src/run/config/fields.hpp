@@ -70,7 +70,8 @@ inline constexpr double kMaxSeed = 9007199254740992.0;
 template <class C, class Visitor>
 void visit_dataset_settings(C& config, Visitor&& visitor) {
     visitor("dataset.path", config.dataset.path, accept_anything(),
-            "the log, as a path or as KIND:PATH; training writes it into the settings of the run");
+            "path of the log, or KIND:PATH to set the kind of the dataset; training stores it in the "
+            "settings of the run");
     visitor("dataset.sequence", config.dataset.sequence, accept_anything(),
             "name of the drive if the dataset contains several; empty: the first drive");
     visitor("dataset.lidars", config.dataset.lidars, accept_anything(),
@@ -84,11 +85,11 @@ void visit_dataset_settings(C& config, Visitor&& visitor) {
     visitor("dataset.test_frames", config.dataset.test_frames, accept_anything(),
             "frames that are held out for testing, in the numbering of the dataset, for example "
             "13,26,40:45, where 40:45 excludes 45; empty: use dataset.test_every");
-    visitor("dataset.poses", config.dataset.poses, accept_anything(),
-            "text file with the poses of the vehicle, or of the LiDAR if the log has no mounting: 12 "
-            "numbers per frame, a 3 x 4 matrix by rows, or lines time_s x y z qw qx qy qz or time_s x y "
-            "z roll pitch yaw in radians; empty: use the poses of the dataset; none: estimate the poses "
-            "from the scans");
+    visitor(
+        "dataset.poses", config.dataset.poses, accept_anything(),
+        "text file with the poses of the vehicle, or of the LiDAR if the log has no mounting. Each line has "
+        "12 numbers (a 3 x 4 matrix by rows), or time_s x y z qw qx qy qz, or time_s x y z roll pitch yaw in "
+        "radians; empty: use the poses of the dataset; none: estimate the poses from the scans");
     visitor("dataset.poses_from", config.dataset.poses_from, accept_anything(),
             "for a ROS bag, the source of the LiDAR's poses: a frame of /tf, such as map or odom, or "
             "a topic with odometry or poses; empty: chosen automatically, and `relidar info` prints "
@@ -100,9 +101,9 @@ void visit_dataset_settings(C& config, Visitor&& visitor) {
             "minimum range in metres; nearer returns of the log count as dropped, and the simulated "
             "sensor of the log returns nothing nearer");
     visitor("dataset.max_range_m", config.dataset.max_range_m, accept_at_least(0),
-            "maximum range in metres; farther returns of the log count as dropped, and the simulated "
-            "sensor of the log returns nothing farther; 0: the limit of the sensor, or if it is "
-            "unknown the farthest return of the log");
+            "maximum range in metres; farther returns of the log count as dropped, and the simulated sensor "
+            "of the log returns nothing farther; 0: the limit of the sensor, or the farthest return of the "
+            "log if this limit is unknown");
     visitor("dataset.waymo_intensity", config.dataset.waymo_intensity, accept_one_of({"tanh", "clamp"}),
             mark_expert("how intensities of Waymo Open, which have no upper limit, are mapped to 0 to 1: by "
                         "tanh, or by clamping at 1"));
@@ -114,8 +115,8 @@ void visit_dataset_settings(C& config, Visitor&& visitor) {
 template <class C, class Visitor>
 void visit_sensor_settings(C& config, Visitor&& visitor) {
     visitor("sensor.grid", config.sensor.grid, accept_one_of({"native", "kitti360"}),
-            "pixel grid of the range image that is rendered and scored: the rows and columns of the "
-            "sensor (native), or the grid of KITTI-360 with 66 x 1030 pixels (kitti360)");
+            "pixel grid of the range images that are rendered and scored: the rows and columns of the sensor "
+            "(native), or the grid of KITTI-360 with 66 x 1030 pixels (kitti360)");
     visitor("sensor.grid_method", config.sensor.grid_method, accept_one_of({"project", "cast"}),
             mark_expert(
                 "how images on the KITTI-360 grid are made: project: simulate the native scan and "
@@ -135,11 +136,11 @@ void visit_sensor_settings(C& config, Visitor&& visitor) {
     visitor("sensor.divergence_mrad", config.sensor.divergence_mrad, accept_between(0, 100),
             "full beam divergence of the simulated sensor in milliradians; 0: the value of the sensor");
     visitor("sensor.returns", config.sensor.returns, accept_between(1, 2),
-            "number of simulated returns per ray; 2 needs sensor.sub_rays and gives the strongest "
+            "number of simulated returns per ray; 2 needs sensor.sub_rays of 5 or 9, and gives the strongest "
             "and the last return, or the second strongest if the last is the strongest");
-    visitor(
-        "sensor.return_separation_m", config.sensor.return_separation_m, accept_above(0),
-        mark_expert("hits of a beam whose ranges differ by less than this merge into one return, in metres"));
+    visitor("sensor.return_separation_m", config.sensor.return_separation_m, accept_above(0),
+            mark_expert("hits of a beam merge into one return if their ranges differ by less than this "
+                        "distance in metres"));
 }
 
 template <class C, class Visitor>
@@ -148,24 +149,25 @@ void visit_initialisation_settings(C& config, Visitor&& visitor) {
             "edge length in metres of the voxels in which the points of all training frames are "
             "averaged to initialise surfels");
     visitor("init.voxel_growth", config.init.voxel_growth, accept_at_least(0),
-            mark_expert("growth of the voxel edge per metre of range from the nearest sensor position; 0: "
-                        "constant voxels (paper)"));
+            mark_expert("increase of the voxel edge length per metre of distance from the nearest sensor "
+                        "position; 0: all voxels have the same size (as in the paper)"));
+    visitor("init.normals", config.init.normals, accept_anything(),
+            mark_expert("orient new surfels by normals that are estimated from the nearest neighbouring "
+                        "points; false: random orientations"));
     visitor(
-        "init.normals", config.init.normals, accept_anything(),
-        mark_expert("orient new surfels along normals estimated from their nearest neighbours; false: random "
-                    "orientation"));
-    visitor("init.unlabelled_movers", config.init.unlabelled_movers,
-            accept_one_of({"background", "removed", "actors"}),
-            "treatment of moving objects without a labelled box: background: part of the background "
-            "(paper); removed: their points are removed where other training frames see free space; "
-            "actors: removed from the background, and each becomes an actor with a new track");
+        "init.unlabelled_movers", config.init.unlabelled_movers,
+        accept_one_of({"background", "removed", "actors"}),
+        "how moving objects without a labelled box are handled: background: they are part of the background "
+        "(as in the paper); removed: their points are removed where other training frames observe free "
+        "space; actors: "
+        "they are removed from the background, and each becomes an actor with a new track");
     visitor(
         "init.scale_factor", config.init.scale_factor, accept_above(0),
         mark_expert("ratio of the standard deviation of a new surfel to the mean distance to its 3 nearest "
                     "neighbours"));
     visitor("init.max_gap_m", config.init.max_gap_m, accept_at_least(0),
             mark_expert("new surfels are elongated to close gaps between scan lines of up to this width in "
-                        "metres; 0: all new surfels are round (paper)"));
+                        "metres; 0: all new surfels are round (as in the paper)"));
     visitor("init.actor_classes", config.init.actor_classes, accept_anything(),
             "classes whose moving boxes become actors, separated by commas: vehicle, cyclist, "
             "person, other, or a class name of the dataset; all: every class; empty: no class; see "
@@ -173,17 +175,17 @@ void visit_initialisation_settings(C& config, Visitor&& visitor) {
     visitor(
         "init.mask_others", config.init.mask_others, accept_anything(),
         mark_expert("ignore points and losses inside moving boxes whose class is not in init.actor_classes; "
-                    "false: these boxes are part of the background (paper)"));
+                    "false: these boxes are part of the background (as in the paper)"));
     visitor("init.actor_tracks", config.init.actor_tracks, accept_anything(),
             mark_expert("ids of tracks that become actors in any case, even if they are parked or of another "
                         "class, separated by commas; empty: only init.actor_classes decides"));
     visitor("init.deform", config.init.deform, accept_anything(),
             "classes whose actors change their shape while they walk, separated by commas: vehicle, "
-            "cyclist, person, other, or a class name of the dataset; empty: all actors are rigid (paper)");
-    visitor(
-        "init.actor_pad_to", config.init.actor_pad_to, accept_between(0, 1e6),
-        mark_expert("add random points inside the box of an actor until it has this number of points; 0: add "
-                    "none; paper: 8000"));
+            "cyclist, person, other, or a class name of the dataset; empty: all actors are rigid (as in the "
+            "paper)");
+    visitor("init.actor_pad_to", config.init.actor_pad_to, accept_between(0, 1e6),
+            mark_expert("add random points inside the box of an actor until the actor has this number of "
+                        "points; 0: add no points; value in the paper: 8000"));
     visitor(
         "init.actor_min_points", config.init.actor_min_points, accept_between(10, 1e6),
         mark_expert("minimum number of points of an actor; points and losses in boxes with fewer points are "
@@ -193,24 +195,25 @@ void visit_initialisation_settings(C& config, Visitor&& visitor) {
 template <class C, class Visitor>
 void visit_image_settings(C& config, Visitor&& visitor) {
     visitor("image.alpha_min", config.image.alpha_min, accept_between(1e-6, 0.5),
-            mark_expert("minimum alpha at the edge of a surfel (paper: 1/255); larger values make surfels "
-                        "smaller, so that rays hit fewer of them"));
+            mark_expert("minimum alpha at the edge of a surfel (value in the paper: 1/255); larger values "
+                        "make surfels smaller, so that rays hit fewer of them"));
     visitor("image.transmittance_min", config.image.transmittance_min, accept_between(0, 0.5),
             mark_expert("a ray stops before the surfel that would reduce its transmittance below this value; "
                         "must be less than 0.01, otherwise opaque surfels are never rendered"));
     visitor("image.sh_degree", config.image.sh_degree, accept_between(0, 3),
-            "degree of the spherical harmonics");
+            "degree of the spherical harmonics, which describe how intensity and ray-drop of a surfel depend "
+            "on the direction");
     visitor(
         "image.sh_direction", config.image.sh_direction, accept_one_of({"ray", "surfel"}),
         mark_expert("direction in which spherical harmonics are evaluated: ray: along the ray, for each hit; "
                     "surfel: from the sensor to the mean of the surfel, once per surfel"));
     visitor("image.single_drop_logit", config.image.single_drop_logit, accept_anything(),
             mark_expert("compute the ray-drop probability as the sigmoid of one blended logit; false: as the "
-                        "softmax of a drop logit and a hit logit (paper)"));
-    visitor(
-        "image.primitive", config.image.primitive, accept_one_of(list_primitive_names()),
-        mark_expert("primitives of the scene: flat 2D Gaussians (paper) or 3D Gaussians; ray query traces 3D "
-                    "Gaussians as icosahedra of triangles"));
+                        "softmax of a drop logit and a hit logit (as in the paper)"));
+    visitor("image.primitive", config.image.primitive, accept_one_of(list_primitive_names()),
+            mark_expert("primitives of the scene: flat 2D Gaussians (as in the paper) or 3D Gaussians; ray "
+                        "query traces 3D "
+                        "Gaussians as icosahedra of triangles"));
 }
 
 template <class C, class Visitor>
@@ -219,16 +222,15 @@ void visit_loss_settings(C& config, Visitor&& visitor) {
     visitor("loss." #setting, config.loss.setting, accepts, meaning);
     RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
-    visitor(
-        "loss.normalised_depth", config.loss.normalised_depth, accept_anything(),
-        mark_expert("the range loss compares the normalised range D / W, where D is the blended range and W "
-                    "the sum of weights; false: D (paper)"));
+    visitor("loss.normalised_depth", config.loss.normalised_depth, accept_anything(),
+            mark_expert("the range loss compares the normalised range D / W, where D is the blended range "
+                        "and W the sum of weights; false: it compares D (as in the paper)"));
 }
 
 template <class C, class Visitor>
 void visit_training_settings(C& config, Visitor&& visitor) {
     visitor("train.iterations", config.train.iterations, accept_between(0, kMaxCount),
-            "number of optimiser steps; 0: keep the initial scene");
+            "number of optimiser steps; 0: the scene is not trained after its initialisation");
     visitor(
         "train.grid", config.train.grid, accept_one_of({"native", "kitti360"}),
         mark_expert("rays of a training frame: the rays as fired (native), or one ray per pixel of the 66 x "
@@ -240,7 +242,8 @@ void visit_training_settings(C& config, Visitor&& visitor) {
         mark_expert("number of steps after which the active degree of the spherical harmonics increases by "
                     "one"));
     visitor("train.only_touched", config.train.only_touched, accept_anything(),
-            mark_expert("surfels without a gradient in a step keep their values and their Adam moments"));
+            mark_expert("surfels without a gradient in a step keep their values and Adam moments; false: all "
+                        "surfels are updated in each step"));
     visitor("train.deterministic", config.train.deterministic, accept_anything(),
             "sum gradients in a fixed order, so that repeated runs on one device give bit-identical "
             "parameters");
@@ -277,24 +280,23 @@ void visit_refinement_settings(C& config, Visitor&& visitor) {
             "train a network that corrects ray-drop after the scene (paper, Eq. 12-13), and use it "
             "in rendering if the run has one");
     visitor("refine.network", config.refine.network, accept_one_of({"small", "paper", "pixel"}),
-            "type of the network: small: a U-Net with 8 channels and 3 levels; paper: a U-Net with "
-            "32 channels, 4 levels and attention; pixel: a network that processes each pixel "
-            "independently");
-    visitor(
-        "refine.image", config.refine.image, accept_one_of({"native", "grid"}),
-        mark_expert("image that the network reads: native: the image of the sensor's rays; grid: the image "
-                    "on the pixel grid of sensor.grid"));
+            "type of the ray-drop network: small: a U-Net with 8 channels and 3 levels; paper: a U-Net with "
+            "32 channels, 4 levels and attention; pixel: a network that processes each pixel independently");
+    visitor("refine.image", config.refine.image, accept_one_of({"native", "grid"}),
+            mark_expert("image that the ray-drop network reads: native: the image of the sensor's rays; "
+                        "grid: the image on the pixel grid of sensor.grid"));
     visitor("refine.rays", config.refine.rays, accept_one_of({"none", "direction", "origin,direction"}),
-            mark_expert("additional inputs of the network: direction: the elevation of each ray; origin: the "
-                        "position of the sensor; the paper uses both"));
-    visitor(
-        "refine.frames", config.refine.frames, accept_at_least(0),
-        mark_expert("maximum number of training frames that the network is trained on, evenly distributed "
-                    "over the log; 0: all"));
+            mark_expert("additional inputs of the ray-drop network: direction: the elevation of each ray; "
+                        "origin: the position of the sensor; the paper uses both"));
+    visitor("refine.frames", config.refine.frames, accept_at_least(0),
+            mark_expert("maximum number of training frames that the ray-drop network is trained on, evenly "
+                        "distributed over the log; 0: all"));
     visitor("refine.epochs", config.refine.epochs, accept_between(1, 100000),
-            "number of epochs, which are passes over these training frames");
-    visitor("refine.rate", config.refine.rate, accept_above(0),
-            mark_expert("initial learning rate of the network; it decreases to one hundredth of this value"));
+            "number of epochs of the ray-drop network, which are passes over its training frames");
+    visitor(
+        "refine.rate", config.refine.rate, accept_above(0),
+        mark_expert(
+            "initial learning rate of the ray-drop network; it decreases to one hundredth of this value"));
 }
 
 /// Calls visitor(key, field, accepts, help) for every setting, in the order of the TOML
@@ -302,7 +304,7 @@ void visit_refinement_settings(C& config, Visitor&& visitor) {
 template <class C, class Visitor>
 void visit_all_settings(C& config, Visitor&& visitor) {
     visitor("preset", config.preset, accept_one_of({"paper", "released", "default", "quick"}),
-            "name of the preset that sets all values; setting it overwrites all other settings");
+            "name of the preset that sets all values; setting the preset overwrites all other settings");
     visit_dataset_settings(config, visitor);
     visit_sensor_settings(config, visitor);
     visit_initialisation_settings(config, visitor);
@@ -314,14 +316,14 @@ void visit_all_settings(C& config, Visitor&& visitor) {
             "maximum length in metres of a block of the trajectory; a long log is trained block by "
             "block; 0: train the log as one piece");
     visitor("densify.strategy", config.densify.strategy, accept_one_of({"none", "adaptive"}),
-            "how training adds and removes surfels; adaptive: by their gradients (paper)");
+            "how training adds and removes surfels; adaptive: by their gradients (as in the paper)");
     visit_refinement_settings(config, visitor);
-    visitor(
-        "render.range", config.render.range, accept_one_of({"expected", "normalised", "median", "mode"}),
-        mark_expert("range of a ray in range images: expected: the blended range D (paper); normalised: D / "
-                    "W, where W is the sum of the weights; median: the range at which the transmittance "
-                    "falls below 0.5; mode: the mean range of the surface with the largest weight, where "
-                    "hits closer together than sensor.return_separation_m form one surface"));
+    visitor("render.range", config.render.range, accept_one_of({"expected", "normalised", "median", "mode"}),
+            mark_expert("range of a ray in range images: expected: the blended range D (as in the paper); "
+                        "normalised: D / "
+                        "W, where W is the sum of the weights; median: the range at which the transmittance "
+                        "falls below 0.5; mode: the mean range of the surface with the largest weight, where "
+                        "hits closer together than sensor.return_separation_m form one surface"));
     visitor("render.channels", config.render.channels, accept_some_of(list_optional_channel_names()),
             "additional channels of scans, in all output files; `relidar render --help` describes "
             "them");
@@ -331,15 +333,15 @@ void visit_all_settings(C& config, Visitor&& visitor) {
                     "that each point is on a surface; range: the range that render.range selects, which can "
                     "be between two surfaces"));
     visitor("render.memory_mib", config.render.memory_mib, accept_between(0, kMaxCount),
-            "device memory in MiB for caching blocks of a long scene, in addition to the blocks that "
-            "the current scan needs");
+            "device memory in MiB for blocks of a long scene that the current scan does not need; they are "
+            "kept for later scans");
     visitor("trace.chunk", config.trace.chunk, accept_between(1, 64),
             mark_expert("number of hits that a ray collects and sorts per traversal"));
     visitor(
         "trace.keep_hits", config.trace.keep_hits, accept_between(0, 4096),
         mark_expert("number of hits per ray, 16 bytes each, that training stores so that the backward pass "
                     "needs no second traversal; it is doubled up to 256 if a ray has more hits; 0: traverse "
-                    "again (paper)"));
+                    "again (as in the paper)"));
 }
 
 }  // namespace relidar::config_detail

@@ -340,8 +340,8 @@ NewActorMotion compute_actor_start_on_ground(const SceneWithLogView& driving,
     std::optional<GroundPlane> plane = ground_at(xy);
     if (!plane)
         throw UsageError(fmt::format(
-            "cannot place {} on the ground at {:.6g},{:.6g} in the dataset's world: the background "
-            "has no surface below its box ({}); choose a position that the log has observed",
+            "cannot place {} on the ground at {:.6g},{:.6g} in the dataset's world: the background has no "
+            "surface below its box ({}); choose a position on a surface that the log has observed",
             track, ground_place.dataset_m.x, ground_place.dataset_m.y,
             surfels.format_nearest_surfel_distance(xy)));
     const std::optional<double> clearance_m =

@@ -65,8 +65,8 @@ void check_equal_row_counts(const NamedArray& positions, const NamedArray& value
                             const std::string& file_name) {
     if (positions.shape[0] != values.shape[0])
         throw DataError(
-            fmt::format("{}: the array of places has {} rows and the array of {} has {}, expected the same "
-                        "number of rows",
+            fmt::format("{}: the array of positions has {} rows and the array of {} has {} rows, expected "
+                        "the same number",
                         file_name, positions.shape[0], values.name, values.shape[0]));
 }
 

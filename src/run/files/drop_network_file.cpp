@@ -37,9 +37,10 @@ void read_network_architecture(const JsonField& architecture, RayDropNetwork& ne
     network.image = architecture.at("image").get_string();
     const JsonField inputs = architecture.at("inputs"), widths = architecture.at("widths");
     if (inputs.size() < 1 || inputs.size() > 64)
-        inputs.throw_field_error(fmt::format("found {} inputs", inputs.size()), "expected 1 to 64");
+        inputs.throw_field_error(fmt::format("found {} inputs", inputs.size()), "expected 1 to 64 inputs");
     if (widths.size() < 1 || widths.size() > 8)
-        widths.throw_field_error(fmt::format("found {} sizes", widths.size()), "expected 1 to 8");
+        widths.throw_field_error(fmt::format("found {} channel numbers", widths.size()),
+                                 "expected 1 to 8 channel numbers, one per level");
     for (std::size_t i = 0; i < inputs.size(); ++i) network.inputs.push_back(inputs.at(i).get_string());
     for (std::size_t i = 0; i < widths.size(); ++i)
         network.widths.push_back(std::uint32_t(widths.at(i).get_integer(2, 4096)));

@@ -89,7 +89,7 @@ std::optional<ObservedBoxSurface> read_box_surface(const JsonField& model) {
         const JsonField side = field.at(get_name(BoxSide(s)));
         if (!surface.parse_observed_patches(BoxSide(s), side.get_string()))
             side.throw_field_error(
-                "found a text of " + std::to_string(side.get_string().size()) + " characters",
+                "found a text with " + std::to_string(side.get_string().size()) + " characters",
                 "expected a 0 or 1 for each of " +
                     std::to_string(surface.format_observed_patches(BoxSide(s)).size()) + " patches");
     }

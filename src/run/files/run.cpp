@@ -84,10 +84,10 @@ void save_run_config(const TrainedRun& run, const fs::path& folder) {
     const fs::path path = folder / kConfigFile;
     write_text_file(path, to_toml(run.config));
     if (load_saved_config(path) != run.config)
-        throw DataError(fmt::format(
-            "cannot save {}: an option that is not a setting differs from preset {}; change only the "
-            "settings that `relidar list settings --all` prints",
-            (run.folder / kConfigFile).string(), run.config.preset));
+        throw DataError(
+            fmt::format("cannot save {}: a value that the file cannot store differs from the preset {}; "
+                        "change only the settings that `relidar list settings --all` prints",
+                        (run.folder / kConfigFile).string(), run.config.preset));
 }
 
 void save_scene(const TrainedRun& run, const fs::path& folder, bool keep_block_files) {
@@ -203,8 +203,8 @@ TrainedRun load_run(const fs::path& folder) {
     check_is_folder(folder, "a run folder");
     for (const char* name : {kConfigFile, kSceneFile, kModelFile}) {
         if (!does_path_exist(folder / name))
-            throw DataError(
-                fmt::format("{} is missing, but every run folder must contain it", (folder / name).string()));
+            throw DataError(fmt::format("the file {} is missing, but every run folder must contain it",
+                                        (folder / name).string()));
     }
     TrainedRun run;
     run.folder = folder;
@@ -221,8 +221,9 @@ TrainedRun load_run(const fs::path& folder) {
     run.scene = load_model(folder / kModelFile);
     for (const SceneBlock& block : run.scene.blocks)
         if (!does_path_exist(block.file))
-            throw DataError(fmt::format("{} is missing, but this run has {} blocks with one file each",
-                                        block.file.string(), run.scene.blocks.size()));
+            throw DataError(
+                fmt::format("the file {} is missing, but this run has {} blocks with one file each",
+                            block.file.string(), run.scene.blocks.size()));
     if (does_path_exist(folder / kSweepsFile))
         run_detail::load_azimuth_corrections(folder / kSweepsFile, run.sequence);
     if (does_path_exist(folder / kCoverageFile))

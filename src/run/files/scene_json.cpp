@@ -109,7 +109,8 @@ Pose read_pose(const JsonField& field) {
     const glm::dquat q(v[3], v[4], v[5], v[6]);
     const double length = glm::length(q);
     if (std::abs(length - 1.0) > 1e-6)
-        field.throw_field_error(fmt::format("found a quaternion of length {}", length), "expected 1");
+        field.throw_field_error(fmt::format("found a quaternion of length {}", length),
+                                "expected a quaternion of length 1");
     check_absolute_values(field, {v[0], v[1], v[2]}, kFarthest_m);
     // Does not normalise the quaternion again, because rounding would change its last
     // digit.
@@ -145,7 +146,7 @@ std::vector<Lidar> read_lidars(const JsonField& root) {
         if (field.at(i).has_member("range_noise"))
             lidars.back().range_noise = read_range_noise(field.at(i).at("range_noise"));
     }
-    if (lidars.empty()) field.throw_field_error("found no LiDAR", "expected at least one");
+    if (lidars.empty()) field.throw_field_error("found no LiDAR", "expected at least one LiDAR");
     return lidars;
 }
 
@@ -154,12 +155,13 @@ IntensityResponse read_intensity_response(const JsonField& field) {
     const IntensityResponse r{field.at("range_m").get_numbers(), field.at("factor").get_numbers(),
                               field.at("incidence").get_number(0.0, 1.0)};
     if (r.factor.size() != r.range_m.size())
-        field.at("factor").throw_field_error(fmt::format("found {} factors", r.factor.size()),
-                                             fmt::format("expected {}, one for each knot", r.range_m.size()));
+        field.at("factor").throw_field_error(
+            fmt::format("expected {} factors, one for each knot", r.factor.size()),
+            fmt::format("expected {}, one for each knot", r.range_m.size()));
     if (!std::is_sorted(r.range_m.begin(), r.range_m.end()))
         field.at("range_m").throw_field_error("found decreasing ranges", "expected increasing ranges");
     if (!std::all_of(r.factor.begin(), r.factor.end(), [](double f) { return f > 0.0 && f < kHuge; }))
-        field.at("factor").throw_field_error("found a factor of 0 or less", "expected all above 0");
+        field.at("factor").throw_field_error("expected only factors above 0", "expected all above 0");
     return r;
 }
 
@@ -193,7 +195,8 @@ void read_frames_and_split(const JsonField& field, SceneJsonContents& scene) {
         append_frame_pose(entry, frame.time_s, scene.sequence.world_from_vehicle);
         scene.sequence.frames.push_back(std::move(frame));
     }
-    if (scene.sequence.frames.empty()) field.throw_field_error("found no frame", "expected at least one");
+    if (scene.sequence.frames.empty())
+        field.throw_field_error("found no frame", "expected at least one frame");
 }
 
 BoxTrack read_box_track(const JsonField& field) {
@@ -204,7 +207,7 @@ BoxTrack read_box_track(const JsonField& field) {
     if (!(std::min({box.size_m.x, box.size_m.y, box.size_m.z}) > 0.0))
         field.at("size_m").throw_field_error(
             fmt::format("found {} x {} x {} m", box.size_m.x, box.size_m.y, box.size_m.z),
-            "expected all above 0");
+            "expected three lengths above 0");
     box.world_from_box.time_s = field.at("time_s").get_numbers();
     const JsonField poses = field.at("world_from_box");
     for (std::size_t i = 0; i < poses.size(); ++i) box.world_from_box.pose.push_back(read_pose(poses.at(i)));
@@ -212,9 +215,9 @@ BoxTrack read_box_track(const JsonField& field) {
     for (const double t : box.world_from_box.time_s) check_absolute_values(field.at("time_s"), {t}, kHuge);
     if (poses.size() != n)
         poses.throw_field_error(fmt::format("found {} poses", poses.size()),
-                                fmt::format("expected {}, one for each time", n));
+                                fmt::format("expected {} poses, one for each time", n));
     if (!std::is_sorted(box.world_from_box.time_s.begin(), box.world_from_box.time_s.end()))
-        field.at("time_s").throw_field_error("found decreasing times", "expected increasing times");
+        field.at("time_s").throw_field_error("expected increasing times", "expected increasing times");
     if (field.has_member("size_guess")) box.size_guess = field.at("size_guess").get_string();
     if (field.has_member("beside_labels")) {
         const JsonField beside = field.at("beside_labels");

@@ -35,10 +35,10 @@ std::vector<int> find_neighbouring_training_frames(const LidarSequence& sequence
     for (const int p : {before, after})
         if (p >= 0) neighbours.push_back(p);
     if (neighbours.empty())
-        throw DataError(fmt::format(
-            "cannot project neighbouring scans: no training frame is before or after position {} of "
-            "the log",
-            frame_index));
+        throw DataError(
+            fmt::format("cannot project neighbouring scans: the log has no training frame before or after "
+                        "position {}, expected at least one",
+                        frame_index));
     return neighbours;
 }
 

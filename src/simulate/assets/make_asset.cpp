@@ -134,9 +134,10 @@ std::string get_only_actor_track(const TrainedRun& run) {
     for (const ModelInstance& instance : run.scene.instances)
         if (!instance.track.empty()) tracks.push_back(instance.track);
     if (tracks.size() == 1) return tracks.front();
-    throw UsageError(fmt::format(
-        "{} is a run with {} actors, expected an asset, or RUN#TRACK{}", run.folder.string(), tracks.size(),
-        tracks.empty() ? "" : fmt::format(" with one of {}", fmt::join(tracks, ", "))));
+    throw UsageError(
+        fmt::format("{} is a run with {} actors, expected an asset, or RUN#TRACK to select an actor{}",
+                    run.folder.string(), tracks.size(),
+                    tracks.empty() ? "" : fmt::format(" whose track is one of {}", fmt::join(tracks, ", "))));
 }
 
 }  // namespace relidar

@@ -117,10 +117,10 @@ void ScanRenderer::submit_points(const SimulatedSensor& sensor, const ScanReques
                                  SubmissionTiming mode) {
     Impl& s = *impl_;
     if (s.pending.size() >= kScansInFlight)
-        throw UsageError(fmt::format(
-            "cannot request the points of another scan: {} requested scans were not read, expected "
-            "fewer than {}",
-            s.pending.size(), kScansInFlight));
+        throw UsageError(
+            fmt::format("cannot request the points of another scan: {} requested scans have not been read "
+                        "yet, expected fewer than {}; read one of them first",
+                        s.pending.size(), kScansInFlight));
     const SimulatedSweep sweep = s.sweeps.make_sweep_of_request(sensor, request);
     const Pose dataset_from_points = request.dataset_from_sensor.interpolate_pose(points_at_s);
     const ScanRenderPlan plan = s.plan_steps_for_sweep(sweep, sample.has_value());

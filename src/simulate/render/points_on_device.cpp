@@ -15,14 +15,14 @@ DevicePointComputer::DevicePointComputer(Device& device)
       gather_(device, "simulate/render/gather_points"),
       sum_(device),
       count_(device, 1, "number of returned points"),
-      sampled_ranges_(device, kSampledRays, "ranges of some rays") {}
+      sampled_ranges_(device, kSampledRays, "ranges of rays") {}
 
 void DevicePointComputer::reserve_ray_memory(Stream& stream, std::size_t n_rays) {
     if (n_rays <= points_.size()) return;
     stream.submit_and_wait();
     marks_ = {}, point_indices_ = {}, points_ = {};  // frees the old arrays before allocating larger ones
-    marks_ = Array<std::uint32_t, shared::ReturnMarks>(device_, n_rays, "rays that return");
-    point_indices_ = Array<std::uint32_t, shared::ReturnPlaces>(device_, n_rays, "places of points");
+    marks_ = Array<std::uint32_t, shared::ReturnMarks>(device_, n_rays, "rays with a return");
+    point_indices_ = Array<std::uint32_t, shared::ReturnPlaces>(device_, n_rays, "indices of points");
     sum_.reserve(device_, n_rays);
     points_ = Array<shared::ReturnedPoint>(device_, n_rays, "returned points");
 }
@@ -62,8 +62,8 @@ std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::rec
 
 DevicePointComputer::PointReadbackSlot::PointReadbackSlot(Device& device)
     : count(device, sizeof(std::uint32_t), "number of returned points"),
-      sampled_ranges(device, kSampledRays * sizeof(float), "ranges of some rays"),
-      capped(device, sizeof(std::uint32_t), "pass cap count") {}
+      sampled_ranges(device, kSampledRays * sizeof(float), "ranges of rays"),
+      capped(device, sizeof(std::uint32_t), "number of truncated rays") {}
 
 std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::record_copy_to_host(
     Stream& stream, std::size_t n_rays, const Array<std::uint32_t>& capped_ray_count) {

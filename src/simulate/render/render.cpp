@@ -346,7 +346,7 @@ void ScanRenderer::set_drop_network(const RayDropNetwork& network) {
 void ScanRenderer::enable_optional_channels(const std::string& comma_separated_names) {
     for (const ChannelInfo& channel : parse_channel_names(comma_separated_names)) {
         if (impl_->has_channel(channel.name)) continue;
-        check_normals_available(impl_->config, channel, "choosing channels");
+        check_normals_available(impl_->config, channel, "cannot enable channels");
         impl_->settings.channels.push_back(channel);
     }
 }

@@ -27,12 +27,12 @@ void check_beams_can_be_split(const RayTable& rays, const SensorConfig& beam_con
                               const SimulatedSensor& sensor) {
     if (sensor.grid && beam_config.returns > 1)
         throw UsageError(fmt::format(
-            "sensor.returns: found 2 for {}, expected 1, because its image has one range per pixel",
+            "sensor.returns: found 2 for {}, expected 1, because its range image has one range per pixel",
             sensor.name));
     if (beam_config.sub_rays == 1 && beam_config.returns > 1)
         throw UsageError(
-            "sensor.returns=2 needs sensor.sub_rays of 5 or 9, because a single ray has only one "
-            "return");
+            "sensor.returns: found 2 with sensor.sub_rays=1, expected sensor.sub_rays=5 or 9, because a "
+            "single ray has only one return");
     if (beam_config.sub_rays == 1) return;
     if (beam_config.sub_rays != 5 && beam_config.sub_rays != 9)
         throw UsageError(fmt::format("sensor.sub_rays: found {}, expected 1, 5 or 9", beam_config.sub_rays));

@@ -167,7 +167,8 @@ SimulatedSensor choose_sensor(const std::string& name_or_file, const Config& con
 RenderedScan bin_scan_into_grid(const RenderedScan& scan, const RangeImageGrid& grid) {
     const RayTable cells = make_rays(grid);
     const std::size_t n = cells.size();
-    check_channel_names_and_sizes(scan.channels, scan.median_range_m.size(), "a scan that is binned");
+    check_channel_names_and_sizes(scan.channels, scan.median_range_m.size(),
+                                  "scan to be projected onto the grid");
     RenderedScan result = make_scan_without_measurements(cells, scan);
     for_each_channel_pair(
         scan, result,

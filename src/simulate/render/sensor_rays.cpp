@@ -206,8 +206,8 @@ void DeviceSensorRays::record_drop_network(Stream& stream, RayDropInference& net
     const std::vector<std::uint32_t> channels = list_drop_channel_indices(network.network().inputs);
     if (channels.size() * table_.size() > samples_.size()) {
         stream.submit_and_wait();
-        samples_ =
-            Array<float, shared::DropSamples>(device_, channels.size() * table_.size(), "a scan to refine");
+        samples_ = Array<float, shared::DropSamples>(device_, channels.size() * table_.size(),
+                                                     "scan that the ray-drop network refines");
     }
     run(stream, drop_channels_, table_.size(),
         {.rays = rays_.address(),

@@ -25,7 +25,7 @@ void check_track(const PoseTrack& track, const std::string& object_name) {
     const std::size_t n = track.pose.size();
     if (n == 0 || n != track.time_s.size())
         fail(fmt::format("{} poses and {} times", n, track.time_s.size()),
-             "the same number of poses and times, and at least one");
+             "the same number of poses and times, at least one of each");
     for (std::size_t i = 0; i < n; ++i) {
         const auto& [q, t] = track.pose[i];
         bool is_pose = std::abs(glm::length(q) - 1.0) < 1e-3;
@@ -78,10 +78,9 @@ SimulatedSweepBuilder::SimulatedSweepBuilder(const Config& config, const Scene& 
 
 void SimulatedSweepBuilder::set_visible_instances(const std::vector<bool>& shown) {
     if (shown.size() != shown_.size())
-        throw UsageError(
-            fmt::format("cannot select the rendered instances: found {} choices, expected {}, one for each "
-                        "instance",
-                        shown.size(), shown_.size()));
+        throw UsageError(fmt::format(
+            "cannot select the rendered instances: found {} values, expected {}, one for each instance",
+            shown.size(), shown_.size()));
     shown_ = shown;
 }
 

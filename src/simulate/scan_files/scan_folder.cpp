@@ -117,9 +117,9 @@ void ScanFolderWriter::write_summary_file() const {
         {"deskewed", has_deskewed_points(format_)},
         {"range", range},
         {"returned", "drop_prob < 0.5"},
-        {"returns", config.sensor.returns == 2
-                        ? "1 the strongest, 2 the last, or the next strongest where that is the last"
-                        : "one a ray"}};
+        {"returns", config.sensor.returns == 2 ? "1: the strongest return, 2: the last return, or the second "
+                                                 "strongest if the last is the strongest"
+                                               : "one return per ray"}};
     Json json = {
         {"format", "relidar scans"},
         {"version", 1},

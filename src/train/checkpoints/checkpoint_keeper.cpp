@@ -34,16 +34,16 @@ void CheckpointFolder::save_checkpoint_or_report(Checkpoint checkpoint,
                                                  const std::function<void(Checkpoint&)>& add_state) {
     const int iteration = checkpoint.iteration;
     const auto failed = [&](const std::string& why) {
-        const std::string safe = newest_ > 0
-                                     ? fmt::format("the last checkpoint is that of {} {}", count_, newest_)
-                                     : "no earlier checkpoint exists";
+        const std::string safe =
+            newest_ > 0 ? fmt::format("the last checkpoint was written at {} {}", count_, newest_)
+                        : "no earlier checkpoint has been written";
         if (note_)
-            note_(fmt::format("cannot write the checkpoint of {} {} ({}): {}", count_, iteration, safe, why));
+            note_(fmt::format("cannot write the checkpoint at {} {} ({}): {}", count_, iteration, safe, why));
     };
     try {
         add_state(checkpoint);
     } catch (const std::bad_alloc&) {
-        return failed("out of memory");
+        return failed("not enough memory");
     }
     try {
         check_finite(checkpoint);

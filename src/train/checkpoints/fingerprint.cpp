@@ -19,7 +19,7 @@ namespace {
 
 constexpr const char* kSetting = "setting/";
 constexpr const char* kTrainAgain =
-    "a checkpoint that another version of relidar has written cannot be resumed; train again";
+    "the checkpoint was probably written by another version of relidar and cannot be resumed; train again";
 
 /// Computes a hash of all added values. The order of the values matters.
 class RunningHash {

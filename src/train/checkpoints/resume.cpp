@@ -140,9 +140,10 @@ std::vector<TrainProgress> read_training_log(const Checkpoint& checkpoint, const
     const bool even = as_long(log.seconds) && as_long(log.surfels) &&
                       std::ranges::all_of(log.terms, as_long) && std::ranges::all_of(log.densified, as_long);
     if (!even)
-        throw DataError(fmt::format(
-            "cannot resume from iteration {}: the checkpoint's columns of log.jsonl differ in length",
-            checkpoint.iteration));
+        throw DataError(
+            fmt::format("cannot resume from iteration {}: the columns of log.jsonl in the checkpoint have "
+                        "different lengths; train again",
+                        checkpoint.iteration));
     std::vector<TrainProgress> lines;
     for (std::size_t i = 0; i < n; ++i) {
         std::array<double, kLossTerms> terms{};

@@ -44,8 +44,9 @@ TrainingFrameData make_frame_data(const LidarSequence& sequence, int frame_index
     const LidarFrame& frame = trained.frame;
     const RayTable& table = frame.scan.rays;
     if (frame.scan.range_m.empty())
-        throw DataError(fmt::format("cannot use frame {} of {} for training: it has no rays", frame.index,
-                                    sequence.name));
+        throw DataError(
+            fmt::format("cannot use frame {} of {} for training: its scan has no rays, expected at least one",
+                        frame.index, sequence.name));
     TrainingFrameData data;
     data.position = frame_index;
     data.index = frame.index;
@@ -100,9 +101,10 @@ TrainingFrames::TrainingFrames(Device& device, const LidarSequence& sequence,
     upload_resident_frames(device);
     const std::uint32_t n = find_max_rays_per_frame(std::span(frames_).subspan(n_staying_));
     if (n == 0) return;
-    shared_ = std::make_shared<FrameArrays>(FrameArrays{{device, n, "training rays"},
-                                                        {device, n, "training targets"},
-                                                        {device, use_.moves_rays ? n : 0, "places of rays"}});
+    shared_ = std::make_shared<FrameArrays>(
+        FrameArrays{{device, n, "training rays"},
+                    {device, n, "training targets"},
+                    {device, use_.moves_rays ? n : 0, "track positions of rays"}});
     for (std::size_t i = n_staying_; i < frames_.size(); ++i) frames_[i].arrays = shared_;
 }
 
@@ -115,10 +117,11 @@ void TrainingFrames::upload_resident_frames(Device& device) {
                      [&](int k) { batch[std::size_t(k)] = prepare_host_frame(first + std::size_t(k)); });
         for (std::size_t k = 0; k < batch.size(); ++k) {
             TrainingFrameData& frame = frames_[first + k];
-            frame.arrays = std::make_shared<FrameArrays>(FrameArrays{
-                {device, std::span<const DeviceRay>(batch[k].rays), "training rays"},
-                {device, std::span<const DeviceTarget>(batch[k].targets), "training targets"},
-                {device, std::span<const shared::RayPlace>(batch[k].track_positions), "places of rays"}});
+            frame.arrays = std::make_shared<FrameArrays>(
+                FrameArrays{{device, std::span<const DeviceRay>(batch[k].rays), "training rays"},
+                            {device, std::span<const DeviceTarget>(batch[k].targets), "training targets"},
+                            {device, std::span<const shared::RayPlace>(batch[k].track_positions),
+                             "track positions of rays"}});
             count_known_and_returned_rays(frame, batch[k].targets);
         }
     }

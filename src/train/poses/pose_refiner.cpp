@@ -199,7 +199,10 @@ void PoseRefiner::update_poses_after_restore() {
         pending_iterations_.gradient.size() == n * (floats_of_rays_ + floats_of_instances_) &&
         std::all_of(pending_iterations_.frame.begin(), pending_iterations_.frame.end(),
                     [this](std::uint64_t frame) { return frame < frames_.get_all_frames().size(); });
-    if (!sound) throw DataError("cannot resume: the stored pose corrections do not fit this log");
+    if (!sound)
+        throw DataError(
+            "cannot resume: the pose corrections in the checkpoint do not fit this log, expected the log "
+            "that the checkpoint was written with");
     update_corrected_poses();
 }
 

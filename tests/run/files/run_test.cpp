@@ -496,7 +496,7 @@ TEST_F(RunFolder, WhatCannotBeReadBackIsNotWritten) {
     run = make_example_run(folder / "second");
     // Changes a constant of the preset. The file config.toml cannot contain this change.
     run.config.train.mean_rate *= 2.0;
-    EXPECT_THAT(get_data_error_message([&] { save_run(run); }), test::Names("option ... setting"));
+    EXPECT_THAT(get_data_error_message([&] { save_run(run); }), test::Names("preset ... settings"));
     EXPECT_FALSE(is_run_folder(run.folder));
 }
 
